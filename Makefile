@@ -1,0 +1,53 @@
+# `make demo` and `make test` are all that a newcomer needs; both make .venv when it is not there.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# Small matrices run faster on one thread, and parallel runs do not fight for the cores.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: demo test check format wheel-test clean
+
+demo: $(VENV)/.demo
+	$(BIN)/surefoot demo $(DEMO)
+
+test: $(VENV)/.dev
+	$(BIN)/pytest -n auto --dist worksteal $(PYTEST)
+
+check: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# The suite once more, against what a user installs: the built wheel, away from the checkout.
+wheel-test: $(VENV)/.dev
+	rm -rf build/wheel && mkdir -p build/wheel
+	$(BIN)/python -m build --outdir build/wheel .
+	$(BIN)/pip install --quiet --no-deps --target build/wheel/site build/wheel/*.whl
+	cp -r tests pyproject.toml build/wheel/
+	cd build/wheel && PYTHONPATH=site SUREFOOT_EXPECT_ROOT=$$PWD/site \
+		../../$(BIN)/pytest -n auto --dist worksteal tests site/surefoot $(PYTEST)
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "surefoot needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip
+
+# An install with [dev] serves the demo as well.
+$(VENV)/.demo: pyproject.toml constraints.txt | $(BIN)/python
+	test -e $(VENV)/.dev || $(BIN)/pip install --quiet -c constraints.txt -e '.[experiments]'
+	touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
+	touch $@ $(VENV)/.demo
+
+clean:
+	rm -rf build dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

@@ -1,0 +1,183 @@
+"""How the calibrated channels of a foot add up to the wrench on its sole.
+
+Every foot sensor is an affine map from raw channels to forces; what distinguishes four load cells
+from a six-axis sensor at the ankle is only how those forces add up. That is a 6 x k matrix, and it is
+all that a calibrator knows of a foot's hardware.
+
+A wrench is (fx, fy, fz, tx, ty, tz), exerted by the ground on the robot, at and in the sole frame:
+x forward, y left, z up, the origin below the ankle on the face that touches the ground.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["FeetLayout", "FootLayout"]
+
+LOAD_CELL_NAMES = ("front-left", "front-right", "rear-left", "rear-right")
+
+
+@dataclass(frozen=True, eq=False)
+class FootLayout:
+    """One foot: its channels and the wrench that they make up.
+
+    Attributes:
+        name: What messages and logs call the foot, such as ``"left"``.
+        wrench_map: Sole wrench per unit of each calibrated channel, shape (6, k).
+        channel_names: k names, such as ``"front-left"``.
+        position_cell_sole: Positions of load cells in the sole frame in m, shape (k, 3), or ``None``
+            for a sensor whose channels are not forces at a place.
+    """
+
+    name: str
+    wrench_map: NDArray[np.float64]
+    channel_names: tuple[str, ...]
+    position_cell_sole: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a map that is no map."""
+        if self.wrench_map.ndim != 2 or self.wrench_map.shape[0] != 6:
+            raise ValueError(
+                f"The wrench map of foot '{self.name}' must have shape (6, channels), "
+                f"got {self.wrench_map.shape}."
+            )
+        if not np.isfinite(self.wrench_map).all():
+            raise ValueError(f"The wrench map of foot '{self.name}' holds values that are not finite.")
+        if len(self.channel_names) != self.wrench_map.shape[1]:
+            raise ValueError(
+                f"Foot '{self.name}' has {self.wrench_map.shape[1]} channels but "
+                f"{len(self.channel_names)} channel names: {self.channel_names}."
+            )
+
+    @property
+    def channels(self) -> int:
+        """The number of channels, k."""
+        return int(self.wrench_map.shape[1])
+
+    @classmethod
+    def load_cells(
+        cls,
+        name: str,
+        position_cell_sole: ArrayLike,
+        channel_names: Sequence[str] | None = None,
+    ) -> "FootLayout":
+        """Describe a foot on single-axis load cells.
+
+        Each cell carries a vertical force at its own place, so that the cells of a foot add up to
+        (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i); the other three rows stay zero.
+
+        Args:
+            name: What messages and logs call the foot.
+            position_cell_sole: Positions of the cells in the sole frame in m, shape (k, 2) or (k, 3);
+                four cells are ordered (front-left, front-right, rear-left, rear-right).
+            channel_names: Names of the cells; four cells need none.
+
+        Raises:
+            ValueError: If fewer than three cells are given, if they lie on one line, or if a position
+                is not finite.
+
+        >>> foot = FootLayout.load_cells("left", [(0.1, 0.05), (0.1, -0.05), (-0.06, 0.05), (-0.06, -0.05)])
+        >>> foot.wrench_map[2]
+        array([1., 1., 1., 1.])
+        """
+        position = np.asarray(position_cell_sole, dtype=np.float64)
+        if position.ndim != 2 or position.shape[0] < 3 or position.shape[1] not in (2, 3):
+            raise ValueError(
+                f"Foot '{name}' needs at least three cell positions of shape (cells, 2) or (cells, 3), "
+                f"got shape {position.shape}: fewer cells cannot tell a centre of pressure."
+            )
+        if not np.isfinite(position).all():
+            raise ValueError(f"The cell positions of foot '{name}' hold values that are not finite.")
+        if position.shape[1] == 2:
+            position = np.column_stack([position, np.zeros(len(position))])
+        spread = np.linalg.svd(position[:, :2] - position[:, :2].mean(axis=0), compute_uv=False)
+        if spread[1] < 1e-6:
+            raise ValueError(
+                f"The cells of foot '{name}' lie on one line, so that the centre of pressure beside it "
+                "cannot be told; check the positions (metres, sole frame)."
+            )
+        if channel_names is None:
+            channel_names = (
+                LOAD_CELL_NAMES if len(position) == 4 else [f"cell-{i}" for i in range(len(position))]
+            )
+        x, y = position[:, 0], position[:, 1]
+        zero = np.zeros_like(x)
+        wrench_map = np.stack([zero, zero, np.ones_like(x), y, -x, zero])
+        return cls(name, wrench_map, tuple(channel_names), position)
+
+
+@dataclass(frozen=True, eq=False)
+class FeetLayout:
+    """Both feet, ordered (left, right); their channels follow each other in one flat array.
+
+    Attributes:
+        feet: The layouts of the left and of the right foot.
+    """
+
+    feet: tuple[FootLayout, FootLayout]
+
+    def __post_init__(self) -> None:
+        """Refuse a missing foot and feet that cannot be told apart."""
+        if len(self.feet) != 2:
+            raise ValueError(f"A biped has two feet, ordered (left, right); got {len(self.feet)}.")
+        if self.feet[0].name == self.feet[1].name:
+            raise ValueError(f"Both feet are named '{self.feet[0].name}'; give each its own name.")
+
+    @property
+    def channels(self) -> int:
+        """The number of channels of both feet, K."""
+        return sum(foot.channels for foot in self.feet)
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Where each foot's channels lie in the flat array."""
+        split = self.feet[0].channels
+        return slice(0, split), slice(split, self.channels)
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """K names such as ``"left/front-left"``."""
+        return tuple(f"{foot.name}/{channel}" for foot in self.feet for channel in foot.channel_names)
+
+    @property
+    def wrench_map(self) -> NDArray[np.float64]:
+        """Sole wrenches per unit of each channel, shape (2, 6, K): zero for the other foot's channels."""
+        combined = np.zeros((2, 6, self.channels))
+        for i, (foot, where) in enumerate(zip(self.feet, self.slices, strict=True)):
+            combined[i, :, where] = foot.wrench_map
+        return combined
+
+    @property
+    def foot_of_channel(self) -> NDArray[np.intp]:
+        """0 for a channel of the left foot and 1 for one of the right, shape (K,)."""
+        return np.repeat([0, 1], [foot.channels for foot in self.feet])
+
+    def check_raw(self, raw: Any, what: str = "raw") -> None:
+        """Refuse readings whose last axis is not the channels of this layout.
+
+        Raises:
+            ValueError: If the last axis does not hold one reading a channel.
+        """
+        shape = tuple(np.shape(raw)) if not hasattr(raw, "shape") else tuple(raw.shape)
+        if not shape or shape[-1] != self.channels:
+            raise ValueError(
+                f"'{what}' must hold one reading for each of the {self.channels} channels "
+                f"{self.channel_names} on its last axis, got shape {shape}."
+            )
+
+
+def nao_shoe_layout() -> FeetLayout:
+    """Lay out the four-cell shoes of a NAO as Han's force-sensing shoes have their bearing corners.
+
+    Corners at (+-85, +-49) mm about (23.97, +-6.76) mm from the ankle's projection on the sole.
+
+    >>> nao_shoe_layout().channels
+    8
+    """
+    corner = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) * (0.085, 0.049)
+    left = FootLayout.load_cells("left", corner + (0.02397, 0.00676))
+    right = FootLayout.load_cells("right", corner + (0.02397, -0.00676))
+    return FeetLayout((left, right))

@@ -1,0 +1,41 @@
+"""What a robot believes about itself at one sample: the side that sensors are held against.
+
+Everything here comes from encoders, an IMU and a model of the robot; nothing comes from the feet's
+sensors. Positions are given in any *level* frame: z against gravity, the origin and the heading as the
+robot likes, as long as all fields of one sample share them (a calibrator only ever takes differences).
+"""
+
+from typing import Any, NamedTuple
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+GRAVITY = 9.81
+"""Standard acceleration of free fall used throughout, in m/s^2."""
+
+
+class Reference(NamedTuple):
+    """One sample of a robot's beliefs; any leading batch dimensions, written as ``...``.
+
+    Attributes:
+        com: Centre of mass in the level frame in m, shape (..., 3).
+        com_acceleration: Its acceleration without gravity in m/s^2, shape (..., 3).
+        angular_momentum_rate: Rate of the centroidal angular momentum in N m, shape (..., 3).
+        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
+        R_level_sole: Rotations from the sole frames to the level frame, shape (..., 2, 3, 3).
+        stance: Feet that the robot is sure to have on the ground (bool), shape (..., 2).
+        swing: Feet that the robot is sure to have in the air (bool), shape (..., 2). A foot in a
+            transition is neither.
+        accelerometer: Specific force at the IMU in its own axes in m/s^2, shape (..., 3).
+        gyroscope: Angular velocity of the IMU in its own axes in rad/s, shape (..., 3).
+    """
+
+    com: Array
+    com_acceleration: Array
+    angular_momentum_rate: Array
+    position_sole: Array
+    R_level_sole: Array
+    stance: Array
+    swing: Array
+    accelerometer: Array
+    gyroscope: Array

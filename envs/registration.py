@@ -1,0 +1,16 @@
+"""The environments' names, registered with Gymnasium when surefoot is imported.
+
+Only Gymnasium is imported here: MuJoCo waits until an environment is made.
+"""
+
+from gymnasium.envs.registration import register, registry
+
+
+def register_environments() -> None:
+    """Register ``surefoot/...``; doing so again changes nothing."""
+    for name, entry_point in {
+        "surefoot/NaoStand-v0": "surefoot.envs.nao_stand:NaoStandEnv",
+        "surefoot/NaoWalk-v0": "surefoot.envs.nao_walk:NaoWalkEnv",
+    }.items():
+        if name not in registry:
+            register(id=name, entry_point=entry_point)

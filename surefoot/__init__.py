@@ -1,0 +1,27 @@
+"""Honest models of the sensors that biped robots stand on, and calibrators that undo their errors.
+
+``import surefoot`` needs no simulator: where Gymnasium and MuJoCo are installed it registers the
+``surefoot/...`` environments, elsewhere it offers :mod:`surefoot.calibration` and
+:mod:`surefoot.sensors` alone.
+"""
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from surefoot import calibration, controllers, envs, experiments, sensors, wrappers
+
+__all__ = ["calibration", "controllers", "envs", "experiments", "sensors", "wrappers"]
+__version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """Import a subpackage when it is first asked for."""
+    if name in __all__:
+        return import_module(f"surefoot.{name}")
+    raise AttributeError(f"module 'surefoot' has no attribute '{name}'")
+
+
+if find_spec("gymnasium") is not None and find_spec("mujoco") is not None:
+    import_module("surefoot.envs.registration").register_environments()

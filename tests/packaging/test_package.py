@@ -1,0 +1,83 @@
+"""What must hold of the package as a user installs it."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import metadata, requires
+from pathlib import Path
+
+import pytest
+
+import surefoot
+
+SUBPACKAGES = ("calibration", "controllers", "envs", "experiments", "sensors", "wrappers")
+
+
+def run_python(code: str) -> str:
+    """Run code in a fresh interpreter and give back what it printed."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_suite_tests_the_installation_it_claims_to_test() -> None:
+    expected = os.environ.get("SUREFOOT_EXPECT_ROOT")
+    if expected is None:
+        pytest.skip("SUREFOOT_EXPECT_ROOT is set by `make wheel-test` alone")
+    assert Path(surefoot.__file__).is_relative_to(expected)
+
+
+def test_version_agrees_with_the_metadata() -> None:
+    assert surefoot.__version__ == metadata("surefoot")["Version"]
+
+
+@pytest.mark.parametrize("name", SUBPACKAGES)
+def test_every_public_name_exists(name: str) -> None:
+    module = getattr(surefoot, name)
+    assert module.__doc__
+    for public in module.__all__:
+        assert hasattr(module, public), f"surefoot.{name}.__all__ names '{public}', which is not there"
+
+
+def test_package_is_typed_and_carries_its_models() -> None:
+    root = Path(surefoot.__file__).parent
+    assert (root / "py.typed").is_file()
+    assert (Path(surefoot.envs.__file__).parent / "assets" / "nao.xml").is_file()
+
+
+def test_a_robot_needs_three_small_packages() -> None:
+    core = [r for r in requires("surefoot") or [] if "extra ==" not in r]
+    assert sorted(r.split(">")[0] for r in core) == ["array-api-compat", "numpy", "scipy"]
+
+
+def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
+    printed = run_python(
+        "import sys\n"
+        "class Absent:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.split('.')[0] in {'gymnasium', 'mujoco', 'mink', 'torch', 'pandas', 'matplotlib'}:\n"
+        "            raise ModuleNotFoundError(name)\n"
+        "sys.meta_path.insert(0, Absent())\n"
+        "import importlib.util as u\n"
+        "find = u.find_spec\n"
+        "u.find_spec = lambda name, package=None: "
+        "None if name in {'gymnasium', 'mujoco'} else find(name, package)\n"
+        "import surefoot, json\n"
+        "calibration, sensors = surefoot.calibration, surefoot.sensors\n"
+        "print(json.dumps([calibration.__name__, sensors.__name__]))\n"
+    )
+    assert json.loads(printed) == ["surefoot.calibration", "surefoot.sensors"]
+
+
+def test_import_is_light() -> None:
+    printed = run_python(
+        "import sys, surefoot\n"
+        "print([m for m in ('mujoco', 'torch', 'pandas', 'matplotlib') if m in sys.modules])"
+    )
+    assert printed.strip() == "[]"
+
+
+def test_unknown_subpackage_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match=r"^module 'surefoot' has no attribute 'sensor'$"):
+        _ = surefoot.sensor
