@@ -1,0 +1,118 @@
+"""What a planned motion of the whole robot asks of the ground and of its motors.
+
+Newton and Euler for the whole body, with the centre of mass c, the angular momentum L about it and the ground at
+height zero, give the centre of pressure:
+
+    Fz = M (z'' + g),    px = x - [z M x'' + L_y'] / Fz,    py = y - [z M y'' - L_x'] / Fz.
+
+Inverse dynamics, with the ground's reaction shared between the feet as the planned centre of pressure says,
+gives the torques.
+"""
+
+import copy
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["joint_torques", "joint_velocities", "multibody_zmp"]
+
+ARM_OF_TORQUE = 0.01
+"""Torque in N m that weighs as much as a force of 1 N where both feet share a wrench: a small foot carries a force
+rather than a torque."""
+
+
+def joint_velocities(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    """Differentiate postures by central differences, at rest before the first and after the last.
+
+    Args:
+        model: The robot.
+        qpos: Postures, shape (ticks, nq).
+        dt: Time from one to the next in s.
+
+    Returns:
+        Generalised velocities, shape (ticks, nv).
+    """
+    qvel = np.empty((len(qpos), model.nv))
+    last = len(qpos) - 1
+    for k in range(len(qpos)):
+        mujoco.mj_differentiatePos(model, qvel[k], 2 * dt, qpos[max(k - 1, 0)], qpos[min(k + 1, last)])
+    return qvel
+
+
+def multibody_zmp(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    """Compute the zero-moment point of a motion by central differences.
+
+    Args:
+        model: The robot; its body 1 is the root of the tree.
+        qpos: Postures, shape (ticks, nq), at rest before the first and after the last.
+        dt: Time from one to the next in s.
+
+    Returns:
+        The zero-moment point on the ground, shape (ticks, 2), m.
+    """
+    data = mujoco.MjData(model)
+    com, momentum = np.empty((len(qpos), 3)), np.empty((len(qpos), 3))
+    for k, qvel in enumerate(joint_velocities(model, qpos, dt)):
+        data.qpos[:] = qpos[k]
+        data.qvel[:] = qvel
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        com[k] = data.subtree_com[1]
+        momentum[k] = data.subtree_angmom[1]
+    mass = float(model.body_subtreemass[1])
+    acceleration = np.diff(com, n=2, axis=0, prepend=com[:1], append=com[-1:]) / dt**2
+    spin = np.gradient(momentum, dt, axis=0) if len(qpos) > 1 else np.zeros_like(momentum)
+    force = mass * (acceleration[:, 2] - model.opt.gravity[2])
+    height = com[:, 2]
+    x = com[:, 0] - (height * mass * acceleration[:, 0] + spin[:, 1]) / force
+    y = com[:, 1] - (height * mass * acceleration[:, 1] - spin[:, 0]) / force
+    return np.stack([x, y], axis=1)
+
+
+def joint_torques(
+    model: mujoco.MjModel,
+    qpos: NDArray[np.float64],
+    cop_foot: NDArray[np.float64],
+    share: NDArray[np.float64],
+    dt: float,
+) -> NDArray[np.float64]:
+    """Find the torques of a motion with its feet on the ground.
+
+    While both feet carry, their wrenches are not determined by the motion: the one taken is the smallest, each
+    foot's weighed by its share of the load.
+
+    Args:
+        model: The robot, with bodies ``left_plate`` and ``right_plate``.
+        qpos: Postures, shape (ticks, nq), at rest before the first and after the last.
+        cop_foot: Where each foot is to carry, in the world, shape (ticks, 2, 2), m.
+        share: Share of the load on each foot, shape (ticks, 2); at least one is positive.
+        dt: Time from one posture to the next in s.
+
+    Returns:
+        Torques that the motors have to supply besides friction and damping, which are counted in, shape
+        (ticks, nv), N m; zero for the floating torso up to rounding.
+    """
+    free = copy.copy(model)
+    free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(free)
+    plates = [free.body(f"{foot}_plate").id for foot in ("left", "right")]
+    qvel = joint_velocities(free, qpos, dt)
+    qacc = np.gradient(qvel, dt, axis=0) if len(qpos) > 1 else np.zeros_like(qvel)
+    ease = np.repeat([1.0, ARM_OF_TORQUE**2], 3)
+    jacobian = np.zeros((2, 6, free.nv))
+    torque = np.empty_like(qvel)
+    for k in range(len(qpos)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
+        mujoco.mj_inverse(free, data)
+        for foot, plate in enumerate(plates):
+            point = np.append(cop_foot[k, foot], 0.0)
+            mujoco.mj_jac(free, data, jacobian[foot, :3], jacobian[foot, 3:], point, plate)
+        feet = jacobian.reshape(12, free.nv)
+        root = feet[:, :6].T
+        weight = np.outer(share[k], ease).ravel()
+        wrench = weight * (root.T @ np.linalg.solve((root * weight) @ root.T, data.qfrc_inverse[:6]))
+        torque[k] = data.qfrc_inverse - wrench @ feet
+    return torque

@@ -1,0 +1,176 @@
+"""Where the feet go, and when.
+
+A walk is a path of body poses, one a step, along a straight line or an arc, and a footstep beside each of
+them. The first move and the last are half as long as the others, so that the walk starts and stops gently,
+and one more step brings the feet side by side.
+
+While turning, the feet turn by the toe-out rule that the NAO's own walk uses: the foot on the inside of the turn
+takes the yaw of two steps at once, opening the feet, and the other follows. The shoes then never toe in,
+where their tips would touch.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Footstep", "GaitTiming", "plan_footsteps", "stance_of_stand"]
+
+CONTROL_RATE = 80
+"""Control steps a second."""
+
+MAX_STEP_LENGTH = 0.09
+"""Longest step in m: one foot ahead of the other. With bent knees the leg still reaches this far."""
+
+MAX_STEP_TURN = 0.16
+"""Largest turn a step in rad; the inner foot turns by twice as much."""
+
+_HEEL = 0.062
+"""How far the shoe reaches behind the ankle in m: a foot that opens swings its heel inwards by this much."""
+
+LEFT, RIGHT = 0, 1
+
+
+class Footstep(NamedTuple):
+    """A foot on the ground.
+
+    Attributes:
+        foot: 0 for the left, 1 for the right foot.
+        position: Where the sole's origin lies in the pattern's world, in m.
+        yaw: Heading of the sole in rad.
+    """
+
+    foot: int
+    position: tuple[float, float]
+    yaw: float
+
+
+@dataclass(frozen=True)
+class GaitTiming:
+    """How long each part of a walk lasts.
+
+    Attributes:
+        step_time: From one landing to the next, in s.
+        double_support: Share of the step during which both feet carry.
+        stand_time: Standing before the first and after the last step, in s.
+    """
+
+    step_time: float = 0.8
+    double_support: float = 0.4
+    stand_time: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse a gait without a double or a single support."""
+        if not 0.3 <= self.step_time <= 3.0:
+            raise ValueError(f"'step_time' must lie between 0.3 s and 3 s, got {self.step_time} s.")
+        if not 0.1 <= self.double_support <= 0.8:
+            raise ValueError(
+                f"'double_support' is the share of a step on both feet and must lie between 0.1 and 0.8, "
+                f"got {self.double_support}."
+            )
+        if not (math.isfinite(self.stand_time) and self.stand_time >= 0.5):
+            raise ValueError(
+                f"'stand_time' must be at least 0.5 s, got {self.stand_time} s: the weight has to settle."
+            )
+
+    @property
+    def step_ticks(self) -> int:
+        """Control steps in a step."""
+        return round(self.step_time * CONTROL_RATE)
+
+    @property
+    def double_ticks(self) -> int:
+        """Control steps in a double support."""
+        return round(self.step_ticks * self.double_support)
+
+    @property
+    def stand_ticks(self) -> int:
+        """Control steps of standing at either end."""
+        return round(self.stand_time * CONTROL_RATE)
+
+    def steps_within(self, duration: float) -> int:
+        """Count the whole steps, the closing one among them, that fit into a walk of ``duration`` s."""
+        free = round(duration * CONTROL_RATE) - 2 * self.stand_ticks - self.double_ticks
+        return max(free // self.step_ticks, 0)
+
+
+def stance_of_stand(half_width: float) -> tuple[Footstep, Footstep]:
+    """Place the feet side by side about the origin, ``half_width`` m to either side."""
+    return Footstep(LEFT, (0.0, half_width), 0.0), Footstep(RIGHT, (0.0, -half_width), 0.0)
+
+
+def plan_footsteps(
+    speed: float, turn_rate: float, steps: int, step_time: float, half_width: float
+) -> tuple[Footstep, ...]:
+    """Place the footsteps of a walk that starts from, and ends in, a stand with the feet side by side.
+
+    Args:
+        speed: Forward speed along the path in m/s; negative walks backwards, zero marks time.
+        turn_rate: Change of heading in rad/s, positive to the left.
+        steps: Number of footsteps, the closing one included; at least 2.
+        step_time: Duration of a step in s.
+        half_width: Distance of either sole's origin from the path in m.
+
+    Returns:
+        The footsteps in order. The first is by the foot on the inside of the turn, the left when straight.
+
+    Raises:
+        ValueError: If a step would be longer, or turn further, than the legs allow, if fewer than two
+            steps are asked for, or if an argument is not finite.
+
+    >>> [step.foot for step in plan_footsteps(0.04, 0.0, 4, 0.8, 0.05)]
+    [0, 1, 0, 1]
+    """
+    for name, value in {"speed": speed, "turn_rate": turn_rate}.items():
+        if not math.isfinite(value):
+            raise ValueError(f"'{name}' must be finite, got {value}.")
+    if abs(speed) * step_time > MAX_STEP_LENGTH + 1e-12:
+        raise ValueError(
+            f"'speed' {speed} m/s makes steps of {abs(speed) * step_time:.3f} m, longer than the legs' "
+            f"{MAX_STEP_LENGTH} m; at {step_time} s a step, walk at most {MAX_STEP_LENGTH / step_time:.4f} m/s."
+        )
+    if abs(turn_rate) * step_time > MAX_STEP_TURN + 1e-12:
+        raise ValueError(
+            f"'turn_rate' {turn_rate} rad/s turns {abs(turn_rate) * step_time:.3f} rad a step, more than the "
+            f"hips' {MAX_STEP_TURN} rad; at {step_time} s a step, turn at most "
+            f"{MAX_STEP_TURN / step_time:.3f} rad/s."
+        )
+    if steps < 2:
+        raise ValueError(f"A walk needs at least two steps, one out and one to close the feet, got {steps}.")
+    if half_width <= 0.0:
+        raise ValueError(f"'half_width' must be positive, got {half_width} m.")
+
+    pose = _path(speed * step_time, turn_rate * step_time, steps)
+    first = RIGHT if turn_rate < 0 else LEFT
+    yaw_foot = [0.0, 0.0]
+    placed = []
+    for index in range(steps):
+        foot = (first + index) % 2
+        opens = index % 2 == 0
+        x, y, heading = pose[index].tolist()
+        yaw_foot[foot] = float(pose[min(index + 1, steps - 1), 2]) if opens else yaw_foot[1 - foot]
+        turned_out = abs(yaw_foot[foot] - yaw_foot[1 - foot])
+        aside = half_width + (_HEEL * math.sin(turned_out) if opens else 0.0)
+        side = aside if foot == LEFT else -aside
+        position = (x - side * math.sin(heading), y + side * math.cos(heading))
+        placed.append(Footstep(foot, position, yaw_foot[foot]))
+    return tuple(placed)
+
+
+def _path(length: float, turn: float, steps: int) -> NDArray[np.float64]:
+    """Body poses (x, y, heading) at each footstep, shape (steps, 3); the last two are the same."""
+    moves = steps - 1
+    share = np.ones(moves)
+    share[[0, -1]] = 0.5
+    pose = np.zeros((steps, 3))
+    state = np.zeros(3)
+    for index in range(moves):
+        # The chord of an arc points along the heading in its middle.
+        half = share[index] * turn / 2
+        chord = share[index] * length * np.sinc(half / np.pi)
+        state = state + (chord * np.cos(state[2] + half), chord * np.sin(state[2] + half), 2 * half)
+        pose[index] = state
+    pose[-1] = state
+    return pose

@@ -1,0 +1,182 @@
+"""From where the feet and the centre of mass should be to what the joints have to do.
+
+Differential inverse kinematics through :mod:`mink`. Two legs with one common hip-yaw-pitch motor have eleven
+degrees of freedom and the floating torso six; both soles (12), the centre of mass (3) and an upright torso (2)
+use up all seventeen, so that nothing is left to a posture. The torso's heading follows from the common motor, which
+turns both legs outward alike: it is the mean heading of the soles.
+"""
+
+from typing import NamedTuple
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["JointTrack", "WholeBodyKinematics"]
+
+TOLERANCE = 2e-6
+"""Largest error left in m and rad."""
+
+ITERATIONS = 30
+"""Newton steps before a posture counts as out of reach; a few suffice."""
+
+MEMO_GRID = 1e-6
+"""Postures whose feet and centre of mass agree to this, in m and rad, are solved once."""
+
+ARM_AND_HEAD_JOINTS = ("Head", "Shoulder", "Elbow", "Wrist")
+
+
+class JointTrack(NamedTuple):
+    """Postures over time.
+
+    Attributes:
+        qpos: Generalised positions, floating torso first, shape (ticks, nq).
+        error: Largest remaining error of a sole's or the centre of mass's position, in m.
+    """
+
+    qpos: NDArray[np.float64]
+    error: float
+
+
+class WholeBodyKinematics:
+    """Inverse kinematics of a biped with flat, level soles and an upright torso.
+
+    Args:
+        model: The robot, with sites ``left_sole`` and ``right_sole``, a body ``torso`` on a free joint, and a
+            keyframe ``stand`` to start from; the arms and the head stay as they are there.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self._configuration = mink.Configuration(model)
+        self._soles = [
+            mink.FrameTask(site, "site", position_cost=10.0, orientation_cost=3.0)
+            for site in ("left_sole", "right_sole")
+        ]
+        self._com = mink.ComTask(cost=10.0)
+        self._upright = mink.FrameTask("torso", "body", position_cost=0.0, orientation_cost=[1.0, 1.0, 0.0])
+        still = [
+            int(model.jnt_dofadr[joint])
+            for joint in range(model.njnt)
+            if any(word in model.joint(joint).name for word in ARM_AND_HEAD_JOINTS)
+        ]
+        self._constraints = [
+            mink.DofFreezingTask(model, dof_indices=still),
+            mink.EqualityConstraintTask(model, cost=1.0),
+        ]
+        self._limits = [mink.ConfigurationLimit(model)]
+
+    def solve(
+        self,
+        com: NDArray[np.float64],
+        position_sole: NDArray[np.float64],
+        yaw_sole: NDArray[np.float64],
+        start: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], float]:
+        """Find the posture with the soles and the centre of mass in given places.
+
+        Args:
+            com: Centre of mass, shape (3,), m.
+            position_sole: Both soles' origins, shape (2, 3), m.
+            yaw_sole: Both soles' headings, shape (2,), rad.
+            start: Posture to start from, shape (nq,); the keyframe ``stand`` when not given.
+
+        Returns:
+            The posture, shape (nq,), and the largest remaining error of a position in m.
+
+        Raises:
+            ValueError: If the posture is out of the legs' reach or limits.
+        """
+        if start is None:
+            self._configuration.update_from_keyframe("stand")
+        else:
+            self._configuration.update(start)
+        for task, position, yaw in zip(self._soles, position_sole, yaw_sole, strict=True):
+            task.set_target(
+                mink.SE3.from_rotation_and_translation(mink.SO3.from_z_radians(float(yaw)), position)
+            )
+        self._com.set_target(com)
+        self._upright.set_target(mink.SE3.from_rotation(mink.SO3.from_z_radians(float(np.mean(yaw_sole)))))
+        tasks = [*self._soles, self._com, self._upright]
+        for _ in range(ITERATIONS):
+            error = self._errors()
+            if max(error) < TOLERANCE:
+                return self._configuration.q.copy(), error[0]
+            velocity = mink.solve_ik(
+                self._configuration,
+                tasks,
+                1.0,
+                "daqp",
+                damping=1e-9,
+                limits=self._limits,
+                constraints=self._constraints,
+            )
+            self._configuration.integrate_inplace(velocity, 1.0)
+        raise ValueError(
+            f"The legs cannot place the soles at {np.round(position_sole, 4).tolist()} m, headings "
+            f"{np.round(yaw_sole, 4).tolist()} rad, under a centre of mass at {np.round(com, 4).tolist()} m: "
+            f"{1e3 * error[0]:.2f} mm remain. Walk or turn more slowly, or lower the centre of mass."
+        )
+
+    def track(
+        self,
+        com: NDArray[np.float64],
+        position_sole: NDArray[np.float64],
+        yaw_sole: NDArray[np.float64],
+    ) -> JointTrack:
+        """Find the postures of a motion, each started from the one before.
+
+        A posture depends on where things are relative to the left sole, not on where in the world that is. A steady
+        walk repeats itself in these terms, so that each posture of its cycle is solved once.
+
+        Args:
+            com: Centre of mass, shape (ticks, 3), m.
+            position_sole: Soles' origins, shape (ticks, 2, 3), m.
+            yaw_sole: Soles' headings, shape (ticks, 2), rad.
+
+        Raises:
+            ValueError: If a posture is out of the legs' reach or limits.
+        """
+        heading = yaw_sole[:, 0]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        origin = np.concatenate([position_sole[:, 0, :2], np.zeros((len(com), 1))], axis=1)
+        R_world_left = np.zeros((len(com), 3, 3))
+        R_world_left[:, 0, 0] = R_world_left[:, 1, 1] = cosine
+        R_world_left[:, 1, 0], R_world_left[:, 0, 1] = sine, -sine
+        R_world_left[:, 2, 2] = 1.0
+        com_left = np.einsum("kji,kj->ki", R_world_left, com - origin)
+        sole_left = np.einsum("kji,kfj->kfi", R_world_left, position_sole - origin[:, None])
+        yaw_left = yaw_sole - heading[:, None]
+        keys = np.round(
+            np.concatenate([com_left, sole_left.reshape(len(com), 6), yaw_left], axis=1) / MEMO_GRID
+        ).astype(np.int64)
+
+        solved: dict[bytes, NDArray[np.float64]] = {}
+        qpos = np.empty((len(com), self.model.nq))
+        worst, last = 0.0, None
+        for k, key in enumerate(map(np.ndarray.tobytes, keys)):
+            if key not in solved:
+                solved[key], error = self.solve(com_left[k], sole_left[k], yaw_left[k], last)
+                worst = max(worst, error)
+            last = solved[key]
+            qpos[k] = last
+        qpos[:, :3] = np.einsum("kij,kj->ki", R_world_left, qpos[:, :3]) + origin
+        qpos[:, 3:7] = _turn(heading, qpos[:, 3:7])
+        return JointTrack(qpos, worst + MEMO_GRID)
+
+    def _errors(self) -> tuple[float, float]:
+        """Largest errors of a position in m and of an orientation in rad."""
+        sole = [task.compute_error(self._configuration) for task in self._soles]
+        com = self._com.compute_error(self._configuration)
+        tilt = self._upright.compute_error(self._configuration)[3:5]
+        position = max(np.abs(com).max(), *(np.abs(error[:3]).max() for error in sole))
+        angle = max(np.abs(tilt).max(), *(np.abs(error[3:]).max() for error in sole))
+        return float(position), float(angle)
+
+
+def _turn(yaw: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn orientations, shape (ticks, 4) as (w, x, y, z), by ``yaw`` about the vertical, shape (ticks,)."""
+    c, s = np.cos(yaw / 2), np.sin(yaw / 2)
+    w, x, y, z = quaternion.T
+    return np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)

@@ -1,0 +1,179 @@
+r"""Preview control of the centre of mass, so that the zero-moment point goes where it should.
+
+After Kajita, Kanehiro, Kaneko, Fujiwara, Harada, Yokoi and Hirukawa, "Biped walking pattern generation by using
+preview control of zero-moment point", ICRA 2003. The robot is a cart on a table: a mass at constant height
+:math:`z_c` whose jerk :math:`u` is the input,
+
+.. math:: p = x - \frac{z_c}{g} \ddot x.
+
+Sampled with period :math:`T`, the state :math:`(x, \dot x, \ddot x)` obeys
+
+.. math::
+    A = \begin{pmatrix} 1 & T & T^2/2 \\ 0 & 1 & T \\ 0 & 0 & 1 \end{pmatrix},\quad
+    B = \begin{pmatrix} T^3/6 \\ T^2/2 \\ T \end{pmatrix},\quad
+    C = \begin{pmatrix} 1 & 0 & -z_c/g \end{pmatrix},
+
+and the controller that minimises :math:`\sum Q_e e^2 + R\, \Delta u^2`, :math:`e = p - p^{ref}`, knowing the
+reference :math:`N` samples ahead, is
+
+.. math:: u_k = -G_i \sum_{i \le k} e_i - G_x x_k - \sum_{j=1}^{N} G_p(j)\, p^{ref}_{k+j}.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+__all__ = ["CartTable", "PreviewGains", "PreviewTrack", "preview_gains", "track_zmp"]
+
+GRAVITY = 9.81
+"""Acceleration of free fall in m/s²."""
+
+
+@dataclass(frozen=True)
+class CartTable:
+    """The cart-table model.
+
+    Attributes:
+        height: Height of the centre of mass above the ground, :math:`z_c`, in m.
+        dt: Sample period in s.
+    """
+
+    height: float
+    dt: float
+
+    def __post_init__(self) -> None:
+        """Refuse a mass on the ground and time that stands still."""
+        if not (np.isfinite(self.height) and self.height > 0):
+            raise ValueError(f"'height' of the centre of mass must be positive, got {self.height} m.")
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"'dt' must be positive, got {self.dt} s.")
+
+    @property
+    def A(self) -> NDArray[np.float64]:
+        """State transition, shape (3, 3)."""
+        T = self.dt
+        return np.array([[1.0, T, T * T / 2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+
+    @property
+    def B(self) -> NDArray[np.float64]:
+        """Input, shape (3,)."""
+        T = self.dt
+        return np.array([T**3 / 6, T * T / 2, T])
+
+    @property
+    def C(self) -> NDArray[np.float64]:
+        """Output, shape (3,): the zero-moment point of a state."""
+        return np.array([1.0, 0.0, -self.height / GRAVITY])
+
+
+class PreviewGains(NamedTuple):
+    """Gains of the preview controller.
+
+    Attributes:
+        integral: :math:`G_i`, on the summed error.
+        state: :math:`G_x`, shape (3,).
+        preview: :math:`G_p`, shape (N,), on the reference one to N samples ahead.
+    """
+
+    integral: float
+    state: NDArray[np.float64]
+    preview: NDArray[np.float64]
+
+
+class PreviewTrack(NamedTuple):
+    """A motion of the centre of mass along some axes.
+
+    Attributes:
+        position: shape (ticks, axes), m.
+        velocity: shape (ticks, axes), m/s.
+        acceleration: shape (ticks, axes), m/s².
+        zmp: Zero-moment point of the cart-table, shape (ticks, axes), m.
+    """
+
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    zmp: NDArray[np.float64]
+
+
+def preview_gains(
+    model: CartTable, horizon: float = 2.0, error_weight: float = 1.0, input_weight: float = 1e-6
+) -> PreviewGains:
+    """Solve the Riccati equation of the cart-table augmented by the summed error.
+
+    Args:
+        model: The cart-table.
+        horizon: How far ahead the reference is known, in s.
+        error_weight: :math:`Q_e`, per m² of zero-moment point error.
+        input_weight: :math:`R`, per (m/s³)² of jerk increment.
+
+    Raises:
+        ValueError: If the horizon or a weight is not positive.
+    """
+    for name, value in {"horizon": horizon, "error_weight": error_weight, "input_weight": input_weight}.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"'{name}' must be positive, got {value}.")
+    A, B, C = model.A, model.B, model.C
+    # The augmented state is (e, dx): the error and the change of the cart's state.
+    A_augmented = np.block([[np.ones((1, 1)), (C @ A)[None]], [np.zeros((3, 1)), A]])
+    B_augmented = np.concatenate([[C @ B], B])[:, None]
+    Q = np.zeros((4, 4))
+    Q[0, 0] = error_weight
+    P = solve_discrete_are(A_augmented, B_augmented, Q, np.array([[input_weight]]))
+    inverse = 1.0 / (input_weight + float(B_augmented[:, 0] @ P @ B_augmented[:, 0]))
+    gain = inverse * (B_augmented[:, 0] @ P @ A_augmented)
+    closed = A_augmented - np.outer(B_augmented[:, 0], gain)
+    samples = round(horizon / model.dt)
+    preview = np.empty(samples)
+    # The reference enters the augmented system through the error alone.
+    X = -closed.T @ P[:, 0] * error_weight
+    preview[0] = -gain[0]
+    for j in range(1, samples):
+        preview[j] = inverse * float(B_augmented[:, 0] @ X)
+        X = closed.T @ X
+    return PreviewGains(float(gain[0]), gain[1:], preview)
+
+
+def track_zmp(
+    reference: NDArray[np.float64], model: CartTable, gains: PreviewGains | None = None
+) -> PreviewTrack:
+    """Move the cart so that its zero-moment point follows a reference, starting at rest above its first value.
+
+    Beyond its end the reference stays where it ended.
+
+    Args:
+        reference: Zero-moment point, shape (ticks, axes), m.
+        model: The cart-table.
+        gains: Gains for this model; solved for when not given.
+
+    Raises:
+        ValueError: If the reference is not finite or not of that shape.
+    """
+    reference = np.asarray(reference, dtype=np.float64)
+    if reference.ndim != 2 or not len(reference):
+        raise ValueError(f"'reference' must have shape (ticks, axes), got {reference.shape}.")
+    if not np.isfinite(reference).all():
+        raise ValueError("'reference' holds values that are not finite.")
+    gains = preview_gains(model) if gains is None else gains
+    ticks, axes = reference.shape
+    ahead = len(gains.preview)
+    # Measured from where it starts, the reference is zero before the walk, and so is every sum.
+    origin = reference[0]
+    shifted = reference - origin
+    padded = np.concatenate([shifted, np.repeat(shifted[-1:], ahead, axis=0)])
+    previewed = np.stack(
+        [np.convolve(padded[1:, axis], gains.preview[::-1], mode="valid") for axis in range(axes)], axis=1
+    )
+    A, B, C = model.A, model.B[:, None], model.C
+    state, total = np.zeros((3, axes)), np.zeros(axes)
+    states = np.empty((ticks, 3, axes))
+    for k in range(ticks):
+        states[k] = state
+        total = total + (C @ state - shifted[k])
+        jerk = -gains.integral * total - gains.state @ state - previewed[k]
+        state = A @ state + B * jerk
+    zmp = np.einsum("s,ksa->ka", C, states) + origin
+    return PreviewTrack(states[:, 0] + origin, states[:, 1], states[:, 2], zmp)

@@ -1,0 +1,50 @@
+"""Checks of the environments' options: each message names the option, the rule and what was given."""
+
+from collections.abc import Sequence
+from math import isfinite, nan
+from typing import Any
+
+
+def positive(name: str, value: float, *, or_zero: bool = False) -> float:
+    """Refuse what is not a finite and positive (or, where it may be, zero) number."""
+    number = _number(value)
+    if not isfinite(number) or number < 0.0 or (number == 0.0 and not or_zero):
+        rule = "zero or positive" if or_zero else "positive"
+        raise ValueError(f"'{name}' must be finite and {rule}, got {value!r}.")
+    return number
+
+
+def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
+    """Refuse what is not (lowest, highest) with 0 <= lowest <= highest."""
+    numbers = _numbers(value)
+    if len(numbers) != 2 or not all(map(isfinite, numbers)) or not 0.0 <= numbers[0] <= numbers[1]:
+        raise ValueError(
+            f"'{name}' must be (lowest, highest) with 0 <= lowest <= highest, got {value!r}; "
+            "give the same number twice for no randomness."
+        )
+    return numbers[0], numbers[1]
+
+
+def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
+    """Refuse what is not eight positive stiffnesses."""
+    numbers = _numbers(value)
+    if len(numbers) != 8 or not all(isfinite(number) and number > 0.0 for number in numbers):
+        raise ValueError(
+            "'cell_stiffness' must hold eight positive finite numbers, left then right, each (front-left, "
+            f"front-right, rear-left, rear-right), got {value!r}; eight ones make all cells equal."
+        )
+    return numbers
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return nan
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    try:
+        return tuple(_number(number) for number in value)
+    except TypeError:
+        return ()

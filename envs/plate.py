@@ -1,0 +1,71 @@
+r"""How a rigid plate shares a load among the cells that it rests on.
+
+Springs :math:`k_i` at :math:`(x_i, y_i)` under a rigid plate that sinks by :math:`z` and turns by
+:math:`(\theta_x, \theta_y)` give :math:`F_i = k_i (z + \theta_x y_i - \theta_y x_i)`, that is
+:math:`F = K W^T u` with :math:`W` the map from cell forces to the load :math:`w = (f_z, t_x, t_y) = W F`.
+Hence
+
+.. math:: F = K W^T (W K W^T)^{-1} w.
+
+Three numbers go in and four come out, so one combination of the four forces is always zero. With equal
+stiffness on a rectangle it is the warp (+, -, +, -) around the corners.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class SolePlate:
+    """The statics of one sole: a rigid plate on four springs, which are its load cells.
+
+    Args:
+        position_cell_sole: Places of the cells in the sole frame in m, shape (4, 2) or (4, 3).
+        stiffness: Stiffnesses of the cells in any one unit, shape (4,): only their ratios matter.
+
+    Raises:
+        ValueError: If a shape is wrong, a stiffness is not positive or the cells lie on one line.
+
+    >>> plate = SolePlate([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)], [1.0, 1.0, 1.0, 1.0])
+    >>> plate.share @ (40.0, 0.0, 0.0)
+    array([10., 10., 10., 10.])
+    """
+
+    def __init__(self, position_cell_sole: ArrayLike, stiffness: ArrayLike) -> None:
+        position = np.asarray(position_cell_sole, dtype=np.float64)
+        k = np.asarray(stiffness, dtype=np.float64)
+        if position.shape not in ((4, 2), (4, 3)) or not np.isfinite(position).all():
+            raise ValueError(
+                "A sole plate rests on four cells: give finite positions in the sole frame in m, of shape "
+                f"(4, 2) or (4, 3); got shape {position.shape}: {position.tolist()}."
+            )
+        if k.shape != (4,) or not np.isfinite(k).all() or not (k > 0.0).all():
+            raise ValueError(
+                "A sole plate needs four positive finite stiffnesses, one a cell (four ones for equals); "
+                f"got {k.tolist()}."
+            )
+        x, y = position[:, 0], position[:, 1]
+        if np.linalg.svd(position[:, :2] - position[:, :2].mean(axis=0), compute_uv=False)[1] < 1e-6:
+            raise ValueError(
+                f"The cells of a sole plate lie on one line, so that it would tip over: {position.tolist()}."
+            )
+        self._load_of_cells = np.stack([np.ones(4), y, -x])
+        spread = k[:, None] * self._load_of_cells.T
+        self._share: NDArray[np.float64] = spread @ np.linalg.inv(self._load_of_cells @ spread)
+        null = np.linalg.svd(self._load_of_cells)[2][3]
+        constraint = np.sign(null[0]) * null / k
+        self._constraint: NDArray[np.float64] = constraint / np.linalg.norm(constraint)
+
+    @property
+    def share(self) -> NDArray[np.float64]:
+        """Forces of the cells per load (fz, tx, ty) at the sole's origin, shape (4, 3): 1 and 1/m."""
+        return self._share
+
+    @property
+    def load_of_cells(self) -> NDArray[np.float64]:
+        """Load (fz, tx, ty) per force of each cell, shape (3, 4): 1 and m."""
+        return self._load_of_cells
+
+    @property
+    def constraint(self) -> NDArray[np.float64]:
+        """The unit combination of the four forces that is zero under any load, shape (4,)."""
+        return self._constraint

@@ -1,0 +1,107 @@
+"""Frames and windows of a robot, with markers."""
+
+import warnings
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import glfw
+import mujoco
+import numpy as np
+from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+from numpy.typing import NDArray
+
+Marker = tuple[Sequence[float], Sequence[float], float]
+"""A sphere: its position in the world in m, its RGBA and its radius in m."""
+
+
+class SceneRenderer:
+    """Gymnasium's MuJoCo renderer, opened when the first frame is wanted.
+
+    Args:
+        model: What to draw.
+        data: Its state.
+        camera: A camera of the model; a window follows the torso instead, and the mouse turns it.
+        width: Width in pixels.
+        height: Height in pixels.
+
+    Raises:
+        ValueError: If the model has no such camera or a size is not positive.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str, width: int, height: int
+    ) -> None:
+        cameras = [model.camera(i).name for i in range(model.ncam)]
+        if camera not in cameras:
+            raise ValueError(f"The robot's model has no camera '{camera}'; choose one of {cameras}.")
+        most_wide, most_high = int(model.vis.global_.offwidth), int(model.vis.global_.offheight)
+        if not (0 < width <= most_wide and 0 < height <= most_high):
+            raise ValueError(
+                f"'width' and 'height' must be positive and at most {most_wide} x {most_high} pixels, "
+                f"got {width} x {height}."
+            )
+        self._model, self._data = model, data
+        self._camera, self._width, self._height = camera, width, height
+        self._renderer: MujocoRenderer | None = None
+
+    def render(self, mode: str, markers: Iterable[Marker]) -> NDArray[np.uint8] | None:
+        """Draw the scene.
+
+        Args:
+            mode: ``"rgb_array"`` or ``"human"``.
+            markers: Spheres to add to this frame.
+
+        Returns:
+            A frame of shape (height, width, 3), or nothing for a window.
+
+        Raises:
+            RuntimeError: If there is no screen for a window, or nothing that could draw a frame.
+        """
+        if self._renderer is None:
+            if mode == "human":
+                _require_screen()
+            window = {
+                "type": int(mujoco.mjtCamera.mjCAMERA_TRACKING),
+                "trackbodyid": int(self._model.body("torso").id),
+                "distance": 1.6,
+                "azimuth": 140.0,
+                "elevation": -15.0,
+            }
+            self._renderer = MujocoRenderer(
+                self._model, self._data, window, self._width, self._height, 2000, camera_name=self._camera
+            )
+        try:
+            viewer: Any = self._renderer._get_viewer(mode)
+        except (mujoco.FatalError, RuntimeError, AttributeError, ImportError) as error:
+            self._renderer = None
+            raise RuntimeError(
+                f"No frame can be drawn: {error}. On a machine without a screen set the environment variable "
+                "MUJOCO_GL=egl before Python starts (Debian: packages libegl1 and libgl1-mesa-dri)."
+            ) from error
+        for position, rgba, radius in markers:
+            viewer.add_marker(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                pos=np.asarray(position, dtype=np.float64),
+                rgba=np.asarray(rgba, dtype=np.float32),
+                size=np.full(3, radius),
+            )
+        frame: NDArray[np.uint8] | None = self._renderer.render(mode)
+        return frame
+
+    def close(self) -> None:
+        """Close the window and give its memory back; the next frame opens another."""
+        if self._renderer is not None:
+            self._renderer.close()  # type: ignore[no-untyped-call]
+            self._renderer = None
+
+
+def _require_screen() -> None:
+    """Refuse a window where there is no screen: GLFW would end the whole process."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        screen = glfw.init() and glfw.get_primary_monitor()
+    if not screen:
+        raise RuntimeError(
+            "render_mode='human' opens a window, but this machine has no screen; use render_mode='rgb_array' "
+            "with the environment variable MUJOCO_GL=egl."
+        )

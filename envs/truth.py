@@ -1,0 +1,192 @@
+"""What really happened during one control step, at every substep of the simulation.
+
+Signs and frames are settled here, once. MuJoCo's force and torque sensors tell what the parent exerts on the
+child; a load cell or an ankle sensor tells what comes up from the ground, so both change sign. A cell is
+zeroed under its own sole plate: the plate's weight is added back, and what stays in the reading besides the
+ground is the plate's inertia while it accelerates or tilts, as on a real shoe.
+
+A row is MuJoCo's state at the beginning of a substep together with the forces of that instant, so that all
+quantities of a row belong together; the last row lies one substep before the end of the control step.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.plate import SolePlate
+from surefoot.envs.robot import FEET, cell_positions, hinge_joint_names
+
+CONTACT_FORCE = 5.0
+"""Vertical force in N above which a centre of pressure is defined."""
+
+
+class TruthChannels:
+    """Where MuJoCo's sensors lie in one row of sensor data, and how the plates share their loads.
+
+    Args:
+        model: A compiled model with the sensors of nao.xml.
+        stiffness: Relative stiffnesses of the eight cells, shape (8,).
+    """
+
+    def __init__(self, model: mujoco.MjModel, stiffness: Sequence[float]) -> None:
+        def block(first: str, last: str) -> slice:
+            start, end = model.sensor(first), model.sensor(last)
+            return slice(int(start.adr[0]), int(end.adr[0] + end.dim[0]))
+
+        joints = hinge_joint_names(model)
+        self.size = int(model.nsensordata)
+        self.time = int(model.sensor("time").adr[0])
+        self.plate = block("left_plate_force", "right_plate_torque")
+        self.ankle = block("left_ankle_force", "right_ankle_torque")
+        self.ground = block("left_ground", "right_ground")
+        self.position_sole = block("left_sole_position", "right_sole_position")
+        self.axes_sole = block("left_sole_x", "right_sole_z")
+        self.position_torso = block("torso_position", "torso_position")
+        self.axes_torso = block("torso_x", "torso_z")
+        self.accelerometer = block("accelerometer", "accelerometer")
+        self.gyroscope = block("gyroscope", "gyroscope")
+        self.com = block("com", "com")
+        self.com_velocity = block("com_velocity", "com_velocity")
+        self.angular_momentum = block("angular_momentum", "angular_momentum")
+        self.joint_position = block(f"{joints[0]}_position", f"{joints[-1]}_position")
+        self.joint_velocity = block(f"{joints[0]}_velocity", f"{joints[-1]}_velocity")
+
+        weight = float(np.linalg.norm(model.opt.gravity))
+        self.plates = tuple(
+            SolePlate(position, stiffness[4 * i : 4 * i + 4])
+            for i, position in enumerate(cell_positions(model))
+        )
+        # Cell forces are linear in the 12 readings of both plate sensors: -reading plus the preload.
+        self.force_of_plates: NDArray[np.float64] = np.zeros((12, 8))
+        preload = np.zeros(12)
+        for i, (foot, plate) in enumerate(zip(FEET, self.plates, strict=True)):
+            self.force_of_plates[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = -plate.share.T
+            body = model.body(f"{foot}_plate")
+            load = np.array([0.0, 0.0, weight * body.mass[0]])
+            arm = body.ipos - model.site(f"{foot}_sole").pos
+            preload[6 * i : 6 * i + 6] = np.concatenate([load, np.cross(arm, load)])
+        self.preload: NDArray[np.float64] = -preload @ self.force_of_plates
+
+
+class Truth:
+    """The last control step, S substeps; every array belongs to the truth and is not to be changed.
+
+    Args:
+        rows: One row of sensor data a substep, shape (S, channels).
+        channels: What the columns mean.
+    """
+
+    def __init__(self, rows: NDArray[np.float64], channels: TruthChannels) -> None:
+        self.rows = rows
+        self.channels = channels
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Simulated time in s, shape (S,)."""
+        return self.rows[:, self.channels.time]
+
+    @cached_property
+    def force_cell(self) -> NDArray[np.float64]:
+        """Forces of the load cells in N, (left FL, FR, RL, RR, right FL, FR, RL, RR), shape (S, 8)."""
+        return self.rows[:, self.channels.plate] @ self.channels.force_of_plates + self.channels.preload
+
+    @cached_property
+    def wrench_sole(self) -> NDArray[np.float64]:
+        """Wrenches of the ground on the robot at and in the sole frames in N and N m, shape (S, 2, 6)."""
+        ground = self.rows[:, self.channels.ground].reshape(-1, 2, 9)
+        force, torque, position = ground[..., :3], ground[..., 3:6], ground[..., 6:]
+        moment = torque + np.cross(position - self.position_sole, force)
+        world = np.stack([force, moment], axis=-2)
+        return (world @ self.R_world_sole).reshape(-1, 2, 6)
+
+    @cached_property
+    def wrench_ankle(self) -> NDArray[np.float64]:
+        """Wrenches that the feet pass up at and in the frames of the ankle sensors, shape (S, 2, 6)."""
+        return -self.rows[:, self.channels.ankle].reshape(-1, 2, 6)
+
+    @property
+    def position_sole(self) -> NDArray[np.float64]:
+        """Origins of the sole frames in the world in m, shape (S, 2, 3)."""
+        return self.rows[:, self.channels.position_sole].reshape(-1, 2, 3)
+
+    @property
+    def R_world_sole(self) -> NDArray[np.float64]:  # noqa: N802
+        """Rotations from the sole frames to the world, shape (S, 2, 3, 3)."""
+        return self.rows[:, self.channels.axes_sole].reshape(-1, 2, 3, 3).swapaxes(-1, -2)
+
+    @property
+    def position_torso(self) -> NDArray[np.float64]:
+        """Origin of the torso frame in the world in m, shape (S, 3)."""
+        return self.rows[:, self.channels.position_torso]
+
+    @property
+    def R_world_torso(self) -> NDArray[np.float64]:  # noqa: N802
+        """Rotation from the torso frame to the world, shape (S, 3, 3)."""
+        return self.rows[:, self.channels.axes_torso].reshape(-1, 3, 3).swapaxes(-1, -2)
+
+    @property
+    def com(self) -> NDArray[np.float64]:
+        """Centre of mass in the world in m, shape (S, 3)."""
+        return self.rows[:, self.channels.com]
+
+    @property
+    def com_velocity(self) -> NDArray[np.float64]:
+        """Velocity of the centre of mass in the world in m/s, shape (S, 3)."""
+        return self.rows[:, self.channels.com_velocity]
+
+    @property
+    def angular_momentum(self) -> NDArray[np.float64]:
+        """Angular momentum about the centre of mass, in the world's axes, in kg m^2/s, shape (S, 3)."""
+        return self.rows[:, self.channels.angular_momentum]
+
+    @property
+    def joint_position(self) -> NDArray[np.float64]:
+        """Angles of all hinge joints in rad, shape (S, J)."""
+        return self.rows[:, self.channels.joint_position]
+
+    @property
+    def joint_velocity(self) -> NDArray[np.float64]:
+        """Speeds of all hinge joints in rad/s, shape (S, J)."""
+        return self.rows[:, self.channels.joint_velocity]
+
+    @property
+    def accelerometer(self) -> NDArray[np.float64]:
+        """Specific force at the IMU in its own axes in m/s^2, shape (S, 3)."""
+        return self.rows[:, self.channels.accelerometer]
+
+    @property
+    def gyroscope(self) -> NDArray[np.float64]:
+        """Angular velocity of the torso in the IMU's axes in rad/s, shape (S, 3)."""
+        return self.rows[:, self.channels.gyroscope]
+
+    def vgrf(self) -> NDArray[np.float64]:
+        """Vertical ground reaction forces (left, right) in the world at the last row in N, shape (2,)."""
+        return self.rows[-1, self.channels.ground].reshape(2, 9)[:, 2].copy()
+
+    def cop_world(self) -> NDArray[np.float64]:
+        """Centre of pressure of both feet together at the last row in the world in m, shape (2,).
+
+        NaN where both feet together bear no more than 5 N.
+        """
+        cop: NDArray[np.float64] = centre_of_pressure(self.rows[-1, self.channels.ground].reshape(2, 9))
+        return cop
+
+
+def centre_of_pressure(ground: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Find where on the ground the vertical forces of contacts act together.
+
+    Args:
+        ground: Force in N, torque in N m and the place in m at which they act, in the world,
+            shape (..., n, 9).
+
+    Returns:
+        The centre of pressure in m, shape (..., 2); NaN where n contacts bear no more than 5 N together.
+    """
+    force, torque, position = ground[..., :3], ground[..., 3:6], ground[..., 6:]
+    moment = torque + np.cross(position * (1.0, 1.0, 0.0), force)
+    load = force[..., 2].sum(axis=-1)
+    load = np.where(load > CONTACT_FORCE, load, np.nan)
+    return np.stack([-moment[..., 1].sum(axis=-1) / load, moment[..., 0].sum(axis=-1) / load], axis=-1)

@@ -1,0 +1,346 @@
+"""The standing task, and with it all that the environments share."""
+
+import pickle
+import re
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+import surefoot  # noqa: F401
+from surefoot.envs.nao import NaoEnv
+from surefoot.envs.nao_stand import NaoStandEnv
+
+ZERO = np.zeros(11, dtype=np.float32)
+SHAPES = {"state": (63,), "foot_force": (8,), "cop_foot": (2, 2), "cop": (2,), "cop_valid": (3,)}
+
+
+def rollout(env, seed, actions):
+    """All that an episode returns, flattened."""
+    observation, info = env.reset(seed=seed)
+    returned = [observation, info["surefoot"]["truth"]]
+    for action in actions:
+        observation, reward, terminated, truncated, info = env.step(action)
+        returned += [observation, {"reward": reward, "end": terminated}, info["surefoot"]["truth"]]
+        if terminated or truncated:
+            break
+    return np.concatenate([np.ravel(value) for part in returned for value in part.values()])
+
+
+@pytest.fixture
+def rendering(monkeypatch):
+    """An environment that draws, where this machine can."""
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    env = NaoStandEnv(render_mode="rgb_array", width=160, height=120, camera="below")
+    env.reset(seed=0)
+    try:
+        env.render()
+    except Exception as error:
+        pytest.skip(f"no OpenGL here: {error}")
+    yield env
+    env.close()
+
+
+def test_gymnasium_finds_nothing_wrong():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make("surefoot/NaoStand-v0").unwrapped, skip_render_check=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*unconventional shape")
+def test_stable_baselines_finds_nothing_wrong():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(NaoStandEnv(), skip_render_check=True)
+
+
+def test_specs_survive_pickle_and_json():
+    options = {"sway": [0.01, 0.02], "cell_stiffness": [1.0] * 8, "friction": [0.5, 0.5], "duration": 2.0}
+    spec = gym.make("surefoot/NaoStand-v0", **options).spec
+    assert pickle.loads(pickle.dumps(spec)) == spec
+    again = EnvSpec.from_json(spec.to_json())
+    assert again == spec
+    actions = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 11))
+    first = rollout(gym.make(spec), 5, actions)
+    np.testing.assert_array_equal(first, rollout(gym.make(again), 5, actions))
+
+
+def test_same_seed_same_episode_bit_for_bit():
+    options = {"push_impulse": (0.1, 0.3), "push_interval": 0.3}
+    actions = np.random.default_rng(1).uniform(-0.3, 0.3, (150, 11))
+    first, second = NaoStandEnv(**options), NaoStandEnv(**options)
+    expected = rollout(first, 11, actions)
+    np.testing.assert_array_equal(expected, rollout(second, 11, actions))
+    # An episode leaves nothing behind for the next.
+    np.testing.assert_array_equal(expected, rollout(first, 11, actions))
+    assert not np.array_equal(expected, rollout(first, 12, actions))
+
+
+def test_what_was_returned_stays_as_it_was():
+    env = NaoStandEnv()
+    observation, info = env.reset(seed=0)
+    truth = info["surefoot"]["truth"]
+    kept = pickle.dumps((observation, truth))
+    command = pickle.dumps(env.command)
+    for _ in range(5):
+        env.step(np.full(11, 0.5))
+    assert pickle.dumps((observation, truth)) == kept
+    env.reset(seed=0)
+    assert pickle.dumps(env.command) == command
+
+
+def test_observations_stay_in_their_spaces_through_a_fall():
+    env = NaoStandEnv(duration=None)
+    rng = np.random.default_rng(2)
+    observation, _ = env.reset(seed=4)
+    falls = 0
+    for _ in range(600):
+        assert {key: value.shape for key, value in observation.items()} == SHAPES
+        assert env.observation_space.contains(observation)
+        observation, reward, terminated, _, _ = env.step(rng.choice([-1.0, 1.0], 11))
+        assert np.isfinite(reward)
+        # Go on for a while after a fall: bodies hit the ground hard then.
+        falls += terminated
+        if falls == 60:
+            observation, _ = env.reset()
+            falls = 0
+    assert env.observation_space.contains(observation)
+
+
+def test_the_tables_in_the_docstring_are_the_layout():
+    rows = re.findall(r"\| (\d+)-(\d+) \| ``(\w+)``", NaoEnv.__doc__)
+    documented = {name: slice(int(first), int(last) + 1) for first, last, name in rows}
+    env = NaoStandEnv()
+    assert documented == env.state_layout
+    actions = re.findall(
+        r"\| (\d+) \| [a-z ,-]+ \| -action_scale \| action_scale \| (\w+) \|", NaoEnv.__doc__
+    )
+    assert tuple(motor for _, motor in actions) == env.motor_names[:11]
+
+
+def test_the_state_holds_what_its_layout_says():
+    env = NaoStandEnv(sway=(0.0, 0.03), sway_period=1.0)
+    env.reset(seed=0)
+    for _ in range(100):
+        observation, *_ = env.step(ZERO)
+    state, where, truth = observation["state"], env.state_layout, env.truth
+    np.testing.assert_allclose(state[where["joint_position"]], truth.joint_position[-1], rtol=1e-6)
+    np.testing.assert_allclose(state[where["joint_velocity"]], truth.joint_velocity[-1], rtol=1e-6)
+    np.testing.assert_allclose(state[where["gyroscope"]], truth.gyroscope[-1], rtol=1e-6)
+    roll, pitch = state[where["tilt"]]
+    up = truth.R_world_torso[-1, 2]
+    np.testing.assert_allclose(
+        [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], up, atol=1e-6
+    )
+    middle = env.command.position_sole[:, :2].mean(axis=0)
+    np.testing.assert_allclose(state[where["cop_reference"]], env.command.cop - middle, atol=1e-6)
+    np.testing.assert_allclose(state[where["com_reference"]], env.command.com[:2] - middle, atol=1e-6)
+    np.testing.assert_allclose(state[where["stance"]], [1.0, 1.0])
+    np.testing.assert_allclose(state[where["phase"]], [0.0, 1.0])
+
+
+def test_forces_and_pressure_are_those_of_the_truth():
+    env = NaoStandEnv(sway=(0.02, 0.03), sway_period=2.0)
+    env.reset(seed=0)
+    for _ in range(40):
+        env.step(ZERO)
+    for _ in range(120):
+        observation, _, _, _, info = env.step(ZERO)
+        truth, given = env.truth, info["surefoot"]["truth"]
+        np.testing.assert_allclose(given["force_cell"], truth.force_cell[-1], atol=1e-12)
+        np.testing.assert_allclose(given["wrench_sole"], truth.wrench_sole[-1], atol=1e-9)
+        np.testing.assert_allclose(given["vgrf"], truth.vgrf(), atol=1e-12)
+        np.testing.assert_allclose(given["cop_world"], truth.cop_world(), atol=1e-9)
+        np.testing.assert_array_equal(given["com"], truth.com[-1])
+        wrench = truth.wrench_sole[-1]
+        cop_foot = np.stack([-wrench[:, 4], wrench[:, 3]], axis=-1) / wrench[:, 2:3]
+        np.testing.assert_allclose(given["cop_foot"], cop_foot, atol=1e-9)
+        np.testing.assert_allclose(observation["foot_force"], truth.force_cell[-1], rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(observation["cop_foot"], cop_foot, atol=1e-6)
+        ahead = truth.R_world_sole[-1, :, :2, 0].sum(axis=0)
+        ahead /= np.linalg.norm(ahead)
+        arm = truth.cop_world() - truth.position_sole[-1, :, :2].mean(axis=0)
+        expected = [ahead @ arm, ahead[0] * arm[1] - ahead[1] * arm[0]]
+        np.testing.assert_allclose(observation["cop"], expected, atol=1e-6)
+        np.testing.assert_array_equal(observation["cop_valid"], [1, 1, 1])
+
+
+def test_without_contact_the_last_pressure_is_held_and_flagged():
+    env = NaoStandEnv()
+    env.reset(seed=0)
+    for _ in range(40):
+        before, *_ = env.step(ZERO)
+    env.data.qpos[2] += 0.5
+    env.step(ZERO)
+    after, _, _, _, info = env.step(ZERO)
+    np.testing.assert_array_equal(after["cop_valid"], [0, 0, 0])
+    np.testing.assert_allclose(after["cop"], before["cop"], atol=1e-3)
+    np.testing.assert_allclose(after["cop_foot"], before["cop_foot"], atol=1e-3)
+    assert np.isnan(info["surefoot"]["truth"]["cop_world"]).all()
+    assert np.isnan(info["surefoot"]["truth"]["cop_foot"]).all()
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"sway": (0.02, 0.03)}, {"push_impulse": (0.2, 0.4), "push_interval": 1.0}]
+)
+def test_the_zero_action_stands(options):
+    env = NaoStandEnv(duration=10.0, **options)
+    for seed in range(3):
+        observation, _ = env.reset(seed=seed)
+        steps, errors = 0, []
+        terminated = truncated = False
+        while not (terminated or truncated):
+            observation, _, terminated, truncated, _ = env.step(ZERO)
+            steps += 1
+            reference = observation["state"][env.state_layout["cop_reference"]]
+            errors.append(observation["cop"] - reference)
+        assert (steps, terminated, truncated) == (800, False, True)
+        if "push_impulse" not in options:
+            assert np.sqrt(np.mean(np.square(errors[160:]))) < 0.002
+
+
+def test_a_hard_push_ends_the_episode():
+    env = NaoStandEnv(push_impulse=(6.0, 6.0), push_interval=0.5)
+    for seed in range(3):
+        env.reset(seed=seed)
+        assert any(env.step(ZERO)[2] for _ in range(400))
+
+
+def test_pushes_have_the_impulse_that_was_asked_for():
+    env = NaoStandEnv(push_impulse=(0.2, 0.3), push_interval=1.5)
+    env.reset(seed=7)
+    torso = env.model.body("torso").id
+    forces = []
+    for _ in range(1600):
+        env.step(ZERO)
+        forces.append(env.data.xfrc_applied[torso, :3].copy())
+    forces = np.array(forces)
+    assert not forces[:, 2].any()
+    changed = np.flatnonzero(np.any(np.diff(forces, axis=0, prepend=0.0) != 0.0, axis=1))
+    lengths = np.diff(np.append(changed, len(forces)))
+    pushing = [i for i in changed if forces[i].any()]
+    assert len(pushing) > 4
+    whole = [(i, n) for i, n in zip(changed, lengths, strict=True) if forces[i].any() and n == 8]
+    impulses = [np.linalg.norm(forces[i]) * n / 80.0 for i, n in whole]
+    assert len(impulses) >= len(pushing) / 2
+    assert all(0.2 <= impulse <= 0.3 for impulse in impulses)
+
+
+def test_targets_move_no_faster_than_the_motors_and_stay_in_their_limits():
+    env = NaoStandEnv(action_scale=3.0)
+    env.reset(seed=0)
+    low, high = env.model.actuator_ctrlrange.T
+    speed = env.model.actuator_user[:, 0]
+    rng = np.random.default_rng(0)
+    last = env.data.ctrl.copy()
+    for _ in range(60):
+        env.step(rng.choice([-1.0, 1.0], 11))
+        assert (np.abs(env.data.ctrl - last) <= speed / 80.0 + 1e-12).all()
+        assert (env.data.ctrl >= low).all()
+        assert (env.data.ctrl <= high).all()
+        last = env.data.ctrl.copy()
+
+
+def test_actions_beyond_their_bounds_are_clipped():
+    direction = np.array([1.0, -1.0] * 5 + [1.0])
+    inside, beyond = NaoStandEnv(), NaoStandEnv()
+    np.testing.assert_array_equal(
+        rollout(inside, 0, [direction] * 10), rollout(beyond, 0, [30.0 * direction] * 10)
+    )
+
+
+def test_episodes_draw_their_friction_and_their_start():
+    env = NaoStandEnv(friction=(0.4, 1.2))
+    friction, starts = [], []
+    for seed in range(20):
+        env.reset(seed=seed)
+        friction.append(env.model.pair_friction[:, :2].copy())
+        starts.append(env.data.qpos[7:].copy())
+    assert all((drawn == drawn[0, 0]).all() for drawn in friction)
+    drawn = np.array(friction)[:, 0, 0]
+    assert 0.4 <= drawn.min() < 0.7 < 0.9 < drawn.max() <= 1.2
+    assert 0.001 < np.std(starts, axis=0).max() <= 0.005
+
+
+def test_vector_environments_step():
+    envs = gym.make_vec("surefoot/NaoStand-v0", num_envs=2, vectorization_mode="sync", duration=0.1)
+    observations, _ = envs.reset(seed=0)
+    assert observations["foot_force"].shape == (2, 8)
+    for _ in range(10):
+        observations, *_ = envs.step(np.zeros((2, 11), dtype=np.float32))
+    assert envs.single_observation_space["state"].contains(observations["state"][1])
+    envs.close()
+
+
+def test_bad_actions_are_refused():
+    env = NaoStandEnv()
+    with pytest.raises(gym.error.ResetNeeded, match=r"reset\(\)"):
+        env.step(ZERO)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"shape \(11,\).*LHipYawPitch.*got shape \(12,\)"):
+        env.step(np.zeros(12))
+    with pytest.raises(ValueError, match=r"must be finite.*zeros leave the pattern alone"):
+        env.step(np.full(11, np.nan))
+    with pytest.raises(ValueError, match="must be finite"):
+        env.step(np.full(11, np.inf))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cell_stiffness": [1.0] * 7}, "'cell_stiffness' must hold eight positive"),
+        ({"cell_stiffness": [1.0] * 7 + [-1.0]}, "'cell_stiffness' must hold eight positive"),
+        ({"cell_stiffness": [1.0] * 7 + [np.nan]}, "'cell_stiffness' must hold eight positive"),
+        ({"camera": "roof"}, "no camera 'roof'; choose one of .*'track'"),
+        ({"render_mode": "ascii"}, "no render mode 'ascii'; choose one of .*'rgb_array'"),
+        ({"width": 0}, "'width' and 'height' must be positive"),
+        ({"height": 5000}, "at most 1920 x 1080"),
+        ({"friction": (0.9, 0.5)}, "'friction' must be"),
+        ({"friction": (0.9,)}, "'friction' must be"),
+        ({"friction": 0.9}, r"'friction' must be .*got 0\.9"),
+        ({"friction": ("rough", 0.9)}, "'friction' must be"),
+        ({"push_impulse": (-1.0, 1.0)}, "'push_impulse' must be"),
+        ({"push_interval": 0.0}, "'push_interval' must be finite and positive"),
+        ({"joint_noise": -0.1}, "'joint_noise' must be finite and zero or positive"),
+        ({"velocity_noise": np.inf}, "'velocity_noise' must be finite"),
+        ({"duration": 0.0}, "'duration' must be finite and positive"),
+        ({"duration": "long"}, "'duration' must be finite and positive, got 'long'"),
+        ({"action_scale": -1.0}, "'action_scale' must be finite and positive"),
+        ({"sway": (0.1, 0.0)}, "'sway' must be"),
+        ({"sway": (0.01,)}, "'sway' must be"),
+        ({"sway_period": -1.0}, "'sway_period' must be finite and positive"),
+    ],
+)
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        NaoStandEnv(**options)
+
+
+def test_frames_show_the_robot_and_its_markers(rendering):
+    plain = rendering.render()
+    assert plain.shape == (120, 160, 3)
+    assert plain.dtype == np.uint8
+    assert plain.std() > 5.0
+    np.testing.assert_array_equal(plain, rendering.render())
+    rendering.markers = [((0.01, 0.0, 0.0), (1.0, 0.0, 0.0, 1.0), 0.02)]
+    marked = rendering.render().astype(int)
+    red = (marked[..., 0] > 120) & (marked[..., 1] < 60) & (marked[..., 2] < 60)
+    assert 20 < red.sum() < 2000
+    rendering.markers = []
+    np.testing.assert_array_equal(plain, rendering.render())
+
+
+def test_without_a_render_mode_nothing_is_drawn():
+    env = NaoStandEnv()
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="without a render mode"):
+        assert env.render() is None
+
+
+def test_a_window_without_a_screen_is_refused(monkeypatch):
+    monkeypatch.setattr("glfw.init", lambda: False)
+    env = NaoStandEnv(render_mode="human")
+    with pytest.raises(RuntimeError, match="no screen; use render_mode='rgb_array'"):
+        env.reset(seed=0)
