@@ -10,6 +10,7 @@ x forward, y left, z up, the origin below the ankle on the face that touches the
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -113,29 +114,35 @@ class FootLayout:
 class FeetLayout:
     """Both feet, ordered (left, right); their channels follow each other in one flat array.
 
+    A force plate or a balance board is one foot alone. What is documented with a 2 for the feet then has
+    a 1: positions of the soles, for instance, have shape (..., 1, 3).
+
     Attributes:
-        feet: The layouts of the left and of the right foot.
+        feet: The layouts of the left and of the right foot, or of the only one.
     """
 
-    feet: tuple[FootLayout, FootLayout]
+    feet: tuple[FootLayout, ...]
 
     def __post_init__(self) -> None:
         """Refuse a missing foot and feet that cannot be told apart."""
-        if len(self.feet) != 2:
-            raise ValueError(f"A biped has two feet, ordered (left, right); got {len(self.feet)}.")
-        if self.feet[0].name == self.feet[1].name:
+        if len(self.feet) not in (1, 2):
+            raise ValueError(
+                "A layout has two feet, ordered (left, right), or one foot alone such as a force plate; "
+                f"got {len(self.feet)}."
+            )
+        if len(self.feet) == 2 and self.feet[0].name == self.feet[1].name:
             raise ValueError(f"Both feet are named '{self.feet[0].name}'; give each its own name.")
 
     @property
     def channels(self) -> int:
-        """The number of channels of both feet, K."""
+        """The number of channels of all feet, K."""
         return sum(foot.channels for foot in self.feet)
 
     @property
-    def slices(self) -> tuple[slice, slice]:
+    def slices(self) -> tuple[slice, ...]:
         """Where each foot's channels lie in the flat array."""
-        split = self.feet[0].channels
-        return slice(0, split), slice(split, self.channels)
+        ends = np.cumsum([0, *(foot.channels for foot in self.feet)]).tolist()
+        return tuple(slice(start, end) for start, end in pairwise(ends))
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -145,7 +152,7 @@ class FeetLayout:
     @property
     def wrench_map(self) -> NDArray[np.float64]:
         """Sole wrenches per unit of each channel, shape (2, 6, K): zero for the other foot's channels."""
-        combined = np.zeros((2, 6, self.channels))
+        combined = np.zeros((len(self.feet), 6, self.channels))
         for i, (foot, where) in enumerate(zip(self.feet, self.slices, strict=True)):
             combined[i, :, where] = foot.wrench_map
         return combined
@@ -153,7 +160,7 @@ class FeetLayout:
     @property
     def foot_of_channel(self) -> NDArray[np.intp]:
         """0 for a channel of the left foot and 1 for one of the right, shape (K,)."""
-        return np.repeat([0, 1], [foot.channels for foot in self.feet])
+        return np.repeat(np.arange(len(self.feet)), [foot.channels for foot in self.feet])
 
     def check_raw(self, raw: Any, what: str = "raw") -> None:
         """Refuse readings whose last axis is not the channels of this layout.

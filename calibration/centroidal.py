@@ -1,0 +1,111 @@
+r"""What the robot's own motion says about the ground's force: the reference of the calibrators.
+
+Newton and Euler for the whole robot (CoP paper, Eqs. 6, 7), f_i the ground's forces at p_i,
+
+    M (c'' + g e_z) = sum f_i,    L' = sum (p_i - c) x f_i,
+
+give, with c = (x, y, z) the centre of mass and p_z the height of the ground,
+
+    Fz = M (z'' + g)                                   (9)
+    px = x - [ (z - p_z) M x'' + L'_y ] / Fz           (10)
+    py = y - [ (z - p_z) M y'' - L'_x ] / Fz           (11)
+
+Han's earlier method supposes a quasi-static robot: Fz = M g and p = (x, y).
+
+Only the ground's forces enter: a hand on the robot shows up as an error of this reference. Everything runs on
+the array API standard with any leading batch dimensions ``...`` and keeps the dtype.
+"""
+
+from typing import Any, NamedTuple
+
+from array_api_compat import array_namespace
+
+from surefoot.calibration._arrays import check_tail
+from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments
+from surefoot.calibration.reference import GRAVITY, Reference
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+class GroundReference(NamedTuple):
+    """What the ground ought to exert.
+
+    Attributes:
+        vgrf: Total vertical force in N, shape (...).
+        cop: Centre of pressure of both feet in the level frame in m, shape (..., 2); NaN where the force does
+            not exceed the threshold.
+        moment: (Fz px, Fz py) in N m, shape (..., 2): defined also where the centre of pressure is not.
+    """
+
+    vgrf: Array
+    cop: Array
+    moment: Array
+
+
+def ground_height(reference: Reference) -> Array:
+    """Read the height of level ground off the feet that stand on it.
+
+    Args:
+        reference: The robot's beliefs; used are ``position_sole`` and ``stance``.
+
+    Returns:
+        Mean height in m of the soles that are surely in stance, else the height of the lower sole,
+        shape (...).
+    """
+    check_tail(reference.position_sole, ("feet", 3), "position_sole")
+    xp = array_namespace(reference.position_sole)
+    height = reference.position_sole[..., 2]
+    stance = xp.astype(reference.stance, xp.bool)
+    standing = xp.sum(xp.astype(stance, height.dtype), axis=-1)
+    total = xp.sum(xp.where(stance, height, xp.zeros_like(height)), axis=-1)
+    mean = total / xp.where(standing > 0, standing, xp.ones_like(standing))
+    return xp.where(standing > 0, mean, xp.min(height, axis=-1))
+
+
+def ground_reference(
+    reference: Reference,
+    mass: float | Array,
+    *,
+    height: Array | None = None,
+    quasi_static: bool = False,
+    gravity: float = GRAVITY,
+    threshold: float = FORCE_THRESHOLD,
+) -> GroundReference:
+    """Compute the vertical force and the centre of pressure that the robot's motion asks for.
+
+    Args:
+        reference: The robot's beliefs; used are ``com``, ``com_acceleration``, ``angular_momentum_rate`` and,
+            where no height is given, ``position_sole`` and ``stance``.
+        mass: The robot's mass in kg, a number or shape (...).
+        height: Height p_z of the ground in the level frame in m, shape (...); by default
+            :func:`ground_height`.
+        quasi_static: Whether to leave the motion out (Han): Fz = M g above the centre of mass.
+        gravity: Acceleration of free fall in m/s^2.
+        threshold: Vertical force in N at or below which the centre of pressure is NaN.
+
+    Returns:
+        The reference force, centre of pressure and moments.
+
+    Raises:
+        ValueError: If a field of the reference does not have its documented shape.
+    """
+    check_tail(reference.com, (3,), "com")
+    check_tail(reference.com_acceleration, (3,), "com_acceleration")
+    check_tail(reference.angular_momentum_rate, (3,), "angular_momentum_rate")
+    xp = array_namespace(reference.com)
+    com, acceleration, rate = reference.com, reference.com_acceleration, reference.angular_momentum_rate
+    if quasi_static:
+        fz = mass * gravity * xp.ones_like(com[..., 2])
+        moment = com[..., :2] * fz[..., None]
+    else:
+        fz = mass * (acceleration[..., 2] + gravity)  # Eq. 9
+        lever = mass * (com[..., 2] - (ground_height(reference) if height is None else height))
+        moment = xp.stack(
+            [
+                com[..., 0] * fz - (lever * acceleration[..., 0] + rate[..., 1]),  # Eq. 10 times Fz
+                com[..., 1] * fz - (lever * acceleration[..., 1] - rate[..., 0]),  # Eq. 11 times Fz
+            ],
+            axis=-1,
+        )
+    return GroundReference(fz, cop_of_moments(fz, moment, threshold), moment)

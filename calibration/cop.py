@@ -1,0 +1,242 @@
+"""The centre of pressure: of cells, of a foot, and of both feet together.
+
+The centre of pressure of forces F_i at places p_i is (CoP paper, Eq. 8)
+
+    p = sum p_i F_i / sum F_i.
+
+It exists only where something presses: below a threshold of 5 N (a tenth of a NAO's weight, the paper's
+epsilon) it is NaN here. Holding the last value for an observation is the business of whoever observes.
+
+For a wrench (fx, fy, fz, tx, ty, tz) at and in a sole frame the same point on the sole is (-ty, tx) / fz.
+Both feet are brought together as *moments*, (Fz, Fz px, Fz py), which add and are linear in the cells'
+forces; the one division comes last. A force plate is one foot alone: shapes given with a 2 for the feet
+have a 1 then. Everything runs on the array API standard with any leading batch dimensions ``...`` and
+keeps the dtype.
+"""
+
+from typing import Any
+
+from array_api_compat import array_namespace
+
+from surefoot.calibration._arrays import check_floating, check_tail, constant_like
+from surefoot.calibration.layout import FeetLayout
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+FORCE_THRESHOLD = 5.0
+"""Vertical force in N at or below which there is no centre of pressure (CoP paper, section 3.2)."""
+
+
+def cop_of_cells(force: Array, position: Array, threshold: float = FORCE_THRESHOLD) -> Array:
+    """Find the centre of pressure of vertical forces at known places (CoP paper, Eq. 8).
+
+    The result is in the frame of the positions: sole positions give the foot's centre of pressure, world
+    positions that in the world. Cells of several feet may be given at once.
+
+    Args:
+        force: Vertical forces in N, shape (..., k).
+        position: Their places in m, shape (..., k, 2) or (..., k, 3); heights are not used.
+        threshold: Sum of forces in N at or below which the result is NaN.
+
+    Returns:
+        Centre of pressure in m, shape (..., 2). NaN where the sum does not exceed the threshold or a force
+        is not finite.
+
+    Raises:
+        ValueError: If the shapes do not belong together or the dtypes are not floating.
+
+    >>> import numpy as np
+    >>> corners = np.array([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)])
+    >>> cop_of_cells(np.array([[6.0, 6.0, 2.0, 2.0], [1.0, 1.0, 1.0, 1.0]]), corners)
+    array([[0.05, 0.  ],
+           [ nan,  nan]])
+    """
+    check_floating(force, "force")
+    check_floating(position, "position")
+    if force.ndim < 1 or position.ndim < 2 or position.shape[-1] not in (2, 3):
+        raise ValueError(
+            "'force' must have shape (..., cells) and 'position' (..., cells, 2) or (..., cells, 3), "
+            f"got {tuple(force.shape)} and {tuple(position.shape)}."
+        )
+    if force.shape[-1] != position.shape[-2]:
+        raise ValueError(
+            f"'force' holds {force.shape[-1]} cells on its last axis but 'position' places "
+            f"{position.shape[-2]}: got shapes {tuple(force.shape)} and {tuple(position.shape)}."
+        )
+    xp = array_namespace(force, position)
+    known = xp.all(xp.isfinite(force), axis=-1)
+    known_force = xp.where(known[..., None], force, xp.zeros_like(force))
+    moment = xp.sum(position[..., :2] * known_force[..., None], axis=-2)
+    total = xp.where(known, xp.sum(known_force, axis=-1), constant_like(xp.nan, force))
+    return cop_of_moments(total, moment, threshold)
+
+
+def cop_of_moments(fz: Array, moment: Array, threshold: float = FORCE_THRESHOLD) -> Array:
+    """Divide first moments by the vertical force, where there is enough of it.
+
+    Args:
+        fz: Vertical force in N, shape (...).
+        moment: (Fz px, Fz py) in N m, shape (..., 2).
+        threshold: Force in N at or below which the result is NaN.
+
+    Returns:
+        Centre of pressure in m, shape (..., 2).
+    """
+    xp = array_namespace(fz, moment)
+    valid = cop_is_valid(fz, threshold)[..., None]
+    safe_fz = xp.where(valid, fz[..., None], xp.ones_like(fz[..., None]))
+    return xp.where(valid, moment / safe_fz, constant_like(xp.nan, moment))
+
+
+def cop_is_valid(fz: Array, threshold: float = FORCE_THRESHOLD) -> Array:
+    """Tell where a vertical force is large enough, and finite, for a centre of pressure.
+
+    Args:
+        fz: Vertical force in N, shape (...).
+        threshold: Force in N that must be exceeded.
+
+    Returns:
+        Booleans, shape (...).
+
+    Raises:
+        ValueError: If the threshold is negative: forces that pull have no centre of pressure.
+    """
+    if not threshold >= 0:
+        raise ValueError(f"'threshold' must not be negative, got {threshold} N.")
+    xp = array_namespace(fz)
+    return (fz > threshold) & xp.isfinite(fz)
+
+
+def _finite_or_nan(array: Array) -> Array:
+    """Turn infinities to NaN, which passes through products with zero without a warning."""
+    xp = array_namespace(array)
+    return xp.where(xp.isfinite(array), array, constant_like(xp.nan, array))
+
+
+def sole_wrenches(force: Array, layout: FeetLayout) -> Array:
+    """Add the channels of each foot up to the wrench on its sole.
+
+    Args:
+        force: Calibrated channels of both feet, shape (..., K).
+        layout: How the channels make up wrenches.
+
+    Returns:
+        Wrenches (fx, fy, fz, tx, ty, tz) at and in the sole frames in N and N m, shape (..., 2, 6). What is
+        not finite in one foot leaves the other alone.
+
+    Raises:
+        ValueError: If the last axis does not hold one force a channel.
+    """
+    check_floating(force, "force")
+    layout.check_raw(force, "force")
+    xp = array_namespace(force)
+    finite = _finite_or_nan(force)
+    wrenches = [
+        xp.matmul(finite[..., None, where], constant_like(foot.wrench_map.T, force))[..., 0, :]
+        for foot, where in zip(layout.feet, layout.slices, strict=True)
+    ]
+    return xp.stack(wrenches, axis=-2)
+
+
+def cop_of_wrench(wrench: Array, threshold: float = FORCE_THRESHOLD) -> Array:
+    """Find the centre of pressure on the plane z = 0 of a wrench's own frame.
+
+    Args:
+        wrench: (fx, fy, fz, tx, ty, tz) at and in a sole frame, shape (..., 6).
+        threshold: Normal force in N at or below which the result is NaN.
+
+    Returns:
+        (-ty, tx) / fz in m, shape (..., 2).
+
+    Raises:
+        ValueError: If the last axis is not a wrench.
+    """
+    check_tail(wrench, (6,), "wrench")
+    xp = array_namespace(wrench)
+    finite = _finite_or_nan(wrench)
+    moment = xp.stack([-finite[..., 4], finite[..., 3]], axis=-1)
+    return cop_of_moments(finite[..., 2], moment, threshold)
+
+
+def level_moments(wrench_sole: Array, position_sole: Array, R_level_sole: Array) -> tuple[Array, Array]:
+    """Take the feet's wrenches to a level frame as vertical forces and their first moments.
+
+    Each foot's centre of pressure is taken at the height of its own sole's origin, so that for a flat foot
+
+        Fz p = Fz p_sole + (-t_y, t_x),    t the torque about the sole's origin in level axes.
+
+    Args:
+        wrench_sole: Wrenches at and in the sole frames, shape (..., 2, 6).
+        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
+        R_level_sole: Rotations from sole to level frame, shape (..., 2, 3, 3).
+
+    Returns:
+        Vertical forces in N, shape (..., 2), and moments (Fz px, Fz py) in N m, shape (..., 2, 2).
+
+    Raises:
+        ValueError: If a shape is not as above.
+    """
+    check_tail(wrench_sole, ("feet", 6), "wrench_sole")
+    feet = wrench_sole.shape[-2]
+    check_tail(position_sole, (feet, 3), "position_sole")
+    check_tail(R_level_sole, (feet, 3, 3), "R_level_sole")
+    xp = array_namespace(wrench_sole, position_sole, R_level_sole)
+    finite = _finite_or_nan(wrench_sole)
+    force_level = xp.matmul(R_level_sole, finite[..., :3, None])[..., 0]
+    torque_level = xp.matmul(R_level_sole, finite[..., 3:, None])[..., 0]
+    fz = force_level[..., 2]
+    lever = xp.stack([-torque_level[..., 1], torque_level[..., 0]], axis=-1)
+    return fz, position_sole[..., :2] * fz[..., None] + lever
+
+
+def cop_of_feet(
+    wrench_sole: Array, position_sole: Array, R_level_sole: Array, threshold: float = FORCE_THRESHOLD
+) -> Array:
+    """Find the centre of pressure of both feet together in a level frame or in the world.
+
+    Args:
+        wrench_sole: Wrenches at and in the sole frames, shape (..., 2, 6).
+        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
+        R_level_sole: Rotations from sole to level frame, shape (..., 2, 3, 3).
+        threshold: Total vertical force in N at or below which the result is NaN.
+
+    Returns:
+        Centre of pressure in m, shape (..., 2).
+
+    Raises:
+        ValueError: If a shape is not as above.
+    """
+    xp = array_namespace(wrench_sole, position_sole, R_level_sole)
+    fz, moment = level_moments(wrench_sole, position_sole, R_level_sole)
+    return cop_of_moments(xp.sum(fz, axis=-1), xp.sum(moment, axis=-2), threshold)
+
+
+def moment_rows(layout: FeetLayout, position_sole: Array, R_level_sole: Array) -> Array:
+    """Write the feet's vertical forces and first moments as linear maps of all channels.
+
+    ``sum(moment_rows(...) @ force, feet)`` is (Fz, Fz px, Fz py) of :func:`level_moments`: the rows of every
+    estimator that fits channels to a reference.
+
+    Args:
+        layout: How the channels make up wrenches.
+        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
+        R_level_sole: Rotations from sole to level frame, shape (..., 2, 3, 3).
+
+    Returns:
+        Rows (Fz, Fz px, Fz py) of each foot by channel, shape (..., 2, 3, K); zero for the channels of the
+        other foot.
+
+    Raises:
+        ValueError: If a shape is not as above.
+    """
+    feet = len(layout.feet)
+    check_tail(position_sole, (feet, 3), "position_sole")
+    check_tail(R_level_sole, (feet, 3, 3), "R_level_sole")
+    xp = array_namespace(position_sole, R_level_sole)
+    wrench_map = constant_like(layout.wrench_map, position_sole)
+    force_level = xp.matmul(R_level_sole, wrench_map[..., :3, :])
+    torque_level = xp.matmul(R_level_sole, wrench_map[..., 3:, :])
+    fz = force_level[..., 2:3, :]
+    lever = xp.stack([-torque_level[..., 1, :], torque_level[..., 0, :]], axis=-2)
+    return xp.concat([fz, position_sole[..., :2, None] * fz + lever], axis=-2)

@@ -1,0 +1,262 @@
+"""Correction of a foot's centre of pressure on a bench with known weights at known holes.
+
+A plate that bends, cells that are not where the drawing says and cells that are not quite linear leave an
+error that a weight at a known hole shows (CoP paper, Eqs. 3 to 5):
+
+    p_cal = p + a0 + a1 x + a2 y + a3 x^2 + a4 x y + a5 y^2 + sum_i b_i F_i,      per axis,
+
+with p = (x, y) the centre of pressure of the cells (Eq. 8). It is linear in (a, b): no iterations are needed,
+though the paper speaks of nonlinear least squares. Three things that the paper does not say:
+
+* A rigid plate on k cells loads them in a three-dimensional family only, (Fz, tx, ty): with four cells one
+  combination of the b_i is never seen on a bench. It stays at zero (the smallest correction that fits), and
+  the rank says so.
+* With a single weight the sum of the forces is constant and the b_i cannot be told from a0, a1, a2: refused.
+* Weights at or below the threshold (5 N, 510 g) have no centre of pressure: a few millinewtons of noise would
+  move it by centimetres. They are counted as gated and take no part here; they serve the channels' fit.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.calibration._arrays import Array, constant_like
+from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_cells
+from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+
+__all__ = ["CopCorrectionFit", "PlacementScore", "fit_cop_correction"]
+
+
+@dataclass(frozen=True)
+class PlacementScore:
+    """Root-mean-square errors over placements of weights at holes (as in the paper's Table 3).
+
+    Attributes:
+        placements: How many bore more than the threshold, and so had a centre of pressure.
+        weighings: How many there were, light weights included.
+        cop_raw: Length of the error of the cells' own centre of pressure (Eq. 8) in m, over the placements.
+        cop: Length of the error of the corrected one (Eq. 3) in m, over the placements.
+        vgrf: Error of the sum of the cells' forces in N, over the weighings.
+    """
+
+    placements: int
+    weighings: int
+    cop_raw: float
+    cop: float
+    vgrf: float
+
+
+@dataclass(frozen=True, eq=False)
+class CopCorrectionFit:
+    """The correction of a foot's centre of pressure (CoP paper, Eqs. 3 to 5).
+
+    Attributes:
+        value: (a0, ..., a5, b1, ..., bk) of each axis, shape (2, 6 + k): m, 1, 1, 1/m, 1/m, 1/m, m/N.
+        covariance: Of each axis's coefficients from the scatter of the residuals, shape (2, 6 + k, 6 + k);
+            zero along the directions that were left at zero.
+        result: Whether all coefficients were determined.
+        stats: Of the fit; the residual is the length of the error of the centre of pressure in m.
+        score_fitted: Errors on the placements that were fitted.
+        score_held_out: Errors on the placements that were held out.
+        position_cell_sole: Places of the cells in m, shape (k, 2).
+        threshold: Force in N at or below which there is no centre of pressure.
+    """
+
+    value: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    result: FitResult
+    stats: FitStats
+    score_fitted: "PlacementScore"
+    score_held_out: "PlacementScore"
+    position_cell_sole: NDArray[np.float64]
+    threshold: float
+
+    def cop(self, force: Array) -> Array:
+        """Find the corrected centre of pressure (CoP paper, Eqs. 3, 4).
+
+        The polynomial holds where weights stood; beyond the outermost holes it is a guess.
+
+        Args:
+            force: Forces of the cells in N, shape (..., k); any array library.
+
+        Returns:
+            Centre of pressure on the sole in m, shape (..., 2); NaN below the threshold.
+        """
+        xp = array_namespace(force)
+        raw_cop = cop_of_cells(force, constant_like(self.position_cell_sole, force), self.threshold)
+        known_force = xp.where(xp.isfinite(raw_cop[..., :1]), force, xp.zeros_like(force))
+        basis = _correction_basis(raw_cop, known_force)
+        return raw_cop + xp.matmul(basis[..., None, :], constant_like(self.value.T, force))[..., 0, :]
+
+    def score(self, force: ArrayLike, load: ArrayLike, position_weight: ArrayLike) -> PlacementScore:
+        """Score the correction on placements, such as ones that it was not fitted to.
+
+        Args:
+            force: Forces of the foot's cells in N, shape (n, k).
+            load: The weights in N, shape (n,).
+            position_weight: Where they stood in the sole frame in m, shape (n, 2).
+
+        Returns:
+            The errors; what is not finite is left out.
+        """
+        cell_force, hole = np.asarray(force, dtype=np.float64), np.asarray(position_weight, dtype=np.float64)
+        raw_cop = cop_of_cells(cell_force, self.position_cell_sole, self.threshold)
+        valid = np.isfinite(raw_cop - hole).all(axis=1)
+        vgrf_error = np.sum(cell_force, axis=1) - np.asarray(load, dtype=np.float64)
+        vgrf_error = vgrf_error[np.isfinite(vgrf_error)]
+        return PlacementScore(
+            placements=int(np.sum(valid)),
+            weighings=len(vgrf_error),
+            cop_raw=_rms(np.linalg.norm(raw_cop - hole, axis=1)[valid]),
+            cop=_rms(np.linalg.norm(self.cop(cell_force) - hole, axis=1)[valid]),
+            vgrf=_rms(vgrf_error),
+        )
+
+
+def _rms(error: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(error**2))) if len(error) else np.nan
+
+
+def _correction_basis(cop: Array, force: Array) -> Array:
+    """Evaluate (1, x, y, x^2, x y, y^2, F_1, ..., F_k) of CoP paper, Eq. 4, shape (..., 6 + k)."""
+    xp = array_namespace(cop, force)
+    x, y = cop[..., 0], cop[..., 1]
+    polynomial = xp.stack([xp.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)
+    return xp.concat([polynomial, force], axis=-1)
+
+
+def fit_cop_correction(
+    force: ArrayLike,
+    load: ArrayLike,
+    position_weight: ArrayLike,
+    position_cell: ArrayLike,
+    *,
+    held_out: ArrayLike | None = None,
+    threshold: float = FORCE_THRESHOLD,
+    tolerance: float = 1e-4,
+) -> CopCorrectionFit:
+    """Fit the correction of a foot's centre of pressure to weights at known holes (CoP paper, Eqs. 3 to 5).
+
+    Args:
+        force: Forces of the foot's cells in N, one row a placement, shape (n, k).
+        load: The weights in N, shape (n,).
+        position_weight: Where they stood in the sole frame in m, shape (n, 2).
+        position_cell: Where the cells are in the sole frame in m, shape (k, 2) or (k, 3).
+        held_out: Placements to keep from the fit and score it on (bool), shape (n,).
+        threshold: Sum of forces in N that a placement must exceed to take part.
+        tolerance: Singular values below this share of the largest, with columns scaled to one length, count
+            as not excited; it should lie above the noise's share of the forces.
+
+    Returns:
+        The correction and its errors.
+
+    Raises:
+        ValueError: If the shapes do not belong together.
+        CalibrationRefused: If there were too few placements, holes or weights.
+    """
+    every_force, every_load = np.asarray(force, dtype=np.float64), np.asarray(load, dtype=np.float64)
+    every_hole = np.asarray(position_weight, dtype=np.float64)
+    cell = np.asarray(position_cell, dtype=np.float64)[..., :2]
+    out = np.zeros(len(every_load), dtype=bool) if held_out is None else np.asarray(held_out, dtype=bool)
+    _check_bench_shapes(every_force, every_load, every_hole, cell, out)
+
+    finite = np.isfinite(np.column_stack([every_force, every_load, every_hole])).all(axis=1)
+    cell_force, weight, hole, out = every_force[finite], every_load[finite], every_hole[finite], out[finite]
+    cop = cop_of_cells(cell_force, cell, threshold)
+    valid = np.isfinite(cop).all(axis=1)
+    kept = valid & ~out
+    unknowns = 6 + len(cell)
+    _check_placements(weight[kept], hole[kept], unknowns, int(np.sum(~valid)), threshold)
+
+    basis = _correction_basis(cop[kept], cell_force[kept])
+    target = hole[kept] - cop[kept]
+    # To one length, or the cut-off would be a matter of units; cells alike, so that none is preferred.
+    length = np.linalg.norm(basis, axis=0)
+    length[6:] = np.sqrt(np.mean(length[6:] ** 2))
+    left, singular, right = np.linalg.svd(basis / length, full_matrices=False)
+    rank = int(np.sum(singular > tolerance * singular[0]))
+    if rank < unknowns - 1:
+        raise CalibrationRefused(
+            f"The placements determine {rank} of the correction's {unknowns} coefficients.",
+            "Use holes in at least three rows and three columns, and two weights over the same holes.",
+        )
+    to_coefficients = (right[:rank].T / singular[:rank]) / length[:, None]
+    coefficients = to_coefficients @ (left[:, :rank].T @ target)
+    residual = target - basis @ coefficients
+    free = len(target) - rank
+    variance = np.sum(residual**2, axis=0) / free if free else np.full(2, np.nan)
+    empty = PlacementScore(0, 0, np.nan, np.nan, np.nan)
+    fit = CopCorrectionFit(
+        value=coefficients.T,
+        covariance=variance[:, None, None] * (to_coefficients @ to_coefficients.T),
+        result=FitResult.DETERMINED if rank == unknowns else FitResult.PARTLY_DETERMINED,
+        stats=FitStats(
+            samples=int(np.sum(kept)),
+            dropped=int(np.sum(~finite)),
+            gated=int(np.sum(~valid)),
+            residual_rms=_rms(np.linalg.norm(residual, axis=1)),
+            rank=rank,
+            unknowns=unknowns,
+            condition=float(singular[0] / singular[-1]) if rank == unknowns else np.inf,
+        ),
+        score_fitted=empty,
+        score_held_out=empty,
+        position_cell_sole=cell,
+        threshold=threshold,
+    )
+    return replace(
+        fit,
+        score_fitted=fit.score(cell_force[~out], weight[~out], hole[~out]),
+        score_held_out=fit.score(cell_force[out], weight[out], hole[out]),
+    )
+
+
+def _check_bench_shapes(
+    force: NDArray[np.float64],
+    load: NDArray[np.float64],
+    hole: NDArray[np.float64],
+    cell: NDArray[np.float64],
+    out: NDArray[np.bool_],
+) -> None:
+    """Refuse arrays that do not speak of the same placements and cells."""
+    if cell.ndim != 2 or cell.shape[1] != 2:
+        raise ValueError(f"'position_cell' must have shape (cells, 2) or (cells, 3), got {cell.shape}.")
+    if force.ndim != 2 or force.shape[1] != len(cell):
+        raise ValueError(
+            f"'force' must have shape (placements, {len(cell)}) for {len(cell)} cells, got {force.shape}."
+        )
+    wanted: tuple[tuple[str, NDArray[Any], tuple[int, ...]], ...] = (
+        ("load", load, (len(force),)),
+        ("position_weight", hole, (len(force), 2)),
+        ("held_out", out, (len(force),)),
+    )
+    for what, array, shape in wanted:
+        if array.shape != shape:
+            raise ValueError(f"'{what}' must have shape {shape} like 'force', got {array.shape}.")
+
+
+def _check_placements(
+    load: NDArray[np.float64], hole: NDArray[np.float64], unknowns: int, gated: int, threshold: float
+) -> None:
+    """Refuse a bench that cannot tell the coefficients, and say what it lacks."""
+    if len(load) < unknowns:
+        raise CalibrationRefused(
+            f"Only {len(load)} usable placements for {unknowns} coefficients "
+            f"({gated} did not exceed the threshold of {threshold:g} N).",
+            "Place weights above the threshold at more holes.",
+        )
+    holes = len(np.unique(np.round(hole, 6), axis=0))
+    if holes < 6:
+        raise CalibrationRefused(
+            f"The weights stood at {holes} different holes, and a polynomial of second order needs six.",
+            "Use holes in at least three rows and three columns.",
+        )
+    if np.ptp(load) <= 1e-9 * np.max(np.abs(load)):
+        raise CalibrationRefused(
+            f"All placements bore the same weight of {load[0]:g} N, so that the cells' own share (b) "
+            "cannot be told from the polynomial.",
+            "Repeat holes with a second weight.",
+        )
