@@ -1,0 +1,80 @@
+"""A sensor is a chain of small corruptions, each a pair of pure functions.
+
+``init`` draws what a device keeps from power-up on (its gain, its zero, the phase of its clock), and
+``apply`` passes one reading on. State is a value and randomness an argument: an old state stays what
+it was, and what is constant over an episode cannot become a random walk over episodes.
+
+Every stage is written on the array API standard: NumPy arrays with a :class:`numpy.random.Generator`,
+or torch tensors with a ``torch.Generator``; any leading batch dimensions; float32 or float64, which the
+result keeps. No stage writes into its arguments.
+"""
+
+from collections.abc import Callable
+from typing import Any, Generic, NamedTuple, TypeVar
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+Rng = Any
+"""A :class:`numpy.random.Generator`, or a ``torch.Generator`` for torch tensors."""
+
+State = TypeVar("State")
+
+
+class Corruption(NamedTuple, Generic[State]):
+    """One link of a sensor's error chain.
+
+    Attributes:
+        init: ``init(shape, rng, dtype=None) -> state`` for readings of the given shape.
+        apply: ``apply(reading, state, rng, dt) -> (reading, state)`` with dt, the time in s since the
+            reading before.
+    """
+
+    init: Callable[..., State]
+    apply: Callable[[Array, State, Rng, float], tuple[Array, State]]
+
+
+def stateless(function: Callable[[Array, Rng], Array]) -> Corruption[tuple[()]]:
+    """Make a corruption of a function of the reading (and of chance) alone."""
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> tuple[()]:
+        return ()
+
+    def apply(reading: Array, state: tuple[()], rng: Rng, dt: float) -> tuple[Array, tuple[()]]:
+        return function(reading, rng), state
+
+    return Corruption(init, apply)
+
+
+def chain(*corruptions: Corruption[Any]) -> Corruption[tuple[Any, ...]]:
+    """Pass readings through corruptions in their order, the order of the stages in the instrument.
+
+    Args:
+        *corruptions: The stages; none leaves readings as they are.
+
+    >>> import numpy as np
+    >>> from surefoot.sensors import chain, gain, offset, quantize
+    >>> cell = chain(gain(3.0), offset(0.4), quantize(1.0))
+    >>> rng = np.random.default_rng(0)
+    >>> cell.apply(np.array([1.0, 2.0]), cell.init((2,), rng), rng, 0.0125)[0]
+    array([3., 6.])
+    """
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> tuple[Any, ...]:
+        return tuple(stage.init(shape, rng, dtype) for stage in corruptions)
+
+    def apply(reading: Array, state: tuple[Any, ...], rng: Rng, dt: float) -> tuple[Array, tuple[Any, ...]]:
+        states = []
+        for stage, stage_state in zip(corruptions, state, strict=True):
+            reading, stage_state = stage.apply(reading, stage_state, rng, dt)
+            states.append(stage_state)
+        return reading, tuple(states)
+
+    return Corruption(init, apply)
+
+
+def check_not_negative(**values: float) -> None:
+    """Refuse a spread or a density below zero (or one that is no number), naming it."""
+    for name, value in values.items():
+        if not value >= 0.0 or value == float("inf"):
+            raise ValueError(f"'{name}' must be finite and not negative, got {value}.")

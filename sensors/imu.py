@@ -1,0 +1,115 @@
+"""An accelerometer and a gyroscope in one chip: six channels (ax, ay, az, wx, wy, wz) in its own axes."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surefoot.sensors._arrays import Table, cast_like, limit, round_off
+from surefoot.sensors.configuration import require, require_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.randomness import normal
+
+
+@dataclass(frozen=True)
+class Imu:
+    """An inertial measurement unit; the defaults are a NAO V5's, at a resolution read off a real log.
+
+    Noise, biases and walks are typical of consumer chips; a bias is what is left after the usual
+    zeroing of the gyroscope at rest.
+    """
+
+    accelerometer_noise: float = 2.0e-3
+    """Noise density of the specific force in m/s^2/sqrt(Hz)."""
+
+    gyroscope_noise: float = 5.0e-4
+    """Noise density of the angular velocity in rad/s/sqrt(Hz)."""
+
+    accelerometer_bias_std: float = 0.05
+    """Standard deviation of the bias at power-up in m/s^2."""
+
+    gyroscope_bias_std: float = 1.0e-3
+    """Standard deviation of the bias at power-up in rad/s."""
+
+    accelerometer_walk: float = 2.0e-4
+    """Random walk of the bias in m/s^2/sqrt(s)."""
+
+    gyroscope_walk: float = 5.0e-5
+    """Random walk of the bias in rad/s/sqrt(s)."""
+
+    accelerometer_resolution: float = 0.0096
+    """Smallest step in m/s^2; 0 does not round."""
+
+    gyroscope_resolution: float = 2.7e-4
+    """Smallest step in rad/s; 0 does not round."""
+
+    accelerometer_range: float = 2.0 * 9.81
+    """Largest specific force in m/s^2; 0 does not clip."""
+
+    gyroscope_range: float = 8.72665
+    """Largest angular velocity in rad/s (500 degrees/s); 0 does not clip."""
+
+    averaged: bool = True
+    """Whether a sample is the mean since the sample before, as the chip's own anti-alias filter makes
+    it, and so stands for the middle of that time; ``False`` takes the value of the instant."""
+
+    def __post_init__(self) -> None:
+        """Refuse negative values."""
+        numbers = [name for name in self.__dataclass_fields__ if name != "averaged"]
+        require_not_negative(self, *numbers)
+        require(isinstance(self.averaged, bool), self, "averaged", "be True or False")
+
+
+class ImuState(NamedTuple):
+    """An IMU in use.
+
+    Attributes:
+        bias: (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (..., 6).
+    """
+
+    bias: Array
+
+
+def _pair(accelerometer: float, gyroscope: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.repeat([accelerometer, gyroscope], 3)
+
+
+def imu(config: Imu) -> Corruption[ImuState]:
+    """Build an IMU: its bias wanders, each sample is noisy, clipped and rounded.
+
+    Readings are specific force in m/s^2 and angular velocity in rad/s, shape (..., 6).
+    """
+    walk_and_noise = np.stack(
+        [
+            _pair(config.accelerometer_walk, config.gyroscope_walk),
+            _pair(config.accelerometer_noise, config.gyroscope_noise),
+        ]
+    )
+    bias_std = Table(_pair(config.accelerometer_bias_std, config.gyroscope_bias_std))
+    resolution = _pair(config.accelerometer_resolution, config.gyroscope_resolution)
+    rounds = bool(resolution.any())
+    # Where nothing is rounded, a step far below the resolution of any float stands in.
+    step = Table(np.where(resolution > 0.0, resolution, 2.0**-60))
+    span = _pair(config.accelerometer_range, config.gyroscope_range)
+    clips = bool(span.any())
+    highest = Table(np.where(span > 0.0, span, 1e30))
+    scaled = lru_cache(maxsize=16)(lambda dt: Table(walk_and_noise * [[dt**0.5], [dt**-0.5]]))
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ImuState:
+        drawn = normal(rng, shape, dtype)
+        return ImuState(bias_std.like(drawn) * drawn)
+
+    def apply(reading: Array, state: ImuState, rng: Rng, dt: float) -> tuple[Array, ImuState]:
+        drawn = normal(rng, (*reading.shape[:-1], 2, 6), reading.dtype) * scaled(dt).like(reading)
+        bias = cast_like(state.bias, reading) + drawn[..., 0, :]
+        measured = reading + bias + drawn[..., 1, :]
+        if clips:
+            most = highest.like(reading)
+            measured = limit(measured, -most, most)
+        if rounds:
+            unit = step.like(reading)
+            measured = round_off(measured / unit) * unit
+        return measured, ImuState(bias)
+
+    return Corruption(init, apply)

@@ -1,0 +1,136 @@
+"""A link that brings readings late: by a mean delay, with jitter, but in the order in which they left.
+
+Two faces of one model. :func:`latency` is a stage like any other: it holds the newest reading that has
+arrived, for any batch of robots. :func:`send` and :func:`receive` hand over every packet with the time
+at which it came, for one robot whose host needs them all.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import array_namespace
+from numpy.typing import NDArray
+
+from surefoot.sensors._arrays import cast_like
+from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.randomness import filled, normal
+
+
+@dataclass(frozen=True)
+class Link:
+    """The way of a robot's own telemetry to the host; the defaults are the CoP paper's wireless NAOqi."""
+
+    rate: float | None = 100.0
+    """Packets per second. ``None`` sends one just before the host reads."""
+
+    delay: float = 0.020
+    """Mean delay in s."""
+
+    jitter: float = 0.004
+    """Standard deviation of the delay in s. A packet never overtakes the one before it."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no link can be."""
+        if self.rate is not None:
+            require_positive(self, "rate")
+        require_not_negative(self, "delay", "jitter")
+        require(self.rate is not None or self.delay == 0.0, self, "delay", "be 0 for a link without a rate")
+
+
+class LatencyState(NamedTuple):
+    """The last D readings that were sent, the oldest first.
+
+    Attributes:
+        due: Time until each arrives in s, shape (..., D); 0 or less for one that has.
+        readings: Shape (..., D, C); NaN before the first.
+    """
+
+    due: Array
+    readings: Array
+
+
+def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[LatencyState]:
+    """Hold the newest reading that has arrived over a late link.
+
+    Args:
+        delay: Mean delay in s.
+        jitter: Its standard deviation in s.
+        depth: How many readings can be under way; what has not arrived after that many is dropped.
+
+    Raises:
+        ValueError: If a time is negative or the depth is not positive.
+    """
+    Link(delay=delay, jitter=jitter)
+    if depth < 1:
+        raise ValueError(f"'depth' must be at least 1, got {depth}.")
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LatencyState:
+        due = filled(rng, -float("inf"), (*shape[:-1], depth), dtype)
+        return LatencyState(due, filled(rng, float("nan"), (*shape[:-1], depth, shape[-1]), dtype))
+
+    def apply(reading: Array, state: LatencyState, rng: Rng, dt: float) -> tuple[Array, LatencyState]:
+        xp = array_namespace(reading)
+        drawn = jitter * normal(rng, (*reading.shape[:-1], 1), reading.dtype) + delay
+        waiting = cast_like(state.due, reading) - dt
+        due = xp.maximum(xp.maximum(drawn, xp.zeros_like(drawn)), waiting[..., -1:])
+        due = xp.concat([waiting[..., 1:], due], axis=-1)
+        readings = xp.concat([cast_like(state.readings, reading)[..., 1:, :], reading[..., None, :]], axis=-2)
+        arrived = due <= 0.0
+        newest = arrived & ~xp.concat([arrived[..., 1:], xp.zeros_like(arrived[..., :1])], axis=-1)
+        selected = xp.where(newest[..., None], readings, xp.zeros_like(readings))
+        return xp.sum(selected, axis=-2), LatencyState(due, readings)
+
+    return Corruption(init, apply)
+
+
+class Packet(NamedTuple):
+    """One packet of telemetry.
+
+    Attributes:
+        number: Counts the packets since power-up; the robot's own clock, in packets.
+        arrival: When the host has it, in s of the host's clock.
+        values: What it brings, shape (C,).
+    """
+
+    number: int
+    arrival: float
+    values: NDArray[np.float64]
+
+
+Packets = tuple[Packet, ...]
+"""Packets under way, in order: the state of a link."""
+
+
+def send(
+    values: NDArray[np.float64], number: int, time: float, under_way: Packets, config: Link, rng: Rng
+) -> Packets:
+    """Put a packet on its way.
+
+    Args:
+        values: What it brings, shape (C,).
+        number: Its number.
+        time: When it leaves, in s of the host's clock.
+        under_way: The packets before it that have not arrived.
+        config: The link.
+        rng: Where the jitter comes from.
+    """
+    delay = config.delay
+    if config.jitter:
+        delay = max(0.0, delay + config.jitter * float(rng.standard_normal()))
+    arrival = time + delay
+    if under_way:
+        arrival = max(arrival, under_way[-1].arrival)
+    return (*under_way, Packet(number, arrival, values))
+
+
+def receive(under_way: Packets, time: float) -> tuple[Packets, Packets]:
+    """Part the packets that have arrived by a time from those still under way.
+
+    Returns:
+        The arrived ones and the others, both in order.
+    """
+    # A packet that leaves and arrives with the host's own tick must not miss it by rounding.
+    count = sum(packet.arrival <= time + 1e-9 for packet in under_way)
+    return under_way[:count], under_way[count:]

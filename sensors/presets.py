@@ -1,0 +1,100 @@
+"""Devices by their names."""
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from surefoot.sensors.configuration import from_mapping
+from surefoot.sensors.encoders import Encoders
+from surefoot.sensors.imu import Imu
+from surefoot.sensors.link import Link
+from surefoot.sensors.load_cells import LoadCells
+
+Config = TypeVar("Config")
+
+HX711_LOAD_CELLS = LoadCells()
+"""Eight uncalibrated cells of 98.1 N and 1 mV/V on HX711 chips at gain 128 and nominally 80 SPS."""
+
+PERFECT_LOAD_CELLS = LoadCells(
+    adc_bits=0,
+    polarity=(1,),
+    input_noise=0.0,
+    rate=None,
+    initial_gain_std=0.0,
+    initial_zero_std=0.0,
+    gain_drift=0.0,
+    zero_drift=0.0,
+)
+"""Cells that report the true load at the instant they are read, in N."""
+
+NAO_IMU = Imu()
+"""Accelerometer and gyroscope of a NAO V5."""
+
+PERFECT_IMU = Imu(
+    accelerometer_noise=0.0,
+    gyroscope_noise=0.0,
+    accelerometer_bias_std=0.0,
+    gyroscope_bias_std=0.0,
+    accelerometer_walk=0.0,
+    gyroscope_walk=0.0,
+    accelerometer_resolution=0.0,
+    gyroscope_resolution=0.0,
+    accelerometer_range=0.0,
+    gyroscope_range=0.0,
+    averaged=False,
+)
+"""An IMU that reports what happens at the instant it is read."""
+
+NAO_ENCODERS = Encoders()
+"""The 12-bit joint encoders of a NAO."""
+
+NAO_LINK = Link()
+"""NAOqi over a wireless network: 100 packets/s, 20 +- 4 ms late."""
+
+PRESETS: dict[type, dict[str, Any]] = {
+    LoadCells: {"hx711-load-cells": HX711_LOAD_CELLS, "perfect": PERFECT_LOAD_CELLS},
+    Imu: {
+        "nao-imu": NAO_IMU,
+        "perfect": PERFECT_IMU,
+    },
+    Encoders: {"nao-encoders": NAO_ENCODERS, "perfect": Encoders(bits=0, bias_std=0.0, noise_std=0.0)},
+    Link: {"nao-wlan": NAO_LINK, "perfect": Link(rate=None, delay=0.0, jitter=0.0)},
+}
+"""Every preset by the class of its configuration and its name."""
+
+
+def preset(name: str, kind: type[Config] = LoadCells) -> Config:  # type: ignore[assignment]
+    """Look a device up by its name.
+
+    Args:
+        name: Such as ``"hx711-load-cells"``.
+        kind: The class of the configuration: :class:`LoadCells`, :class:`Imu`, :class:`Encoders` or
+            :class:`Link`.
+
+    Raises:
+        ValueError: If there is none of that name; the message lists what there is.
+
+    >>> preset("hx711-load-cells").adc_bits
+    24
+    """
+    found = PRESETS[kind]
+    if name not in found:
+        raise ValueError(f"There is no {kind.__name__} preset '{name}'; there are {sorted(found)}.")
+    return found[name]  # type: ignore[no-any-return]
+
+
+def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config]) -> Config:
+    """Make a configuration of a preset's name, a mapping or a configuration.
+
+    Raises:
+        ValueError: If the name or a key of the mapping is unknown, or a value is refused.
+        TypeError: If it is none of the three.
+    """
+    if isinstance(config, kind):
+        return config
+    if isinstance(config, str):
+        return preset(config, kind)
+    if isinstance(config, Mapping):
+        return from_mapping(kind, config)
+    raise TypeError(
+        f"Give the name of a preset, a mapping or a {kind.__name__}, got {type(config).__name__}."
+    )

@@ -1,0 +1,161 @@
+"""The calibrator in the loop: what it is told, what it shows, and what it never sees."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from surefoot.calibration import FootCalibrator, Parameters
+from surefoot.sensors import HX711_LOAD_CELLS
+from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.self_calibration import CONTACT_MARGIN, Plan
+
+STILL = np.zeros(11, dtype=np.float32)
+
+
+class Blindfold(gym.Wrapper):
+    """Takes the truth away from whoever stands above."""
+
+    def reset(self, **options: Any) -> Any:
+        observation, info = self.env.reset(**options)
+        return observation, self._blind(info)
+
+    def step(self, action: Any) -> Any:
+        *rest, info = self.env.step(action)
+        return (*rest, self._blind(info))
+
+    def _blind(self, info: dict[str, Any]) -> dict[str, Any]:
+        del self.unwrapped.truth
+        del info["surefoot"]["truth"]
+        return info
+
+
+def walk(env: gym.Env, steps: int, seed: int = 0) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    seen = [env.reset(seed=seed)]
+    for _ in range(steps):
+        observation, _, _, _, info = env.step(STILL)
+        seen.append((observation, info))
+    return seen
+
+
+@pytest.mark.parametrize("method", ["none", "tare", "quasi-static", "window"])
+def test_truth_is_never_looked_at(method: str, make_bare) -> None:
+    seeing = walk(SelfCalibration(FootSensors(make_bare()), method), 120)
+    blind = walk(SelfCalibration(Blindfold(FootSensors(make_bare())), method), 120)
+    for (one, _), (other, _) in zip(seeing, blind, strict=True):
+        for key in one:
+            np.testing.assert_array_equal(one[key], other[key], err_msg=key)
+
+
+def test_what_is_shown_is_the_calibrated_count(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare()), "window")
+    for observation, info in walk(env, 150):
+        scale, offset = info["surefoot"]["parameters"]
+        force = scale * observation["foot_raw"] + offset
+        np.testing.assert_allclose(observation["foot_force"], force, atol=1e-3)
+        assert info["surefoot"]["covariance"] is None
+        assert info["surefoot"]["flags"].shape == (8,)
+        np.testing.assert_allclose(info["surefoot"]["vgrf"].sum(), force.sum(), rtol=0.02, atol=0.2)
+        total, left, right = observation["cop_valid"]
+        assert total == (info["surefoot"]["vgrf"].sum() > 5.0)
+        assert (left, right) == tuple(force.reshape(2, 4).sum(axis=1) > 5.0)
+
+
+def test_another_calibrator_told_the_same_says_the_same(make_bare) -> None:
+    """All that reaches the calibrator are the counts and the reference: a recorded stream replays."""
+    env = SelfCalibration(FootSensors(make_bare()), "window")
+    env.reset(seed=1)
+    setup = env.calibrator.setup
+    again = FootCalibrator(
+        env.layout, "window", mass=setup.mass, initial=setup.initial, dt=setup.dt, lag=setup.lag
+    )
+    again.update(env.env.raw, env.reference)
+    for _ in range(160):
+        env.step(STILL)
+        estimate = again.update(env.env.raw, env.reference)
+        np.testing.assert_array_equal(estimate.force, env.estimate.force)
+        np.testing.assert_array_equal(estimate.scale, env.estimate.scale)
+
+
+def test_the_same_seed_under_every_method_is_the_same_stream(make_bare) -> None:
+    streams = []
+    for method, initial in (("none", "nominal"), ("window", "nominal"), ("tare", "bench")):
+        env = SelfCalibration(FootSensors(make_bare()), method, initial=initial)
+        streams.append([(o["foot_raw"], i["surefoot"]["reference"].com) for o, i in walk(env, 40)])
+    for other in streams[1:]:
+        for (raw, com), (same_raw, same_com) in zip(streams[0], other, strict=True):
+            np.testing.assert_array_equal(raw, same_raw)
+            np.testing.assert_array_equal(com, same_com)
+
+
+def test_calibration_starts_from_the_map_that_was_asked_for(make_bare) -> None:
+    nominal = Parameters(HX711_LOAD_CELLS.nominal_scale, HX711_LOAD_CELLS.nominal_offset)
+    other = Parameters(1.1 * nominal.scale, 1.1 * nominal.offset + 0.3)
+    found = {}
+    for name, initial in {"nominal": "nominal", "bench": "bench", "given": other}.items():
+        env = SelfCalibration(FootSensors(make_bare()), "none", initial=initial)
+        _, info = env.reset(seed=2)
+        found[name] = info["surefoot"]["parameters"]
+        true = Parameters(*env.env.true_parameters())
+    for name, expected in (("nominal", nominal), ("given", other)):
+        np.testing.assert_allclose(found[name].scale, expected.scale)
+        np.testing.assert_allclose(found[name].offset, expected.offset)
+    left = found["bench"].relative_to(true)
+    assert 0.0 < np.abs(left.scale - 1.0).max() < 0.006
+    assert 0.0 < np.abs(left.offset).max() < 0.1
+    assert np.abs(nominal.relative_to(true).scale - 1.0).max() > 0.05
+
+
+def test_a_bench_is_as_good_as_it_says(make_bare) -> None:
+    env = SelfCalibration(
+        FootSensors(make_bare()), "none", initial="bench", bench_scale_error=0.01, bench_offset_error=0.2
+    )
+    left = []
+    for seed in range(40):
+        env.reset(seed=seed)
+        found, true = env.calibrator.setup.initial, Parameters(*env.env.true_parameters())
+        left.append(np.concatenate(found.relative_to(true)))
+    scale, offset = np.split(np.array(left), 2, axis=1)
+    assert (scale - 1.0).std() == pytest.approx(0.01, rel=0.15)
+    assert offset.std() == pytest.approx(0.2, rel=0.15)
+
+
+def test_a_foot_in_the_air_keeps_its_last_centre_of_pressure(make_bare) -> None:
+    perfect = FootSensors(make_bare(), "perfect")
+    held, lifted = None, 0
+    for observation, _ in walk(SelfCalibration(perfect, "none"), 400):
+        if not observation["cop_valid"][1]:
+            if held is not None:
+                np.testing.assert_array_equal(observation["cop_foot"][0], held)
+                lifted += 1
+        else:
+            held = observation["cop_foot"][0].copy()
+    assert lifted > 20
+
+
+def test_resets_forget_what_was_learnt(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare()), "window")
+    first = walk(env, 100, seed=5)
+    second = walk(env, 100, seed=5)
+    for (one, _), (other, _) in zip(first, second, strict=True):
+        for key in one:
+            np.testing.assert_array_equal(one[key], other[key], err_msg=key)
+
+
+@pytest.mark.parametrize("lag", [0, 2, CONTACT_MARGIN, 7])
+def test_a_plan_is_sure_only_well_inside_a_phase(lag: int) -> None:
+    plan = Plan(lag)
+    planned = np.zeros((60, 2), dtype=bool)
+    planned[20:45, 0] = True
+    planned[:, 1] = True
+    sure = [plan.at(row, ~row) for row in planned]
+    ahead = min(CONTACT_MARGIN, lag)
+    for now in range(60):
+        then = now - lag
+        before, after = then - CONTACT_MARGIN, then + ahead
+        stance, swing = sure[now]
+        assert stance[0] == (before >= 20 and after < 45)
+        assert swing[0] == (before >= 0 and (after < 20 or before >= 45))
+        assert stance[1] == (before >= 0)
+        assert not swing[1]

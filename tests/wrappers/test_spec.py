@@ -1,0 +1,223 @@
+"""Wrapped environments as Gymnasium wants them: specs, spaces, seeds, checks."""
+
+import pickle
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+from surefoot.calibration import Parameters
+from surefoot.sensors import HX711_LOAD_CELLS, Imu, LoadCells, preset
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+STACKS = {
+    "preset": lambda env: FootSensors(env),
+    "config": lambda env: FootSensors(env, LoadCells(rate=None, polarity=(1,)), imu=Imu(gyroscope_noise=0.0)),
+    "mapping": lambda env: FootSensors(env, {"rate": (80.0, 90.0)}, link={"delay": 0.01}, stream=7),
+    "none": lambda env: SelfCalibration(FootSensors(env), "none"),
+    "window": lambda env: SelfCalibration(FootSensors(env), "window", initial="bench", every=2, lag=5),
+    "parameters": lambda env: SelfCalibration(
+        FootSensors(env),
+        "tare",
+        initial=Parameters(HX711_LOAD_CELLS.nominal_scale, HX711_LOAD_CELLS.nominal_offset),
+    ),
+}
+
+
+def steps(env: gym.Env, count: int = 12, seed: int = 3) -> list[dict[str, np.ndarray]]:
+    observation, _ = env.reset(seed=seed)
+    seen = [observation]
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        action = rng.uniform(-0.1, 0.1, env.action_space.shape).astype(np.float32)
+        observation, *_ = env.step(action)
+        seen.append(observation)
+    return seen
+
+
+def assert_same(one: list[dict[str, np.ndarray]], other: list[dict[str, np.ndarray]]) -> None:
+    for first, second in zip(one, other, strict=True):
+        assert first.keys() == second.keys()
+        for key in first:
+            np.testing.assert_array_equal(first[key], second[key], err_msg=key)
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_specs_survive_pickle_and_json_and_make_the_same_environment(name: str, make_bare) -> None:
+    env = STACKS[name](make_bare())
+    expected = steps(env)
+    for spec in (pickle.loads(pickle.dumps(env.spec)), EnvSpec.from_json(env.spec.to_json())):
+        again = gym.make(spec)
+        assert type(again) is type(env)
+        assert_same(steps(again), expected)
+
+
+@pytest.mark.parametrize("task", ["surefoot/NaoStand-v0", "surefoot/NaoWalk-v0"])
+@pytest.mark.parametrize("name", ["preset", "none", "window"])
+def test_gymnasium_finds_no_fault(name: str, task: str, make_bare) -> None:
+    env = STACKS[name](make_bare(task).unwrapped)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version.*")
+        check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_observations_lie_in_their_space_and_are_nobody_elses(name: str, make_bare) -> None:
+    env = STACKS[name](make_bare())
+    observation, _ = env.reset(seed=0)
+    kept = []
+    for _ in range(20):
+        assert env.observation_space.contains(observation)
+        for key, part in observation.items():
+            assert part.dtype == (np.int8 if key == "cop_valid" else np.float32), key
+        kept.append((observation, {key: part.copy() for key, part in observation.items()}))
+        observation, *_ = env.step(env.action_space.sample() * 0.1)
+    for seen, copy in kept:
+        for key in seen:
+            np.testing.assert_array_equal(seen[key], copy[key])
+    arrays = [part for seen, _ in kept for part in seen.values()]
+    assert not any(np.shares_memory(a, b) for i, a in enumerate(arrays) for b in arrays[:i])
+
+
+def test_what_only_truth_can_tell_is_gone(make_bare) -> None:
+    bare = make_bare()
+    sensed = FootSensors(bare)
+    assert set(sensed.observation_space) == {"state", "foot_raw"}
+    calibrated = SelfCalibration(sensed)
+    assert set(calibrated.observation_space) == set(bare.observation_space) | {"foot_raw"}
+    for key in ("foot_force", "cop", "cop_foot", "cop_valid"):
+        assert calibrated.observation_space[key] == bare.observation_space[key]
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_the_wrapped_truth_is_the_bare_one_bit_for_bit(name: str, make_bare) -> None:
+    bare, wrapped = make_bare(), STACKS[name](make_bare())
+    bare.reset(seed=5)
+    wrapped.reset(seed=5)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        action = rng.uniform(-0.2, 0.2, bare.action_space.shape).astype(np.float32)
+        _, reward, *_ = bare.step(action)
+        _, wrapped_reward, *_ = wrapped.step(action)
+        np.testing.assert_array_equal(wrapped.unwrapped.truth.rows, bare.unwrapped.truth.rows)
+        assert wrapped_reward == reward
+    state, wrapped_state = (env.unwrapped.np_random.bit_generator.state for env in (bare, wrapped))
+    assert state == wrapped_state
+
+
+def test_the_same_seed_is_the_same_episode_and_another_stream_other_sensors(make_bare) -> None:
+    env = FootSensors(make_bare())
+    first = steps(env)
+    assert_same(steps(env), first)
+    other = steps(FootSensors(make_bare(), stream=1))
+    assert not np.array_equal(first[0]["foot_raw"], other[0]["foot_raw"])
+    joints = env.unwrapped.state_layout["cop_reference"]
+    np.testing.assert_array_equal(first[5]["state"][joints], other[5]["state"][joints])
+
+
+def test_without_a_seed_sensors_are_drawn_anew(make_bare) -> None:
+    env = FootSensors(make_bare())
+    env.reset(seed=1)
+    scales = [env.true_parameters()[0]]
+    for _ in range(2):
+        env.reset()
+        scales.append(env.true_parameters()[0])
+    assert len({scale[0] for scale in scales}) == 3
+    spread = [np.abs(scale / HX711_LOAD_CELLS.nominal_scale - 1.0).max() for scale in scales]
+    assert max(spread) < 0.8
+
+
+def test_perfect_instruments_and_no_calibration_show_what_the_bare_environment_shows(make_bare) -> None:
+    """Forces to the bit, centres of pressure but for the inertia of the plates and a step's delay."""
+    perfect = FootSensors(make_bare(), "perfect", imu="perfect", encoders="perfect", link="perfect")
+    env = SelfCalibration(perfect, "none", mass_error=0.0, com_offset=0.0)
+    bare = make_bare()
+    observation, expected = env.reset(seed=2)[0], bare.reset(seed=2)[0]
+    layout, far = env.unwrapped.state_layout, []
+    for step in range(400):
+        np.testing.assert_array_equal(observation["foot_force"], expected["foot_force"])
+        # Cells feel the inertia of their plate, the ground does not: it matters where a foot carries little.
+        load = expected["foot_force"].reshape(2, 4).sum(axis=1)
+        clear, firm = np.abs(load - 5.0) > 0.5, load > 20.0
+        np.testing.assert_array_equal(observation["cop_valid"][0], expected["cop_valid"][0])
+        np.testing.assert_array_equal(observation["cop_valid"][1:][clear], expected["cop_valid"][1:][clear])
+        if step > 10:  # The robot begins above the ground, and its landing shakes the plates.
+            np.testing.assert_allclose(observation["cop_foot"][firm], expected["cop_foot"][firm], atol=1.5e-3)
+            np.testing.assert_allclose(observation["cop"], expected["cop"], atol=1.5e-3)
+            far.append(observation["cop"] - expected["cop"])
+        state, truth = observation["state"], expected["state"]
+        for part in ("joint_position", "com_reference", "cop_reference", "stance", "phase"):
+            np.testing.assert_array_equal(state[layout[part]], truth[layout[part]])
+        np.testing.assert_allclose(state[layout["tilt"]], truth[layout["tilt"]], atol=0.02)
+        action = np.zeros(11, dtype=np.float32)
+        observation, expected = env.step(action)[0], bare.step(action)[0]
+    assert np.sqrt(np.mean(np.square(far))) < 3e-4
+
+
+def test_a_perfect_link_brings_the_last_instant(make_bare) -> None:
+    env = FootSensors(make_bare(), imu="perfect", encoders="perfect", link="perfect")
+    env.reset(seed=0)
+    for _ in range(5):
+        observation, *_ = env.step(np.zeros(11, dtype=np.float32))
+        truth = env.unwrapped.truth
+        seen = observation["state"][env.unwrapped.state_layout["joint_position"]]
+        np.testing.assert_array_equal(seen, truth.joint_position[-1].astype(np.float32))
+        seen = observation["state"][env.unwrapped.state_layout["gyroscope"]]
+        np.testing.assert_array_equal(seen, truth.gyroscope[-1].astype(np.float32))
+
+
+def test_counts_are_exact_in_float32(make_bare) -> None:
+    env = FootSensors(make_bare())
+    env.reset(seed=0)
+    observation, *_ = env.step(np.zeros(11, dtype=np.float32))
+    np.testing.assert_array_equal(observation["foot_raw"].astype(np.float64), env.raw)
+    assert env.observation_space["foot_raw"].high[0] == 2**24 - 1
+
+
+def test_the_order_of_wrappers_matters_and_is_explained(make_bare) -> None:
+    bare = make_bare()
+    with pytest.raises(
+        TypeError, match=r"found none below it; wrap in this order: SelfCalibration\(FootSensors"
+    ):
+        SelfCalibration(bare)
+    with pytest.raises(TypeError, match="FootSensors needs an environment that records its truth"):
+        FootSensors(gym.make("CartPole-v1"))
+    with pytest.raises(TypeError, match="as the first wrapper around it"):
+        FootSensors(FootSensors(bare))
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda env: FootSensors(env, "hx712"), "no LoadCells preset 'hx712'; there are"),
+        (lambda env: FootSensors(env, {"input_noise": -1.0}), "LoadCells.input_noise must be .*, got -1.0"),
+        (
+            lambda env: FootSensors(env, LoadCells(channels=4)),
+            r"has \(8,\) cells, but LoadCells.channels is 4",
+        ),
+        (
+            lambda env: SelfCalibration(FootSensors(env), "windows"),
+            "Method 'windows' does not exist. Available",
+        ),
+        (lambda env: SelfCalibration(FootSensors(env), every=0), "'every'"),
+        (lambda env: SelfCalibration(FootSensors(env), typo=1), "no option 'typo'. Available"),
+        (lambda env: SelfCalibration(FootSensors(env), initial="best"), "'nominal', 'bench' or Parameters"),
+        (lambda env: SelfCalibration(FootSensors(env), mass_error=-0.1), "'mass_error' must lie in 0 to 1"),
+        (
+            lambda env: SelfCalibration(FootSensors(env), bench_scale_error=-1.0),
+            "'bench_scale_error' must be",
+        ),
+        (lambda env: SelfCalibration(FootSensors(env), lag=-1), "'lag' must be"),
+    ],
+)
+def test_bad_options_are_refused_before_the_first_step(make, text: str, make_bare) -> None:
+    with pytest.raises(ValueError, match=text):
+        make(make_bare())
+
+
+def test_the_perfect_preset_reads_in_newtons() -> None:
+    np.testing.assert_array_equal(preset("perfect").nominal_scale, np.ones(8))
+    np.testing.assert_array_equal(preset("perfect").nominal_offset, np.zeros(8))

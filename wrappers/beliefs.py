@@ -1,0 +1,231 @@
+"""What a robot can know of its own motion without its feet's sensors, on their timeline.
+
+Encoders and IMU come at 100 Hz, numbered and some 20 ms late with jitter. The mean delay is known and taken
+off; the numbers tell the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
+n, at their middle, the nominal model gives from the mean and the difference of both encoder readings the
+centre of mass c, the soles and the angular momentum L, and gyroscope and accelerometer give the turning and
+the specific force f. In axes that are level and whose heading follows the gyroscope (*odometry* axes),
+
+    c'' = R f - g e_z + d^2/dt^2 [ R (c - p_imu) ],        L' = d/dt [ R L ]
+
+with the torso's rotation R and the place p_imu of the IMU; differences are centred, so that they delay
+nothing. What is ready then is kept, and read between packets by linear interpolation at the moments of the
+feet's samples, some samples ago (``lag``): when the packets that are needed have come.
+
+What is level is told by the soles: the floor is, and a foot that is down lies flat on it. They hold the
+gyroscope's tilt upright, free of the accelerations of a gait, and then tell the bias of the accelerometer
+(over many steps the specific force must point up and be g). An error of the tilt that is left does little
+harm: the ground's force points along f from the centre of mass, whatever way is up, so that in Eqs. 10 and 11
+a common tilt cancels to first order.
+"""
+
+from math import floor, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY, Reference
+from surefoot.sensors.link import Packet, Packets
+from surefoot.wrappers.nominal import NominalModel
+from surefoot.wrappers.odometry import Odometry
+from surefoot.wrappers.telemetry import TelemetryLayout
+
+CLOCK_MEMORY = 256
+"""Packets over which arrival times are averaged to find the robot's clock on the host's."""
+
+HISTORY = 64
+"""How many packets are kept: more than any lag needs."""
+
+_SLOPE = 3
+"""Packets over which the soles' velocities are taken."""
+
+_FURTHEST = 8.0
+"""How many packets ahead soles are supposed to go on as they went."""
+
+# Rows of vectors at the middle between two packets: in odometry axes, from the torso's origin, ...
+_COM, _IMU, _SOLES, _AXES, _MOMENTUM, _FORCE = 0, 1, slice(2, 4), slice(4, 10), 10, 11
+# ... what follows from its neighbours in time, ...
+_ACCELERATION, _MOMENTUM_RATE = 12, 13
+# ... and what was measured, in the IMU's own axes.
+_ACCELEROMETER, _GYROSCOPE, _ROWS = 14, 15, 16
+_POSES = slice(_SOLES.start, _AXES.start + 4)
+"""Both soles' places, and their axes up to the x axis of the right one."""
+
+
+class SolePose(NamedTuple):
+    """A sole on the ground, seen from above in the level frame.
+
+    Attributes:
+        x: Place of its origin in m.
+        y: Place of its origin in m.
+        forward_x: Its heading, a unit vector.
+        forward_y: Its heading.
+    """
+
+    x: float
+    y: float
+    forward_x: float
+    forward_y: float
+
+
+class Beliefs:
+    """Makes references of telemetry, on the timeline of the feet's samples.
+
+    Args:
+        model: The robot as it believes itself to be.
+        layout: What a packet holds.
+        period: Time between packets in s.
+        delay: Mean delay of the link in s, as the robot knows it.
+        averaged: Whether a sample of the IMU is the mean since the sample before.
+    """
+
+    def __init__(
+        self, model: NominalModel, layout: TelemetryLayout, period: float, delay: float, averaged: bool
+    ) -> None:
+        self.model = model
+        self._layout = layout
+        self._period, self._delay, self._averaged = period, delay, averaged
+        self._ring = np.zeros((HISTORY, _ROWS, 3))
+        self._local = np.zeros((_FORCE + 1, 3))
+        self._odometry = Odometry(period)
+        self._last: Packet | None = None
+        self._run = 0
+        self._clock, self._seen = 0.0, 0
+
+    def update(self, packets: Packets) -> None:
+        """Take in packets of telemetry, in order."""
+        for packet in packets:
+            self._synchronise(packet)
+            if self._last is not None and packet.number == self._last.number + 1:
+                self._run += 1
+                self._posture(self._last.values, packet.values, packet.number)
+                if self._run >= 3:
+                    self._differentiate(packet.number)
+            else:
+                self._run = 0
+            self._last = packet
+
+    def _synchronise(self, packet: Packet) -> None:
+        """Average the packets' lateness: the time on the host's clock at which number 0 left."""
+        self._seen += 1
+        left = packet.arrival - self._delay - packet.number * self._period
+        self._clock += (left - self._clock) * max(1.0 / self._seen, 1.0 / CLOCK_MEMORY)
+
+    def _posture(self, before: NDArray[np.float64], after: NDArray[np.float64], number: int) -> None:
+        """Fill the row at the middle between two packets."""
+        where, period = self._layout, self._period
+        start, end = before[where.joint_position], after[where.joint_position]
+        if self._averaged:
+            force, spin = after[where.accelerometer], after[where.gyroscope]
+        else:
+            force = 0.5 * (before[where.accelerometer] + after[where.accelerometer])
+            spin = 0.5 * (before[where.gyroscope] + after[where.gyroscope])
+        com, momentum, sites, axes = self.model.evaluate(0.5 * (start + end), (end - start) / period, spin)
+        R_odometry_torso = self._odometry.turn(spin, force, sites, axes)
+        local = self._local
+        local[_COM] = com
+        local[_IMU : _SOLES.stop] = sites
+        local[_AXES] = axes
+        local[_MOMENTUM] = momentum
+        local[_FORCE] = force - self._odometry.force_bias
+        row = self._ring[number % HISTORY]
+        np.matmul(local, R_odometry_torso.T, out=row[: _FORCE + 1])
+        row[_ACCELEROMETER] = force
+        row[_GYROSCOPE] = spin
+
+    def _differentiate(self, number: int) -> None:
+        """Fill in the rates one middle before a packet's, from its neighbours."""
+        ring, period = self._ring, self._period
+        before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
+        bent = before + after - 2.0 * row
+        acceleration = row[_FORCE] + (bent[_COM] - bent[_IMU]) / period**2
+        acceleration[2] -= GRAVITY
+        row[_ACCELERATION] = acceleration
+        row[_MOMENTUM_RATE] = (after[_MOMENTUM] - before[_MOMENTUM]) / (2.0 * period)
+
+    def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
+        """Say what the robot believed to do at a moment.
+
+        Before enough packets have come it is NaN, which calibrators know to leave alone.
+
+        Args:
+            time: The moment in s of the host's clock.
+            stance: Feet that are sure to stand then, shape (2,).
+            swing: Feet that are sure to be in the air then, shape (2,).
+        """
+        if self._run < 3:
+            nothing, soles = np.full(3, np.nan), np.full((2, 3, 3), np.nan)
+            return Reference(nothing, nothing, nothing, soles[..., 0], soles, stance, swing, nothing, nothing)
+        rows = self._at(time)
+        R_level_odometry, origin = _level(rows)
+        level = rows[: _MOMENTUM_RATE + 1] @ R_level_odometry.T
+        level[: _SOLES.stop] -= origin
+        return Reference(
+            level[_COM],
+            level[_ACCELERATION],
+            level[_MOMENTUM_RATE],
+            level[_SOLES],
+            level[_AXES].reshape(2, 3, 3).swapaxes(1, 2),
+            stance,
+            swing,
+            rows[_ACCELEROMETER],
+            rows[_GYROSCOPE],
+        )
+
+    def soles(self, time: float) -> tuple[SolePose, SolePose]:
+        """Tell where the soles are at a moment later than the newest packet, going on as they went.
+
+        Args:
+            time: The moment in s of the host's clock.
+
+        Returns:
+            The left and the right sole in the level frame of that moment.
+        """
+        last = self._last
+        if last is None or self._run < 1 + _SLOPE:
+            return SolePose(0.0, 0.0, 1.0, 0.0), SolePose(0.0, 0.0, 1.0, 0.0)
+        newest, before = self._ring[last.number % HISTORY], self._ring[(last.number - _SLOPE) % HISTORY]
+        ahead = (time - self._middle(last.number)) / self._period
+        ahead = min(max(ahead, 0.0), _FURTHEST) / _SLOPE
+        rows = newest[_POSES]
+        rows = rows + ahead * (rows - before[_POSES])
+        (lx, ly, _), (rx, ry, _), (lu, lv, _), _, _, (ru, rv, _) = rows.tolist()
+        x, y = lu + ru, lv + rv
+        norm = 1.0 / sqrt(x * x + y * y)
+        x, y = x * norm, y * norm
+        dx, dy = 0.5 * (lx - rx), 0.5 * (ly - ry)
+        half_x, half_y = x * dx + y * dy, x * dy - y * dx
+        return (
+            SolePose(half_x, half_y, x * lu + y * lv, x * lv - y * lu),
+            SolePose(-half_x, -half_y, x * ru + y * rv, x * rv - y * ru),
+        )
+
+    def _middle(self, number: int) -> float:
+        """Time on the host's clock of the middle between a packet and the one before."""
+        return self._clock + (number - 0.5) * self._period
+
+    def _at(self, time: float) -> NDArray[np.float64]:
+        """Interpolate the rows that are complete, shape (_ROWS, 3); at their ends, take the end."""
+        last = self._last
+        assert last is not None
+        low, high = last.number - min(self._run, HISTORY - 1) + 2, last.number - 1
+        index = (time - self._clock) / self._period + 0.5
+        index = min(max(index, low), high)
+        number = min(floor(index), high - 1) if high > low else low
+        row = self._ring[number % HISTORY]
+        part = index - number
+        rows: NDArray[np.float64] = row + part * (self._ring[(number + 1) % HISTORY] - row)
+        return rows
+
+
+def _level(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Find the level frame: its rotation from the odometry frame, and its origin in its own axes."""
+    left_x, right_x = rows[_AXES][::3].tolist()
+    x, y = left_x[0] + right_x[0], left_x[1] + right_x[1]
+    norm = 1.0 / sqrt(x * x + y * y)
+    x, y = x * norm, y * norm
+    (lx, ly, lz), (rx, ry, rz) = rows[_SOLES].tolist()
+    mx, my = 0.5 * (lx + rx), 0.5 * (ly + ry)
+    R = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
+    return R, np.array([x * mx + y * my, x * my - y * mx, min(lz, rz)])

@@ -1,0 +1,118 @@
+"""Which way is up and ahead, by a gyroscope that soles on a level floor hold upright.
+
+Kept are two unit vectors in the torso's axes: u, which points up, and h, level, whose heading in the room
+follows the gyroscope alone. A fixed direction d obeys d' = -w x d in axes that turn with w. The upright g by
+the soles that are down pulls u with the time constant T, and what it keeps pulling is the bias b of the
+gyroscope:
+
+    u' = -(w - b) x u + (g - u) / T,        b' = (u x g) / (T T_b).
+
+Vectors of three are handled as plain floats, which is several times faster than NumPy.
+"""
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY
+
+TILT_TIME = 0.3
+"""T in s: how fast the soles hold the tilt upright."""
+
+SPIN_BIAS_TIME = 3.0
+"""T_b in s: how fast they tell the gyroscope's bias."""
+
+REST_TIME = 10.0
+"""Time in s over which the specific force must point up and be g, for the robot does not go on getting
+faster: what is left is the accelerometer's bias."""
+
+SOLE_HEIGHT = 0.003
+"""Height in m above the lower sole at which the other one no longer tells what is level."""
+
+Vector = tuple[float, float, float]
+
+
+class Odometry:
+    """Turns the torso on from one middle between packets to the next.
+
+    Args:
+        period: Time between packets in s.
+
+    Attributes:
+        up: Unit vector against gravity in the torso's axes.
+        force_bias: What the accelerometer shows too much in m/s^2, in its own axes, shape (3,).
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._forward: Vector = (1.0, 0.0, 0.0)
+        self._spin: Vector = (0.0, 0.0, 0.0)
+        self._spin_bias: Vector = (0.0, 0.0, 0.0)
+        self._count = 0
+        self.up: Vector = (0.0, 0.0, 1.0)
+        self.force_bias = np.zeros(3)
+
+    def turn(
+        self,
+        spin: NDArray[np.float64],
+        force: NDArray[np.float64],
+        sites: NDArray[np.float64],
+        axes: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Take in one middle between packets.
+
+        Args:
+            spin: Angular velocity in the torso's axes in rad/s, shape (3,).
+            force: Specific force in the torso's axes in m/s^2, shape (3,).
+            sites: Places of the IMU and of both soles in the torso's frame in m, shape (3, 3).
+            axes: Axes x, y and z of the left and of the right sole in the torso's, shape (6, 3).
+
+        Returns:
+            The rotation from the torso's to the odometry axes, shape (3, 3).
+        """
+        period = self._period
+        self._count += 1
+        wx, wy, wz = spin.tolist()
+        (sx, sy, sz), (bx, by, bz) = self._spin, self._spin_bias
+        self._spin = (wx, wy, wz)
+        tx, ty, tz = (
+            (0.5 * (wx + sx) - bx) * period,
+            (0.5 * (wy + sy) - by) * period,
+            (0.5 * (wz + sz) - bz) * period,
+        )
+        gx, gy, gz = self._upright(sites, axes)
+        x, y, z = self.up
+        x, y, z = x - (ty * z - tz * y), y - (tz * x - tx * z), z - (tx * y - ty * x)
+        share = period / (TILT_TIME * SPIN_BIAS_TIME)
+        self._spin_bias = (
+            bx + share * (y * gz - z * gy),
+            by + share * (z * gx - x * gz),
+            bz + share * (x * gy - y * gx),
+        )
+        # The first middles are averaged: nothing was known before.
+        share = max(1.0 / self._count, period / TILT_TIME)
+        x, y, z = x + share * (gx - x), y + share * (gy - y), z + share * (gz - z)
+        norm = 1.0 / sqrt(x * x + y * y + z * z)
+        x, y, z = self.up = x * norm, y * norm, z * norm
+
+        u, v, w = self._forward
+        u, v, w = u - (ty * w - tz * v), v - (tz * u - tx * w), w - (tx * v - ty * u)
+        along = u * x + v * y + w * z
+        u, v, w = u - along * x, v - along * y, w - along * z
+        norm = 1.0 / sqrt(u * u + v * v + w * w)
+        u, v, w = self._forward = u * norm, v * norm, w * norm
+
+        share = max(1.0 / self._count, period / REST_TIME)
+        R = np.array(((u, v, w), (y * w - z * v, z * u - x * w, x * v - y * u), (x, y, z)))
+        self.force_bias = self.force_bias + share * (force - GRAVITY * R[2] - self.force_bias)
+        return R
+
+    def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:
+        """Tell which way is up by the lower sole, or by both where they are level with each other."""
+        left, right = axes[2].tolist(), axes[5].tolist()
+        x, y, z = self.up
+        dx, dy, dz = (sites[1] - sites[2]).tolist()
+        above = (dx * x + dy * y + dz * z) / SOLE_HEIGHT
+        weight = 0.5 * max(0.0, min(2.0, 1.0 - above))
+        return [weight * a + (1.0 - weight) * b for a, b in zip(left, right, strict=True)]

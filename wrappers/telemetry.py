@@ -1,0 +1,187 @@
+"""What the robot's own computer measures and sends: encoders, IMU and the tilt that it makes of them.
+
+A packet is one flat vector, parts of which :class:`TelemetryLayout` names. It is measured between two
+substeps of the simulation, leaves at once and reaches the host late.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.sensors import Corruption, Encoders, Imu, ImuState, Link, encoders, imu, receive, send
+from surefoot.sensors.link import Packets
+from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
+
+VELOCITY_TIME_CONSTANT = 0.02
+"""Time constant in s of the low-pass filter on differences of encoder readings."""
+
+PACKETS_BEFORE_START = 12
+"""How many packets the robot has sent at rest before an episode begins."""
+
+
+class TelemetryLayout:
+    """Where each part lies in a packet.
+
+    Args:
+        joints: Number of joints J.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.joint_position = slice(0, joints)
+        self.joint_velocity = slice(joints, 2 * joints)
+        self.tilt = slice(2 * joints, 2 * joints + 2)
+        self.gyroscope = slice(2 * joints + 2, 2 * joints + 5)
+        self.accelerometer = slice(2 * joints + 5, 2 * joints + 8)
+        self.size = 2 * joints + 8
+
+
+class Computer(NamedTuple):
+    """The sensors and what the robot's computer makes of them.
+
+    Attributes:
+        imu: State of the IMU.
+        encoders: State of the encoders.
+        attitude: What the computer believes of its tilt.
+        position: The last encoder readings in rad, shape (J,).
+        velocity: Their filtered differences in rad/s, shape (J,).
+    """
+
+    imu: ImuState
+    encoders: Any
+    attitude: Attitude
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+
+
+class TelemetryState(NamedTuple):
+    """The robot's side of the link.
+
+    Attributes:
+        computer: Sensors and computer.
+        inertial: Sum of the IMU's true values since the last packet, shape (6,).
+        substeps: How many are in that sum.
+        due: Time to the next packet in s.
+        number: Number of the next packet.
+        under_way: Packets that have not arrived.
+    """
+
+    computer: Computer
+    inertial: NDArray[np.float64]
+    substeps: int
+    due: float
+    number: int
+    under_way: Packets
+
+
+class Telemetry:
+    """Builds packets of the truth of control steps and delivers them late.
+
+    Args:
+        joints: Number of joints J.
+        imu_config: The IMU.
+        encoder_config: The encoders.
+        link: The link to the host.
+        dt: Duration of a control step in s.
+        substeps: Rows of truth in a control step.
+    """
+
+    def __init__(
+        self, joints: int, imu_config: Imu, encoder_config: Encoders, link: Link, dt: float, substeps: int
+    ) -> None:
+        self.layout = TelemetryLayout(joints)
+        self.link = link
+        self.dt = dt
+        self.substep = dt / substeps
+        self.period = dt if link.rate is None else 1.0 / link.rate
+        self.averaged = imu_config.averaged
+        self._imu: Corruption[ImuState] = imu(imu_config)
+        self._encoders: Corruption[Any] = encoders(encoder_config)
+        self._smoothing = self.period / (self.period + VELOCITY_TIME_CONSTANT)
+        if encoder_config.resolution == 0.0 and encoder_config.noise_std == 0.0:
+            self._smoothing = 1.0
+
+    def init(
+        self, position: NDArray[np.float64], inertial: NDArray[np.float64], rng: np.random.Generator
+    ) -> tuple[Packets, TelemetryState]:
+        """Switch the robot on at rest, some packets before time 0.
+
+        Args:
+            position: Joint positions in rad, shape (J,).
+            inertial: Specific force in m/s^2 and angular velocity in rad/s at the IMU, shape (6,).
+            rng: Where errors and noise come from.
+
+        Returns:
+            The packets that have arrived by time 0, at least one, and the state.
+        """
+        imu_state, encoder_state = self._imu.init((6,), rng), self._encoders.init(position.shape, rng)
+        reading, encoder_state = self._encoders.apply(position, encoder_state, rng, self.period)
+        computer = Computer(imu_state, encoder_state, UPRIGHT, reading, np.zeros_like(reading))
+        under_way: Packets = ()
+        for number in range(PACKETS_BEFORE_START):
+            time = (number + 1 - PACKETS_BEFORE_START) * self.period
+            values, computer = self._measure(position, inertial, computer, rng)
+            under_way = send(values, number, time, under_way, self.link, rng)
+        arrived, under_way = receive(under_way, 0.0)
+        return arrived, TelemetryState(computer, np.zeros(6), 0, self.period, PACKETS_BEFORE_START, under_way)
+
+    def advance(
+        self,
+        position: NDArray[np.float64],
+        inertial: NDArray[np.float64],
+        time: float,
+        state: TelemetryState,
+        rng: np.random.Generator,
+    ) -> tuple[Packets, TelemetryState]:
+        """Measure a control step.
+
+        Args:
+            position: Joint positions at the ends of its S substeps in rad, shape (S, J).
+            inertial: Specific force in m/s^2 and angular velocity in rad/s at the IMU, shape (S, 6).
+            time: The host's time at its end in s.
+            state: The robot's side before it.
+            rng: Where noise comes from.
+
+        Returns:
+            The packets that have arrived by its end, in order, and the state.
+        """
+        computer, total, count, due, number, under_way = state
+        start, row, rows = time - self.dt, 0, len(position)
+        while due <= self.dt + 1e-9:
+            # The row at whose time the packet is due, or the first after it.
+            last = min(max(int(due / self.substep - 1e-6), row), rows - 1)
+            if self.averaged:
+                felt = np.add.reduce(inertial[row : last + 1])
+                felt = (felt + total) / (count + last + 1 - row)
+            else:
+                felt = inertial[last]
+            total, count = _NOTHING, 0
+            values, computer = self._measure(position[last], felt, computer, rng)
+            under_way = send(values, number, start + due, under_way, self.link, rng)
+            number, row, due = number + 1, last + 1, due + self.period
+        if row < rows and self.averaged:
+            total, count = total + np.add.reduce(inertial[row:]), count + rows - row
+        arrived, under_way = receive(under_way, time)
+        return arrived, TelemetryState(computer, total, count, due - self.dt, number, under_way)
+
+    def _measure(
+        self,
+        position: NDArray[np.float64],
+        inertial: NDArray[np.float64],
+        computer: Computer,
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float64], Computer]:
+        """Read the sensors once and fill a packet."""
+        imu_state, encoder_state, attitude, before, velocity = computer
+        period = self.period
+        angle, encoder_state = self._encoders.apply(position, encoder_state, rng, period)
+        sample, imu_state = self._imu.apply(inertial, imu_state, rng, period)
+        fx, fy, fz, wx, wy, wz = sample.tolist()
+        attitude = update(attitude, (wx, wy, wz), (fx, fy, fz), period)
+        velocity = velocity + self._smoothing * ((angle - before) / period - velocity)
+        inertial_part = (attitude.roll, attitude.pitch, wx, wy, wz, fx, fy, fz)
+        values = np.concatenate((angle, velocity, inertial_part))
+        return values, Computer(imu_state, encoder_state, attitude, angle, velocity)
+
+
+_NOTHING: NDArray[np.float64] = np.zeros(6)
