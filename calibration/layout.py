@@ -185,6 +185,6 @@ def nao_shoe_layout() -> FeetLayout:
     8
     """
     corner = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) * (0.085, 0.049)
-    left = FootLayout.load_cells("left", corner + (0.02397, 0.00676))
-    right = FootLayout.load_cells("right", corner + (0.02397, -0.00676))
+    left = FootLayout.load_cells("left", corner + np.array([0.02397, 0.00676]))
+    right = FootLayout.load_cells("right", corner + np.array([0.02397, -0.00676]))
     return FeetLayout((left, right))

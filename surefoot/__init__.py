@@ -24,4 +24,4 @@ def __getattr__(name: str) -> Any:
 
 
 if find_spec("gymnasium") is not None and find_spec("mujoco") is not None:
-    import_module("surefoot.envs.registration").register_environments()
+    import_module("surefoot.registration").register_environments()

@@ -1,0 +1,84 @@
+"""Time one update of the sliding window: 40 samples, 5 iterations, 16 parameters (the CoP paper: 2.5 ms).
+
+Run ``OMP_NUM_THREADS=1 python benchmarks/window_update.py``. Methods take turns sample by sample in one
+process, so that what else the machine does hits all of them alike. No test asserts these figures.
+"""
+
+import argparse
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import (
+    GRAVITY,
+    METHODS,
+    OnlineSetup,
+    Parameters,
+    Reference,
+    nao_shoe_layout,
+    online_method,
+)
+
+DT = 1.0 / 80.0
+MASS = 5.305
+
+
+def stepping_robot(samples: int, robots: int, seed: int = 0) -> tuple[NDArray[np.float64], Reference]:
+    """Shift the weight from foot to foot once in 0.8 s; readings in N with gains off by 10 %."""
+    rng = np.random.default_rng(seed)
+    moment = np.arange(samples) * DT
+    share = np.clip(0.5 + np.sin(2 * np.pi * moment / 1.6), 0.0, 1.0)
+    load = np.repeat(np.stack([share, 1.0 - share], axis=1), 4, axis=1) * MASS * GRAVITY / 4.0
+    gain = 1.0 + 0.1 * rng.normal(size=(robots, 8))
+    reading = load[:, None] * gain + 0.05 * rng.normal(size=(samples, robots, 8))
+    soles = np.array([(0.0, 0.05, 0.0), (0.0, -0.05, 0.0)])
+    zero = np.zeros((samples, robots, 3))
+    com = zero + np.stack([0.024 + 0 * share, 0.1 * share - 0.05, 0.26 + 0 * share], axis=1)[:, None]
+    standing = np.stack([share > 0.0, share < 1.0], axis=1)[:, None].repeat(robots, axis=1)
+    return reading, Reference(
+        com=com,
+        com_acceleration=zero,
+        angular_momentum_rate=zero,
+        position_sole=np.broadcast_to(soles, (samples, robots, 2, 3)),
+        R_level_sole=np.broadcast_to(np.eye(3), (samples, robots, 2, 3, 3)),
+        stance=standing,
+        swing=~standing,
+        accelerometer=zero + np.array([0.0, 0.0, GRAVITY]),
+        gyroscope=zero,
+    )
+
+
+def measure(samples: int, robots: int) -> None:
+    """Print medians for all methods over a batch of robots; a batch of one is left unbatched."""
+    reading, reference = stepping_robot(samples, robots)
+    if robots == 1:
+        reading, reference = reading[:, 0], Reference(*(part[:, 0] for part in reference))
+    layout = nao_shoe_layout()
+    setup = OnlineSetup(layout=layout, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
+    methods = {name: online_method(name, setup) for name in METHODS}
+    states = {name: method.init(reading[0]) for name, method in methods.items()}
+    seconds: dict[str, list[float]] = {name: [] for name in methods}
+    for k in range(samples):
+        row = Reference(*(part[k] for part in reference))
+        for name, method in methods.items():
+            start = time.perf_counter()
+            states[name], _ = method.update(states[name], reading[k], row, DT)
+            seconds[name].append(time.perf_counter() - start)
+    print(f"{robots} robot(s), {samples} samples, microseconds for each robot:")
+    settled = np.arange(samples) >= 300
+    solving = (np.arange(samples) + 1) % 4 == 0
+    for name, taken in seconds.items():
+        spent = 1e6 * np.array(taken) / robots
+        with_solve, without = (np.median(spent[settled & part]) for part in (solving, ~solving))
+        mean = spent[settled].mean()
+        print(f"  {name:14s} sample {without:8.2f}   with update {with_solve:8.2f}   mean {mean:8.2f}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, default=2000)
+    parser.add_argument("--robots", type=int, nargs="+", default=[1, 256])
+    arguments = parser.parse_args()
+    for robots in arguments.robots:
+        measure(arguments.samples if robots == 1 else min(arguments.samples, 600), robots)

@@ -1,0 +1,42 @@
+"""What keeps the array API cheap in a loop that runs at every sample; private.
+
+Finding an array's library and converting constants to its kind cost microseconds at every call, as much as
+the arithmetic of one sample: a loop on a robot pays for them once.
+"""
+
+from typing import Any
+
+import array_api_compat
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.calibration._arrays import constant_like
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+# NumPy from 2.1 on follows the standard by itself, without the wrappers of array_api_compat.
+_PLAIN_NUMPY = hasattr(np, "astype") and hasattr(np, "matrix_transpose")
+
+
+def namespace_of(array: Array) -> Any:
+    """Find the library of an array: ``array_namespace`` with a short way for NumPy."""
+    if _PLAIN_NUMPY and isinstance(array, np.ndarray | np.generic):
+        return np
+    return array_api_compat.array_namespace(array)
+
+
+class Constants:
+    """NumPy constants that are handed out in the library, dtype and device of an array."""
+
+    def __init__(self, *values: ArrayLike) -> None:
+        self._values = [np.asarray(value) for value in values]
+        self._cache: dict[Any, tuple[Array, ...]] = {}
+
+    def like(self, array: Array) -> tuple[Array, ...]:
+        """Give the constants as floating-point arrays of this one's kind."""
+        key = (type(array), array.dtype, getattr(array, "device", None))
+        known = self._cache.get(key)
+        if known is None:
+            known = self._cache[key] = tuple(constant_like(value, array) for value in self._values)
+        return known

@@ -1,0 +1,127 @@
+r"""Low-pass filters of forces and of what the motion says: causal for streams, zero-phase for logs.
+
+The CoP paper smooths forces and accelerations with a zero-phase filter of 10 Hz. Such a filter looks into
+the future: it can replay a log but never run on a robot. In a stream the same second-order Butterworth filter
+runs forwards only; it delays by about :math:`\sqrt 2 / (2 \pi f_c)` (23 ms at 10 Hz), which does no harm
+where **both** sides of a comparison pass it. It is a difference equation
+
+.. math:: y_k = b_0 x_k + b_1 x_{k-1} + b_2 x_{k-2} - a_1 y_{k-1} - a_2 y_{k-2}
+
+in transposed direct form II, written as one matrix that takes (input, two states) to (output, two states).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from surefoot.calibration._constants import Constants, namespace_of
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+class LowPass(NamedTuple):
+    """A causal filter as a pair of pure functions over arrays of shape (..., C): C signals side by side.
+
+    Attributes:
+        init: ``init(signal) -> state``: the state of a filter that has seen this value for ever, shape
+            (..., 2, C).
+        apply: ``apply(signal, state) -> (filtered, state)``.
+    """
+
+    init: Callable[[Array], Array]
+    apply: Callable[[Array, Array], tuple[Array, Array]]
+
+
+def low_pass(cutoff: float, dt: float) -> LowPass:
+    """Build the causal second-order Butterworth low-pass filter.
+
+    Args:
+        cutoff: Frequency at which half of the power passes, in Hz.
+        dt: Time between samples in s.
+
+    Raises:
+        ValueError: If the cutoff does not lie between zero and half of the sample rate.
+
+    >>> import numpy as np
+    >>> init, apply = low_pass(10.0, 1 / 80)
+    >>> state = init(np.zeros(1))
+    >>> filtered, state = apply(np.ones(1), state)
+    >>> filtered.round(4)
+    array([0.0976])
+    """
+    constants = Constants(*_coefficients(cutoff, dt))
+
+    def init(signal: Array) -> Array:
+        _, steady = constants.like(signal)
+        return steady * signal[..., None, :]
+
+    def apply(signal: Array, state: Array) -> tuple[Array, Array]:
+        xp = namespace_of(signal)
+        transition, _ = constants.like(signal)
+        both = xp.matmul(transition, xp.concat([signal[..., None, :], state], axis=-2))
+        return both[..., 0, :], both[..., 1:, :]
+
+    return LowPass(init, apply)
+
+
+def zero_phase(values: NDArray[np.float64], cutoff: float, dt: float) -> NDArray[np.float64]:
+    """Filter a whole log forwards and backwards, so that nothing is delayed.
+
+    Missing values are bridged by straight lines for the filter's sake and are missing again in the result.
+
+    Args:
+        values: The log along the first axis, shape (N, ...). NaN and infinite values count as missing.
+        cutoff: Cutoff of each of the two passes in Hz.
+        dt: Time between samples in s.
+
+    Returns:
+        The filtered log, shape (N, ...).
+
+    Raises:
+        ValueError: If the cutoff does not lie between zero and half of the sample rate.
+    """
+    _check(cutoff, dt)
+    flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
+    known = np.isfinite(flat)
+    index = np.arange(len(flat))
+    for column in np.flatnonzero(~known.all(axis=0) & known.any(axis=0)):
+        seen = known[:, column]
+        flat[~seen, column] = np.interp(index[~seen], index[seen], flat[seen, column])
+    flat[:, ~known.any(axis=0)] = 0.0
+    sections = signal.butter(2, cutoff, fs=1.0 / dt, output="sos")
+    filtered = signal.sosfiltfilt(
+        sections, flat, axis=0, padlen=min(len(flat) - 1, round(1.0 / (cutoff * dt)))
+    )
+    filtered[~known] = np.nan
+    result: NDArray[np.float64] = filtered.reshape(np.shape(values))
+    return result
+
+
+def _coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Write the filter as its matrix, shape (3, 3), and its state per unit of a constant, shape (2, 1)."""
+    _check(cutoff, dt)
+    coefficients: Any = signal.butter(2, cutoff, fs=1.0 / dt)
+    b, a = coefficients
+    transition = np.array(
+        [
+            [b[0], 1.0, 0.0],
+            [b[1] - a[1] * b[0], -a[1], 1.0],
+            [b[2] - a[2] * b[0], -a[2], 0.0],
+        ]
+    )
+    steady = np.array([[1.0 - b[0]], [b[2] - a[2]]])
+    return transition, steady
+
+
+def _check(cutoff: float, dt: float) -> None:
+    """Refuse a cutoff that the sample rate cannot carry."""
+    if not dt > 0.0:
+        raise ValueError(f"'dt' must be a positive time between samples in s, got {dt}.")
+    if not 0.0 < cutoff < 0.5 / dt:
+        raise ValueError(
+            f"'cutoff' must lie between 0 and half of the sample rate, {0.5 / dt:g} Hz, got {cutoff}."
+        )

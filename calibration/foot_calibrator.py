@@ -1,0 +1,142 @@
+"""A calibrator for people at a robot: an online method that keeps its own state."""
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from array_api_compat import is_array_api_obj
+from numpy.typing import ArrayLike
+
+from surefoot.calibration._setup import setup_from_options
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.online import online_method
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import Reference
+from surefoot.calibration.state import load_state, save_state
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+class FootCalibrator:
+    """Calibrate the feet of a robot while it moves.
+
+    A thin object over the pure functions of :mod:`surefoot.calibration.online`: it makes a state that fits
+    the first reading and carries it along.
+
+    Args:
+        layout: How the channels make up the feet's wrenches.
+        method: A key of :data:`~surefoot.calibration.online.METHODS`.
+        mass: Mass of the robot as it believes it, in kg.
+        initial: The map to start from, the nominal or the bench calibration; by default readings are taken
+            for newtons.
+        dt: Nominal time between samples in s.
+        lag: How many samples ago the foot sample was taken that a reference describes: 2 at 80 Hz for
+            telemetry that comes 20 ms late, 0 without delay.
+        options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
+            method.
+
+    Raises:
+        ValueError: If the method or an option does not exist, or a value has no meaning.
+
+    >>> import numpy as np
+    >>> from surefoot.calibration.layout import nao_shoe_layout
+    >>> calibrator = FootCalibrator(nao_shoe_layout(), "none", mass=5.3, lag=0)
+    >>> eye = np.broadcast_to(np.eye(3), (2, 3, 3))
+    >>> soles = np.array([(0.0, 0.05, 0.0), (0.0, -0.05, 0.0)])
+    >>> at_rest = Reference(
+    ...     com=np.array([0.02397, 0.0, 0.26]),
+    ...     com_acceleration=np.zeros(3),
+    ...     angular_momentum_rate=np.zeros(3),
+    ...     position_sole=soles,
+    ...     R_level_sole=eye,
+    ...     stance=np.ones(2, bool),
+    ...     swing=np.zeros(2, bool),
+    ...     accelerometer=np.array([0.0, 0.0, 9.81]),
+    ...     gyroscope=np.zeros(3),
+    ... )
+    >>> estimate = calibrator.update(np.full(8, 6.5), at_rest)
+    >>> estimate.vgrf, estimate.cop.round(4)
+    (array([26., 26.]), array([0.024, 0.   ]))
+    """
+
+    def __init__(
+        self,
+        layout: FeetLayout,
+        method: str = "window",
+        *,
+        mass: float,
+        initial: Parameters | None = None,
+        dt: float = 1.0 / 80.0,
+        lag: int = 2,
+        **options: Any,
+    ) -> None:
+        self.method = method
+        self.setup, options = setup_from_options(
+            layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
+        )
+        self._init, self._update = online_method(method, self.setup, **options)
+        self._state: Any = None
+
+    @property
+    def state(self) -> Any:
+        """The state, a value that can be kept; ``None`` before the first sample."""
+        return self._state
+
+    def update(self, raw: ArrayLike | Array, reference: Reference, dt: float | None = None) -> Estimate:
+        """Take in one sample of one robot or of a batch.
+
+        Args:
+            raw: Readings, shape (..., K): an array of any library, or numbers. NaN: no sample arrived.
+            reference: The robot's beliefs ``lag`` samples ago, in arrays of the same library.
+            dt: Time since the last sample in s; the nominal one by default.
+
+        Returns:
+            The calibrated sample.
+
+        Raises:
+            ValueError: If an array has a wrong shape, or another batch shape or dtype than the first one had.
+        """
+        if not is_array_api_obj(raw) or (isinstance(raw, np.ndarray) and raw.dtype.kind in "iu"):
+            raw = np.asarray(raw, dtype=np.float64)
+        state = self._init(raw) if self._state is None else self._state
+        self._state, estimate = self._update(state, raw, reference, self.setup.dt if dt is None else dt)
+        return estimate
+
+    def reset(self) -> None:
+        """Forget everything: the next sample begins from the starting map."""
+        self._state = None
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write everything that was learnt to a file, an ``.npz`` without pickles.
+
+        Raises:
+            RuntimeError: If no sample came yet.
+        """
+        if self._state is None:
+            raise RuntimeError("There is nothing to save before the first update().")
+        save_state(path, self._state, **self._notes())
+
+    def load(self, path: str | PathLike[str], like: Array | None = None) -> None:
+        """Go on from a file that :meth:`save` wrote, bit for bit.
+
+        Args:
+            path: The file.
+            like: Readings of the kind to come, shape (..., K), for a batch, another dtype than float64, or
+                another library than NumPy; not needed once there was a sample.
+
+        Raises:
+            ValueError: If the file is not from this method and layout, or its arrays do not fit.
+        """
+        if like is None:
+            like = np.zeros(self.setup.layout.channels) if self._state is None else self._state_like()
+        self._state = load_state(path, self._init(like), **self._notes())
+
+    def _state_like(self) -> Array:
+        front = self._state if hasattr(self._state, "history") else self._state.front
+        return front.raw
+
+    def _notes(self) -> dict[str, str]:
+        """Name what a saved state belongs to."""
+        return {"method": self.method, "channels": " ".join(self.setup.layout.channel_names)}

@@ -1,0 +1,109 @@
+"""Run an online method over a log: as the robot would have, or with hindsight.
+
+Causal replay is the stream itself, sample by sample: what comes out is what the robot would have known.
+With ``zero_phase`` the forces and the accelerations pass the CoP paper's zero-phase filter of 10 Hz first,
+which no robot could do, and the method then filters nothing; use that to compare with the paper, never to
+judge a controller.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration._front_end import FrontEnd
+from surefoot.calibration._setup import setup_from_options
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.filters import zero_phase as filter_zero_phase
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.online import METHODS, online_method
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import Reference
+
+PAPER_CUTOFF = 10.0
+"""Cutoff of the CoP paper's zero-phase filter in Hz."""
+
+
+def replay(
+    layout: FeetLayout,
+    method: str,
+    raw: NDArray[np.float64],
+    reference: Reference,
+    dt: float | NDArray[np.float64] = 1.0 / 80.0,
+    *,
+    mass: float,
+    initial: Parameters | None = None,
+    lag: int = 2,
+    zero_phase: bool = False,
+    **options: Any,
+) -> Estimate:
+    """Run a method over a whole log.
+
+    Args:
+        layout: How the channels make up the feet's wrenches.
+        method: A key of :data:`~surefoot.calibration.online.METHODS`.
+        raw: Readings, shape (N, ..., K): time first, then any batch of robots.
+        reference: The robot's beliefs as they were known at each sample, N first in each field.
+        dt: Time between samples in s, or the times since the sample before, shape (N,).
+        mass: Mass of the robot as it believes it, in kg.
+        initial: The map to start from; by default readings are taken for newtons.
+        lag: How many samples before its row a row's reference describes.
+        zero_phase: Whether to filter readings and accelerations forwards and backwards before; the forces
+            that come out are still those of the unfiltered readings.
+        options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
+            method.
+
+    Returns:
+        The estimates of all samples, N first in each field.
+
+    Raises:
+        ValueError: If a field has another length than the readings, or an array or option does not fit.
+    """
+    readings = np.asarray(raw)
+    if readings.dtype.kind != "f":
+        readings = readings.astype(np.float64)
+    layout.check_raw(readings)
+    if readings.ndim < 2 or len(readings) == 0:
+        raise ValueError(f"'raw' must have shape (samples, ..., channels), got {readings.shape}.")
+    log = Reference(*(np.asarray(part) for part in reference))
+    for field, part in zip(Reference._fields, log, strict=True):
+        if part.shape[:1] != readings.shape[:1]:
+            raise ValueError(
+                f"'reference.{field}' must have one row for each of the {len(readings)} rows of 'raw', "
+                f"got shape {part.shape}."
+            )
+    steps = np.broadcast_to(np.asarray(dt, dtype=np.float64), len(readings))
+    nominal = float(np.median(steps))
+    setup, options = setup_from_options(
+        layout, mass=mass, initial=initial, dt=nominal, lag=lag, options=options
+    )
+
+    learnt_from, learnt_with = readings, log
+    if zero_phase:
+        cutoff = options.pop("cutoff", None) or PAPER_CUTOFF
+        if method in METHODS and "cutoff" in getattr(METHODS[method].config, "__dataclass_fields__", {}):
+            options["cutoff"] = None
+        learnt_from = filter_zero_phase(readings, cutoff, nominal).astype(readings.dtype)
+        learnt_with = log._replace(
+            com_acceleration=filter_zero_phase(log.com_acceleration, cutoff, nominal),
+            angular_momentum_rate=filter_zero_phase(log.angular_momentum_rate, cutoff, nominal),
+        )
+    init, update = online_method(method, setup, **options)
+    front_end = FrontEnd(setup)
+    state, front = init(readings[0]), front_end.init(readings[0])
+    estimates = []
+    for k in range(len(readings)):
+        step = float(steps[k])
+        row = Reference(*(part[k] for part in learnt_with))
+        state, estimate = update(state, learnt_from[k], row, step)
+        if zero_phase:
+            front, sample = front_end.observe(front, readings[k], Reference(*(part[k] for part in log)), step)
+            estimate = front_end.estimate(
+                sample,
+                estimate.scale / setup.initial.scale,
+                estimate.offset - estimate.scale / setup.initial.scale * setup.initial.offset,
+                covariance=estimate.covariance,
+            )._replace(flags=estimate.flags | sample.flags)
+        estimates.append(estimate)
+    columns: list[Any] = list(zip(*estimates, strict=True))
+    return Estimate(*(None if column[0] is None else np.stack(column) for column in columns))

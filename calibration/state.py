@@ -1,0 +1,99 @@
+"""Keeping the state of an online method: to a file and back without losing a bit.
+
+A state is a tree of ``NamedTuple`` with arrays and whole numbers at its leaves. The file is a plain
+``.npz`` with one entry a leaf, named by its path such as ``"front.raw"``, and no pickles.
+"""
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace, is_array_api_obj
+from array_api_compat import device as device_of
+from numpy.typing import NDArray
+
+_FORMAT = "surefoot-state-1"
+
+
+def save_state(path: str | PathLike[str], state: Any, **notes: str) -> None:
+    """Write a state to a file.
+
+    Args:
+        path: Where to; the name is used as it is given.
+        state: The state of an online method.
+        notes: Texts to keep with it, checked again by :func:`load_state`.
+    """
+    leaves = {f"state.{name}": _to_numpy(leaf) for name, leaf in _leaves(state).items()}
+    texts = {f"note.{name}": np.asarray(text) for name, text in notes.items()}
+    with open(path, "wb") as file:
+        np.savez(file, format=np.asarray(_FORMAT), **texts, **leaves)  # type: ignore[arg-type]
+
+
+def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
+    """Read a state from a file.
+
+    Args:
+        path: A file that :func:`save_state` wrote.
+        like: A state of the same method and setup, such as a fresh one: it tells the library, the device and
+            what must fit. It is not changed.
+        notes: Texts that must be as they were saved.
+
+    Returns:
+        The saved state.
+
+    Raises:
+        ValueError: If the file is no state, or not one of this method, shape and dtype.
+    """
+    with np.load(path, allow_pickle=False) as file:
+        if "format" not in file or str(file["format"]) != _FORMAT:
+            raise ValueError(f"'{path}' is not a saved state: it lacks the mark '{_FORMAT}'.")
+        for name, text in notes.items():
+            saved = str(file[f"note.{name}"]) if f"note.{name}" in file else "nothing"
+            if saved != text:
+                raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
+        saved_leaves = {name[6:]: file[name] for name in file.files if name.startswith("state.")}
+    wanted = _leaves(like)
+    if set(wanted) != set(saved_leaves):
+        odd = sorted(set(wanted) ^ set(saved_leaves))
+        raise ValueError(f"'{path}' holds the state of another method: {odd} are not in both.")
+    for name, leaf in wanted.items():
+        expected, found = _to_numpy(leaf), saved_leaves[name]
+        if expected.shape != found.shape or expected.dtype != found.dtype:
+            raise ValueError(
+                f"'{name}' in '{path}' has shape {found.shape} and dtype {found.dtype}, but this state needs "
+                f"{expected.shape} and {expected.dtype}: layout, batch, lag and window must be as they were "
+                "saved."
+            )
+    return _rebuild(like, saved_leaves, "")
+
+
+def _leaves(state: Any, path: str = "") -> dict[str, Any]:
+    """List the leaves of a state by their paths."""
+    if isinstance(state, tuple) and hasattr(state, "_fields"):
+        result: dict[str, Any] = {}
+        for field in state._fields:
+            result |= _leaves(getattr(state, field), f"{path}.{field}" if path else field)
+        return result
+    return {path: state}
+
+
+def _rebuild(like: Any, leaves: dict[str, NDArray[Any]], path: str) -> Any:
+    """Put leaves back into a tree of the same form."""
+    if isinstance(like, tuple) and hasattr(like, "_fields"):
+        return type(like)(
+            *(
+                _rebuild(getattr(like, field), leaves, f"{path}.{field}" if path else field)
+                for field in like._fields
+            )
+        )
+    value = leaves[path]
+    if not is_array_api_obj(like):
+        return type(like)(value)
+    return array_namespace(like).asarray(value, device=device_of(like))
+
+
+def _to_numpy(leaf: Any) -> NDArray[Any]:
+    """Bring a leaf to NumPy."""
+    if hasattr(leaf, "detach"):
+        leaf = leaf.detach().cpu()
+    return np.asarray(leaf)

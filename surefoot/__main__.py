@@ -1,0 +1,37 @@
+"""The ``surefoot`` command, also as ``python -m surefoot``."""
+
+import sys
+from importlib.util import find_spec
+
+NEEDED = (
+    "typer",
+    "rich",
+    "pandas",
+    "pyarrow",
+    "matplotlib",
+    "jinja2",
+    "joblib",
+    "gymnasium",
+    "mujoco",
+    "mink",
+)
+
+
+def main() -> None:
+    """Run the command, or say what to install for it."""
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        print(
+            f"surefoot: the command needs {', '.join(missing)}; install it with "
+            '`pip install "surefoot[experiments]"`.\n'
+            "The calibrators themselves need no more: import surefoot.calibration.",
+            file=sys.stderr,
+        )
+        raise SystemExit(2)
+    from surefoot.experiments.cli import app
+
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+import numpy as np
+import pytest
+from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, walk
+
+from surefoot.calibration import (
+    METHODS,
+    FeetLayout,
+    FootCalibrator,
+    FootLayout,
+    Parameters,
+    Reference,
+    replay,
+)
+from surefoot.calibration.state import load_state
+
+FAULTS = Faults.bad()
+
+
+@pytest.fixture(scope="module")
+def log():
+    return walk(1, 0.04, 3.0, 1.0, FAULTS)
+
+
+def rows(log):
+    return [Reference(*(part[k] for part in log.reference)) for k in range(len(log.raw))]
+
+
+def make(method="window", **options):
+    options = {"mass": believed_mass(FAULTS), "initial": NOMINAL, **options}
+    return FootCalibrator(LAYOUT, method, **options)
+
+
+@pytest.mark.parametrize("method", list(METHODS))
+def test_the_object_is_the_stream_and_the_replay(log, method):
+    calibrator = make(method)
+    streamed = [calibrator.update(raw, row, DT) for raw, row in zip(log.raw, rows(log), strict=True)]
+    replayed = replay(LAYOUT, method, log.raw, log.reference, DT, mass=believed_mass(FAULTS), initial=NOMINAL)
+    for field in ("force", "cop", "cop_foot", "scale", "offset", "flags", "vgrf"):
+        expected = np.stack([getattr(estimate, field) for estimate in streamed])
+        np.testing.assert_array_equal(getattr(replayed, field), expected)
+    assert replayed.covariance is None
+
+
+@pytest.mark.parametrize("method", list(METHODS))
+def test_saved_and_loaded_it_goes_on_bit_for_bit(log, method, tmp_path):
+    whole, first, second = make(method), make(method), make(method)
+    path = tmp_path / "feet.calibration"
+    for k, (raw, row) in enumerate(zip(log.raw, rows(log), strict=True)):
+        expected = whole.update(raw, row)
+        if k < 150:
+            first.update(raw, row)
+        if k == 149:
+            first.save(path)
+            second.load(path)
+        if k >= 150:
+            found = second.update(raw, row)
+    for a, b in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_batch_and_single_precision_load_where_told(log, tmp_path):
+    force = NOMINAL.force(log.raw).astype(np.float32)[:, None].repeat(3, axis=1)
+    batch = Reference(*(part[:, None].repeat(3, axis=1) for part in log.reference))
+    identity = Parameters(np.ones(8), np.zeros(8))
+    first, second, third = (make(initial=identity) for _ in range(3))
+    for k in range(60):
+        first.update(force[k], Reference(*(part[k] for part in batch)))
+    first.save(tmp_path / "batch.npz")
+    second.load(tmp_path / "batch.npz", like=force[0])
+    row = Reference(*(part[60] for part in batch))
+    one, two = first.update(force[60], row), second.update(force[60], row)
+    assert two.force.dtype == np.float32
+    np.testing.assert_array_equal(one.scale, two.scale)
+    with pytest.raises(ValueError, match="layout, batch, lag and window must be as they were saved"):
+        third.load(tmp_path / "batch.npz")
+    first.load(tmp_path / "batch.npz")
+    np.testing.assert_array_equal(first.update(force[60], row).scale, one.scale)
+
+
+def test_a_state_of_something_else_is_refused(log, tmp_path):
+    window, tare = make(), make("tare")
+    window.update(log.raw[0], rows(log)[0])
+    window.save(tmp_path / "window.npz")
+    with pytest.raises(ValueError, match="was saved for method 'window', but this is 'tare'"):
+        tare.load(tmp_path / "window.npz")
+    left, right = (FootLayout.load_cells(name, LAYOUT.feet[0].position_cell_sole) for name in ("a", "b"))
+    other = FootCalibrator(FeetLayout((left, right)), mass=MASS)
+    with pytest.raises(
+        ValueError, match=r"was saved for channels 'left/front-left .*, but this is 'a/front-left"
+    ):
+        other.load(tmp_path / "window.npz")
+    tare.update(log.raw[0], rows(log)[0])
+    with pytest.raises(ValueError, match="holds the state of another method"):
+        load_state(tmp_path / "window.npz", tare.state)
+    with pytest.raises(ValueError, match=r"shape .* but this state needs"):
+        make(lag=5).load(tmp_path / "window.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(ValueError, match="is not a saved state"):
+        window.load(tmp_path / "other.npz")
+
+
+def test_there_is_nothing_to_save_before_the_first_sample(tmp_path):
+    with pytest.raises(RuntimeError, match=r"nothing to save before the first update\(\)"):
+        make().save(tmp_path / "nothing.npz")
+
+
+def test_reset_begins_from_the_starting_map(log):
+    calibrator = make()
+    for raw, row in zip(log.raw, rows(log), strict=True):
+        learnt = calibrator.update(raw, row)
+    assert not np.array_equal(learnt.scale, NOMINAL.scale)
+    calibrator.reset()
+    assert calibrator.state is None
+    np.testing.assert_array_equal(calibrator.update(log.raw[0], rows(log)[0]).scale, NOMINAL.scale)
+
+
+def test_counts_may_be_whole_numbers_or_a_list(log):
+    counts = np.round(log.raw[0]).astype(np.int64)
+    row = rows(log)[0]
+    expected = make().update(counts.astype(float), row)
+    np.testing.assert_array_equal(make().update(counts, row).force, expected.force)
+    np.testing.assert_array_equal(make().update(counts.tolist(), row).force, expected.force)
+
+
+def test_without_a_map_readings_are_newtons(log):
+    calibrator = FootCalibrator(LAYOUT, "none", mass=MASS)
+    force = np.arange(8.0)
+    np.testing.assert_array_equal(calibrator.update(force, rows(log)[0]).force, force)
+
+
+def test_options_of_the_robot_and_of_the_method_are_told_apart(log):
+    calibrator = make(force_threshold=60.0, window=0.25, cutoff=None)
+    assert not calibrator.update(log.raw[0], rows(log)[0]).cop_valid
+    with pytest.raises(ValueError, match="Method 'tare' has no option 'window'"):
+        make("tare", window=0.25)
+    with pytest.raises(ValueError, match="Method 'wndow' does not exist"):
+        make("wndow")
+    with pytest.raises(ValueError, match="'delta_cop' must be positive and finite, got -1"):
+        make(delta_cop=-1.0)
+
+
+def test_torch_tensors_go_through(log):
+    torch = pytest.importorskip("torch")
+    calibrator = make()
+    for k in range(40):
+        row = Reference(*(torch.as_tensor(np.array(part[k])) for part in log.reference))
+        estimate = calibrator.update(torch.as_tensor(log.raw[k]), row)
+    assert isinstance(estimate.force, torch.Tensor)
+
+
+def test_a_log_of_another_length_is_refused(log):
+    short = log.reference._replace(com=log.reference.com[:-1])
+    with pytest.raises(
+        ValueError, match=r"'reference\.com' must have one row for each of the 320 rows of 'raw'"
+    ):
+        replay(LAYOUT, "window", log.raw, short, DT, mass=MASS)
+    with pytest.raises(ValueError, match=r"'raw' must have shape \(samples, ..., channels\), got \(8,\)"):
+        replay(LAYOUT, "window", log.raw[0], log.reference, DT, mass=MASS)
+    with pytest.raises(ValueError, match="'raw' must hold one reading for each of the 8 channels"):
+        replay(LAYOUT, "window", log.raw[:, :5], log.reference, DT, mass=MASS)
+
+
+def test_zero_phase_learns_from_filtered_readings_and_applies_to_all(log):
+    options = {"mass": believed_mass(FAULTS), "initial": NOMINAL}
+    hindsight = replay(LAYOUT, "window", log.raw, log.reference, DT, zero_phase=True, **options)
+    causal = replay(LAYOUT, "window", log.raw, log.reference, DT, **options)
+    np.testing.assert_allclose(hindsight.scale * log.raw + hindsight.offset, hindsight.force, atol=1e-8)
+    assert not np.array_equal(hindsight.scale, causal.scale)
+    scale = hindsight.scale[-1] / causal.scale[-1]
+    np.testing.assert_allclose(scale, 1.0, atol=0.05)
+    none = replay(LAYOUT, "none", log.raw, log.reference, DT, zero_phase=True, **options)
+    np.testing.assert_allclose(none.force, NOMINAL.force(log.raw), atol=1e-9)
+
+
+def test_zero_phase_holds_what_is_missing(log):
+    raw = log.raw.copy()
+    raw[100:103, 2] = np.nan
+    estimate = replay(LAYOUT, "window", raw, log.reference, DT, zero_phase=True, mass=MASS, initial=NOMINAL)
+    assert np.isfinite(estimate.force).all()
+    assert (estimate.flags[100:103, 2] & 1).all()
+    held = (estimate.force[102, 2] - estimate.offset[102, 2]) / estimate.scale[102, 2]
+    assert held == pytest.approx(raw[99, 2], rel=1e-9)
+
+
+def test_a_batch_of_logs_is_replayed_at_once(log):
+    raw = log.raw[:, None].repeat(2, axis=1)
+    reference = Reference(*(part[:, None].repeat(2, axis=1) for part in log.reference))
+    options = {"mass": believed_mass(FAULTS), "initial": NOMINAL}
+    for zero_phase in (False, True):
+        both = replay(LAYOUT, "window", raw, reference, DT, zero_phase=zero_phase, **options)
+        one = replay(LAYOUT, "window", log.raw, log.reference, DT, zero_phase=zero_phase, **options)
+        np.testing.assert_allclose(both.force[:, 1], one.force, atol=1e-8)

@@ -1,0 +1,354 @@
+"""What every online method promises; a new one joins by its line in the table."""
+
+import numpy as np
+import pytest
+from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, walk
+
+from surefoot.calibration import METHODS, Flag, OnlineSetup, Parameters, Reference, online_method, replay
+from surefoot.calibration.state import load_state, save_state
+
+NAMES = list(METHODS)
+SETUP = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=2)
+SHORT = {"standing_warm_up": 0.1, "standing_duration": 0.2, "standing_samples": 10}
+
+
+def short(name):
+    """Options that end the standing start soon, for methods that have one."""
+    config = METHODS[name].config
+    return SHORT if config is not None and "standing_warm_up" in config.__dataclass_fields__ else {}
+
+
+def build(name, setup=SETUP):
+    return online_method(name, setup, **short(name))
+
+
+def logs(robots, samples=240, faults=None):
+    """Walks of several robots side by side: readings (N, robots, K) and references."""
+    faults = faults or Faults.bad()
+    walks = [walk(seed, 0.1, samples * DT - 0.5, 0.5, faults) for seed in range(robots)]
+    stack = lambda parts: np.stack(parts, axis=1)  # noqa: E731
+    return stack([log.raw for log in walks]), Reference(
+        *(stack(parts) for parts in zip(*(log.reference for log in walks), strict=True))
+    )
+
+
+def run(method, raw, reference, convert=np.asarray):
+    state = method.init(convert(raw[0]))
+    estimates = []
+    for k in range(len(raw)):
+        row = Reference(*(convert(part[k]) for part in reference))
+        state, estimate = method.update(state, convert(raw[k]), row, DT)
+        estimates.append(estimate)
+    return state, estimates
+
+
+def leaves(state):
+    if isinstance(state, tuple):
+        return [leaf for part in state for leaf in leaves(part)]
+    return [np.asarray(state)]
+
+
+@pytest.fixture(scope="module")
+def four():
+    return logs(4)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_perfect_sensors_and_beliefs_change_nothing(name):
+    log = walk(0, 0.02, 6.0, 1.5, Faults(lag=2))
+    estimate = replay(LAYOUT, name, log.raw, log.reference, DT, mass=MASS, initial=NOMINAL, **short(name))
+    # Han's reference leaves out the motion, which at 0.02 m/s is a small but real error.
+    allowed = 2.0 if name == "quasi-static" else 1e-6
+    np.testing.assert_allclose(estimate.force, log.force, atol=allowed)
+    np.testing.assert_allclose(estimate.vgrf.sum(axis=1), log.vgrf, atol=allowed)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_estimate_hangs_together(name, four):
+    raw, reference = four
+    _, estimates = run(build(name), raw, reference)
+    for k, estimate in enumerate(estimates[::20]):
+        row = Reference(*(part[20 * k] for part in reference))
+        reading = raw[20 * k]
+        np.testing.assert_allclose(estimate.scale * reading + estimate.offset, estimate.force, atol=1e-8)
+        np.testing.assert_allclose(
+            np.einsum("fwk,rk->rfw", LAYOUT.wrench_map, estimate.force), estimate.wrench, atol=1e-9
+        )
+        np.testing.assert_allclose(estimate.wrench[..., 2], estimate.vgrf, atol=1e-9)
+        position = np.concatenate([foot.position_cell_sole[:, :2] for foot in LAYOUT.feet])
+        place = np.repeat(row.position_sole[..., :2], 4, axis=1) + position
+        cop = (place * estimate.force[..., None]).sum(axis=1) / estimate.force.sum(axis=1)[:, None]
+        np.testing.assert_allclose(estimate.cop, cop, atol=1e-9)
+        np.testing.assert_array_equal(np.isnan(estimate.cop_foot[..., 0]), ~estimate.cop_foot_valid)
+        np.testing.assert_array_equal(estimate.cop_foot_valid, estimate.vgrf > 5.0)
+        assert estimate.cop_valid.all()
+        assert estimate.flags.shape == raw.shape[1:]
+        assert estimate.flags.dtype.kind == "i"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_arguments_are_left_alone(name, four):
+    raw, reference = four
+    method = build(name)
+    state, _ = run(method, raw[:119], Reference(*(part[:119] for part in reference)))
+    row = Reference(*(part[119].copy() for part in reference))
+    reading = raw[119].copy()
+    before = [leaf.copy() for leaf in leaves(state)]
+    for array in (reading, *row):
+        array.flags.writeable = False
+    method.update(state, reading, row, DT)
+    for old, new in zip(before, leaves(state), strict=True):
+        np.testing.assert_array_equal(old, new)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_same_stream_gives_the_same_numbers(name, four):
+    raw, reference = four
+    one, two = (leaves(run(build(name), raw, reference)[0]) for _ in range(2))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_batch_is_its_robots_one_by_one(name, four):
+    raw, reference = four
+    _, together = run(build(name), raw, reference)
+    for robot in range(4):
+        _, alone = run(build(name), raw[:, robot], Reference(*(part[:, robot] for part in reference)))
+        for field, a, b in zip(together[-1]._fields, together[-1], alone[-1], strict=True):
+            if a is not None:
+                np.testing.assert_allclose(a[robot], b, rtol=1e-9, atol=1e-9, err_msg=field)
+    shaped = raw.reshape(len(raw), 2, 2, 8)
+    tree = Reference(*(part.reshape(len(raw), 2, 2, *part.shape[2:]) for part in reference))
+    _, squared = run(build(name), shaped, tree)
+    np.testing.assert_allclose(squared[-1].force.reshape(4, 8), together[-1].force, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_torch_gives_the_same_numbers(name, four):
+    torch = pytest.importorskip("torch")
+    raw, reference = four
+    _, expected = run(build(name), raw, reference)
+    state, found = run(build(name), raw, reference, lambda values: torch.as_tensor(np.array(values)))
+    for a, b in zip(expected[-1], found[-1], strict=True):
+        if a is not None:
+            assert isinstance(b, torch.Tensor)
+            np.testing.assert_allclose(a, b.numpy(), rtol=1e-9, atol=1e-9)
+    assert all(isinstance(leaf, torch.Tensor | int) for leaf in flat(state))
+
+
+def flat(state):
+    if isinstance(state, tuple):
+        return [leaf for part in state for leaf in flat(part)]
+    return [state]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("beliefs", [np.float32, np.float64])
+def test_single_precision_is_kept_and_close(name, beliefs, four):
+    raw, reference = four
+    force = NOMINAL.force(raw)
+    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)), lag=2)
+    _, expected = run(build(name, setup), force, reference)
+    single = Reference(*(part.astype(beliefs) if part.dtype.kind == "f" else part for part in reference))
+    state, found = run(build(name, setup), force.astype(np.float32), single)
+    for field, a, b in zip(expected[-1]._fields, expected[-1], found[-1], strict=True):
+        if a is not None and a.dtype.kind == "f":
+            assert b.dtype == np.float32, field
+            np.testing.assert_allclose(a, b, rtol=1e-3, atol=2e-3, err_msg=field)
+    front = state if hasattr(state, "history") else state.front
+    assert front.history.dtype == np.float32
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_saved_run_goes_on_bit_for_bit(name, four, tmp_path):
+    raw, reference = four
+    method = build(name)
+    head, tail = (
+        (raw[part], Reference(*(field[part] for field in reference)))
+        for part in (slice(0, 130), slice(130, 240))
+    )
+    state, _ = run(method, *head)
+    save_state(tmp_path / "state.npz", state)
+    restored = load_state(tmp_path / "state.npz", method.init(raw[0]))
+    for a, b in zip(leaves(state), leaves(restored), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    for k in range(len(tail[0])):
+        row = Reference(*(field[k] for field in tail[1]))
+        state, one = method.update(state, tail[0][k], row, DT)
+        restored, two = method.update(restored, tail[0][k], row, DT)
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_no_reading_and_no_belief_ever_ends_in_nan(name, dtype):
+    robots, samples = 64, 200
+    rng = np.random.default_rng(1)
+    raw, reference = logs(4, samples)
+    raw = np.tile(raw, (1, robots // 4, 1)).astype(dtype)
+    reference = Reference(
+        *(
+            np.tile(part, (1, robots // 4, *[1] * (part.ndim - 2))).astype(
+                dtype if part.dtype.kind == "f" else part.dtype
+            )
+            for part in reference
+        )
+    )
+    largest = float(np.finfo(dtype).max)
+    poison = np.array([np.nan, np.inf, -np.inf, largest, -largest, 0.0, 1e-30, 8.4e6, -5.0], dtype=dtype)
+
+    def spoil(values, share):
+        hit = rng.random(values.shape) < share
+        values[hit] = rng.choice(poison, hit.sum())
+
+    spoil(raw, 0.02)
+    for part in reference:
+        if part.dtype.kind == "f":
+            spoil(part, 0.002)
+    raw[60:, :4, 3] = raw[60, :4, 3]  # stuck
+    raw[80:, 4:8, :4] = np.nan  # a foot is lost
+    reference.com_acceleration[100:130, 8:12] = np.nan
+    reference.stance[:, 12:16] = True  # contacts are believed wrongly
+    reference.swing[:, 12:16] = True
+    method = build(name)
+    state = method.init(raw[0])
+    for k in range(samples):
+        row = Reference(*(part[k] for part in reference))
+        state, estimate = method.update(state, raw[k], row, float(rng.choice([DT, DT, DT, np.nan, 0.0, 9.0])))
+        for field in ("force", "wrench", "vgrf", "scale", "offset"):
+            assert np.isfinite(getattr(estimate, field)).all(), field
+        np.testing.assert_array_equal(np.isfinite(estimate.cop).all(axis=-1), estimate.cop_valid)
+        np.testing.assert_array_equal(np.isfinite(estimate.cop_foot).all(axis=-1), estimate.cop_foot_valid)
+    for leaf in leaves(state):
+        assert np.isfinite(leaf).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_missing_sample_is_held_and_flagged(name):
+    log = walk(0, duration=0.0, stand=1.0)
+    raw = log.raw.copy()
+    raw[40, 2], raw[41, 6], raw[42, :] = np.nan, np.inf, 1e30
+    estimate = replay(LAYOUT, name, raw, log.reference, DT, mass=MASS, initial=NOMINAL, lag=0)
+    held = log.force.copy()
+    held[40, 2], held[41, 6], held[42] = held[39, 2], held[40, 6], held[41]
+    held[42, 6] = held[40, 6]
+    np.testing.assert_allclose(estimate.force, held, atol=1e-6)
+    seen = estimate.flags & (Flag.MISSING | Flag.OUT_OF_RANGE)
+    expected = np.zeros_like(seen)
+    expected[40, 2], expected[41, 6], expected[42, :] = Flag.MISSING, Flag.OUT_OF_RANGE, Flag.OUT_OF_RANGE
+    np.testing.assert_array_equal(seen, expected)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_bad_reference_is_held_and_flagged(name):
+    log = walk(0, duration=0.0, stand=1.0)
+    for field in ("com", "com_acceleration", "angular_momentum_rate", "position_sole", "R_level_sole"):
+        values = getattr(log.reference, field).copy()
+        values[50:60].reshape(10, -1)[:, 1] = np.nan
+        spoilt = log.reference._replace(**{field: values})
+        estimate = replay(LAYOUT, name, log.raw, spoilt, DT, mass=MASS, initial=NOMINAL, lag=0)
+        assert (estimate.flags[50:60] & Flag.REFERENCE).all()
+        assert not (estimate.flags[61:] & Flag.REFERENCE).any()
+        np.testing.assert_allclose(estimate.cop, np.broadcast_to(log.cop[0], log.cop.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_before_any_reference_there_is_no_level_cop(name):
+    log = walk(0, duration=0.0, stand=0.5)
+    unknown = Reference(*(part * np.nan if part.dtype.kind == "f" else part for part in log.reference))
+    estimate = replay(LAYOUT, name, log.raw, unknown, DT, mass=MASS, initial=NOMINAL, lag=0)
+    assert not estimate.cop_valid.any()
+    assert np.isnan(estimate.cop).all()
+    assert estimate.cop_foot_valid.all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_lost_foot_leaves_the_estimate_unchanged_and_flagged(name):
+    log = walk(1, duration=4.0, stand=1.0, faults=Faults.bad())
+    raw = log.raw.copy()
+    raw[200:, 4:] = np.nan
+    estimate = replay(
+        LAYOUT, name, raw, log.reference, DT, mass=believed_mass(Faults.bad()), initial=NOMINAL, **short(name)
+    )
+    assert (estimate.flags[202:, 4:] & Flag.MISSING).all()
+    np.testing.assert_array_equal(estimate.scale[250], estimate.scale[-1])
+    np.testing.assert_array_equal(estimate.offset[250, 4:], estimate.offset[-1, 4:])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_in_the_air_everything_stays_finite(name):
+    log = walk(0, duration=0.0, stand=3.0)
+    lifted = np.zeros_like(log.raw) - NOMINAL.offset / NOMINAL.scale
+    estimate = replay(LAYOUT, name, lifted, log.reference, DT, mass=MASS, initial=NOMINAL, **short(name))
+    np.testing.assert_allclose(estimate.force, 0.0, atol=1e-9)
+    assert not estimate.cop_valid.any()
+    assert np.isfinite(estimate.scale).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_wrong_shapes_are_refused_at_the_door(name):
+    method = build(name)
+    log = walk(0, duration=0.0, stand=0.1)
+    row = Reference(*(part[0] for part in log.reference))
+    state = method.init(log.raw[0])
+    with pytest.raises(
+        ValueError, match=r"'raw' must hold one reading for each of the 8 channels .* got shape \(7,\)"
+    ):
+        method.update(state, log.raw[0, :7], row, DT)
+    with pytest.raises(
+        ValueError, match=r"'raw' must keep the shape \(8,\) .* got \(3, 8\); make a new state"
+    ):
+        method.update(state, log.raw[:3], row, DT)
+    with pytest.raises(ValueError, match="'raw' must keep the dtype float64 of the state, got float32"):
+        method.update(state, log.raw[0].astype(np.float32), row, DT)
+    for field in Reference._fields:
+        shape = getattr(row, field).shape
+        message = rf"'reference\.{field}' must have shape \({', '.join(map(str, shape))},?\), got"
+        with pytest.raises(ValueError, match=message):
+            method.update(state, log.raw[0], row._replace(**{field: np.zeros((5, *shape))}), DT)
+        with pytest.raises(ValueError, match=message):
+            method.update(state, log.raw[0], row._replace(**{field: None}), DT)
+    for field in ("stance", "swing"):
+        with pytest.raises(ValueError, match=rf"'reference\.{field}' must hold booleans, got dtype float64"):
+            method.update(state, log.raw[0], row._replace(**{field: np.ones(2)}), DT)
+    with pytest.raises(ValueError, match=r"'raw' must hold one reading .* got shape \(3,\)"):
+        method.init(np.zeros(3))
+    with pytest.raises(ValueError, match="'raw' must hold floating-point numbers, got dtype int64"):
+        method.init(np.zeros(8, dtype=np.int64))
+
+
+def test_an_unknown_method_lists_what_exists():
+    message = r"Method 'magic' does not exist\. Available: 'window', 'quasi-static', 'tare', 'none'"
+    with pytest.raises(ValueError, match=message):
+        online_method("magic", SETUP)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_unknown_option_lists_what_exists(name):
+    with pytest.raises(ValueError, match=rf"Method '{name}' has no option 'magic'\. Available: \["):
+        online_method(name, SETUP, magic=1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mass": -1.0}, "'mass' must be positive and finite, got -1.0"),
+        ({"dt": 0.0}, "'dt' must be positive and finite, got 0.0"),
+        ({"lag": -1}, "'lag' must be a whole number of samples from 0 on, got -1"),
+        ({"lag": 1.5}, "'lag' must be a whole number of samples from 0 on, got 1.5"),
+        ({"force_threshold": np.nan}, "'force_threshold' must not be negative and must be finite, got nan"),
+        ({"foot_length": 0.0}, "'foot_length' must be positive and finite, got 0.0"),
+        ({"initial": Parameters(np.zeros(8), np.zeros(8))}, "'initial.scale' must not be zero"),
+        (
+            {"initial": Parameters(np.ones(8), np.full(8, np.inf))},
+            "'initial.offset' holds values that are not",
+        ),
+        ({"initial": Parameters(np.ones(7), np.zeros(8))}, r"'initial.scale' must hold one number .* \(7,\)"),
+    ],
+)
+def test_a_setup_without_meaning_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        OnlineSetup(**{"layout": LAYOUT, "mass": MASS, "initial": NOMINAL, **options})

@@ -1,0 +1,521 @@
+import numpy as np
+import pytest
+from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, errors, walk
+from scipy.optimize import least_squares
+
+from surefoot.calibration import (
+    GRAVITY,
+    FeetLayout,
+    Flag,
+    FootLayout,
+    OnlineSetup,
+    Parameters,
+    Reference,
+    WindowConfig,
+    confidence_from_standing,
+    ground_reference,
+    moment_rows,
+    online_method,
+    replay,
+)
+from surefoot.calibration._front_end import FrontEnd
+from surefoot.calibration._gauss_newton import Weights, gauss_newton, linearise
+
+WEIGHTS = Weights(force=2.0, cop=100.0, threshold=5.0)
+IDENTITY = Parameters(np.ones(8), np.zeros(8))
+FREE = {
+    "standing_start": False, "scale_step": 10.0, "offset_step": 10.0, "scale_step_bound": 0.5,
+    "offset_step_bound": 0.5, "scale_rate": 100.0, "offset_rate": 100.0, "gross_error": 10.0,
+}  # fmt: skip
+"""Options that leave the parameters free, for data that tell everything."""
+
+
+def problem(seed=0, samples=40):
+    rng = np.random.default_rng(seed)
+    phi = rng.normal(size=(samples, 3, 16)) * 0.3
+    phi[:, 0] = rng.uniform(1.0, 10.0, size=(samples, 16))
+    theta = np.repeat([1.0, 0.0], 8) + 0.05 * rng.normal(size=16)
+    vgrf = phi[:, 0] @ theta + rng.normal(size=samples)
+    return phi, theta, vgrf, np.ones(samples)
+
+
+def rich_log(seed=0, samples=160):
+    """Cells carry what they like, soles lie where they like, and the body floats accordingly."""
+    rng = np.random.default_rng(seed)
+    force = rng.uniform(1.0, 12.0, size=(samples, 8))
+    position_sole = np.array([(0.0, 0.05, 0.0), (0.0, -0.05, 0.0)]) + rng.normal(size=(samples, 2, 3)) * 0.03
+    position_sole[..., 2] = 0.0
+    c, s = np.cos(angle := rng.normal(size=(samples, 2))), np.sin(angle)
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    rotation = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(samples, 2, 3, 3)
+    rows = moment_rows(LAYOUT, position_sole, rotation).sum(axis=1)
+    fz, *moment = np.moveaxis((rows @ force[..., None])[..., 0], -1, 0)
+    zero = np.zeros((samples, 3))
+    return force, Reference(
+        com=np.column_stack([moment[0] / fz, moment[1] / fz, np.full(samples, 0.26)]),
+        com_acceleration=np.column_stack([zero[:, :2], fz / MASS - GRAVITY]),
+        angular_momentum_rate=zero,
+        position_sole=position_sole,
+        R_level_sole=rotation,
+        stance=np.ones((samples, 2), bool),
+        swing=np.zeros((samples, 2), bool),
+        accelerometer=zero + np.array([0.0, 0.0, GRAVITY]),
+        gyroscope=zero,
+    )
+
+
+def run(log, method="window", faults=None, **options):
+    faults = faults or Faults()
+    mass = believed_mass(faults)
+    return replay(
+        LAYOUT, method, log.raw, log.reference, DT, mass=mass, initial=NOMINAL, lag=faults.lag, **options
+    )
+
+
+def together(logs, method, faults):
+    """Replay several robots at once; root mean square errors over all of them."""
+    raw = np.stack([log.raw for log in logs], axis=1)
+    parts = zip(*(log.reference for log in logs), strict=True)
+    reference = Reference(*(np.stack(part, axis=1) for part in parts))
+    mass = believed_mass(faults)
+    estimate = replay(LAYOUT, method, raw, reference, DT, mass=mass, initial=NOMINAL, lag=faults.lag)
+    found = [
+        errors(estimate._replace(cop=estimate.cop[:, i], vgrf=estimate.vgrf[:, i]), log, 7.0)
+        for i, log in enumerate(logs)
+    ]
+    return np.sqrt(np.mean(np.square(found), axis=0))
+
+
+def at_rest(samples, log=None):
+    """Repeat the first sample of a log."""
+    log = log or walk(0, duration=0.0)
+    return np.repeat(log.raw[:1], samples, axis=0), Reference(
+        *(np.repeat(part[:1], samples, axis=0) for part in log.reference)
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_jacobian_is_the_derivative_of_the_residuals(seed):
+    phi, theta, vgrf, use = problem(seed)
+    use[::7] = 0.0
+    phi[3, 0] *= 0.01  # below the gate
+    _, jacobian = linearise(theta, phi, vgrf, use, WEIGHTS)
+    step = 1e-6
+    for i in range(16):
+        ahead, behind = theta.copy(), theta.copy()
+        ahead[i] += step
+        behind[i] -= step
+        difference = (
+            linearise(ahead, phi, vgrf, use, WEIGHTS).residual
+            - linearise(behind, phi, vgrf, use, WEIGHTS).residual
+        ) / (2 * step)
+        np.testing.assert_allclose(jacobian[..., i], difference, rtol=1e-6, atol=1e-6)
+    assert not jacobian[3].any()
+    assert not jacobian[::7].any()
+
+
+def test_the_iterations_reach_the_minimum_that_scipy_finds():
+    phi, theta, vgrf, use = problem(1)
+    spread = np.full(16, 0.05)
+
+    def cost(unknown):
+        r = linearise(unknown, phi, vgrf, use, WEIGHTS).residual.ravel()
+        return np.concatenate([r, (unknown - theta) / spread])
+
+    expected = least_squares(cost, theta, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    found = gauss_newton(
+        theta, phi, vgrf, use, WEIGHTS,
+        spread=spread, bound=np.full(16, np.inf), identity=np.eye(16), iterations=20,
+    )  # fmt: skip
+    assert found.solvable
+    np.testing.assert_allclose(found.theta, expected, atol=1e-7)
+
+
+def test_a_bound_shortens_a_step_and_keeps_its_direction():
+    phi, theta, vgrf, use = problem(2)
+    solve = {"spread": np.ones(16), "identity": np.eye(16), "iterations": 1}
+    full = gauss_newton(theta, phi, vgrf, use, WEIGHTS, bound=np.full(16, np.inf), **solve).theta - theta
+    short = gauss_newton(theta, phi, vgrf, use, WEIGHTS, bound=np.full(16, 1e-3), **solve).theta - theta
+    assert np.abs(short).max() == pytest.approx(1e-3)
+    np.testing.assert_allclose(short / np.abs(short).max(), full / np.abs(full).max(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("cutoff", [10.0, None])
+@pytest.mark.parametrize("lag", [0, 3])
+def test_without_noise_all_that_shows_is_recovered(cutoff, lag):
+    """Fourteen of sixteen parameters show; the warp of each foot's offsets makes no force and no moment."""
+    force, reference = rich_log()
+    reference = Reference(*(np.concatenate([part[:1]] * lag + [part])[: len(force)] for part in reference))
+    rng = np.random.default_rng(1)
+    truth = Parameters(1.0 + 0.1 * rng.normal(size=8), rng.normal(size=8))
+    reported = (force - truth.offset) / truth.scale
+    estimate = replay(LAYOUT, "window", reported, reference, DT, mass=MASS, lag=lag, cutoff=cutoff, **FREE)
+    np.testing.assert_allclose(estimate.scale[-1], truth.scale, atol=1e-9)
+    wrench_map = LAYOUT.wrench_map
+    np.testing.assert_allclose(wrench_map @ estimate.offset[-1], wrench_map @ truth.offset, atol=1e-9)
+    np.testing.assert_allclose(estimate.wrench[-1], wrench_map @ force[-1], atol=1e-9)
+    warp = np.array([1.0, -1.0, -1.0, 1.0])
+    for error in (estimate.offset[-1] - truth.offset).reshape(2, 4):
+        np.testing.assert_allclose(error, error[0] * warp, atol=1e-9)
+
+
+def test_directions_that_the_data_do_not_excite_stay():
+    raw, reference = at_rest(200)
+    estimate = replay(
+        LAYOUT, "window", raw * 1.001, reference, DT, mass=MASS, initial=NOMINAL, lag=0, standing_start=False
+    )
+    correction = Parameters(estimate.scale[-1], estimate.offset[-1]).relative_to(NOMINAL)
+    change = np.concatenate([correction.scale - 1.0, correction.offset])
+    force = NOMINAL.force(raw[0] * 1.001)
+    rows = moment_rows(LAYOUT, reference.position_sole[0], reference.R_level_sole[0]).sum(axis=0)
+    seen = np.concatenate([rows * force, rows], axis=1)
+    config = WindowConfig()
+    spread = np.repeat([config.scale_step, config.offset_step * MASS * GRAVITY], 8)
+    _, _, directions = np.linalg.svd(seen * spread)
+    whitened = directions @ (change / spread)
+    assert np.abs(whitened[:3]).max() > 0.1
+    np.testing.assert_allclose(whitened[3:], 0.0, atol=1e-6)
+
+
+def test_perfect_sensors_and_beliefs_change_nothing():
+    log = walk(0, speed=0.1, duration=8.0)
+    estimate = run(log)
+    np.testing.assert_allclose(estimate.force, log.force, atol=1e-3)
+    assert errors(estimate, log, 4.0)[0] < 0.01
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.1])
+def test_a_bad_start_is_corrected_and_a_good_one_is_not_spoilt(speed):
+    for faults, factor in ((Faults.bad(), 0.7), (Faults.mild(), 1.5)):
+        logs = [walk(seed, speed, 12.0, 3.0, faults) for seed in (11, 12, 13, 14)]
+        cop, force = together(logs, "window", faults)
+        raw_cop, raw_force = together(logs, "none", faults)
+        assert cop < factor * raw_cop
+        assert force < raw_force
+
+
+def test_leaving_out_the_motion_makes_it_worse_the_faster_the_robot_walks():
+    log = walk(5, 0.1, 6.0, 2.0, Faults(lag=2))
+    window = errors(run(log, faults=Faults(lag=2)), log, 4.0)
+    quasi_static = errors(run(log, "quasi-static", faults=Faults(lag=2)), log, 4.0)
+    assert quasi_static[0] > 3.0 * window[0]
+    assert quasi_static[1] > 3.0 * window[1]
+
+
+def test_the_lag_must_be_told():
+    log = walk(5, 0.1, 6.0, 2.0, Faults(lag=3))
+    told = errors(run(log, faults=Faults(lag=3)), log, 4.0)
+    untold = errors(run(log, faults=Faults(lag=0)), log, 4.0)
+    assert untold[0] > 2.0 * told[0]
+
+
+def test_without_contact_nothing_is_learnt():
+    raw, reference = at_rest(120)
+    estimate = replay(
+        LAYOUT, "window", raw * 0.0 - NOMINAL.offset / NOMINAL.scale, reference, DT, mass=MASS,
+        initial=NOMINAL, lag=0, standing_start=False,
+    )  # fmt: skip
+    assert (estimate.flags[-1] == Flag.NO_CONTACT).all()
+    np.testing.assert_array_equal(estimate.offset[-1], NOMINAL.offset)
+    assert not estimate.cop_valid.any()
+    assert np.isnan(estimate.cop).all()
+    assert np.isfinite(estimate.force).all()
+
+
+def test_singular_normal_equations_are_flagged_and_change_nothing():
+    raw, reference = at_rest(120)
+    for dtype, step in ((np.float64, 1e9), (np.float32, 1e3)):
+        force = NOMINAL.force(raw).astype(dtype)
+        late = Reference(*(part.astype(dtype) if part.dtype.kind == "f" else part for part in reference))
+        estimate = replay(
+            LAYOUT, "window", force, late, DT, mass=MASS, lag=0, standing_start=False,
+            scale_step=step, offset_step=step,
+        )  # fmt: skip
+        assert (estimate.flags[-1] == Flag.SINGULAR).all()
+        np.testing.assert_array_equal(estimate.scale[-1], 1.0)
+
+
+def test_parameters_change_no_faster_than_the_limit():
+    faults = Faults(gain=0.2, offset=3.0, lag=0)
+    log = walk(2, duration=6.0, faults=faults)
+    limit = {
+        "scale_rate": 0.05,
+        "offset_rate": 0.01,
+        "standing_start": False,
+        "scale_step": 0.1,
+        "offset_step": 0.05,
+    }
+    estimate = run(log, faults=faults, **limit)
+    a = estimate.scale / NOMINAL.scale
+    b = estimate.offset - a * NOMINAL.offset
+    assert np.abs(np.diff(a, axis=0)).max() <= 0.05 * 4 * DT * (1 + 1e-6)
+    assert np.abs(np.diff(b, axis=0)).max() <= 0.01 * MASS * GRAVITY * 4 * DT * (1 + 1e-6)
+    assert np.abs(np.diff(a, axis=0)).max() > 0.04 * 4 * DT
+
+
+def test_scales_stay_where_a_sensor_can_be():
+    raw, reference = at_rest(400)
+    heavy = 1.35 * NOMINAL.force(raw)
+    estimate = replay(
+        LAYOUT, "window", heavy, reference, DT, mass=MASS, lag=0, standing_start=False,
+        scale_range=(0.95, 1.05), offset_range=0.01, scale_step=1.0, offset_step=1.0,
+        scale_rate=10.0, offset_rate=10.0,
+    )  # fmt: skip
+    assert estimate.scale.min() == pytest.approx(0.95)
+    assert np.abs(estimate.offset).max() <= 0.01 * MASS * GRAVITY * (1 + 1e-12)
+
+
+def landing(spike):
+    """A robot that sets its right foot down, with a knock on one cell just then."""
+    log = walk(0, duration=0.0, stand=2.0)
+    raw, reference = at_rest(100, log)
+    force = NOMINAL.force(raw)
+    stance = np.ones((100, 2), bool)
+    stance[:82, 1] = False
+    force[82:86, 5] += spike
+    return force, reference._replace(stance=stance, swing=~stance)
+
+
+def test_a_knock_as_a_foot_lands_is_rejected():
+    def moved(spike, **options):
+        force, reference = landing(spike)
+        estimate = replay(
+            LAYOUT, "window", force, reference, DT, mass=MASS, lag=0, standing_start=False, **options
+        )
+        return np.abs(estimate.offset[-1]).max() + np.abs(estimate.scale[-1] - 1.0).max()
+
+    assert moved(0.0) < 1e-6
+    assert moved(8.0) < 0.5 * moved(8.0, outlier_threshold=1e6)
+
+
+def test_what_no_calibration_error_explains_is_never_used():
+    raw, reference = at_rest(200)
+    force = NOMINAL.force(raw)
+    force[100:140:5, 2] += 200.0
+    estimate = replay(LAYOUT, "window", force, reference, DT, mass=MASS, lag=0, standing_start=False)
+    np.testing.assert_allclose(estimate.scale[-1], 1.0, atol=1e-9)
+    np.testing.assert_allclose(estimate.offset[-1], 0.0, atol=1e-9)
+
+
+def test_samples_beside_a_missing_one_are_left_out():
+    raw, reference = at_rest(90)
+    force = NOMINAL.force(raw)
+    force[60:] *= 1.1
+    force[60::3, 1] = np.nan
+    estimate = replay(LAYOUT, "window", force, reference, DT, mass=MASS, lag=0, standing_start=False)
+    # From sample 60 on there are never five good samples in a row: the error cannot be seen.
+    np.testing.assert_allclose(estimate.scale[-1], 1.0, atol=1e-9)
+
+
+def test_a_gap_in_time_empties_the_window():
+    raw, reference = at_rest(120)
+    steps = np.full(120, DT)
+    steps[100] = 3.0
+    estimate = replay(
+        LAYOUT, "window", raw, reference, steps, mass=MASS, initial=NOMINAL, lag=0, standing_start=False
+    )
+    assert (estimate.flags[99] == 0).all()
+    assert (estimate.flags[100] & Flag.GAP).all()
+    assert (estimate.flags[103] == Flag.NO_CONTACT).all()
+    assert (estimate.flags[119] == 0).all()
+
+
+def test_standing_comes_first_and_brings_the_force_right():
+    faults = Faults(gain=0.1, offset=1.0)
+    only = {"scale_step": 1e-9, "offset_step": 1e-9, "standing_scale_std": 0.1, "standing_offset_std": 0.03}
+    for seed in range(4):
+        log = walk(seed, duration=0.0, stand=6.0, faults=faults)
+        estimate = run(log, faults=faults, **only)
+        standing = (estimate.flags[:, 0] & Flag.STANDING) > 0
+        assert standing[:199].all()
+        assert not standing[201:].any()
+        force = np.abs(estimate.vgrf.sum(axis=1) - log.vgrf)
+        place = np.linalg.norm(estimate.cop - log.cop, axis=1)
+        assert force[250] < max(0.2 * force[150], 0.3)
+        # A believed centre of mass that may be 3 mm off is not trusted to the last.
+        assert place[250] < max(0.4 * place[150], 1e-3)
+
+
+def test_drift_during_standing_is_not_taken_for_load():
+    faults = Faults(offset_drift=1.0, noise=0.1)
+    scales = []
+    for seed in range(5):
+        log = walk(seed, duration=0.0, stand=4.0, faults=faults)
+        wide = {"scale_step": 1e-9, "offset_step": 1e-9, "standing_scale_std": 0.1}
+        scales.append(run(log, faults=faults, **wide).scale[-1] / NOMINAL.scale)
+    assert np.mean(scales) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_robot_that_never_stands_still_goes_on_without():
+    raw, reference = at_rest(200)
+    swaying = reference._replace(gyroscope=reference.gyroscope + 1.0)
+    estimate = replay(
+        LAYOUT, "window", raw, swaying, DT, mass=MASS, initial=NOMINAL, lag=0, standing_patience=2.0
+    )
+    standing = (estimate.flags[:, 0] & Flag.STANDING) > 0
+    assert standing[:159].all()
+    assert not standing[162:].any()
+
+
+def test_a_robot_that_walks_at_once_has_no_standing_start():
+    log = walk(1, duration=3.0, stand=0.2)
+    estimate = run(log)
+    first_swing = int(np.argmax(log.reference.swing.any(axis=1)))
+    assert (estimate.flags[first_swing - 1] & Flag.STANDING).all()
+    assert not (estimate.flags[first_swing] & Flag.STANDING).any()
+
+
+def test_confidence_is_read_off_standing():
+    faults = Faults(noise=0.2)
+    log = walk(9, duration=0.0, stand=20.0, faults=faults)
+    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0)
+    still = Reference(*(part[:1200] for part in log.reference))
+    delta_force, delta_cop = confidence_from_standing(setup, log.raw[:1200], still)
+    weight = MASS * GRAVITY
+    assert delta_force == pytest.approx(0.2 * np.sqrt(8) / weight, rel=0.1)
+    place = np.abs(LAYOUT.feet[0].position_cell_sole[:, 0] - 0.024).mean()
+    assert delta_cop == pytest.approx(0.2 * np.sqrt(8) * place / weight / setup.length, rel=0.25)
+    WindowConfig(delta_force=delta_force, delta_cop=delta_cop)
+
+
+def test_confidence_needs_samples():
+    log = walk(9, duration=0.0)
+    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)
+    with pytest.raises(ValueError, match="Only 0 of 320 samples are finite and in contact"):
+        confidence_from_standing(setup, np.full_like(log.raw, np.nan), log.reference)
+
+
+def ankle_layout():
+    sensor = np.eye(6)
+    sensor[3:, :3] = [[0.0, 0.09, 0.0], [-0.09, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    names = ("fx", "fy", "fz", "tx", "ty", "tz")
+    return FeetLayout((FootLayout("left", sensor, names), FootLayout("right", sensor, names)))
+
+
+@pytest.mark.parametrize("layout", [LAYOUT, ankle_layout(), FeetLayout((LAYOUT.feet[0],))])
+def test_the_front_end_agrees_with_the_equations_of_their_own_modules(layout):
+    rng = np.random.default_rng(3)
+    feet = len(layout.feet)
+    setup = OnlineSetup(
+        layout=layout, mass=MASS, initial=Parameters(np.ones(layout.channels), np.zeros(layout.channels)),
+        foot_length=0.17, lag=0,
+    )  # fmt: skip
+    rotation = np.linalg.qr(rng.normal(size=(7, feet, 3, 3)) * 0.1 + np.eye(3))[0]
+    rotation *= np.sign(np.linalg.det(rotation))[..., None, None]
+    reference = Reference(
+        com=rng.normal(size=(7, 3)) * 0.02 + (0, 0, 0.26),
+        com_acceleration=rng.normal(size=(7, 3)),
+        angular_momentum_rate=rng.normal(size=(7, 3)) * 0.2,
+        position_sole=rng.normal(size=(7, feet, 3)) * 0.1,
+        R_level_sole=rotation,
+        stance=np.ones((7, feet), bool),
+        swing=np.zeros((7, feet), bool),
+        accelerometer=np.ones((7, 3)),
+        gyroscope=np.zeros((7, 3)),
+    )
+    force = rng.uniform(5.0, 20.0, size=(7, layout.channels))
+    for quasi_static in (False, True):
+        front_end = FrontEnd(setup, quasi_static=quasi_static)
+        _, sample = front_end.observe(front_end.init(force), force, reference, DT)
+        expected = moment_rows(layout, reference.position_sole, reference.R_level_sole)
+        np.testing.assert_allclose(sample.rows, expected, atol=1e-12)
+        height = reference.position_sole[..., 2].min(axis=-1)
+        ground = ground_reference(reference, MASS, height=height, quasi_static=quasi_static)
+        vgrf, cop, possible = front_end.motions.ground(sample.motion)
+        assert possible.all()
+        np.testing.assert_allclose(vgrf, ground.vgrf, atol=1e-12)
+        np.testing.assert_allclose(cop, ground.cop, atol=1e-12)
+        again = front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
+        for given, kept in zip(reference, again, strict=True):
+            np.testing.assert_array_equal(given, kept)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"window": 0.0}, "'window' must be positive and finite, got 0.0"),
+        ({"delta_force": -1.0}, "'delta_force' must be positive and finite, got -1.0"),
+        ({"cutoff": -3.0}, "'cutoff' must be positive and finite, got -3.0"),
+        ({"every": 0}, "'every' must be a whole number from 1 on, got 0"),
+        ({"iterations": 2.5}, "'iterations' must be a whole number from 1 on, got 2.5"),
+        ({"force_weight": -0.1}, "'force_weight' must not be negative and must be finite, got -0.1"),
+        ({"scale_range": (1.1, 2.0)}, "'scale_range' must enclose 1"),
+        ({"minimum_share": 1.5}, "'minimum_share' must be a share from 0 to 1, got 1.5"),
+        ({"standing_samples": 0}, "'standing_samples' must be a whole number from 1 on, got 0"),
+    ],
+)
+def test_options_without_meaning_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        WindowConfig(**options)
+
+
+def test_weights_can_be_scaled_for_a_study():
+    log = walk(2, duration=2.0, stand=1.0, faults=Faults.bad())
+    plain, same, other = (
+        run(log, faults=Faults.bad(), **options).scale[-1]
+        for options in (
+            {},
+            {"force_weight": 4.0, "delta_force": 2 * WindowConfig().delta_force},
+            {"smoothness_weight": 5.0},
+        )
+    )
+    np.testing.assert_allclose(plain, same, rtol=1e-9)
+    assert np.abs(plain - other).max() > 1e-3 * np.abs(plain).max()
+
+
+def test_one_foot_alone_is_calibrated_too():
+    plate = FeetLayout((LAYOUT.feet[0],))
+    rng = np.random.default_rng(5)
+    samples = 800
+    wave = np.sin(np.arange(samples)[:, None] * DT * 2 * np.pi * (0.7, 1.1))
+    cop = (0.024, 0.007) + wave * (0.05, 0.03) + rng.normal(size=(samples, 2)) * 1e-4
+    corner = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+    local = (cop - (0.02397, 0.00676)) / (0.085, 0.049)
+    force = MASS * GRAVITY * (1 + corner[:, 0] * local[:, :1]) * (1 + corner[:, 1] * local[:, 1:]) / 4
+    zero = np.zeros((samples, 3))
+    reference = Reference(
+        com=np.column_stack([cop, np.full(samples, 0.26)]),
+        com_acceleration=zero,
+        angular_momentum_rate=zero,
+        position_sole=zero[:, None],
+        R_level_sole=np.broadcast_to(np.eye(3), (samples, 1, 3, 3)),
+        stance=np.ones((samples, 1), bool),
+        swing=np.zeros((samples, 1), bool),
+        accelerometer=zero + np.array([0.0, 0.0, GRAVITY]),
+        gyroscope=zero,
+    )
+    gain = np.array([1.1, 0.95, 1.0, 0.9])
+    for method in ("window", "quasi-static", "tare", "none"):
+        estimate = replay(plate, method, gain * force, reference, DT, mass=MASS, lag=0)
+        assert estimate.cop_foot.shape == (samples, 1, 2)
+        error = np.linalg.norm(estimate.cop - cop, axis=1)[-50:].mean()
+        if method in ("window", "quasi-static"):
+            assert error < 0.5 * unlearnt_error(gain, force, cop)
+
+
+def unlearnt_error(gain, force, cop):
+    position = LAYOUT.feet[0].position_cell_sole[:, :2]
+    reported = gain * force
+    raw = reported @ position / reported.sum(axis=1, keepdims=True)
+    return np.linalg.norm(raw - cop, axis=1)[-50:].mean()
+
+
+def test_an_update_is_one_every_four_samples():
+    log = walk(2, duration=2.0, stand=1.0, faults=Faults.bad())
+    estimate = run(log, faults=Faults.bad(), standing_start=False)
+    changed = np.flatnonzero(np.abs(np.diff(estimate.scale, axis=0)).max(axis=1) > 0) + 1
+    assert len(changed) > 10
+    assert (changed % 4 == 3).all()
+
+
+def test_methods_hand_out_a_state_that_is_a_value():
+    log = walk(2, duration=2.0, stand=1.0, faults=Faults.bad())
+    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)
+    init, update = online_method("window", setup, standing_start=False)
+    state = init(log.raw[0])
+    for k in range(120):
+        state, _ = update(state, log.raw[k], Reference(*(part[k] for part in log.reference)), DT)
+    row = Reference(*(part[120] for part in log.reference))
+    (first, one), (second, two) = (update(state, log.raw[120], row, DT) for _ in range(2))
+    np.testing.assert_array_equal(one.scale, two.scale)
+    np.testing.assert_array_equal(first.samples, second.samples)
