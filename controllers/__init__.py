@@ -1,1 +1,10 @@
-"""surefoot.controllers."""
+"""Controllers: an observation in, an action out, NumPy alone.
+
+A controller sees what the observation holds and nothing else. The same one therefore walks on true, drifting
+or calibrated readings, as the wrapper before it decides.
+"""
+
+from surefoot.controllers.stabiliser import Stabiliser
+from surefoot.controllers.zero import zero_action
+
+__all__ = ["Stabiliser", "zero_action"]

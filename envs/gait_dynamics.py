@@ -1,7 +1,7 @@
 """What a planned motion of the whole robot asks of the ground and of its motors.
 
-Newton and Euler for the whole body, with the centre of mass c, the angular momentum L about it and the ground at
-height zero, give the centre of pressure:
+Newton and Euler for the whole body, with the centre of mass c, the angular momentum L about it and the ground
+at height zero, give the centre of pressure:
 
     Fz = M (z'' + g),    px = x - [z M x'' + L_y'] / Fz,    py = y - [z M y'' - L_x'] / Fz.
 
@@ -15,11 +15,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["joint_torques", "joint_velocities", "multibody_zmp"]
+from surefoot.envs.robot import motor_names
+
+__all__ = ["joint_torques", "joint_velocities", "motor_targets", "multibody_zmp"]
 
 ARM_OF_TORQUE = 0.01
-"""Torque in N m that weighs as much as a force of 1 N where both feet share a wrench: a small foot carries a force
-rather than a torque."""
+"""Torque in N m that weighs as much as a force of 1 N where both feet share a wrench.
+
+Small: the feet shall share forces rather than twist against each other.
+"""
 
 
 def joint_velocities(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
@@ -63,8 +67,8 @@ def multibody_zmp(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -
         com[k] = data.subtree_com[1]
         momentum[k] = data.subtree_angmom[1]
     mass = float(model.body_subtreemass[1])
-    acceleration = np.diff(com, n=2, axis=0, prepend=com[:1], append=com[-1:]) / dt**2
-    spin = np.gradient(momentum, dt, axis=0) if len(qpos) > 1 else np.zeros_like(momentum)
+    acceleration: NDArray[np.float64] = np.diff(com, n=2, axis=0, prepend=com[:1], append=com[-1:]) / dt**2
+    spin = _rate(momentum, dt)
     force = mass * (acceleration[:, 2] - model.opt.gravity[2])
     height = com[:, 2]
     x = com[:, 0] - (height * mass * acceleration[:, 0] + spin[:, 1]) / force
@@ -81,8 +85,8 @@ def joint_torques(
 ) -> NDArray[np.float64]:
     """Find the torques of a motion with its feet on the ground.
 
-    While both feet carry, their wrenches are not determined by the motion: the one taken is the smallest, each
-    foot's weighed by its share of the load.
+    While both feet carry, their wrenches are not determined by the motion: the one taken is the smallest,
+    each foot's weighed by its share of the load.
 
     Args:
         model: The robot, with bodies ``left_plate`` and ``right_plate``.
@@ -100,7 +104,7 @@ def joint_torques(
     data = mujoco.MjData(free)
     plates = [free.body(f"{foot}_plate").id for foot in ("left", "right")]
     qvel = joint_velocities(free, qpos, dt)
-    qacc = np.gradient(qvel, dt, axis=0) if len(qpos) > 1 else np.zeros_like(qvel)
+    qacc = _rate(qvel, dt)
     ease = np.repeat([1.0, ARM_OF_TORQUE**2], 3)
     jacobian = np.zeros((2, 6, free.nv))
     torque = np.empty_like(qvel)
@@ -116,3 +120,41 @@ def joint_torques(
         wrench = weight * (root.T @ np.linalg.solve((root * weight) @ root.T, data.qfrc_inverse[:6]))
         torque[k] = data.qfrc_inverse - wrench @ feet
     return torque
+
+
+def motor_targets(
+    model: mujoco.MjModel,
+    qpos: NDArray[np.float64],
+    qvel: NDArray[np.float64],
+    torque: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Lead a motion by what its position servos give way and lag behind.
+
+    A servo pulls with kp (target - q) - kv q', so that target = q + (torque + kv q') / kp.
+
+    Args:
+        model: The robot, each motor named after the joint it turns; LHipYawPitch turns the right one as well.
+        qpos: Postures, shape (ticks, nq).
+        qvel: Their velocities, shape (ticks, nv).
+        torque: Torques that they take, shape (ticks, nv), N m.
+
+    Returns:
+        Targets in the order of the model's actuators, shape (ticks, M), rad.
+    """
+    target = np.empty((len(qpos), model.nu))
+    for motor, name in enumerate(motor_names(model)):
+        kp, kv = model.actuator_gainprm[motor, 0], -model.actuator_biasprm[motor, 2]
+        joint = model.joint(name)
+        load = torque[:, int(joint.dofadr[0])]
+        if name == "LHipYawPitch":
+            load = load + torque[:, int(model.joint("RHipYawPitch").dofadr[0])]
+        target[:, motor] = qpos[:, int(joint.qposadr[0])] + (load + kv * qvel[:, int(joint.dofadr[0])]) / kp
+    return target
+
+
+def _rate(values: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    """Differentiate along the first axis by central differences; a single row is at rest."""
+    if len(values) == 1:
+        return np.zeros_like(values)
+    rate: NDArray[np.float64] = np.gradient(values, dt, axis=0)
+    return rate

@@ -4,9 +4,8 @@ A walk is a path of body poses, one a step, along a straight line or an arc, and
 them. The first move and the last are half as long as the others, so that the walk starts and stops gently,
 and one more step brings the feet side by side.
 
-While turning, the feet turn by the toe-out rule that the NAO's own walk uses: the foot on the inside of the turn
-takes the yaw of two steps at once, opening the feet, and the other follows. The shoes then never toe in,
-where their tips would touch.
+While turning, the foot on the inside of the turn takes the yaw of two steps at once, opening the feet, and
+the other follows. So the shoes toe out but never in, where their tips would touch.
 """
 
 import math
@@ -128,8 +127,9 @@ def plan_footsteps(
             raise ValueError(f"'{name}' must be finite, got {value}.")
     if abs(speed) * step_time > MAX_STEP_LENGTH + 1e-12:
         raise ValueError(
-            f"'speed' {speed} m/s makes steps of {abs(speed) * step_time:.3f} m, longer than the legs' "
-            f"{MAX_STEP_LENGTH} m; at {step_time} s a step, walk at most {MAX_STEP_LENGTH / step_time:.4f} m/s."
+            f"'speed' {speed} m/s makes steps of {abs(speed) * step_time:.3f} m, longer than the "
+            f"legs' {MAX_STEP_LENGTH} m; at {step_time} s a step, walk at most "
+            f"{MAX_STEP_LENGTH / step_time:.4f} m/s."
         )
     if abs(turn_rate) * step_time > MAX_STEP_TURN + 1e-12:
         raise ValueError(
@@ -170,7 +170,7 @@ def _path(length: float, turn: float, steps: int) -> NDArray[np.float64]:
         # The chord of an arc points along the heading in its middle.
         half = share[index] * turn / 2
         chord = share[index] * length * np.sinc(half / np.pi)
-        state = state + (chord * np.cos(state[2] + half), chord * np.sin(state[2] + half), 2 * half)
+        state = state + np.array([chord * np.cos(state[2] + half), chord * np.sin(state[2] + half), 2 * half])
         pose[index] = state
     pose[-1] = state
     return pose

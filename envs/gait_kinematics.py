@@ -1,9 +1,9 @@
 """From where the feet and the centre of mass should be to what the joints have to do.
 
 Differential inverse kinematics through :mod:`mink`. Two legs with one common hip-yaw-pitch motor have eleven
-degrees of freedom and the floating torso six; both soles (12), the centre of mass (3) and an upright torso (2)
-use up all seventeen, so that nothing is left to a posture. The torso's heading follows from the common motor, which
-turns both legs outward alike: it is the mean heading of the soles.
+degrees of freedom and the floating torso six; both soles (12), the centre of mass (3) and an upright torso
+(2) use up all seventeen, so that nothing is left to a posture. The torso's heading follows from the common
+motor, which turns both legs outward alike: it is near the mean heading of the soles.
 """
 
 from typing import NamedTuple
@@ -99,8 +99,8 @@ class WholeBodyKinematics:
         self._com.set_target(com)
         self._upright.set_target(mink.SE3.from_rotation(mink.SO3.from_z_radians(float(np.mean(yaw_sole)))))
         tasks = [*self._soles, self._com, self._upright]
+        error = self._errors()
         for _ in range(ITERATIONS):
-            error = self._errors()
             if max(error) < TOLERANCE:
                 return self._configuration.q.copy(), error[0]
             velocity = mink.solve_ik(
@@ -113,6 +113,7 @@ class WholeBodyKinematics:
                 constraints=self._constraints,
             )
             self._configuration.integrate_inplace(velocity, 1.0)
+            error = self._errors()
         raise ValueError(
             f"The legs cannot place the soles at {np.round(position_sole, 4).tolist()} m, headings "
             f"{np.round(yaw_sole, 4).tolist()} rad, under a centre of mass at {np.round(com, 4).tolist()} m: "
@@ -127,8 +128,8 @@ class WholeBodyKinematics:
     ) -> JointTrack:
         """Find the postures of a motion, each started from the one before.
 
-        A posture depends on where things are relative to the left sole, not on where in the world that is. A steady
-        walk repeats itself in these terms, so that each posture of its cycle is solved once.
+        A posture depends on where things are relative to the left sole, not on where in the world that is.
+        A steady walk repeats itself in these terms, so that each posture of its cycle is solved once.
 
         Args:
             com: Centre of mass, shape (ticks, 3), m.

@@ -1,24 +1,26 @@
 """A whole walk, planned before it is walked: stand, start, walk or turn, stop, stand.
 
-From the footsteps follows where the centre of pressure is to be: under the supporting foot while one foot carries,
-moving smoothly from one foot to the other while both do. Preview control finds a motion of the centre of mass
-with that centre of pressure, the swinging foot goes along smooth polynomials, and inverse kinematics turns it
-all into joint targets.
+From the footsteps follows where the centre of pressure is to be: under the supporting foot while one foot
+carries, moving smoothly from one foot to the other while both do. Preview control finds a motion of the
+centre of mass with that centre of pressure, the swinging foot goes along smooth polynomials, and inverse
+kinematics turns it all into joint targets.
 
-The cart-table knows nothing of the swinging leg. As Kajita et al. (2003) propose, the centre of pressure that the
-planned motion of the *whole* robot asks for is computed, and a second run of the preview control, on the
+The cart-table knows nothing of the swinging leg. As Kajita et al. (2003) propose, the centre of pressure that
+the planned motion of the *whole* robot asks for is computed, and a second run of the preview control, on the
 difference to the reference, corrects the motion of the centre of mass.
+
+What the motors are told leads the posture by what is known to hold it back: the servos give way under their
+load and lag behind by kv / kp, and the ground gives way under a foot.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
-from surefoot.envs.gait_dynamics import joint_torques, joint_velocities, multibody_zmp
+from surefoot.envs.gait_dynamics import joint_torques, joint_velocities, motor_targets, multibody_zmp
 from surefoot.envs.gait_footsteps import (
     CONTROL_RATE,
     LEFT,
@@ -27,12 +29,12 @@ from surefoot.envs.gait_footsteps import (
     plan_footsteps,
     stance_of_stand,
 )
-from surefoot.envs.gait_kinematics import WholeBodyKinematics
+from surefoot.envs.gait_kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait_preview import CartTable, track_zmp
 from surefoot.envs.gait_swing import lift, minimum_jerk
-from surefoot.envs.robot import load_nao_spec, motor_names
+from surefoot.envs.robot import load_nao_spec
 
-__all__ = ["Pattern", "plan_stand", "plan_walk"]
+__all__ = ["Pattern", "plan_walk"]
 
 LIFT_HEIGHT = 0.015
 """How high a foot is lifted, in m."""
@@ -46,8 +48,15 @@ COM_LOWERING = 0.12
 HALF_WIDTH = 0.05
 """Distance of either ankle from the middle in m: legs vertical below the hips."""
 
+GROUND_GIVE = 0.7e-3
+"""How far a foot that carries the whole robot is pressed down, in m.
+
+The ground gives way by 0.5 mm and the legs by the rest. Otherwise the swinging foot would meet the ground
+early, and take over weight that the other is still to carry.
+"""
+
 COP_SOLE = (0.015, 0.010)
-"""Where under a foot that carries alone the centre of pressure is to be, in m: ahead of the ankle, and inwards."""
+"""Where the centre of pressure is under a foot that carries alone: ahead of the ankle and inwards, in m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +124,15 @@ class _Ground:
     stance: NDArray[np.bool_]
     phase: NDArray[np.float64]
 
+    @property
+    def share(self) -> NDArray[np.float64]:
+        """Share of the weight on each foot, as the centre of pressure says, shape (ticks, 2)."""
+        between = self.cop_foot[:, 1] - self.cop_foot[:, 0]
+        right = ((self.cop - self.cop_foot[:, 0]) * between).sum(axis=1) / (between**2).sum(axis=1)
+        return np.where(self.stance, np.stack([1.0 - right, right], axis=1), 0.0)
 
-@cache
+
+@lru_cache(maxsize=32)
 def plan_walk(
     speed: float = 0.04,
     turn_rate: float = 0.0,
@@ -147,43 +163,20 @@ def plan_walk(
     480
     """
     timing = GaitTiming() if timing is None else timing
-    _check_duration(duration)
+    if not (np.isfinite(duration) and duration > 0):
+        raise ValueError(f"'duration' must be a positive number of seconds, got {duration}.")
     steps = timing.steps_within(duration)
     if steps < 2:
         least = 2 * (timing.stand_time + timing.step_time) + timing.double_support * timing.step_time
         raise ValueError(
-            f"'duration' {duration} s leaves no room for two steps between {timing.stand_time} s of standing at "
-            f"either end; walk for at least {least + 0.05:.2f} s."
+            f"'duration' {duration} s leaves no room for two steps between {timing.stand_time} s of standing "
+            f"at either end; walk for at least {least + 0.05:.2f} s."
         )
     footsteps = plan_footsteps(speed, turn_rate, steps, timing.step_time, half_width)
     if com_height is None:
         com_height = COM_HEIGHT - COM_LOWERING * max(abs(speed) * timing.step_time - 0.02, 0.0)
     ground = _lay_out(footsteps, timing, round(duration * CONTROL_RATE), lift_height, half_width)
     return _make_pattern(ground, footsteps, com_height)
-
-
-@cache
-def plan_stand(
-    duration: float = 60.0, *, com_height: float = COM_HEIGHT, half_width: float = HALF_WIDTH
-) -> Pattern:
-    """Plan to stand still.
-
-    Args:
-        duration: For how long, in s.
-        com_height: Height of the centre of mass in m.
-        half_width: Distance of either ankle from the middle in m.
-
-    Raises:
-        ValueError: If the duration is not positive or the posture is out of reach.
-    """
-    _check_duration(duration)
-    ground = _lay_out((), GaitTiming(), max(round(duration * CONTROL_RATE), 1), 0.0, half_width)
-    return _make_pattern(ground, (), com_height)
-
-
-def _check_duration(duration: float) -> None:
-    if not (np.isfinite(duration) and duration > 0):
-        raise ValueError(f"'duration' must be a positive number of seconds, got {duration}.")
 
 
 def _lay_out(
@@ -205,7 +198,7 @@ def _lay_out(
     double, single = timing.double_ticks, timing.step_ticks - timing.double_ticks
     # In the air throughout the swing, the foot stands on the ground a tick before it and a tick after.
     air = (np.arange(single) + 1.0) / (single + 1.0)
-    for index, step in enumerate(footsteps):
+    for step in footsteps:
         support, old = feet[1 - step.foot], feet[step.foot]
         cop_next = _cop_of(support)
         _shift(cop[tick : tick + double], cop_now, cop_next)
@@ -225,10 +218,8 @@ def _lay_out(
         feet[step.foot] = step
         tick = swing.stop
     cop_last = np.mean([_cop_of(foot) for foot in feet], axis=0)
-    if footsteps:
-        _shift(cop[tick : tick + double], cop_now, cop_last)
-        tick += double
-    cop[tick:] = cop_last
+    _shift(cop[tick : tick + double], cop_now, cop_last)
+    cop[tick + double :] = cop_last
     return _Ground(position, yaw, cop, cop_foot, stance, phase)
 
 
@@ -237,7 +228,8 @@ def _cop_of(foot: Footstep) -> NDArray[np.float64]:
     forward, inward = COP_SOLE
     left = -inward if foot.foot == LEFT else inward
     c, s = np.cos(foot.yaw), np.sin(foot.yaw)
-    return np.array(foot.position) + (c * forward - s * left, s * forward + c * left)
+    x, y = foot.position
+    return np.array([x + c * forward - s * left, y + s * forward + c * left])
 
 
 def _shift(cop: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
@@ -252,23 +244,23 @@ def _make_pattern(ground: _Ground, footsteps: tuple[Footstep, ...], com_height: 
     table = CartTable(com_height, 1.0 / CONTROL_RATE)
     height = np.full((len(ground.cop), 1), com_height)
 
-    def postures(com: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-        track = kinematics.track(np.hstack([com, height]), ground.position_sole, ground.yaw_sole)
-        return track.qpos, track.error
+    def postures(com: NDArray[np.float64], press: float = 0.0) -> JointTrack:
+        sole = ground.position_sole.copy()
+        sole[..., 2] -= press * ground.share
+        return kinematics.track(np.hstack([com, height]), sole, ground.yaw_sole)
 
     motion = track_zmp(ground.cop, table)
-    com, velocity, acceleration = motion.position, motion.velocity, motion.acceleration
+    excess = multibody_zmp(model, postures(motion.position).qpos, table.dt) - ground.cop
+    correction = track_zmp(excess, table)
+    com, velocity, acceleration = (
+        planned - corrected for planned, corrected in zip(motion[:3], correction[:3], strict=True)
+    )
     qpos, error = postures(com)
-    if footsteps:
-        excess = multibody_zmp(model, qpos, table.dt) - ground.cop
-        correction = track_zmp(excess, table)
-        com = com - correction.position
-        velocity = velocity - correction.velocity
-        acceleration = acceleration - correction.acceleration
-        qpos, error = postures(com)
+    pressing = postures(com, GROUND_GIVE).qpos
+    torque = joint_torques(model, qpos, ground.cop_foot, ground.share, table.dt)
     flat = np.zeros_like(height)
     arrays = {
-        "joint_target": _motor_targets(model, qpos, ground, table.dt),
+        "joint_target": motor_targets(model, pressing, joint_velocities(model, qpos, table.dt), torque),
         "qpos": qpos,
         "com": np.hstack([com, height]),
         "com_velocity": np.hstack([velocity, flat]),
@@ -282,26 +274,3 @@ def _make_pattern(ground: _Ground, footsteps: tuple[Footstep, ...], com_height: 
     for array in arrays.values():
         array.flags.writeable = False
     return Pattern(**arrays, footsteps=footsteps, kinematic_error=error)
-
-
-def _motor_targets(
-    model: mujoco.MjModel, qpos: NDArray[np.float64], ground: _Ground, dt: float
-) -> NDArray[np.float64]:
-    """Lead the posture by what the servos give way and lag behind, shape (ticks, M).
-
-    A position servo pulls with kp (target - q) - kv q', so that target = q + (torque + kv q') / kp.
-    """
-    between = ground.cop_foot[:, 1] - ground.cop_foot[:, 0]
-    right = ((ground.cop - ground.cop_foot[:, 0]) * between).sum(axis=1) / (between**2).sum(axis=1)
-    share = np.where(ground.stance, np.stack([1.0 - right, right], axis=1), 0.0)
-    torque = joint_torques(model, qpos, ground.cop_foot, share, dt)
-    velocity = joint_velocities(model, qpos, dt)
-    target = np.empty((len(qpos), model.nu))
-    for motor, name in enumerate(motor_names(model)):
-        kp, kv = model.actuator_gainprm[motor, 0], -model.actuator_biasprm[motor, 2]
-        dof = int(model.joint(name).dofadr[0])
-        load = torque[:, dof]
-        if name == "LHipYawPitch":
-            load = load + torque[:, int(model.joint("RHipYawPitch").dofadr[0])]
-        target[:, motor] = qpos[:, int(model.joint(name).qposadr[0])] + (load + kv * velocity[:, dof]) / kp
-    return target

@@ -1,8 +1,8 @@
 r"""Preview control of the centre of mass, so that the zero-moment point goes where it should.
 
-After Kajita, Kanehiro, Kaneko, Fujiwara, Harada, Yokoi and Hirukawa, "Biped walking pattern generation by using
-preview control of zero-moment point", ICRA 2003. The robot is a cart on a table: a mass at constant height
-:math:`z_c` whose jerk :math:`u` is the input,
+After Kajita, Kanehiro, Kaneko, Fujiwara, Harada, Yokoi and Hirukawa, "Biped walking pattern generation by
+using preview control of zero-moment point", ICRA 2003. The robot is a cart on a table: a mass at constant
+height :math:`z_c` whose jerk :math:`u` is the input,
 
 .. math:: p = x - \frac{z_c}{g} \ddot x.
 
@@ -52,19 +52,19 @@ class CartTable:
             raise ValueError(f"'dt' must be positive, got {self.dt} s.")
 
     @property
-    def A(self) -> NDArray[np.float64]:
+    def A(self) -> NDArray[np.float64]:  # noqa: N802
         """State transition, shape (3, 3)."""
         T = self.dt
         return np.array([[1.0, T, T * T / 2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
 
     @property
-    def B(self) -> NDArray[np.float64]:
+    def B(self) -> NDArray[np.float64]:  # noqa: N802
         """Input, shape (3,)."""
         T = self.dt
         return np.array([T**3 / 6, T * T / 2, T])
 
     @property
-    def C(self) -> NDArray[np.float64]:
+    def C(self) -> NDArray[np.float64]:  # noqa: N802
         """Output, shape (3,): the zero-moment point of a state."""
         return np.array([1.0, 0.0, -self.height / GRAVITY])
 
@@ -113,7 +113,11 @@ def preview_gains(
     Raises:
         ValueError: If the horizon or a weight is not positive.
     """
-    for name, value in {"horizon": horizon, "error_weight": error_weight, "input_weight": input_weight}.items():
+    for name, value in {
+        "horizon": horizon,
+        "error_weight": error_weight,
+        "input_weight": input_weight,
+    }.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"'{name}' must be positive, got {value}.")
     A, B, C = model.A, model.B, model.C
@@ -140,7 +144,7 @@ def preview_gains(
 def track_zmp(
     reference: NDArray[np.float64], model: CartTable, gains: PreviewGains | None = None
 ) -> PreviewTrack:
-    """Move the cart so that its zero-moment point follows a reference, starting at rest above its first value.
+    """Move the cart so that its zero-moment point follows a reference, from rest above its start.
 
     Beyond its end the reference stays where it ended.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
+from surefoot.envs.gait_footsteps import GaitTiming
 from surefoot.envs.gait_pattern import plan_walk
 from surefoot.envs.nao import NaoEnv
 
@@ -22,16 +23,17 @@ TILT_SCALE = 0.2
 
 
 class NaoWalkEnv(NaoEnv):
-    """Walk along a line or an arc from standing to standing; :class:`NaoEnv` describes actions and observations.
+    """Walk along a line or an arc from standing to standing.
 
-    The zero action is the open-loop walker: the joint targets of a pattern planned by preview control, which knows
-    neither the pushes nor the friction nor how the position-controlled joints give way.
+    :class:`NaoEnv` describes actions and observations. The zero action is the open-loop walker: the joint
+    targets of a pattern planned by preview control, which knows the robot but neither its pushes nor its
+    friction.
 
     ## Reward
 
-    The sum of the terms below, all of the step's end, which ``info`` holds as well. True and planned values are
-    compared in the level frames of the true and of the commanded soles, so that a walk that has drifted off its
-    line is not paid less for it.
+    The sum of the terms below, all of the step's end, which ``info`` holds as well. True and planned values
+    are compared in the level frames of the true and of the commanded soles, so that a walk that has drifted
+    off its line is not paid less for it.
 
     | Term | Value |
     |------|-------|
@@ -49,6 +51,7 @@ class NaoWalkEnv(NaoEnv):
         speed: Forward speed in m/s, negative backwards; 0 marks time, or turns in place.
         turn_rate: Change of heading in rad/s, positive to the left.
         duration: Duration of the plan, standing at either end included, in s.
+        stand_time: Standing before the first and after the last step, in s.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         **options: Of :class:`NaoEnv`.
 
@@ -65,10 +68,12 @@ class NaoWalkEnv(NaoEnv):
         speed: float = 0.04,
         turn_rate: float = 0.0,
         duration: float = 60.0,
-        push_impulse: Sequence[float] = (0.0, 0.1),
+        stand_time: float = 1.0,
+        push_impulse: Sequence[float] = (0.1, 0.5),
         **options: Any,
     ) -> None:
-        self.pattern = plan_walk(float(speed), float(turn_rate), float(duration))
+        timing = GaitTiming(stand_time=float(stand_time))
+        self.pattern = plan_walk(float(speed), float(turn_rate), float(duration), timing=timing)
         super().__init__(duration=duration, push_impulse=push_impulse, **options)
 
     def _command(self, tick: int) -> Command:

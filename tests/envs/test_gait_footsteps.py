@@ -1,5 +1,7 @@
 """Footsteps: alternate, even, clear of each other, and within reach."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,15 +28,14 @@ def shoe_corners(step):
 
 
 def gap(first, second):
-    """Distance by which two convex shoes are apart along the best separating axis; negative if they overlap."""
+    """How far two convex shoes are apart along the best separating axis; negative if they overlap."""
     best = -np.inf
     for shoe in (first, second):
         edges = np.roll(shoe, -1, axis=0) - shoe
         for x, y in edges:
             normal = np.array([y, -x]) / np.hypot(x, y)
-            best = max(
-                best, (second @ normal).min() - (first @ normal).max(), (first @ normal).min() - (second @ normal).max()
-            )
+            one, other = first @ normal, second @ normal
+            best = max(best, other.min() - one.max(), one.min() - other.max())
     return best
 
 
@@ -56,7 +57,7 @@ def test_shoes_never_touch(speed, turn_rate, steps):
 def test_feet_alternate_and_end_side_by_side(speed, turn_rate, steps):
     footsteps = plan_footsteps(speed, turn_rate, steps, STEP_TIME, 0.05)
     assert len(footsteps) == steps
-    assert all(a.foot != b.foot for a, b in zip(footsteps, footsteps[1:], strict=False))
+    assert all(a.foot != b.foot for a, b in pairwise(footsteps))
     last, other = footsteps[-1], footsteps[-2]
     assert last.yaw == pytest.approx(other.yaw, abs=1e-12)
     left, right = (last, other) if last.foot == 0 else (other, last)

@@ -1,5 +1,7 @@
 """Preview control: the zero-moment point follows, whatever the reference."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +16,7 @@ DT = 1 / 80
 def staircase(levels, hold=40, move=26):
     """A reference that goes smoothly from level to level, shape (ticks, 1)."""
     parts = [np.full(160, levels[0])]
-    for before, after in zip(levels, levels[1:], strict=False):
+    for before, after in pairwise(levels):
         parts += [before + (after - before) * minimum_jerk(np.arange(move) / move), np.full(hold, after)]
     parts.append(np.full(240, levels[-1]))
     return np.concatenate(parts)[:, None]
