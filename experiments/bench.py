@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.bench import ChannelFit, fit_channels
+from surefoot.calibration.cop import cop_of_cells
 from surefoot.calibration.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
@@ -28,7 +29,7 @@ from surefoot.envs.plate import SolePlate
 from surefoot.sensors.load_cells import LoadCells, LoadCellState, load_cells, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
-__all__ = ["BenchReport", "BenchSetup", "run_bench"]
+__all__ = ["BenchPlacements", "BenchReport", "BenchSetup", "run_bench"]
 
 _STREAM = 7001
 """Keeps the bench's randomness apart from every other stream with the same seed."""
@@ -85,6 +86,27 @@ class BenchSetup:
 
 
 @dataclass(frozen=True, eq=False)
+class BenchPlacements:
+    """Weighings of one foot at holes that its fit never saw.
+
+    Attributes:
+        hole: Where the weights stood in the sole frame in m, shape (n, 2).
+        load: The weights in N, shape (n,).
+        cop_initial: Centres of pressure by the data sheet's map in m, shape (n, 2); NaN below 5 N.
+        cop_calibrated: The same by the fitted channels and the fitted correction.
+        vgrf_initial: Vertical forces by the data sheet's map in N, shape (n,).
+        vgrf_calibrated: The same by the fitted channels.
+    """
+
+    hole: NDArray[np.float64]
+    load: NDArray[np.float64]
+    cop_initial: NDArray[np.float64]
+    cop_calibrated: NDArray[np.float64]
+    vgrf_initial: NDArray[np.float64]
+    vgrf_calibrated: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class BenchReport:
     """What the bench found.
 
@@ -96,6 +118,7 @@ class BenchReport:
         corrections: The fit of each foot's centre of pressure, (left, right).
         initial: Errors on held-out holes by the data sheet's map (the left column of a Table 3).
         calibrated: Errors on held-out holes by the fitted channels and the fitted correction.
+        held_out: The weighings at these holes, (left, right).
     """
 
     channel_names: tuple[str, ...]
@@ -105,6 +128,7 @@ class BenchReport:
     corrections: tuple[CopCorrectionFit, CopCorrectionFit]
     initial: PlacementScore
     calibrated: PlacementScore
+    held_out: tuple[BenchPlacements, BenchPlacements]
 
 
 @dataclass(eq=False)
@@ -126,11 +150,9 @@ class _Cells:
         bowed = load + self.bow * self.config.capacity * 4.0 * share * (1.0 - share)
         step = np.sqrt(self.setup.seconds_per_weighing)
         walk = np.cumsum(self.rng.standard_normal((2, *load.shape)), axis=1) * step
-        aged = self.state._replace(
-            gain_error=self.state.gain_error + self.config.gain_drift * walk[0],
-            zero=self.state.zero + self.config.zero_drift * walk[1],
-        )
-        self.state = self.state._replace(gain_error=aged.gain_error[-1], zero=aged.zero[-1])
+        wander = np.array([self.config.gain_drift, self.config.zero_drift])[:, None, None]
+        aged = self.state._replace(error=self.state.error[:, None, :] + wander * walk)
+        self.state = self.state._replace(error=aged.error[:, -1])
         repeated = np.broadcast_to(bowed, (self.setup.readings, *load.shape))
         mean: NDArray[np.float64] = static_counts(self.config, aged, repeated, self.rng).mean(axis=0)
         return mean
@@ -174,7 +196,7 @@ def run_bench(
     channels = fit_channels(code, weight, layout.channel_names)
 
     nominal = Parameters(cells.nominal_scale, cells.nominal_offset)
-    corrections, initial = [], []
+    corrections, initial, placements = [], [], []
     for foot, where in zip(layout.feet, layout.slices, strict=True):
         hole, load, held_out, cell_load = _place(setup, foot, rng)
         on_all_cells = np.zeros((len(load), cells.channels))
@@ -184,8 +206,18 @@ def run_bench(
             channels.value.force(raw)[:, where], load, hole, _positions(foot), held_out=held_out
         )
         corrections.append(fit)
-        nominal_force = nominal.force(raw)[held_out][:, where]
-        initial.append(fit.score(nominal_force, load[held_out], hole[held_out]))
+        before, after = (part.force(raw)[held_out][:, where] for part in (nominal, channels.value))
+        initial.append(fit.score(before, load[held_out], hole[held_out]))
+        placements.append(
+            BenchPlacements(
+                hole=hole[held_out],
+                load=load[held_out],
+                cop_initial=cop_of_cells(before, _positions(foot)),
+                cop_calibrated=fit.cop(after),
+                vgrf_initial=before.sum(axis=1),
+                vgrf_calibrated=after.sum(axis=1),
+            )
+        )
     return BenchReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
@@ -194,6 +226,7 @@ def run_bench(
         corrections=(corrections[0], corrections[1]),
         initial=_pool(initial),
         calibrated=_pool([fit.score_held_out for fit in corrections]),
+        held_out=(placements[0], placements[1]),
     )
 
 

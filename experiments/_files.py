@@ -1,0 +1,34 @@
+"""Files that are there whole or not at all; private to :mod:`surefoot.experiments`."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["atomic_path", "write_text"]
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Lend a name beside ``path`` to write to, and rename it into place once all is written.
+
+    Args:
+        path: Where the file shall be; its folder is made.
+
+    Yields:
+        A name in the same folder with the same ending. If the body raises, the file under it is removed
+        and what stood at ``path`` before stays.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically, in UTF-8."""
+    with atomic_path(path) as part:
+        part.write_text(text, encoding="utf-8")

@@ -1,0 +1,321 @@
+"""The demo: walk, record, calibrate the same streams by every method, close the loop, and report.
+
+Everything lands in one folder: logs, tables, figures, a film, ``results.json`` and the page ``report.html``.
+"""
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from joblib import Parallel, delayed, parallel_config
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+import surefoot
+from surefoot.calibration import METHODS
+from surefoot.experiments._files import atomic_path, write_text
+from surefoot.experiments._frames import Frame
+from surefoot.experiments.bench import BenchReport, run_bench
+from surefoot.experiments.closed_loop import LoopRun, run_loop
+from surefoot.experiments.demo_jobs import (
+    WEIGHTS,
+    Outcome,
+    record_job,
+    replay_job,
+    sensitivity_job,
+    window_update_ms,
+)
+from surefoot.experiments.video import Film, Reel, join_reels, prepare_rendering, shoot
+from surefoot.experiments.walkers import FEEDS, STAND_TIME
+
+__all__ = ["DemoOptions", "DemoResults", "run_demo"]
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """How much the demo does.
+
+    Attributes:
+        out: Folder for everything that is made.
+        seeds: Number of walks at each speed and in each closed loop; the seeds are 0, 1, ...
+        jobs: Processes that work at the same time.
+        speeds: Walking speeds in m/s.
+        duration: Length of a recorded walk in s, the standing before it included.
+        settle: Errors count from this time in s on.
+        loop_duration: Length of a walk in the closed loop in s, standing included.
+        loops: What the controller is given in the closed loop, by how bad the cells are: 1 is the bad start,
+            2 twice as bad.
+        factors: What the window's weights are scaled by.
+        sensitivity_seeds: Walks of each cell of the sensitivity study.
+        film_duration: Length of the film in s; 0 for none.
+    """
+
+    out: Path = Path("out/demo")
+    seeds: int = 10
+    jobs: int = 2
+    speeds: tuple[float, ...] = (0.02, 0.04, 0.1)
+    duration: float = STAND_TIME + 30.0
+    settle: float = STAND_TIME + 10.0
+    loop_duration: float = STAND_TIME + 20.0
+    loops: Mapping[float, tuple[str, ...]] = field(
+        default_factory=lambda: {2.0: FEEDS, 1.0: ("none", "window")}
+    )
+    factors: tuple[float, ...] = (0.2, 0.5, 1.0, 2.0, 5.0)
+    sensitivity_seeds: int = 5
+    film_duration: float = STAND_TIME + 12.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be done."""
+        for name in ("seeds", "jobs", "sensitivity_seeds"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
+        if not STAND_TIME < self.settle < self.duration:
+            raise ValueError(
+                f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
+                f"{self.duration:g} s, got {self.settle:g} s."
+            )
+
+    def quick(self) -> "DemoOptions":
+        """The same with one speed, two seeds and short walks: half a minute, to see whether all works."""
+        return replace(
+            self,
+            seeds=min(self.seeds, 2),
+            speeds=(0.04,),
+            duration=STAND_TIME + 8.0,
+            settle=STAND_TIME + 4.0,
+            loop_duration=STAND_TIME + 4.0,
+            loops={2.0: FEEDS},
+            factors=(0.2, 1.0, 5.0),
+            sensitivity_seeds=1,
+            film_duration=STAND_TIME + 2.0,
+        )
+
+
+@dataclass(eq=False)
+class DemoResults:
+    """What the demo found.
+
+    Attributes:
+        options: How it was run.
+        bench: The virtual bench.
+        scores: One row a walk, way to read the feet and yardstick.
+        errors: Errors over time.
+        outcomes: Ways to read the first walk, by condition and speed.
+        sensitivity: Rows of the sensitivity study.
+        loop: Rows of the closed loop.
+        film: The film, or why there is none.
+        filmed: Severity, speed in m/s and seed of the film.
+        update_ms: Median time of an update of the window in ms.
+        seconds: Time that each part took in s.
+        machine: What it ran on.
+    """
+
+    options: DemoOptions
+    bench: BenchReport
+    scores: Frame = field(default_factory=pd.DataFrame)
+    errors: Frame = field(default_factory=pd.DataFrame)
+    outcomes: dict[tuple[str, float], list[Outcome]] = field(default_factory=dict)
+    sensitivity: Frame = field(default_factory=pd.DataFrame)
+    loop: Frame = field(default_factory=pd.DataFrame)
+    film: Film = field(default_factory=lambda: Film(None, None, "not asked for"))
+    filmed: tuple[float, float, int] | None = None
+    update_ms: float = float("nan")
+    seconds: dict[str, float] = field(default_factory=dict)
+    machine: str = ""
+
+
+def run_demo(options: DemoOptions, console: Console | None = None) -> DemoResults:
+    """Do everything but the page: walk, record, replay, close the loop, film.
+
+    Args:
+        options: How much.
+        console: Where progress is shown.
+
+    Returns:
+        What was found; it is in files under ``options.out`` as well.
+    """
+    prepare_rendering()
+    console = Console(stderr=True) if console is None else console
+    results = DemoResults(options, run_bench(), machine=_machine())
+    with (
+        _progress(console) as progress,
+        parallel_config(backend="loky" if options.jobs > 1 else "sequential", **_threads(options.jobs)),
+    ):
+        stage = _Stage(options.jobs, progress, results.seconds)
+        logs = _record(stage, options)
+        _replay(stage, results, logs)
+        _sensitivity(stage, results, logs)
+        _close_the_loop(stage, results)
+    results.update_ms = window_update_ms(logs[options.speeds[0]][0][0])
+    _save(results)
+    return results
+
+
+def _threads(jobs: int) -> dict[str, Any]:
+    return {"inner_max_num_threads": 1} if jobs > 1 else {}
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description:28s}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console,
+    )
+
+
+Work = Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]
+"""Functions and what to give them."""
+
+
+@dataclass(eq=False)
+class _Stage:
+    """Runs pieces of work in processes, with a bar and a stopwatch."""
+
+    jobs: int
+    progress: Progress
+    seconds: dict[str, float]
+
+    def run(self, what: str, work: Work) -> list[Any]:
+        """Do pieces in any order and hand their results back in this one."""
+        began = time.perf_counter()
+        task = self.progress.add_task(what, total=len(work))
+        found: list[Any] = [None] * len(work)
+        parallel = Parallel(n_jobs=self.jobs, return_as="generator_unordered")
+        done: Any = parallel(delayed(_numbered)(i, f, a) for i, (f, a) in enumerate(work))
+        for index, result in done:
+            found[index] = result
+            self.progress.advance(task)
+        self.seconds[what] = time.perf_counter() - began
+        return found
+
+
+def _numbered(index: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
+    return index, function(*arguments)
+
+
+Logs = dict[float, list[list[Path]]]
+"""Logs of each speed: one list a seed, one log a condition."""
+
+
+def _record(stage: _Stage, options: DemoOptions) -> Logs:
+    folder = options.out / "logs"
+    cells = [(speed, seed) for speed in options.speeds for seed in range(options.seeds)]
+    found = stage.run("walk and record", [(record_job, (*cell, options.duration, folder)) for cell in cells])
+    logs: Logs = {}
+    for (speed, _), paths in zip(cells, found, strict=True):
+        logs.setdefault(speed, []).append(list(paths.values()))
+    return logs
+
+
+def _replay(stage: _Stage, results: DemoResults, logs: Logs) -> None:
+    names = ["truth", "floor", "baseline", "reference", *METHODS]
+    work: Work = [
+        (replay_job, (_flat(logs[speed]), name, results.options.settle)) for speed in logs for name in names
+    ]
+    outcomes: list[Outcome] = [o for found in stage.run("replay through every method", work) for o in found]
+    for outcome in outcomes:
+        results.outcomes.setdefault((outcome.condition, outcome.speed), []).append(outcome)
+    results.scores = pd.DataFrame([row for outcome in outcomes for row in outcome.scores])
+    results.errors = pd.DataFrame([row for outcome in outcomes for row in outcome.errors])
+
+
+def _sensitivity(stage: _Stage, results: DemoResults, logs: Logs) -> None:
+    options = results.options
+    work: Work = [
+        (sensitivity_job, (_flat(logs[speed][: options.sensitivity_seeds]), weight, factor, options.settle))
+        for speed in logs
+        for weight in WEIGHTS
+        for factor in options.factors
+        if factor != 1.0
+    ]
+    scaled = pd.DataFrame([row for rows in stage.run("scale the window's weights", work) for row in rows])
+    # Weights as they are were replayed already.
+    scores = results.scores
+    plain = scores[(scores["method"] == "window") & (scores["seed"] < options.sensitivity_seeds)]
+    as_they_are = [plain.assign(weight=weight, factor=1.0) for weight in WEIGHTS]
+    results.sensitivity = pd.concat([scaled, *as_they_are], ignore_index=True)
+
+
+def _flat(paths: list[list[Path]]) -> list[Path]:
+    return [path for of_seed in paths for path in of_seed]
+
+
+def _close_the_loop(stage: _Stage, results: DemoResults) -> None:
+    options = results.options
+    cells = [
+        (severity, feed, speed, seed)
+        for severity, feeds in options.loops.items()
+        for speed in options.speeds
+        for seed in range(options.seeds)
+        for feed in feeds
+    ]
+    work: Work = [(_loop_job, (*cell, options.loop_duration)) for cell in cells]
+    found: list[LoopRun] = stage.run("close the loop", work)
+    results.loop = pd.DataFrame([asdict(run) for run in found])
+    if options.film_duration > 0:
+        severity = max(options.loops)
+        speed, seed = _telling_seed(results.loop[results.loop["severity"] == severity])
+        results.filmed = (severity, speed, seed)
+        shots: Work = [
+            (_film_job, (feed, speed, seed, options.film_duration, severity)) for feed in ("none", "window")
+        ]
+        results.film = join_reels(options.out, *stage.run("film", shots))
+
+
+def _loop_job(severity: float, feed: str, speed: float, seed: int, duration: float) -> LoopRun:
+    return run_loop(feed, speed=speed, seed=seed, duration=duration, severity=severity)
+
+
+def _film_job(feed: str, speed: float, seed: int, duration: float, severity: float) -> Reel:
+    return shoot(feed, speed=speed, seed=seed, duration=duration, severity=severity)
+
+
+def _telling_seed(loop: Frame) -> tuple[float, int]:
+    """Choose the walk to film: the first whose raw walker falls and whose calibrated one does not."""
+    paired = loop.pivot(index=["speed", "seed"], columns="feed", values="fell")
+    if {"none", "window"} <= set(paired.columns):
+        telling = paired[paired["none"].astype(bool) & ~paired["window"].astype(bool)]
+        if len(telling):
+            where: Any = telling.index[0]
+            speed, seed = where
+            return float(speed), int(seed)
+    return float(loop["speed"].iloc[0]), int(loop["seed"].iloc[0])
+
+
+def _save(results: DemoResults) -> None:
+    out = results.options.out
+    for name in ("scores", "errors", "sensitivity", "loop"):
+        with atomic_path(out / "tables" / f"{name}.csv") as part:
+            getattr(results, name).to_csv(part, index=False)
+    facts = {
+        "options": {
+            key: str(value) if isinstance(value, Path) else value
+            for key, value in asdict(results.options).items()
+        },
+        "machine": results.machine,
+        "seconds": results.seconds,
+        "window_update_ms": results.update_ms,
+        "bench": {
+            "initial": asdict(results.bench.initial),
+            "calibrated": asdict(results.bench.calibrated),
+        },
+        "film": results.film.problem or "walk.mp4",
+    }
+    write_text(out / "results.json", json.dumps(facts, indent=1))
+
+
+def _machine() -> str:
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco", "gymnasium"))
+    return (
+        f"surefoot {surefoot.__version__}, Python {platform.python_version()}, {packages}; "
+        f"{os.cpu_count()} cores, {platform.machine()}"
+    )

@@ -1,0 +1,205 @@
+"""How far calibrated forces are from the truth, or from a baseline, and how sure a mean over seeds is.
+
+All errors are root mean squares over the samples of one walk from a settling time on:
+
+* **CoP**: the centre of pressure of both feet together in the world, sqrt(mean(ex^2 + ey^2)). Both sides use
+  the *true* poses of the soles, so that the error is one of forces alone. Only samples count in which the
+  true vertical force exceeds 5 N. Where the estimated force does not, its centre of pressure is held, as an
+  observation holds it, and still counts.
+* **vGRF**: the vertical force of both feet together; ``vgrf_foot`` is that of each foot.
+* **cell**: the force of single cells, over all cells.
+
+The CoP paper scores against its own bench calibration applied to the same counts instead of a truth; that is
+the same formula with other forces in the truth's place.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
+from surefoot.calibration.layout import FeetLayout
+
+__all__ = ["Interval", "Score", "cop_world", "mean_interval", "score_forces", "survival_curve"]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of one estimate over one walk.
+
+    Attributes:
+        cop: RMSE of the centre of pressure in m.
+        cop_x: Its part along the world's x axis (forward) in m.
+        cop_y: Its part along y (left) in m.
+        vgrf: RMSE of the vertical force of both feet together in N.
+        vgrf_foot: RMSE of the vertical force of single feet in N.
+        cell: RMSE of the force of single cells in N.
+        samples: Number of samples that count.
+        held: Share of them in which the estimate had no centre of pressure of its own.
+    """
+
+    cop: float
+    cop_x: float
+    cop_y: float
+    vgrf: float
+    vgrf_foot: float
+    cell: float
+    samples: int
+    held: float
+
+    def as_dict(self) -> dict[str, float]:
+        """The fields by name."""
+        return asdict(self)
+
+
+class Interval(NamedTuple):
+    """A mean and how sure it is.
+
+    Attributes:
+        mean: Mean of the finite values.
+        half: Half the width of the two-sided 95 % interval of the mean (Student t); NaN below two values.
+        n: Number of finite values.
+    """
+
+    mean: float
+    half: float
+    n: int
+
+
+def cop_world(
+    force: NDArray[np.float64],
+    layout: FeetLayout,
+    position_sole: NDArray[np.float64],
+    R_world_sole: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Find the centre of pressure of both feet in the world, held where there is none.
+
+    Args:
+        force: Forces of the channels in N, shape (N, K).
+        layout: How the channels make up wrenches.
+        position_sole: Origins of the sole frames in the world in m, shape (N, 2, 3).
+        R_world_sole: Rotations from the sole frames to the world, shape (N, 2, 3, 3).
+
+    Returns:
+        Centre of pressure in m, shape (N, 2). Below 5 N the last one is held; NaN before the first.
+    """
+    return _hold(cop_of_feet(sole_wrenches(force, layout), position_sole, R_world_sole))
+
+
+def score_forces(
+    estimate: NDArray[np.float64],
+    truth: NDArray[np.float64],
+    *,
+    layout: FeetLayout,
+    position_sole: NDArray[np.float64],
+    R_world_sole: NDArray[np.float64],
+    time: NDArray[np.float64],
+    settle: float = 0.0,
+) -> Score:
+    """Score calibrated forces against other ones.
+
+    Args:
+        estimate: Calibrated forces of the channels in N, shape (N, K). Rows with a value that is not finite
+            (no sample had arrived) are left out.
+        truth: Forces to compare with in N, shape (N, K).
+        layout: How the channels make up wrenches.
+        position_sole: True origins of the sole frames in the world in m, shape (N, 2, 3).
+        R_world_sole: True rotations from the sole frames to the world, shape (N, 2, 3, 3).
+        time: Times of the samples in s, shape (N,).
+        settle: Samples before this time in s do not count.
+
+    Raises:
+        ValueError: If no sample is left to count.
+    """
+    finite = np.isfinite(estimate).all(axis=-1) & np.isfinite(truth).all(axis=-1)
+    counted = finite & (time >= settle)
+    if not counted.any():
+        raise ValueError(
+            f"No sample from {settle:g} s on has finite forces, so there is nothing to score; "
+            f"the walk ends at {time[-1]:g} s: walk longer or settle for less."
+        )
+    vgrf_estimate = _vgrf(estimate, layout, R_world_sole)
+    vgrf_truth = _vgrf(truth, layout, R_world_sole)
+    pressed = counted & (vgrf_truth.sum(axis=-1) > FORCE_THRESHOLD)
+    cop_estimate = cop_world(estimate, layout, position_sole, R_world_sole)
+    error = cop_estimate - cop_world(truth, layout, position_sole, R_world_sole)
+    pressed &= np.isfinite(error).all(axis=-1)
+    lost = vgrf_estimate.sum(axis=-1) <= FORCE_THRESHOLD
+    cop_x, cop_y = np.sqrt(np.mean(error[pressed] ** 2, axis=0)) if pressed.any() else (np.nan, np.nan)
+    return Score(
+        cop=float(np.hypot(cop_x, cop_y)),
+        cop_x=float(cop_x),
+        cop_y=float(cop_y),
+        vgrf=_rms((vgrf_estimate - vgrf_truth).sum(axis=-1)[counted]),
+        vgrf_foot=_rms((vgrf_estimate - vgrf_truth)[counted]),
+        cell=_rms((estimate - truth)[counted]),
+        samples=int(counted.sum()),
+        held=float(np.mean(lost[pressed])) if pressed.any() else float("nan"),
+    )
+
+
+def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
+    """Take the mean of one number a seed and its interval by Student's t.
+
+    Args:
+        values: Numbers; those that are not finite are left out.
+        confidence: Probability of the two-sided interval.
+
+    >>> interval = mean_interval([1.0, 2.0, 3.0])
+    >>> print(f"{interval.mean:.2f} +- {interval.half:.4f}")
+    2.00 +- 2.4841
+    """
+    sample = np.asarray(values, dtype=np.float64).ravel()
+    sample = sample[np.isfinite(sample)]
+    n = len(sample)
+    if n == 0:
+        return Interval(float("nan"), float("nan"), 0)
+    if n == 1:
+        return Interval(float(sample[0]), float("nan"), 1)
+    half = stats.t.ppf(0.5 + confidence / 2, n - 1) * np.std(sample, ddof=1) / np.sqrt(n)
+    return Interval(float(np.mean(sample)), float(half), n)
+
+
+def survival_curve(time: ArrayLike, fell: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Estimate the share of walkers still on their feet (Kaplan and Meier, 1958).
+
+    Args:
+        time: When each walker fell or, still walking, was last seen, in s, shape (n,).
+        fell: Whether it fell, shape (n,).
+
+    Returns:
+        Times in s from 0 on, and the share that stands *from* each on, both of one length.
+
+    >>> survival_curve([2.0, 5.0, 9.0, 9.0], [True, True, False, False])
+    (array([0., 2., 5., 9.]), array([1.  , 0.75, 0.5 , 0.5 ]))
+    """
+    ends = np.asarray(time, dtype=np.float64)
+    events = np.asarray(fell, dtype=bool)
+    moments = np.unique(ends)
+    at_risk = np.array([(ends >= moment).sum() for moment in moments])
+    falls = np.array([(events & (ends == moment)).sum() for moment in moments])
+    share = np.cumprod(1.0 - falls / np.maximum(at_risk, 1))
+    return np.concatenate([[0.0], moments]), np.concatenate([[1.0], share])
+
+
+def _vgrf(
+    force: NDArray[np.float64], layout: FeetLayout, R_world_sole: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    wrench = sole_wrenches(force, layout)
+    vertical: NDArray[np.float64] = np.sum(R_world_sole[..., 2, :] * wrench[..., :3], axis=-1)
+    return vertical
+
+
+def _hold(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Carry the last finite row forward."""
+    finite = np.isfinite(values).all(axis=-1)
+    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
+    held: NDArray[np.float64] = np.where(last[:, None] >= 0, values[np.maximum(last, 0)], np.nan)
+    return held
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))

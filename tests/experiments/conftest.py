@@ -1,0 +1,54 @@
+"""Made logs: small, seeded, and known to the last digit."""
+
+import numpy as np
+import pytest
+
+from surefoot.calibration.layout import nao_shoe_layout
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.experiments.log_format import Log, LogTruth
+
+SAMPLES = 60
+MASS = 5.3
+
+
+@pytest.fixture
+def log() -> Log:
+    """A robot that sways on both feet; its cells are true and its counts are exact."""
+    rng = np.random.default_rng(5)
+    layout = nao_shoe_layout()
+    time = np.arange(SAMPLES) / 80.0
+    position = np.zeros((SAMPLES, 2, 3))
+    position[:, 0, 1], position[:, 1, 1] = 0.05, -0.05
+    R = np.tile(np.eye(3), (SAMPLES, 2, 1, 1))
+    turn = 0.1 * np.sin(time)
+    R[:, 0, 0, 0] = R[:, 0, 1, 1] = np.cos(turn)
+    R[:, 0, 1, 0], R[:, 0, 0, 1] = np.sin(turn), -np.sin(turn)
+    force = MASS * GRAVITY / 8 * (1 + 0.2 * rng.standard_normal((SAMPLES, 8)))
+    nominal = Parameters(np.full(8, 2e-5), np.full(8, -160.0))
+    vector = rng.standard_normal((SAMPLES, 3))
+    reference = Reference(
+        com=vector * 0.01 + (0.02, 0.0, 0.26),
+        com_acceleration=vector,
+        angular_momentum_rate=0.1 * vector,
+        position_sole=position,
+        R_level_sole=R,
+        stance=np.ones((SAMPLES, 2), dtype=bool),
+        swing=np.zeros((SAMPLES, 2), dtype=bool),
+        accelerometer=vector + np.array([0.0, 0.0, GRAVITY]),
+        gyroscope=0.01 * vector,
+    )
+    return Log(
+        time=time,
+        raw=(force - nominal.offset) / nominal.scale,
+        reference=reference,
+        layout=layout,
+        mass=MASS,
+        nominal=nominal,
+        bench=None,
+        dt=1 / 80,
+        lag=2,
+        seed=5,
+        truth=LogTruth(force, position, R, *(np.tile(part, (SAMPLES, 1)) for part in nominal)),
+        about={"speed_m_s": 0.0},
+    )

@@ -1,0 +1,147 @@
+"""The command: what it says, and that it says it in one line with a cure when something is wrong."""
+
+import dataclasses
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import surefoot
+from surefoot import __main__
+from surefoot.experiments.cli import app
+from surefoot.experiments.log_format import Log, write_log
+
+RUNNER = CliRunner()
+
+
+def test_version_and_help() -> None:
+    assert RUNNER.invoke(app, ["--version"]).stdout == f"surefoot {surefoot.__version__}\n"
+    shown = RUNNER.invoke(app, ["--help"]).stdout
+    for command in ("demo", "bench", "calibrate", "view"):
+        assert command in shown
+
+
+def test_bench_prints_the_papers_tables(tmp_path: Path) -> None:
+    result = RUNNER.invoke(app, ["bench", "--out", str(tmp_path)])
+    assert result.exit_code == 0
+    assert "Table 2: the paper's counts, fitted again" in result.stdout
+    assert "Table 3: the bench before and after calibration" in result.stdout
+    assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
+
+
+def test_calibrating_a_walk(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.parquet")
+    result = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--method", "none"])
+    assert result.exit_code == 0, result.output
+    walk = pd.read_parquet(tmp_path / "walk.none.parquet")
+    assert len(walk) == len(log)
+    assert log.truth is not None
+    np.testing.assert_allclose(walk["force_right_rear_right_N"], log.truth.force[:, 7], atol=1e-6)
+    np.testing.assert_allclose(walk["vgrf_left_N"], log.truth.force[:, :4].sum(axis=1), atol=1e-6)
+    found = json.loads((tmp_path / "walk.none.json").read_text())
+    np.testing.assert_allclose(found["scale_N_per_count"], log.nominal.scale)
+    assert found["channels"] == list(log.layout.channel_names)
+    assert "Errors from 0 s on" in result.stdout
+
+
+def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path) -> None:
+    path = write_log(dataclasses.replace(log, truth=None, seed=None), tmp_path / "walk.csv")
+    result = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--out", str(tmp_path / "new")])
+    assert result.exit_code == 0, result.output
+    assert "Errors" not in result.stdout
+    assert (tmp_path / "new" / "walk.window.parquet").is_file()
+
+
+def test_calibrating_a_bench(tmp_path: Path) -> None:
+    load = np.array([0.0, 0.01, 0.05, 0.2, 1.0])
+    table = pd.DataFrame({"load_kg": load, "raw_left_front_left_count": 8.3e6 - 4e5 * load})
+    table.to_csv(tmp_path / "bench.csv", index=False)
+    result = RUNNER.invoke(app, ["calibrate", "bench", str(tmp_path / "bench.csv")])
+    assert result.exit_code == 0, result.output
+    found = json.loads((tmp_path / "bench.map.json").read_text())
+    assert found["channels"] == ["left_front_left"]
+    assert found["scale_N_per_count"][0] == pytest.approx(-9.81 / 4e5)
+
+
+def fails(arguments: list[str], message: str) -> None:
+    result = RUNNER.invoke(app, arguments)
+    assert result.exit_code == 2
+    assert result.stderr == f"surefoot: {message}\n"
+
+
+def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
+    path = str(write_log(log, tmp_path / "walk.parquet"))
+    walking = ["calibrate", "walking"]
+    fails(
+        [*walking, "gone.parquet"],
+        "gone.parquet: no such file; 'surefoot demo' records logs under out/demo/logs.",
+    )
+    fails(
+        [*walking, path, "--method", "kalman"],
+        "Method 'kalman' does not exist. Available: 'window', 'quasi-static', 'tare', 'none'.",
+    )
+    fails(
+        [*walking, path, "--start", "bench"],
+        "The log's description has no 'bench' map; start from 'nominal', or add the map.",
+    )
+    fails(
+        [*walking, path, "--settle", "99"],
+        "No sample from 99 s on has finite forces, so there is nothing to score; the walk ends at 0.7375 s: "
+        "walk longer or settle for less.",
+    )
+    fails(["view", "--video", "walk.gif"], "'walk.gif' must end in .mp4.")
+    fails(
+        ["view", "--feed", "guess", "--video", "walk.mp4"],
+        "There is no feed 'guess'. Available: 'true', 'none', 'tare', 'quasi-static', 'window'.",
+    )
+
+
+BAD_WEIGHINGS = {
+    "no weights": (
+        {"raw_a_count": [1, 2]},
+        "needs one column of weights, 'load_kg' or 'load_N', and has neither.",
+    ),
+    "two weights": (
+        {"load_kg": [0, 1], "load_N": [0, 9.81], "raw_a_count": [1, 2]},
+        "needs one column of weights, 'load_kg' or 'load_N', and has ['load_kg', 'load_N'].",
+    ),
+    "no readings": (
+        {"load_kg": [0, 1], "cell": [1, 2]},
+        "has no column 'raw_<cell>_count'; name each cell's readings so, e.g. 'raw_left_front_left_count'.",
+    ),
+    "words": (
+        {"load_kg": [0, 1], "raw_a_count": ["x", "y"]},
+        "column 'raw_a_count' does not hold numbers; check separator and decimal point.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_WEIGHINGS)
+def test_a_bad_bench_is_refused(tmp_path: Path, case: str) -> None:
+    columns, message = BAD_WEIGHINGS[case]
+    pd.DataFrame(columns).to_csv(tmp_path / "bench.csv", index=False)
+    fails(["calibrate", "bench", str(tmp_path / "bench.csv")], f"bench.csv: {message}")
+
+
+def test_one_weight_is_no_line(tmp_path: Path) -> None:
+    pd.DataFrame({"load_N": [1.0, 1.0], "raw_a_count": [5, 6]}).to_csv(tmp_path / "bench.csv", index=False)
+    result = RUNNER.invoke(app, ["calibrate", "bench", str(tmp_path / "bench.csv")])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("surefoot: The cell 'a' saw only the load 1, and a line needs two.")
+
+
+def test_without_the_extra_the_command_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(__main__, "find_spec", lambda name: None if name in ("typer", "rich") else find(name))
+    with pytest.raises(SystemExit) as ended:
+        __main__.main()
+    assert ended.value.code == 2
+    assert 'the command needs typer, rich; install it with `pip install "surefoot[experiments]"`' in (
+        capsys.readouterr().err
+    )

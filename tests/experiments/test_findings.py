@@ -1,0 +1,137 @@
+"""Sentences and tables say what the numbers say."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from surefoot.experiments import demo_tables, findings
+from surefoot.experiments.tables import number, with_interval
+
+SEEDS = range(5)
+
+
+def scores(window: float, against: str = "truth", spread: float = 0.1) -> pd.DataFrame:
+    """Raw feet 10 mm off, the window as told, and Han's 12 mm; all with a little spread over seeds."""
+    level = {"none": 10.0, "window": window, "quasi-static": 12.0}
+    return pd.DataFrame(
+        {
+            "condition": "paper",
+            "speed": 0.04,
+            "seed": seed,
+            "method": method,
+            "against": against,
+            "cop": 1e-3 * (value + spread * seed),
+            "vgrf": value / 10,
+            "cell": 0.5,
+        }
+        for method, value in level.items()
+        for seed in SEEDS
+    )
+
+
+@pytest.mark.parametrize(
+    ("window", "sentence"),
+    [
+        (15.0, "window 15.2 ± 0.2 mm: worse than raw (worse in 5 of 5 seeds)"),
+        (5.0, "window 5.20 ± 0.20 mm: better than raw (worse in 0 of 5 seeds)"),
+    ],
+)
+def test_better_and_worse_are_told_apart(window: float, sentence: str) -> None:
+    said = findings.truth_findings(scores(window), "paper", "the paper's conditions")
+    assert len(said) == 1
+    assert sentence in said[0]
+
+
+def test_what_the_seeds_do_not_tell_is_not_said() -> None:
+    table = scores(10.0)
+    mixed = 1e-3 * np.array([9.0, 11.5, 9.5, 11.0, 10.0])
+    table.loc[table["method"] == "window", "cop"] = mixed
+    said = findings.truth_findings(table, "paper", "the paper's conditions")
+    assert (
+        "window 10.2 ± 1.3 mm: no different from raw within the interval (worse in 2 of 5 seeds)" in said[0]
+    )
+
+
+def test_the_papers_figures_are_compared_with() -> None:
+    (said,) = findings.baseline_findings(scores(5.0, "baseline"), "paper")
+    assert "the window is 5.20 ± 0.20 mm from the bench-calibrated baseline" in said
+    assert "(under the paper's 10.8 mm)" in said
+    assert "Han's lies 7.00 ± 0.00 mm further off in CoP" in said
+
+
+def test_targets_are_reached_or_not() -> None:
+    loop = pd.DataFrame(
+        {"severity": 2.0, "speed": 0.04, "seed": seed, "feed": feed, "fell": feed == "none", "time": 9.0}
+        for feed in ("true", "none", "window")
+        for seed in SEEDS
+    )
+    table = findings.target_table(
+        scores(5.0, "baseline"),
+        loop,
+        paper_condition="paper",
+        coefficient=4e-9,
+        bench=(6e-4, 0.01),
+        update_ms=0.5,
+    )
+    reached = {row[0]: row[3] for row in table.rows}
+    assert reached["Table 2 coefficients, relative"] == "yes"
+    assert reached["bench, held-out CoP (mm)"] == "no"
+    assert reached["window at 0.04 m/s, CoP against baseline (mm)"] == "yes"
+    assert reached["severity 2, drifting raw CoP fed back: share that falls"] == "yes"
+    assert reached["severity 2, window-calibrated CoP fed back: share that falls"] == "yes"
+
+
+def test_falls_are_paired_by_seed() -> None:
+    fell = {"none": [1, 1, 1, 0], "window": [0, 0, 0, 1]}
+    runs = pd.DataFrame(
+        {
+            "severity": 2.0,
+            "speed": 0.1,
+            "seed": seed,
+            "feed": feed,
+            "fell": bool(values[seed]),
+            "cop_error": 0.03 if values[seed] else 0.01,
+        }
+        for feed, values in fell.items()
+        for seed in range(4)
+    )
+    said = findings.loop_findings(runs, 20.0)
+    assert said[0] == "Severity 2, drifting raw CoP: 3 of 4 walks end in a fall within 20 s."
+    assert "3 walks that fall on drifting raw CoP are saved and 1 that do not fall on it are lost" in said[1]
+    assert "sign test p = 0.62" in said[1]
+    assert "fell was 30.0 ± 0.0 mm off up to the fall, that of walkers that did not 10.0 mm" in said[2]
+
+
+def test_the_baseline_scores_nothing_by_construction() -> None:
+    table = scores(5.0, "baseline")
+    table.loc[table["method"] == "none", ["cop", "vgrf"]] = 0.0
+    laid_out = demo_tables.walking_table(table, 0.04, [("paper", "the paper's conditions")])
+    row = next(row for row in laid_out.rows if row[1] == "raw (none)")
+    assert row[2] == "0 (by construction)"
+    window = next(row for row in laid_out.rows if row[1].startswith("window"))
+    assert window[2:4] == ("5.20 ± 0.20", "10.8")
+
+
+def test_the_papers_table_2_comes_out() -> None:
+    _, difference = demo_tables.paper_table_2()
+    assert difference < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (1e-12, "0"),
+        (0.000123, "0.000123"),
+        (1234.5, "1234"),
+        (9.999, "10.00"),
+        (float("nan"), "–"),
+    ],
+)
+def test_numbers_have_three_digits(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_one_seed_has_no_interval() -> None:
+    assert with_interval([2.0]) == "2.00"
+    assert with_interval([float("nan")]) == "–"

@@ -1,0 +1,214 @@
+"""What is written is read back, and what would mislead a calibrator is refused with a cure."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from surefoot.calibration.parameters import Parameters
+from surefoot.experiments.log_format import Log, LogError, read_log, write_log
+
+
+@pytest.mark.parametrize("name", ["walk.parquet", "walk.csv"])
+def test_a_log_survives_the_file(log: Log, tmp_path: Path, name: str) -> None:
+    raw = log.raw.copy()
+    raw[3, 2] = np.nan
+    log = dataclasses.replace(log, raw=raw, bench=Parameters(log.nominal.scale * 1.1, log.nominal.offset))
+    back = read_log(write_log(log, tmp_path / name))
+    np.testing.assert_array_equal(back.time, log.time)
+    np.testing.assert_array_equal(back.raw, log.raw)
+    for field in log.reference._fields:
+        np.testing.assert_allclose(getattr(back.reference, field), getattr(log.reference, field), atol=1e-15)
+    assert back.reference.stance.dtype == bool
+    assert back.truth is not None
+    assert log.truth is not None
+    np.testing.assert_array_equal(back.truth.force, log.truth.force)
+    np.testing.assert_allclose(back.truth.R_world_sole, log.truth.R_world_sole, atol=1e-15)
+    assert back.bench is not None
+    np.testing.assert_array_equal(back.bench.scale, log.nominal.scale * 1.1)
+    np.testing.assert_array_equal(back.layout.wrench_map, log.layout.wrench_map)
+    assert back.layout.channel_names == log.layout.channel_names
+    assert (back.mass, back.dt, back.lag, back.seed, back.about) == (
+        log.mass, log.dt, log.lag, log.seed, log.about,
+    )  # fmt: skip
+
+
+def test_a_real_robot_has_no_truth(log: Log, tmp_path: Path) -> None:
+    path = write_log(dataclasses.replace(log, truth=None, seed=None), tmp_path / "walk.csv")
+    assert not any(name.startswith("truth_") for name in pd.read_csv(path).columns)
+    assert read_log(path).truth is None
+
+
+def test_half_a_truth_is_refused(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    pd.read_csv(path).drop(columns="truth_right_sole_qz").to_csv(path, index=False)
+    with pytest.raises(
+        LogError, match=r"^walk\.csv: missing column truth_right_sole_qz; docs/log-format\.md"
+    ):
+        read_log(path)
+
+
+def test_extra_columns_are_ignored(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    pd.read_csv(path).assign(battery_V=21.6).to_csv(path, index=False)
+    assert len(read_log(path)) == len(log)
+
+
+def test_writing_fails_whole(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.parquet")
+    before = path.read_bytes()
+    broken = dataclasses.replace(log, about={"what": object()})
+    with pytest.raises(TypeError):
+        write_log(broken, path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.parquet"]
+
+
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+def _set(row: int, column: str, value: object) -> Change:
+    def change(frame: pd.DataFrame) -> pd.DataFrame:
+        frame = frame.astype({column: object})
+        frame.loc[row, column] = value
+        return frame
+
+    return change
+
+
+BAD_TABLES: dict[str, tuple[Change, str]] = {
+    "missing column": (
+        lambda t: t.drop(columns=["raw_left_front_left_count"]),
+        "missing column raw_left_front_left_count; docs/log-format.md lists every column and its unit.",
+    ),
+    "many missing columns": (
+        lambda t: t[["time_s"]],
+        "missing column raw_left_front_left_count, raw_left_front_right_count, "
+        "raw_left_rear_left_count, raw_left_rear_right_count and 37 more; docs/log-format.md lists every "
+        "column and its unit.",
+    ),
+    "text": (
+        _set(4, "reference_com_x_m", "1,5"),
+        "column 'reference_com_x_m' does not hold numbers; check the separator and the decimal point.",
+    ),
+    "a belief that is not there": (
+        _set(4, "reference_com_x_m", np.nan),
+        "column 'reference_com_x_m' is nan at row 4; drop the row or interpolate the column.",
+    ),
+    "an infinite reading": (
+        _set(7, "raw_right_rear_right_count", np.inf),
+        "column 'raw_right_rear_right_count' is inf at row 7; write NaN where no sample arrived.",
+    ),
+    "a flag that is none": (
+        _set(2, "reference_left_stance", 2),
+        "column 'reference_left_stance' is 2.0 at row 2; it must be 0 or 1.",
+    ),
+    "no quaternion": (
+        _set(9, "reference_left_sole_qw", 2.0),
+        "columns 'reference_left_sole_qw' to 'reference_left_sole_qz' have length 2 at row 9; "
+        "a rotation is a quaternion (w, x, y, z) of length 1.",
+    ),
+    "time turns back": (
+        _set(10, "time_s", 0.05),
+        "column 'time_s' does not increase at row 10 (0.1125 s, then 0.05 s); sort the rows and drop "
+        "repeated times.",
+    ),
+    "time stands still": (
+        _set(10, "time_s", 0.1125),
+        "column 'time_s' does not increase at row 10 (0.1125 s, then 0.1125 s); sort the rows and "
+        "drop repeated times.",
+    ),
+    "a gap": (
+        lambda t: t.assign(time_s=t["time_s"] + 22.6 * (t.index >= 30)),
+        "column 'time_s' leaps by 22.6 s at row 30 (at most 0.1 s); cut the log there and calibrate "
+        "the parts one by one.",
+    ),
+    "milliseconds": (
+        lambda t: t.assign(time_s=1e3 * t["time_s"]),
+        "column 'time_s' steps by 12.5 where the description says dt_s = 0.0125; give time in seconds "
+        "and the step that belongs to it.",
+    ),
+    "one row": (lambda t: t.head(1), "1 rows are no walk; a log needs at least two."),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TABLES)
+def test_a_bad_table_is_refused(log: Log, tmp_path: Path, case: str) -> None:
+    change, message = BAD_TABLES[case]
+    path = write_log(log, tmp_path / "walk.csv")
+    change(pd.read_csv(path)).to_csv(path, index=False)
+    with pytest.raises(LogError) as refused:
+        read_log(path)
+    assert str(refused.value) == f"walk.csv: {message}"
+
+
+BAD_DESCRIPTIONS: dict[str, tuple[dict[str, object], str]] = {
+    "another format": ({"format": "rosbag"}, 'the description does not say "format": "surefoot-log".'),
+    "another version": ({"format_version": 9}, "log format version 9 is not 1, which this surefoot reads."),
+    "negative mass": ({"mass_kg": -5.3}, "the description's mass_kg is -5.3; it must be positive."),
+    "negative lag": ({"lag_samples": -1}, "the description's lag_samples is -1; it must be positive."),
+    "a mass in words": (
+        {"mass_kg": "heavy"},
+        "the description cannot be used: could not convert string to float: 'heavy'",
+    ),
+    "too few scales": (
+        {"nominal": {"scale_N_per_count": [1.0], "offset_N": [0.0]}},
+        "the description cannot be used: the nominal map needs 8 finite scales and offsets, one a channel, "
+        "got shape (1,).",
+    ),
+    "no offsets": (
+        {"nominal": {"scale_N_per_count": [1.0] * 8}},
+        "the description cannot be used: key 'offset_N' is missing",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_DESCRIPTIONS)
+def test_a_bad_description_is_refused(log: Log, tmp_path: Path, case: str) -> None:
+    change, message = BAD_DESCRIPTIONS[case]
+    path = write_log(log, tmp_path / "walk.csv")
+    side = path.with_suffix(".json")
+    side.write_text(json.dumps(json.loads(side.read_text()) | change))
+    with pytest.raises(LogError) as refused:
+        read_log(path)
+    assert str(refused.value) == f"walk.csv: {message}"
+
+
+def test_feet_that_no_robot_has_are_refused(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    side = path.with_suffix(".json")
+    description = json.loads(side.read_text())
+    side.write_text(json.dumps(description | {"layout": []}))
+    with pytest.raises(LogError, match=r"^walk\.csv: the description cannot be used: A layout has two feet"):
+        read_log(path)
+    side.write_text(json.dumps(description | {"layout": [description["layout"][0]] * 2}))
+    with pytest.raises(LogError, match=r"Both feet are named 'left'; give each its own name\."):
+        read_log(path)
+
+
+def test_files_that_are_no_logs(log: Log, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"gone\.parquet: no such file; 'surefoot demo' records logs"):
+        read_log(tmp_path / "gone.parquet")
+    (tmp_path / "walk.txt").write_text("")
+    with pytest.raises(LogError, match=r"^walk\.txt: a log ends in \.parquet or \.csv; rename or convert"):
+        read_log(tmp_path / "walk.txt")
+    (tmp_path / "walk.parquet").write_bytes(b"PAR0")
+    with pytest.raises(LogError, match=r"^walk\.parquet: not a readable Parquet file"):
+        read_log(tmp_path / "walk.parquet")
+    pq.write_table(pa.table({"time_s": [0.0, 1.0]}), tmp_path / "bare.parquet")
+    with pytest.raises(LogError, match=r"^bare\.parquet: the Parquet schema has no metadata 'surefoot'"):
+        read_log(tmp_path / "bare.parquet")
+    write_log(log, tmp_path / "lonely.csv").with_suffix(".json").unlink()
+    with pytest.raises(LogError, match=r"^lonely\.csv: the description lonely\.json is not beside it"):
+        read_log(tmp_path / "lonely.csv")
+    write_log(log, tmp_path / "torn.csv").with_suffix(".json").write_text('{"format": ')
+    with pytest.raises(LogError, match=r"^torn\.json: the description is not JSON"):
+        read_log(tmp_path / "torn.csv")
+    with pytest.raises(LogError, match=r"^walk\.mat: a log ends in \.parquet or \.csv; rename the file\."):
+        write_log(log, tmp_path / "walk.mat")
