@@ -54,7 +54,8 @@ def demo(
     quick: Annotated[bool, typer.Option("--quick", help="One speed, two seeds, short walks.")] = False,
 ) -> None:
     """Walk at three speeds, calibrate the same streams by every method, close the loop, and report."""
-    from surefoot.experiments.demo import DemoOptions, run_demo
+    from surefoot.experiments.demo import run_demo
+    from surefoot.experiments.demo_options import DemoOptions
     from surefoot.experiments.demo_page import DemoPage
     from surefoot.experiments.recordings_section import recordings_section
 

@@ -98,7 +98,7 @@ def cells_of(severity: float) -> LoadCells:
 
     Args:
         severity: 1 for the preset: gains 12 % and zeros 1.5 N off, drifting by 2 % and 1 N per square root of
-            a minute. 2 for twice as bad.
+            a minute. 3 for three times as bad.
 
     Raises:
         ValueError: If the severity is negative or not finite.

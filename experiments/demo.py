@@ -7,8 +7,8 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -32,70 +32,11 @@ from surefoot.experiments.demo_jobs import (
     sensitivity_job,
     window_update_ms,
 )
+from surefoot.experiments.demo_options import DemoOptions
 from surefoot.experiments.video import Film, Reel, join_reels, prepare_rendering, shoot
-from surefoot.experiments.walkers import FEEDS, STAND_TIME
+from surefoot.experiments.walkers import STAND_TIME
 
-__all__ = ["DemoOptions", "DemoResults", "run_demo"]
-
-
-@dataclass(frozen=True)
-class DemoOptions:
-    """How much the demo does.
-
-    Attributes:
-        out: Folder for everything that is made.
-        seeds: Number of walks at each speed and in each closed loop; the seeds are 0, 1, ...
-        jobs: Processes that work at the same time.
-        speeds: Walking speeds in m/s.
-        duration: Length of a recorded walk in s, the standing before it included.
-        settle: Errors count from this time in s on.
-        loop_duration: Length of a walk in the closed loop in s, standing included.
-        loops: What the controller is given in the closed loop, by how bad the cells are: 1 is the bad start,
-            2 twice as bad.
-        factors: What the window's weights are scaled by.
-        sensitivity_seeds: Walks of each cell of the sensitivity study.
-        film_duration: Length of the film in s; 0 for none.
-    """
-
-    out: Path = Path("out/demo")
-    seeds: int = 10
-    jobs: int = 2
-    speeds: tuple[float, ...] = (0.02, 0.04, 0.1)
-    duration: float = STAND_TIME + 30.0
-    settle: float = STAND_TIME + 10.0
-    loop_duration: float = STAND_TIME + 20.0
-    loops: Mapping[float, tuple[str, ...]] = field(
-        default_factory=lambda: {2.0: FEEDS, 1.0: ("none", "window")}
-    )
-    factors: tuple[float, ...] = (0.2, 0.5, 1.0, 2.0, 5.0)
-    sensitivity_seeds: int = 5
-    film_duration: float = STAND_TIME + 12.0
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be done."""
-        for name in ("seeds", "jobs", "sensitivity_seeds"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
-        if not STAND_TIME < self.settle < self.duration:
-            raise ValueError(
-                f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
-                f"{self.duration:g} s, got {self.settle:g} s."
-            )
-
-    def quick(self) -> "DemoOptions":
-        """The same with one speed, two seeds and short walks: half a minute, to see whether all works."""
-        return replace(
-            self,
-            seeds=min(self.seeds, 2),
-            speeds=(0.04,),
-            duration=STAND_TIME + 8.0,
-            settle=STAND_TIME + 4.0,
-            loop_duration=STAND_TIME + 4.0,
-            loops={2.0: FEEDS},
-            factors=(0.2, 1.0, 5.0),
-            sensitivity_seeds=1,
-            film_duration=STAND_TIME + 2.0,
-        )
+__all__ = ["DemoResults", "run_demo"]
 
 
 @dataclass(eq=False)
@@ -280,12 +221,13 @@ def _film_job(feed: str, speed: float, seed: int, duration: float, severity: flo
 
 
 def _telling_seed(loop: Frame) -> tuple[float, int]:
-    """Choose the walk to film: the first whose raw walker falls and whose calibrated one does not."""
-    paired = loop.pivot(index=["speed", "seed"], columns="feed", values="fell")
-    if {"none", "window"} <= set(paired.columns):
-        telling = paired[paired["none"].astype(bool) & ~paired["window"].astype(bool)]
+    """Choose the walk to film: raw it falls, if it may be after some steps; calibrated it does not."""
+    fell = loop.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
+    if {"none", "window"} <= set(fell.columns):
+        telling = fell[fell["none"] & ~fell["window"]]
         if len(telling):
-            where: Any = telling.index[0]
+            time = loop[loop["feed"] == "none"].set_index(["speed", "seed"])["time"].loc[telling.index]
+            where: Any = (time - (STAND_TIME + 6.0)).abs().idxmin()
             speed, seed = where
             return float(speed), int(seed)
     return float(loop["speed"].iloc[0]), int(loop["seed"].iloc[0])

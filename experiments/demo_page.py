@@ -44,7 +44,7 @@ class DemoPage:
         self.results = results
         self.folder = results.options.out
         options, bench = results.options, results.bench
-        conditions = [(c.name, c.title) for c in CONDITIONS]
+        conditions = [(PAPER.name, "the paper's"), (BAD.name, BAD.title)]
         paper_2, coefficient = demo_tables.paper_table_2()
         self.targets = findings.target_table(
             results.scores,
@@ -142,7 +142,8 @@ class DemoPage:
         overview = figures_summary.rmse_overview(self._path("overview"), self._overview_rows(), published)
         titles = {c.name: c.title for c in CONDITIONS}
         panels = results.errors.assign(panel=[titles[name] for name in results.errors["condition"]])
-        shown = panels[panels["method"].isin(["floor", *METHODS])]
+        walked = (panels["time"] > STAND_TIME) & panels["method"].isin(["floor", *METHODS])
+        shown = panels[walked]
         over_time = figures_summary.error_over_time(self._path("errors_over_time"), shown)
         drawn = [self._figure(overview, "All speeds at once", "overview")]
         for speed in results.options.speeds:
@@ -203,7 +204,7 @@ class DemoPage:
         paragraphs = [say(TEXTS["loop"], stand=STAND_TIME)]
         caption = ""
         if film.path is None or results.filmed is None:
-            paragraphs.append(f"There is no film in this report: {film.problem}.")
+            paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
         else:
             severity, speed, seed = results.filmed
             caption = say(CAPTIONS["film"], severity=severity, speed=speed, seed=seed)

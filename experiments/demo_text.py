@@ -44,7 +44,7 @@ TEXTS = {
         The stabiliser holds the centre of pressure in its observation against the planned one and moves the
         ankles. It is the same controller every time and begins with the first step, after {stand:g} s of
         standing; only the feet it feels differ. Severity 1 is the bad start of above (gains off by 12 %,
-        zeros by 1.5 N, drift 2 % and 1 N per square root of a minute), severity 2 twice that; there are
+        zeros by 1.5 N, drift 2 % and 1 N per square root of a minute), severity 3 three times that; there are
         small pushes, and the ground's friction
         is drawn. What the walker tolerates depends on the controller: it balances on its tilt as well.""",
     "sensitivity": """

@@ -161,6 +161,7 @@ def vgrf_over_time(
                 _draw(column[1], name, trace.time[shown], trace.vgrf[name][shown, 0])
             column[0].set_title(trace.title)
             column[1].set_xlabel("time (s)")
+        _limit_forces(panels[0, 0], traces, names, span)
         panels[0, 0].set_ylabel("both feet, Fz (N)")
         panels[1, 0].set_ylabel("left foot, Fz (N)")
         legend_below(figure, panels[0, 0])
@@ -193,3 +194,19 @@ def _limit(axes: Axes, traces: Sequence[Trace], axis: int, span: tuple[float, fl
     margin = 0.6 * max(high - low, 1.0)
     bottom, top = axes.get_ylim()
     axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+
+
+def _limit_forces(
+    axes: Axes, traces: Sequence[Trace], names: Sequence[str], span: tuple[float, float]
+) -> None:
+    """Keep single samples at a landing from flattening all the others into one line."""
+    total = np.concatenate(
+        [
+            trace.vgrf[name][(trace.time >= span[0]) & (trace.time <= span[1])].sum(axis=1)
+            for trace in traces
+            for name in names
+        ]
+    )
+    low, high = np.nanpercentile(total, [0.5, 99.5])
+    margin = 0.4 * max(float(high - low), 1.0)
+    axes.set_ylim(float(low) - margin, float(high) + margin)

@@ -62,29 +62,37 @@ def truth_findings(scores: Frame, condition: str, title: str) -> tuple[str, ...]
         cop = _pivot(scores, condition, "truth", speed, "cop")
         if "none" not in cop:
             continue
-        raw = mean_interval(cop["none"])
-        parts = []
-        for method in cop.columns.drop(["none", "baseline", "reference"], errors="ignore"):
+        text = (
+            f"{speed:g} m/s, {title}, against the truth: raw {_amount(mean_interval(cop['none']), 1e3, 'mm')}"
+        )
+        if "floor" in cop:
+            text += f" (floor {_amount(mean_interval(cop['floor']), 1e3, 'mm')})"
+        for method in in_order(cop.columns):
+            if method in ("none", "baseline", "floor", "reference"):
+                continue
             change = mean_interval(cop[method] - cop["none"])
             worse = int((cop[method] > cop["none"]).sum())
-            verdict = _verdict(change, "worse than raw", "better than raw")
-            parts.append(
-                f"{short_label(method)} {_amount(mean_interval(cop[method]), 1e3, 'mm')}: {verdict} "
+            text += (
+                f"; {short_label(method)} {_amount(mean_interval(cop[method]), 1e3, 'mm')}, "
+                f"{_verdict(change, 'worse than raw', 'better than raw')} "
                 f"(worse in {worse} of {len(cop)} seeds)"
             )
-        reference = ""
-        if "reference" in cop:
-            reference = (
-                f" The reference that window and Han follow is itself "
-                f"{_amount(mean_interval(cop['reference']), 1e3, 'mm')} from the truth."
-            )
-        said.append(
-            f"{speed:g} m/s, {title}, against the truth: raw {_amount(raw, 1e3, 'mm')}; "
-            + "; ".join(parts)
-            + "."
-            + reference
-        )
+        said.append(text + "." + _reason(cop))
     return tuple(said)
+
+
+def _reason(cop: Frame) -> str:
+    """Say what window and Han follow, where that is further from the truth than the readings are."""
+    if "reference" not in cop:
+        return ""
+    reference, raw = mean_interval(cop["reference"]), mean_interval(cop["none"])
+    asked = _amount(reference, 1e3, "mm")
+    if reference.mean > raw.mean:
+        return (
+            f" The reference that window and Han follow is itself {asked} off, further than the "
+            "readings: following it leads away from the truth."
+        )
+    return f" The reference that window and Han follow is {asked} off."
 
 
 def loop_findings(runs: Frame, horizon: float) -> tuple[str, ...]:

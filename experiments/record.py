@@ -116,6 +116,8 @@ def record_walk(
 ) -> dict[str, Log]:
     """Walk once, and log what the cells of each condition read.
 
+    As in the CoP paper nobody pushes, unless ``push_impulse`` says so.
+
     Args:
         speed: Walking speed in m/s.
         seed: Of the walk, the sensors, the beliefs and the bench.
@@ -126,7 +128,8 @@ def record_walk(
     Returns:
         A log by the condition's name.
     """
-    env, tap = make_walker("none", speed=speed, duration=duration, **env_options)
+    undisturbed = {"push_impulse": (0.0, 0.0)}
+    env, tap = make_walker("none", speed=speed, duration=duration, **(undisturbed | env_options))
     bare: Any = env.unwrapped
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     _, info = env.reset(seed=seed)

@@ -8,6 +8,7 @@ pressure, a coloured one that which the controller is given.
 import os
 import sys
 from collections.abc import Iterator
+from ctypes.util import find_library
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,9 +69,10 @@ class Reel:
 def prepare_rendering() -> None:
     """Choose a way to draw without a screen, unless someone has chosen or there is a screen.
 
-    It must be called before MuJoCo draws for the first time in a process.
+    It must be called before MuJoCo draws for the first time in a process. Where EGL is missing nothing is
+    chosen: MuJoCo cannot even be imported by a process that is told to use what is not there.
     """
-    if sys.platform == "linux" and not _has_screen():
+    if sys.platform == "linux" and not _has_screen() and find_library("EGL"):
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 

@@ -1,16 +1,21 @@
 """The demo from end to end, small: what it writes, and that single cells of it can be repeated."""
 
+import dataclasses
 import json
+import os
 import re
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from surefoot.experiments import recordings_section as recordings_module
 from surefoot.experiments.cli import app
-from surefoot.experiments.demo import DemoOptions, DemoResults, run_demo
+from surefoot.experiments.demo import DemoResults, _telling_seed, run_demo
+from surefoot.experiments.demo_options import DemoOptions
 from surefoot.experiments.demo_page import DemoPage
 from surefoot.experiments.log_format import read_log
 from surefoot.experiments.recordings_section import recordings_section
@@ -40,7 +45,10 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> DemoResults:
 
 @pytest.fixture(scope="module")
 def page(results: DemoResults) -> tuple[DemoPage, str]:
-    page = DemoPage(results, recordings_section(None))
+    # The recordings have a test of their own; here they would take longer than all the rest.
+    with mock.patch.dict(os.environ):
+        os.environ.pop("SUREFOOT_DATA", None)
+        page = DemoPage(results, recordings_section(None))
     return page, page.write().read_text(encoding="utf-8")
 
 
@@ -141,6 +149,60 @@ def test_one_cell_repeated_by_the_command(results: DemoResults, tmp_path: Path) 
     shown = re.search(r"calibrated\s+([\d.]+)", result.stdout)
     assert shown is not None
     assert float(shown[1]) == pytest.approx(expected, rel=6e-3)
+
+
+def test_without_recordings_the_page_says_how_to_get_them(page: tuple[DemoPage, str]) -> None:
+    assert "Set SUREFOOT_DATA to a folder that holds foot/wii_board_18min.npz" in page[1]
+
+
+def test_recordings_are_laid_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    rows = [
+        {
+            "recording": "plate",
+            "method": method,
+            "injected": injected,
+            "cop_ml_mm": 10.0 if method == "none" else cop,
+            "cop_ap_mm": 10.0,
+            "vgrf_n": 1.0,
+            "cell_n": 1.0,
+            "sentence": "Nothing changes.",
+        }
+        for method, cop in (("none", 10.0), ("window", 2.0), ("tare", 20.0))
+        for injected in ("nothing", "both")
+    ]
+    monkeypatch.setattr(recordings_module, "recordings_folder", lambda: tmp_path)
+    monkeypatch.setattr(recordings_module, "study", lambda folder: rows)
+    section = recordings_section(tmp_path)
+    assert [len(table.rows) for table in section.tables] == [3, 3]
+    assert len(pd.read_csv(tmp_path / "tables" / "real_recordings.csv")) == 6
+    assert "window: of 4 errors" in section.findings[0]
+    assert (
+        "2 are more than 10 % smaller than the readings' own, and 0 more than 10 % larger"
+        in section.findings[0]
+    )
+    assert (
+        "0 are more than 10 % smaller than the readings' own, and 2 more than 10 % larger"
+        in section.findings[1]
+    )
+
+
+def test_the_walk_to_film_falls_raw_and_stands_calibrated() -> None:
+    ends = {"none": [5.0, 9.5, 30.0, 9.0], "window": [30.0, 30.0, 30.0, 9.0]}
+    loop = pd.DataFrame(
+        {"speed": 0.1, "seed": seed, "feed": feed, "fell": time < 30.0, "time": time}
+        for feed, times in ends.items()
+        for seed, time in enumerate(times)
+    )
+    assert _telling_seed(loop) == (0.1, 1)
+    assert _telling_seed(loop[loop["feed"] == "none"]) == (0.1, 0)
+
+
+@pytest.mark.slow
+def test_the_number_of_processes_changes_nothing(results: DemoResults, tmp_path: Path) -> None:
+    again = run_demo(dataclasses.replace(results.options, out=tmp_path, jobs=2))
+    pd.testing.assert_frame_equal(again.scores, results.scores)
+    pd.testing.assert_frame_equal(again.loop, results.loop)
+    pd.testing.assert_frame_equal(again.sensitivity, results.sensitivity)
 
 
 def test_options_without_meaning_are_refused() -> None:

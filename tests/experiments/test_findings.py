@@ -32,8 +32,8 @@ def scores(window: float, against: str = "truth", spread: float = 0.1) -> pd.Dat
 @pytest.mark.parametrize(
     ("window", "sentence"),
     [
-        (15.0, "window 15.2 ± 0.2 mm: worse than raw (worse in 5 of 5 seeds)"),
-        (5.0, "window 5.20 ± 0.20 mm: better than raw (worse in 0 of 5 seeds)"),
+        (15.0, "window 15.2 ± 0.2 mm, worse than raw (worse in 5 of 5 seeds)"),
+        (5.0, "window 5.20 ± 0.20 mm, better than raw (worse in 0 of 5 seeds)"),
     ],
 )
 def test_better_and_worse_are_told_apart(window: float, sentence: str) -> None:
@@ -42,13 +42,24 @@ def test_better_and_worse_are_told_apart(window: float, sentence: str) -> None:
     assert sentence in said[0]
 
 
+def test_a_reference_worse_than_the_readings_is_named_as_the_reason() -> None:
+    table = scores(15.0)
+    for off, reason in (
+        (0.02, "20.0 ± 0.0 mm off, further than the readings"),
+        (0.004, "4.00 ± 0.00 mm off."),
+    ):
+        reference = table[table["method"] == "none"].assign(method="reference", cop=off)
+        (said,) = findings.truth_findings(pd.concat([table, reference]), "paper", "the paper's conditions")
+        assert reason in said
+
+
 def test_what_the_seeds_do_not_tell_is_not_said() -> None:
     table = scores(10.0)
     mixed = 1e-3 * np.array([9.0, 11.5, 9.5, 11.0, 10.0])
     table.loc[table["method"] == "window", "cop"] = mixed
     said = findings.truth_findings(table, "paper", "the paper's conditions")
     assert (
-        "window 10.2 ± 1.3 mm: no different from raw within the interval (worse in 2 of 5 seeds)" in said[0]
+        "window 10.2 ± 1.3 mm, no different from raw within the interval (worse in 2 of 5 seeds)" in said[0]
     )
 
 
@@ -107,7 +118,7 @@ def test_the_baseline_scores_nothing_by_construction() -> None:
     table.loc[table["method"] == "none", ["cop", "vgrf"]] = 0.0
     laid_out = demo_tables.walking_table(table, 0.04, [("paper", "the paper's conditions")])
     row = next(row for row in laid_out.rows if row[1] == "raw (none)")
-    assert row[2] == "0 (by construction)"
+    assert row[2] == "0 *"
     window = next(row for row in laid_out.rows if row[1].startswith("window"))
     assert window[2:4] == ("5.20 ± 0.20", "10.8")
 

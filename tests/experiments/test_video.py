@@ -1,0 +1,48 @@
+"""Films: joined, cut to one length, and done without where nothing can be drawn."""
+
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+
+from surefoot.experiments import video
+from surefoot.experiments.video import FRAMES_PER_SECOND, Film, Reel, join_reels
+
+
+def reel(count: int, shade: int, fell_at: float | None = None) -> Reel:
+    frames = np.full((count, 32, 32, 3), shade, dtype=np.uint8)
+    frames += np.arange(count, dtype=np.uint8)[:, None, None, None]
+    return Reel(frames, fell_at)
+
+
+def test_two_walks_side_by_side(tmp_path: Path) -> None:
+    film = join_reels(tmp_path, reel(8, 20, fell_at=3.2), reel(24, 200))
+    assert film == Film(tmp_path / "walk.mp4", tmp_path / "walk.png")
+    assert film.path is not None
+    assert film.still is not None
+    with imageio.get_reader(film.path) as reader:
+        assert reader.get_meta_data()["fps"] == FRAMES_PER_SECOND
+        assert sum(1 for _ in reader) == 24
+    still = np.asarray(imageio.imread(film.still))
+    assert still.shape == (32, 64, 3)
+    # Half a second after the film began: the left one lies there still, the right one walks on.
+    assert (still[:, :32] == 27).all()
+    assert (still[:, 32:] == 208).all()
+
+
+def test_without_pictures_there_is_no_film_but_a_reason(tmp_path: Path) -> None:
+    dark = Reel(np.empty((0, 0, 0, 3), np.uint8), None, "RuntimeError: no OpenGL")
+    assert join_reels(tmp_path, reel(3, 20), dark) == Film(None, None, "RuntimeError: no OpenGL")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_driver_that_fails_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> object:
+        raise RuntimeError("no context\nand much more")
+
+    monkeypatch.setattr(video, "_frames", broken)
+    shot = video.shoot("true", speed=0.04, seed=0, duration=4.0)
+    assert (len(shot.frames), shot.problem) == (0, "RuntimeError: no context")
+    with pytest.raises(OSError, match=r"can be drawn here \(RuntimeError: no context\); install an OpenGL"):
+        video.film_walk(Path("walk.mp4"), "true", speed=0.04, seed=0, duration=4.0)
