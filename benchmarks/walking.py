@@ -1,6 +1,6 @@
 """How well the robot walks, what feedback of the centre of pressure buys, and what a bias of it costs.
 
-    python benchmarks/walking.py                  # everything, about 25 minutes on one core
+    python benchmarks/walking.py                  # everything, about 40 minutes on one core
     python benchmarks/walking.py walk bias        # some of the studies
     python benchmarks/walking.py --seeds 4 --duration 20
 
@@ -130,10 +130,10 @@ def study_gains(seeds: int, duration: float) -> None:
     gains = [
         {"admittance": admittance, "position_gain": position_gain, "velocity_gain": velocity_gain}
         for admittance in (0.75, 1.5, 3.0)
-        for position_gain in (1.1, 1.3, 1.6, 2.0)
+        for position_gain in (1.1, 1.2, 1.3, 1.6, 2.0)
         for velocity_gain in (0.065,)
     ]
-    gains += [{"admittance": 1.5, "position_gain": 1.3, "velocity_gain": gain} for gain in (0.0, 0.16)]
+    gains += [{"admittance": 1.5, "position_gain": 1.2, "velocity_gain": gain} for gain in (0.0, 0.16)]
     pushed = [
         NaoWalkEnv(speed=v, duration=duration / 2, push_impulse=(1.5, 1.5), push_interval=3.0) for v in SPEEDS
     ]
