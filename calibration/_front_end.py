@@ -95,6 +95,7 @@ class FrontEnd:
     Attributes:
         setup: The same.
         motions: The robot's beliefs as flat numbers.
+        plausible: Least and greatest reading of each channel that is not taken for an error, shape (K,) each.
     """
 
     def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False) -> None:
@@ -105,11 +106,11 @@ class FrontEnd:
         scale, offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
         limit = setup.plausible_weights * setup.weight
         ends = np.stack([(-limit - offset) / scale, (limit - offset) / scale])
+        self.plausible = ends.min(axis=0), ends.max(axis=0)
         self._constants = Constants(
             scale,
             offset,
-            ends.min(axis=0),
-            ends.max(axis=0),
+            *self.plausible,
             setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T,
             _LEVER_MAP,
             self.motions.resting,

@@ -75,7 +75,10 @@ class Motions:
 
         Raises:
             ValueError: If a field has another shape, or contacts are no booleans.
+            TypeError: If it is no reference.
         """
+        if not isinstance(reference, Reference):
+            raise TypeError(f"'reference' must be a Reference, got {type(reference).__name__}.")
         for field, value in zip(Reference._fields, reference, strict=True):
             shape = batch + self.tails[field]
             if getattr(value, "shape", None) != shape:

@@ -61,7 +61,11 @@ class OnlineSetup:
         """Refuse values that have no meaning."""
         check_positive(self, "mass", "dt", "plausible_weights")
         check_not_negative(self, "force_threshold")
-        if isinstance(self.lag, bool) or self.lag != int(self.lag) or self.lag < 0:
+        if not isinstance(self.initial, Parameters):
+            raise TypeError(
+                f"'initial' must be Parameters(scale, offset), got {type(self.initial).__name__}."
+            )
+        if not _is_whole(self.lag) or self.lag < 0:
             raise ValueError(f"'lag' must be a whole number of samples from 0 on, got {self.lag}.")
         for field, value in zip(Parameters._fields, self.initial, strict=True):
             shape = np.shape(value)
@@ -115,7 +119,9 @@ def setup_from_options(
     setup = OnlineSetup(
         layout=layout,
         mass=mass,
-        initial=initial or Parameters(np.ones(layout.channels), np.zeros(layout.channels)),
+        initial=Parameters(np.ones(layout.channels), np.zeros(layout.channels))
+        if initial is None
+        else initial,
         dt=dt,
         lag=lag,
         **{name: options[name] for name in own},
@@ -126,22 +132,38 @@ def setup_from_options(
 def check_positive(config: Any, *fields: str) -> None:
     """Refuse fields that are not positive and finite, with the field and the value in the message."""
     for field in fields:
-        value = getattr(config, field)
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"'{field}' must be positive and finite, got {value}.")
+        check_value(field, getattr(config, field), positive=True)
 
 
 def check_not_negative(config: Any, *fields: str) -> None:
     """Refuse fields that are negative or not finite, with the field and the value in the message."""
     for field in fields:
-        value = getattr(config, field)
-        if not (np.isfinite(value) and value >= 0):
-            raise ValueError(f"'{field}' must not be negative and must be finite, got {value}.")
+        check_value(field, getattr(config, field), positive=False)
 
 
 def check_count(config: Any, *fields: str) -> None:
     """Refuse fields that are not whole numbers from one on, with the field and the value in the message."""
     for field in fields:
         value = getattr(config, field)
-        if isinstance(value, bool) or value != int(value) or value < 1:
+        if not _is_whole(value) or value < 1:
             raise ValueError(f"'{field}' must be a whole number from 1 on, got {value}.")
+
+
+def check_value(name: str, value: Any, *, positive: bool) -> None:
+    """Refuse what is no number, not finite, negative or, where it must be positive, zero."""
+    try:
+        finite = bool(np.isfinite(value))
+    except (TypeError, ValueError):
+        raise TypeError(f"'{name}' must be a number, got {value!r} of type {type(value).__name__}.") from None
+    if positive and not (finite and value > 0):
+        raise ValueError(f"'{name}' must be positive and finite, got {value}.")
+    if not (finite and value >= 0):
+        raise ValueError(f"'{name}' must not be negative and must be finite, got {value}.")
+
+
+def _is_whole(value: Any) -> bool:
+    """Tell whether a value is a whole number; infinities, NaN and what is no number are not."""
+    try:
+        return not isinstance(value, bool) and bool(value == int(value))
+    except (TypeError, ValueError, OverflowError):
+        return False

@@ -64,6 +64,8 @@ def fit_channels(raw: ArrayLike, load: ArrayLike, channel_names: Sequence[str] |
     known = np.asarray(load, dtype=np.float64)
     if code.ndim != 2:
         raise ValueError(f"'raw' must have shape (samples, channels), got {code.shape}.")
+    if len(code) == 0:
+        raise ValueError(f"'raw' must hold at least one sample, got shape {code.shape}.")
     if known.shape not in (code.shape, code.shape[:1]):
         raise ValueError(
             f"'load' must have shape {code.shape[:1]} or {code.shape} for 'raw' of shape {code.shape}, "

@@ -44,23 +44,17 @@ class GroundReference(NamedTuple):
 
 
 def ground_height(reference: Reference) -> Array:
-    """Read the height of level ground off the feet that stand on it.
+    """Read the height of level ground off the lower sole, which stands whatever is believed of contacts.
 
     Args:
-        reference: The robot's beliefs; used are ``position_sole`` and ``stance``.
+        reference: The robot's beliefs; used is ``position_sole``.
 
     Returns:
-        Mean height in m of the soles that are surely in stance, else the height of the lower sole,
-        shape (...).
+        Height p_z in the level frame in m, shape (...).
     """
-    check_tail(reference.position_sole, ("feet", 3), "position_sole")
+    check_tail(reference.position_sole, (2, 3), "position_sole")
     xp = array_namespace(reference.position_sole)
-    height = reference.position_sole[..., 2]
-    stance = xp.astype(reference.stance, xp.bool)
-    standing = xp.sum(xp.astype(stance, height.dtype), axis=-1)
-    total = xp.sum(xp.where(stance, height, xp.zeros_like(height)), axis=-1)
-    mean = total / xp.where(standing > 0, standing, xp.ones_like(standing))
-    return xp.where(standing > 0, mean, xp.min(height, axis=-1))
+    return xp.min(reference.position_sole[..., 2], axis=-1)
 
 
 def ground_reference(
@@ -76,7 +70,7 @@ def ground_reference(
 
     Args:
         reference: The robot's beliefs; used are ``com``, ``com_acceleration``, ``angular_momentum_rate`` and,
-            where no height is given, ``position_sole`` and ``stance``.
+            where no height is given, ``position_sole``.
         mass: The robot's mass in kg, a number or shape (...).
         height: Height p_z of the ground in the level frame in m, shape (...); by default
             :func:`ground_height`.

@@ -1,5 +1,6 @@
 """A calibrator for people at a robot: an online method that keeps its own state."""
 
+from hashlib import sha256
 from os import PathLike
 from typing import Any
 
@@ -127,7 +128,7 @@ class FootCalibrator:
                 another library than NumPy; not needed once there was a sample.
 
         Raises:
-            ValueError: If the file is not from this method and layout, or its arrays do not fit.
+            ValueError: If the file is not from this method and setup, or its arrays do not fit.
         """
         if like is None:
             like = np.zeros(self.setup.layout.channels) if self._state is None else self._state_like()
@@ -139,4 +140,16 @@ class FootCalibrator:
 
     def _notes(self) -> dict[str, str]:
         """Name what a saved state belongs to."""
-        return {"method": self.method, "channels": " ".join(self.setup.layout.channel_names)}
+        setup = self.setup
+        # Adding zero makes -0.0 the 0.0 that it equals.
+        wrench_map = np.asarray(setup.layout.wrench_map, dtype=np.float64) + 0.0
+        maps = zip(Parameters._fields, setup.initial, strict=True)
+        return {
+            "method": self.method,
+            "channels": " ".join(setup.layout.channel_names),
+            "mass": repr(float(setup.mass)),
+            "dt": repr(float(setup.dt)),
+            "lag": str(int(setup.lag)),
+            **{f"initial.{name}": str(np.asarray(part, dtype=np.float64).tolist()) for name, part in maps},
+            "wrench_map": f"{wrench_map.shape} {sha256(wrench_map.tobytes()).hexdigest()[:16]}",
+        }

@@ -130,6 +130,11 @@ class FeetLayout:
                 "A layout has two feet, ordered (left, right), or one foot alone such as a force plate; "
                 f"got {len(self.feet)}."
             )
+        for i, foot in enumerate(self.feet):
+            if not isinstance(foot, FootLayout):
+                raise TypeError(
+                    f"'feet[{i}]' must be a FootLayout, got {type(foot).__name__}; leave a missing foot out."
+                )
         if len(self.feet) == 2 and self.feet[0].name == self.feet[1].name:
             raise ValueError(f"Both feet are named '{self.feet[0].name}'; give each its own name.")
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration._front_end import FrontEnd
-from surefoot.calibration._setup import setup_from_options
+from surefoot.calibration._motion import LARGEST_REFERENCE
+from surefoot.calibration._setup import check_value, setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.filters import zero_phase as filter_zero_phase
 from surefoot.calibration.layout import FeetLayout
@@ -72,24 +73,33 @@ def replay(
                 f"'reference.{field}' must have one row for each of the {len(readings)} rows of 'raw', "
                 f"got shape {part.shape}."
             )
+    if np.shape(dt) not in ((), readings.shape[:1]):
+        raise ValueError(
+            f"'dt' must be one number or hold one for each of the {len(readings)} rows of 'raw', "
+            f"got shape {np.shape(dt)}."
+        )
+    if np.ndim(dt) == 0:
+        check_value("dt", dt, positive=True)
     steps = np.broadcast_to(np.asarray(dt, dtype=np.float64), len(readings))
     nominal = float(np.median(steps))
     setup, options = setup_from_options(
         layout, mass=mass, initial=initial, dt=nominal, lag=lag, options=options
     )
 
+    front_end = FrontEnd(setup)
     learnt_from, learnt_with = readings, log
     if zero_phase:
         cutoff = options.pop("cutoff", None) or PAPER_CUTOFF
         if method in METHODS and "cutoff" in getattr(METHODS[method].config, "__dataclass_fields__", {}):
             options["cutoff"] = None
-        learnt_from = filter_zero_phase(readings, cutoff, nominal).astype(readings.dtype)
+        low, high = front_end.plausible
+        learnt_from = _filter_plausible(readings, low, high, cutoff, nominal).astype(readings.dtype)
+        limits = (-LARGEST_REFERENCE, LARGEST_REFERENCE)
         learnt_with = log._replace(
-            com_acceleration=filter_zero_phase(log.com_acceleration, cutoff, nominal),
-            angular_momentum_rate=filter_zero_phase(log.angular_momentum_rate, cutoff, nominal),
+            com_acceleration=_filter_plausible(log.com_acceleration, *limits, cutoff, nominal),
+            angular_momentum_rate=_filter_plausible(log.angular_momentum_rate, *limits, cutoff, nominal),
         )
     init, update = online_method(method, setup, **options)
-    front_end = FrontEnd(setup)
     state, front = init(readings[0]), front_end.init(readings[0])
     estimates = []
     for k in range(len(readings)):
@@ -107,3 +117,9 @@ def replay(
         estimates.append(estimate)
     columns: list[Any] = list(zip(*estimates, strict=True))
     return Estimate(*(None if column[0] is None else np.stack(column) for column in columns))
+
+
+def _filter_plausible(values: NDArray[Any], low: Any, high: Any, cutoff: float, dt: float) -> NDArray[Any]:
+    """Filter what is plausible; the rest stays as it is, for the method to flag, and touches no neighbour."""
+    plausible = (values >= low) & (values <= high)
+    return np.where(plausible, filter_zero_phase(np.where(plausible, values, np.nan), cutoff, dt), values)

@@ -33,6 +33,8 @@ from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
 from surefoot.calibration._arrays import Array, check_tail
+from surefoot.calibration._motion import LARGEST_REFERENCE
+from surefoot.calibration._setup import check_count, check_not_negative, check_positive
 from surefoot.calibration.cop import FORCE_THRESHOLD, moment_rows
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
@@ -42,6 +44,9 @@ __all__ = ["QuietStanding", "StandingEstimate", "StandingState"]
 
 _ROWS = 3
 
+PLAUSIBLE_WEIGHTS = 20.0
+"""Force of one channel, in body weights, beyond which a reading is taken for an error."""
+
 
 class StandingState(NamedTuple):
     """What has been seen so far, in double precision whatever the readings; any batch dimensions ``...``.
@@ -49,7 +54,7 @@ class StandingState(NamedTuple):
     Attributes:
         time: Time since the start in s, shape (...).
         samples: Samples that were used, shape (...).
-        dropped: Samples after warming up with a value that is not finite, shape (...).
+        dropped: Samples after warming up with a value that is not finite or absurd, shape (...).
         gated: Samples after warming up without contact or with motion, shape (...).
         information: Sum of J' J over the whitened rows, shape (..., 2 K + 3, 2 K + 3).
         gradient: Sum of J' y, shape (..., 2 K + 3).
@@ -144,18 +149,14 @@ class QuietStanding:
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         positive = ("mass", "acceleration_threshold", "rate_threshold", "scale_std", "offset_std")
-        for field in (*positive, "force_noise", "cop_noise"):
-            value = getattr(self, field)
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"'{field}' must be positive and finite, got {value}.")
-        for field in ("warm_up", "duration", "threshold", "mass_error", "com_error"):
-            value = getattr(self, field)
-            if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"'{field}' must not be negative and must be finite, got {value}.")
-        if self.minimum_samples < 1:
-            raise ValueError(f"'minimum_samples' must be at least 1, got {self.minimum_samples}.")
+        check_positive(self, *positive, "force_noise", "cop_noise")
+        check_not_negative(self, "warm_up", "duration", "threshold", "mass_error", "com_error")
+        check_count(self, "minimum_samples")
         for field in ("scale", "offset"):
-            self.layout.check_raw(getattr(self.start, field), f"start.{field}")
+            value = getattr(self.start, field)
+            self.layout.check_raw(value, f"start.{field}")
+            if not np.isfinite(np.asarray(value)).all():
+                raise ValueError(f"'start.{field}' holds values that are not finite: {value}.")
 
     def init(self, raw: Array) -> StandingState:
         """Begin with nothing seen.
@@ -268,12 +269,16 @@ class QuietStanding:
         def double(values: Any) -> Array:
             return xp.asarray(values, dtype=xp.float64, device=device)
 
-        def clean(values: Array, axes: int) -> tuple[Array, Array]:
+        def clean(values: Array, axes: int, limit: float = LARGEST_REFERENCE) -> tuple[Array, Array]:
             values = double(values)
-            finite = xp.all(xp.isfinite(values), axis=tuple(range(-axes, 0)))
+            finite = xp.all(xp.abs(values) <= limit, axis=tuple(range(-axes, 0)))
             return xp.where(finite[(..., *[None] * axes)], values, xp.zeros_like(values)), finite
 
-        force, finite = clean(double(self.start.scale) * double(raw) + double(self.start.offset), 1)
+        force, finite = clean(
+            double(self.start.scale) * double(raw) + double(self.start.offset),
+            1,
+            PLAUSIBLE_WEIGHTS * self.mass * GRAVITY,
+        )
         com, com_finite = clean(reference.com, 1)
         sole, sole_finite = clean(reference.position_sole, 2)
         R, R_finite = clean(reference.R_level_sole, 3)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.calibration._setup import check_value
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
@@ -65,6 +66,7 @@ def standing_start(
         CalibrationRefused: If too few samples were finite, in contact and still, or ``strict`` is asked
             for and the recording does not determine all unknowns.
     """
+    check_value("dt", dt, positive=True)
     code = np.asarray(raw, dtype=np.float64)
     if code.ndim != 2:
         raise ValueError(f"'raw' must have shape (samples, channels), got {code.shape}.")

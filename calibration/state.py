@@ -4,6 +4,9 @@ A state is a tree of ``NamedTuple`` with arrays and whole numbers at its leaves.
 ``.npz`` with one entry a leaf, named by its path such as ``"front.raw"``, and no pickles.
 """
 
+import os
+import zipfile
+import zlib
 from os import PathLike
 from typing import Any
 
@@ -25,8 +28,16 @@ def save_state(path: str | PathLike[str], state: Any, **notes: str) -> None:
     """
     leaves = {f"state.{name}": _to_numpy(leaf) for name, leaf in _leaves(state).items()}
     texts = {f"note.{name}": np.asarray(text) for name, text in notes.items()}
-    with open(path, "wb") as file:
-        np.savez(file, format=np.asarray(_FORMAT), **texts, **leaves)  # type: ignore[arg-type]
+    # Replaced in one step: whoever is interrupted while writing keeps the file that was there.
+    temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
+    try:
+        with open(temporary, "wb") as file:
+            np.savez(file, format=np.asarray(_FORMAT), **texts, **leaves)  # type: ignore[arg-type]
+        os.replace(temporary, path)
+    except BaseException:
+        if os.path.exists(temporary):
+            os.remove(temporary)
+        raise
 
 
 def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
@@ -44,14 +55,14 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
     Raises:
         ValueError: If the file is no state, or not one of this method, shape and dtype.
     """
-    with np.load(path, allow_pickle=False) as file:
-        if "format" not in file or str(file["format"]) != _FORMAT:
-            raise ValueError(f"'{path}' is not a saved state: it lacks the mark '{_FORMAT}'.")
-        for name, text in notes.items():
-            saved = str(file[f"note.{name}"]) if f"note.{name}" in file else "nothing"
-            if saved != text:
-                raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
-        saved_leaves = {name[6:]: file[name] for name in file.files if name.startswith("state.")}
+    entries = _read(path)
+    if str(entries.get("format")) != _FORMAT:
+        raise ValueError(f"'{path}' is not a saved state: it lacks the mark '{_FORMAT}'.")
+    for name, text in notes.items():
+        saved = str(entries.get(f"note.{name}", "nothing"))
+        if saved != text:
+            raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
+    saved_leaves = {name[6:]: entry for name, entry in entries.items() if name.startswith("state.")}
     wanted = _leaves(like)
     if set(wanted) != set(saved_leaves):
         odd = sorted(set(wanted) ^ set(saved_leaves))
@@ -65,6 +76,22 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
                 "saved."
             )
     return _rebuild(like, saved_leaves, "")
+
+
+def _read(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
+    """Read all entries of a file."""
+    try:
+        # Opened here, as NumPy leaves a damaged archive open.
+        with open(path, "rb") as opened:
+            file = np.load(opened, allow_pickle=False)
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise ValueError("it holds a single array")
+            with file:
+                return {name: file[name] for name in file.files}
+    except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(
+            f"'{path}' is not a saved state: it is another file or damaged; give one that save_state wrote."
+        ) from error
 
 
 def _leaves(state: Any, path: str = "") -> dict[str, Any]:

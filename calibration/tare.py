@@ -105,7 +105,8 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
         front, sample = front_end.observe(state.front, raw, reference, dt)
         (by_foot,) = constants.like(raw)
         in_air = xp.matmul(xp.astype(sample.swing, raw.dtype), by_foot) > 0.5
-        airborne = xp.where(in_air, state.airborne + 1, 0)
+        # Across a gap the foot may have stood: what was counted before says nothing of this swing.
+        airborne = xp.where(in_air, (state.airborne * 0 if sample.gap else state.airborne) + 1, 0)
         fresh = airborne == 1
         used = (airborne > settle) & sample.read
 

@@ -140,7 +140,16 @@ class Stabiliser:
 
         Returns:
             An action, shape (11,), within [-1, 1].
+
+        Raises:
+            ValueError: If the observation has no centre of pressure.
         """
+        if missing := [name for name in ("cop", "cop_valid") if name not in observation]:
+            raise ValueError(
+                f"The observation lacks {missing}; it has {sorted(observation)}. FootSensors takes the "
+                "centre of pressure away and SelfCalibration brings it back: "
+                "SelfCalibration(FootSensors(env))."
+            )
         self._seen += 1
         if self._seen <= self._wait:
             return np.zeros(ACTION_SIZE, dtype=np.float32)

@@ -45,10 +45,12 @@ class LatencyState(NamedTuple):
     Attributes:
         due: Time until each arrives in s, shape (..., D); 0 or less for one that has.
         readings: Shape (..., D, C); NaN before the first.
+        held: The last that arrived, shape (..., C); NaN before the first.
     """
 
     due: Array
     readings: Array
+    held: Array
 
 
 def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[LatencyState]:
@@ -68,7 +70,8 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LatencyState:
         due = filled(rng, -float("inf"), (*shape[:-1], depth), dtype)
-        return LatencyState(due, filled(rng, float("nan"), (*shape[:-1], depth, shape[-1]), dtype))
+        readings = filled(rng, float("nan"), (*shape[:-1], depth, shape[-1]), dtype)
+        return LatencyState(due, readings, filled(rng, float("nan"), shape, dtype))
 
     def apply(reading: Array, state: LatencyState, rng: Rng, dt: float) -> tuple[Array, LatencyState]:
         xp = array_namespace(reading)
@@ -80,7 +83,10 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
         arrived = due <= 0.0
         newest = arrived & ~xp.concat([arrived[..., 1:], xp.zeros_like(arrived[..., :1])], axis=-1)
         selected = xp.where(newest[..., None], readings, xp.zeros_like(readings))
-        return xp.sum(selected, axis=-2), LatencyState(due, readings)
+        # When all that is kept is still under way, the last that came has left the queue.
+        some = xp.any(arrived, axis=-1, keepdims=True)
+        held = xp.where(some, xp.sum(selected, axis=-2), cast_like(state.held, reading))
+        return held, LatencyState(due, readings, held)
 
     return Corruption(init, apply)
 

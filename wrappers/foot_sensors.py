@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.sensors import Encoders, Imu, Link, LoadCells, LoadCellState, load_cells, resolve, true_map
+from surefoot.sensors.configuration import require
 from surefoot.sensors.link import Packets
-from surefoot.wrappers.telemetry import Telemetry, TelemetryState
+from surefoot.wrappers.telemetry import LONGEST_DELAY, Telemetry, TelemetryState
 
 SENSOR_STREAM = 0x5F00
 """Number of the random stream that sensors draw from unless another is given."""
@@ -67,6 +68,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         link: str | Mapping[str, Any] | Link = "nao-wlan",
         stream: int = SENSOR_STREAM,
     ) -> None:
+        check_stream("FootSensors", stream)
         gym.utils.RecordConstructorArgs.__init__(
             self, config=config, imu=imu, encoders=encoders, link=link, stream=stream
         )
@@ -81,6 +83,12 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             )
         self.config = resolve(config, LoadCells)
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), resolve(link, Link))
+        require(
+            self._configs[2].delay <= LONGEST_DELAY,
+            self._configs[2],
+            "delay",
+            f"be at most {LONGEST_DELAY} s, which is as late as telemetry is of use here",
+        )
         channels = space["foot_force"].shape
         if channels != (self.config.channels,):
             raise ValueError(
@@ -185,6 +193,17 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         seen["state"] = np.minimum(state, high, out=state)
         seen["foot_raw"] = self._raw.astype(np.float32)
         return seen
+
+
+def check_stream(owner: str, stream: Any) -> None:
+    """Refuse what cannot number a random stream, in the name of the wrapper that it was given to.
+
+    Raises:
+        ValueError: If it is no whole number from 0 on.
+    """
+    whole = isinstance(stream, (int, np.integer)) and not isinstance(stream, bool)
+    if not whole or stream < 0:
+        raise ValueError(f"{owner}: 'stream' must be a whole number from 0 on, got {stream!r}.")
 
 
 def _overwritten(layout: Mapping[str, slice], telemetry: Telemetry) -> list[tuple[slice, slice]]:

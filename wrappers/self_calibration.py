@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.envs import load_nao_spec
-from surefoot.wrappers.beliefs import Beliefs
-from surefoot.wrappers.foot_sensors import FootSensors
+from surefoot.wrappers.beliefs import HISTORY, Beliefs
+from surefoot.wrappers.foot_sensors import FootSensors, check_stream
 from surefoot.wrappers.nominal import NominalModel
 
 BELIEF_STREAM = 0x5F01
@@ -68,7 +68,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         estimate: What it last said.
 
     Raises:
-        TypeError: If there is no :class:`FootSensors` below.
+        TypeError: If there is no :class:`FootSensors` below, or another wrapper of this kind, or if the
+            observation is no ``Dict`` any more.
         ValueError: If the method or an option does not exist, or a value has no meaning.
     """
 
@@ -86,12 +87,14 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         stream: int = BELIEF_STREAM,
         **options: Any,
     ) -> None:
-        if isinstance(initial, Parameters):
-            initial = {name: np.asarray(part).tolist() for name, part in initial._asdict().items()}
+        sensors = _foot_sensors(env)
+        start = _initial(initial, sensors.config.channels)
         gym.utils.RecordConstructorArgs.__init__(
             self,
             method=method,
-            initial=initial,
+            initial=start
+            if isinstance(start, str)
+            else {"scale": start.scale.tolist(), "offset": start.offset.tolist()},
             lag=lag,
             mass_error=mass_error,
             com_offset=com_offset,
@@ -101,18 +104,15 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             **options,
         )
         gym.Wrapper.__init__(self, env)
-        self._sensors = _foot_sensors(env)
-        if isinstance(initial, str) and initial not in ("nominal", "bench"):
-            raise ValueError(
-                f"'initial' must be 'nominal', 'bench' or Parameters (scale, offset), got {initial!r}."
-            )
+        self._sensors = sensors
+        check_stream("SelfCalibration", stream)
         for name, value in {
             "bench_scale_error": bench_scale_error,
             "bench_offset_error": bench_offset_error,
         }.items():
             if not 0.0 <= value < float("inf"):
                 raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
-        self._method, self._initial, self._options = method, initial, options
+        self._method, self._initial, self._options = method, start, options
         self._bench_error = (bench_scale_error, bench_offset_error)
         self._stream = stream
         self._rng = np.random.default_rng()
@@ -120,9 +120,15 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.layout = _layout(self.unwrapped)
         self._lag = lag
         # A calibrator is made at each reset; one now refuses bad options before the first step.
-        self._calibrator(self._nominal(), 1.0 / 80.0, lag or 0)
+        trial = self._nominal() if isinstance(start, str) else start
+        self._calibrator(trial, 1.0 / 80.0, lag or 0)
         space = env.observation_space
-        assert isinstance(space, spaces.Dict)
+        if not isinstance(space, spaces.Dict):
+            raise TypeError(
+                "SelfCalibration adds to a Dict of observations, as FootSensors shows them, and found "
+                f"{type(space).__name__}; wrap in this order, and whatever changes observations around both: "
+                f"SelfCalibration(FootSensors(env)). Got {env}."
+            )
         self.observation_space = spaces.Dict(
             dict(space.spaces)
             | {
@@ -157,6 +163,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._age = sensors.config.nominal_age
         needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * telemetry.period - self._age
         self._late = max(ceil(needed / telemetry.dt), CONTACT_MARGIN) if self._lag is None else self._lag
+        self._check_history()
         self.calibrator = self._calibrator(initial, telemetry.dt, self._late)
         self.beliefs = Beliefs(
             self._model,
@@ -224,17 +231,26 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     def _start(self, rng: np.random.Generator) -> Parameters:
         """Find the map to start from."""
-        if isinstance(self._initial, Mapping):
-            return Parameters(
-                np.asarray(self._initial["scale"], dtype=np.float64),
-                np.asarray(self._initial["offset"], dtype=np.float64),
-            )
+        if isinstance(self._initial, Parameters):
+            return self._initial
         drawn = rng.standard_normal((2, self.layout.channels))
         if self._initial == "nominal":
             return self._nominal()
         scale_error, offset_error = self._bench_error
         found = Parameters(1.0 + scale_error * drawn[0], offset_error * drawn[1])
         return found.after(Parameters(*self._sensors.true_parameters()))
+
+    def _check_history(self) -> None:
+        """Refuse a lag so long that the packets it needs would no longer be kept."""
+        telemetry = self._sensors.telemetry
+        # The newest packet that can have come, when the jitter was kind.
+        youngest = max(telemetry.link.delay - 6.0 * telemetry.link.jitter, 0.0)
+        packets = ceil((self._late * telemetry.dt + self._age - youngest) / telemetry.period) + 3
+        if packets > HISTORY:
+            raise ValueError(
+                f"A lag of {self._late} samples over {telemetry.link} needs {packets} packets, and at most "
+                f"{HISTORY} are kept; choose a shorter 'lag', or a link with a lower rate or less jitter."
+            )
 
     def _calibrator(self, initial: Parameters, dt: float, lag: int) -> FootCalibrator:
         return FootCalibrator(
@@ -285,6 +301,11 @@ def _foot_sensors(env: gym.Env[Any, Any]) -> FootSensors:
     """Find the sensors among the wrappers."""
     below: gym.Env[Any, Any] = env
     while isinstance(below, gym.Wrapper):
+        if isinstance(below, SelfCalibration):
+            raise TypeError(
+                "SelfCalibration found another SelfCalibration below it; one is enough, wrap once: "
+                f"SelfCalibration(FootSensors(env)). Got {env}."
+            )
         if isinstance(below, FootSensors):
             return below
         below = below.env
@@ -292,6 +313,40 @@ def _foot_sensors(env: gym.Env[Any, Any]) -> FootSensors:
         "SelfCalibration calibrates the counts of FootSensors and found none below it; wrap in this order: "
         f"SelfCalibration(FootSensors(env)). Got {env}."
     )
+
+
+def _initial(initial: Any, channels: int) -> str | Parameters:
+    """Read the map to start from: a name, or one scale and one offset a channel."""
+    if isinstance(initial, str) and initial in ("nominal", "bench"):
+        return initial
+    if isinstance(initial, Parameters):
+        initial = initial._asdict()
+    if not isinstance(initial, Mapping):
+        raise ValueError(
+            "'initial' must be 'nominal', 'bench' or Parameters (scale, offset), also as a mapping, "
+            f"got {initial!r}."
+        )
+    if set(initial) != set(Parameters._fields):
+        raise ValueError(
+            f"'initial' as a mapping must have exactly the keys {list(Parameters._fields)}, "
+            f"got {list(initial)}."
+        )
+    return Parameters(*(_channels(name, initial[name], channels) for name in Parameters._fields))
+
+
+def _channels(name: str, given: Any, channels: int) -> NDArray[np.float64]:
+    """Read one finite number a channel."""
+    try:
+        # A copy: what the caller does to its array later must not change where an episode starts.
+        part = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        part = np.empty(0)
+    if part.shape != (channels,) or not np.isfinite(part).all():
+        raise ValueError(
+            f"'initial.{name}' must hold one finite number for each of the {channels} channels, "
+            f"got {given!r}."
+        )
+    return part
 
 
 def _layout(env: Any) -> FeetLayout:

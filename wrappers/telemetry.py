@@ -4,12 +4,14 @@ A packet is one flat vector, parts of which :class:`TelemetryLayout` names. It i
 substeps of the simulation, leaves at once and reaches the host late.
 """
 
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors import Corruption, Encoders, Imu, ImuState, Link, encoders, imu, receive, send
+from surefoot.sensors.configuration import require
 from surefoot.sensors.link import Packets
 from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
 
@@ -17,7 +19,10 @@ VELOCITY_TIME_CONSTANT = 0.02
 """Time constant in s of the low-pass filter on differences of encoder readings."""
 
 PACKETS_BEFORE_START = 12
-"""How many packets the robot has sent at rest before an episode begins."""
+"""How many packets the robot has at least sent at rest before an episode begins; more over a late link."""
+
+LONGEST_DELAY = 0.3
+"""Mean delay in s of the latest link that telemetry can come over."""
 
 
 class TelemetryLayout:
@@ -84,6 +89,12 @@ class Telemetry:
         link: The link to the host.
         dt: Duration of a control step in s.
         substeps: Rows of truth in a control step.
+
+    Attributes:
+        before_start: How many packets have been sent at rest before time 0.
+
+    Raises:
+        ValueError: If the link sends more than one packet a substep.
     """
 
     def __init__(
@@ -95,6 +106,17 @@ class Telemetry:
         self.substep = dt / substeps
         self.period = dt if link.rate is None else 1.0 / link.rate
         self.averaged = imu_config.averaged
+        # Two packets in one substep would leave an averaging IMU nothing to average.
+        fastest = substeps / dt
+        require(
+            link.rate is None or link.rate <= fastest * (1.0 + 1e-9),
+            link,
+            "rate",
+            f"be at most {fastest:g} per second, one packet a substep of the simulation",
+        )
+        # Beyond six standard deviations no packet is late: some have come when the episode begins.
+        latest = link.delay + 6.0 * link.jitter
+        self.before_start = max(PACKETS_BEFORE_START, ceil(latest / self.period) + 4)
         self._imu: Corruption[ImuState] = imu(imu_config)
         self._encoders: Corruption[Any] = encoders(encoder_config)
         self._smoothing = self.period / (self.period + VELOCITY_TIME_CONSTANT)
@@ -118,12 +140,12 @@ class Telemetry:
         reading, encoder_state = self._encoders.apply(position, encoder_state, rng, self.period)
         computer = Computer(imu_state, encoder_state, UPRIGHT, reading, np.zeros_like(reading))
         under_way: Packets = ()
-        for number in range(PACKETS_BEFORE_START):
-            time = (number + 1 - PACKETS_BEFORE_START) * self.period
+        for number in range(self.before_start):
+            time = (number + 1 - self.before_start) * self.period
             values, computer = self._measure(position, inertial, computer, rng)
             under_way = send(values, number, time, under_way, self.link, rng)
         arrived, under_way = receive(under_way, 0.0)
-        return arrived, TelemetryState(computer, np.zeros(6), 0, self.period, PACKETS_BEFORE_START, under_way)
+        return arrived, TelemetryState(computer, np.zeros(6), 0, self.period, self.before_start, under_way)
 
     def advance(
         self,

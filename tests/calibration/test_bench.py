@@ -157,3 +157,8 @@ def test_refuses_what_no_line_goes_through(raw, load, reason, cure):
 def test_refuses_shapes_that_do_not_belong_together(raw, load, names, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         fit_channels(raw, load, names)
+
+
+def test_no_samples_are_refused():
+    with pytest.raises(ValueError, match=r"'raw' must hold at least one sample, got shape \(0, 2\)"):
+        fit_channels(np.zeros((0, 2)), [])

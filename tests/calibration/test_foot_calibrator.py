@@ -92,7 +92,7 @@ def test_a_state_of_something_else_is_refused(log, tmp_path):
     tare.update(log.raw[0], rows(log)[0])
     with pytest.raises(ValueError, match="holds the state of another method"):
         load_state(tmp_path / "window.npz", tare.state)
-    with pytest.raises(ValueError, match=r"shape .* but this state needs"):
+    with pytest.raises(ValueError, match="was saved for lag '2', but this is '5'"):
         make(lag=5).load(tmp_path / "window.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match="is not a saved state"):
@@ -190,3 +190,52 @@ def test_a_batch_of_logs_is_replayed_at_once(log):
         both = replay(LAYOUT, "window", raw, reference, DT, zero_phase=zero_phase, **options)
         one = replay(LAYOUT, "window", log.raw, log.reference, DT, zero_phase=zero_phase, **options)
         np.testing.assert_allclose(both.force[:, 1], one.force, atol=1e-8)
+
+
+def test_a_state_of_another_setup_and_files_of_another_kind_are_refused(log, tmp_path):
+    path = tmp_path / "feet.npz"
+    first = make()
+    first.update(log.raw[0], rows(log)[0])
+    first.save(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["feet.npz"]
+    moved = Parameters(NOMINAL.scale, NOMINAL.offset + 1.0)
+    for options, name in (
+        ({"mass": 9.0}, "mass"),
+        ({"dt": 0.02}, "dt"),
+        ({"initial": moved}, "initial.offset"),
+    ):
+        with pytest.raises(ValueError, match=f"was saved for {name} '"):
+            make(**options).load(path)
+    (tmp_path / "text").write_text("no state")
+    np.save(tmp_path / "one.npy", np.zeros(3))
+    (tmp_path / "half").write_bytes(path.read_bytes()[:500])
+    for name in ("text", "one.npy", "half"):
+        with pytest.raises(ValueError, match="is not a saved state: it is another file or damaged"):
+            first.load(tmp_path / name)
+
+
+def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
+    options = {"zero_phase": True, "mass": MASS, "initial": NOMINAL}
+    raw, missing = log.raw.copy(), log.raw.copy()
+    raw[100, 2], missing[100, 2] = 1e20, np.nan
+    found = replay(LAYOUT, "window", raw, log.reference, DT, **options)
+    expected = replay(LAYOUT, "window", missing, log.reference, DT, **options)
+    np.testing.assert_array_equal(found.scale, expected.scale)
+    with pytest.raises(ValueError, match="'dt' must be positive and finite, got 0"):
+        replay(LAYOUT, "window", raw, log.reference, 0.0, **options)
+
+
+def test_arguments_without_meaning_are_refused(log):
+    for lag in (np.inf, np.nan, None):
+        with pytest.raises(ValueError, match=f"'lag' must be a whole number of samples from 0 on, got {lag}"):
+            make(lag=lag)
+    with pytest.raises(ValueError, match="'every' must be a whole number from 1 on, got inf"):
+        make(every=np.inf)
+    with pytest.raises(TypeError, match="'mass' must be a number, got '5' of type str"):
+        make(mass="5")
+    with pytest.raises(TypeError, match=r"'initial' must be Parameters\(scale, offset\), got tuple"):
+        make(initial=tuple(NOMINAL))
+    with pytest.raises(TypeError, match="must be a FootLayout, got NoneType; leave a missing foot out"):
+        FeetLayout((LAYOUT.feet[0], None))
+    with pytest.raises(TypeError, match="'reference' must be a Reference, got NoneType"):
+        make().update(log.raw[0], None)

@@ -353,7 +353,7 @@ def test_refuses_a_singular_start_when_asked_to_be_strict():
         ({"mass": 0.0}, "'mass' must be positive and finite, got 0.0."),
         ({"force_noise": np.nan}, "'force_noise' must be positive and finite, got nan."),
         ({"com_error": -1.0}, "'com_error' must not be negative and must be finite, got -1.0."),
-        ({"minimum_samples": 0}, "'minimum_samples' must be at least 1, got 0."),
+        ({"minimum_samples": 0}, "'minimum_samples' must be a whole number from 1 on, got 0."),
         ({"start": Parameters(np.ones(4), np.ones(8))}, "'start.scale' must hold one reading for each"),
     ],
 )
@@ -372,3 +372,19 @@ def test_refuses_shapes_that_do_not_belong_together():
         standing_start(robot(), raw[1:], reference, DT)
     with pytest.raises(ValueError, match=re.escape("'com' must have shape (..., 3), got (320, 2).")):
         standing_start(robot(), raw, reference._replace(com=reference.com[:, :2]), DT)
+
+
+def test_absurd_readings_are_dropped_and_a_start_or_time_without_meaning_is_refused():
+    rng = np.random.default_rng(0)
+    force, com = standing_forces(rng)
+    raw = np.repeat(force, 320, axis=0)
+    raw[200, 3] = 1e300
+    standing = QuietStanding(layout=LAYOUT, mass=MASS, start=PERFECT)
+    assert standing_start(standing, raw, beliefs(com[0], 320), DT).stats.dropped == 1
+    for dt in (0.0, np.nan):
+        with pytest.raises(ValueError, match=f"'dt' must be positive and finite, got {dt}"):
+            standing_start(standing, raw, beliefs(com[0], 320), dt)
+    with pytest.raises(ValueError, match=r"'start\.scale' holds values that are not finite"):
+        QuietStanding(layout=LAYOUT, mass=MASS, start=Parameters(np.full(K, np.nan), np.zeros(K)))
+    with pytest.raises(ValueError, match="'minimum_samples' must be a whole number from 1 on, got nan"):
+        QuietStanding(layout=LAYOUT, mass=MASS, start=PERFECT, minimum_samples=np.nan)

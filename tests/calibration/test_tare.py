@@ -96,3 +96,14 @@ def test_channels_that_are_not_read_wait():
 def test_options_without_meaning_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         TareConfig(**options)
+
+
+def test_a_gap_begins_the_count_anew():
+    init, update = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
+    log = walk(0, duration=0.0)
+    reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
+    state = init(log.raw[0])
+    for dt in [DT] * 8 + [10.0]:
+        state, _ = update(state, log.raw[0], reference, dt)
+    assert (state.airborne == 1).all()
+    assert (state.count == 0).all()

@@ -166,3 +166,12 @@ def test_a_layout_that_lacks_a_part_is_named():
 
 def test_the_zero_action_is_zero():
     assert zero_action(observe(cop=(0.1, 0.1))) == pytest.approx(np.zeros(11))
+
+
+@pytest.mark.parametrize("engage_after", [0.0, 1.0])
+def test_an_observation_without_a_centre_of_pressure_is_explained(engage_after):
+    text = (
+        r"The observation lacks \['cop', 'cop_valid'\]; it has \['state'\].*SelfCalibration\(FootSensors\(env"
+    )
+    with pytest.raises(ValueError, match=text):
+        Stabiliser(LAYOUT, engage_after=engage_after)({"state": observe()["state"]})

@@ -86,3 +86,18 @@ def test_impossible_links_are_refused(fields, text: str) -> None:
 def test_a_link_needs_room_for_what_is_under_way() -> None:
     with pytest.raises(ValueError, match="'depth' must be at least 1, got 0"):
         latency(0.02, depth=0)
+
+
+def test_the_last_that_came_is_held_while_everything_is_under_way() -> None:
+    """A jitter above the queue's length holds the readings of a whole queue up."""
+    rng, stage = np.random.default_rng(4), latency(0.02, 0.02, depth=3)
+    state, newest = stage.init((1,), rng), np.nan
+    waited = 0
+    for number in range(1, 400):
+        held, state = stage.apply(np.array([float(number)]), state, rng, PERIOD)
+        if (state.due > 0.0).all():
+            np.testing.assert_array_equal(held, newest)
+            waited += 1
+        assert np.isnan(newest) or held[0] >= newest
+        newest = held[0]
+    assert waited > 20

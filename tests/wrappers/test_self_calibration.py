@@ -1,5 +1,6 @@
 """The calibrator in the loop: what it is told, what it shows, and what it never sees."""
 
+import re
 from typing import Any
 
 import gymnasium as gym
@@ -159,3 +160,75 @@ def test_a_plan_is_sure_only_well_inside_a_phase(lag: int) -> None:
         assert swing[0] == (before >= 0 and (after < 20 or before >= 45))
         assert stance[1] == (before >= 0)
         assert not swing[1]
+
+
+@pytest.mark.parametrize(
+    ("initial", "text"),
+    [
+        (
+            None,
+            "'initial' must be 'nominal', 'bench' or Parameters (scale, offset), also as a mapping, "
+            "got None.",
+        ),
+        ((1.0, 0.0), "Parameters (scale, offset), also as a mapping, got (1.0, 0.0)."),
+        (
+            {"scale": [1.0] * 8},
+            "'initial' as a mapping must have exactly the keys ['scale', 'offset'], got ['scale'].",
+        ),
+        (
+            Parameters(np.ones(2), np.zeros(8)),
+            "'initial.scale' must hold one finite number for each of the 8 channels, got array([1., 1.]).",
+        ),
+        (
+            {"scale": [1.0] * 8, "offset": [float("nan")] * 8},
+            "'initial.offset' must hold one finite number for each of the 8 channels, "
+            "got [nan, nan, nan, nan, nan, nan, nan, nan].",
+        ),
+        (
+            {"scale": "heavy", "offset": [0.0] * 8},
+            "'initial.scale' must hold one finite number for each of the 8 channels, got 'heavy'.",
+        ),
+        ({"scale": [0.0] * 8, "offset": [0.0] * 8}, "'initial.scale' must not be zero"),
+    ],
+)
+def test_a_start_that_is_none_is_refused_at_construction(initial: Any, text: str, make_bare) -> None:
+    with pytest.raises(ValueError, match=re.escape(text)):
+        SelfCalibration(FootSensors(make_bare()), initial=initial)
+
+
+def test_a_flat_observation_or_a_second_calibration_is_refused(make_bare) -> None:
+    sensed = FootSensors(make_bare())
+    with pytest.raises(
+        TypeError, match=r"found Box; wrap in this order.*: SelfCalibration\(FootSensors\(env"
+    ):
+        SelfCalibration(gym.wrappers.FlattenObservation(sensed))
+    with pytest.raises(TypeError, match="found another SelfCalibration below it; one is enough, wrap once"):
+        SelfCalibration(SelfCalibration(sensed))
+
+
+@pytest.mark.parametrize("link", [{"delay": 0.12}, {"delay": 0.3}, {"delay": 0.1, "jitter": 0.03}])
+def test_a_late_link_has_brought_packets_when_an_episode_begins(link: dict[str, float], make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare(), link=link), "none")
+    for observation, info in walk(env, 60):
+        assert np.isfinite(observation["state"]).all()
+        assert np.isfinite(info["surefoot"]["reference"].com).all()
+
+
+def test_links_and_lags_that_nothing_is_kept_for_are_refused(make_bare) -> None:
+    text = "Link.delay must be at most 0.3 s, which is as late as telemetry is of use here, got 0.31."
+    with pytest.raises(ValueError, match=re.escape(text)):
+        FootSensors(make_bare(), link={"delay": 0.31})
+    env = SelfCalibration(FootSensors(make_bare()), lag=80)
+    with pytest.raises(
+        ValueError, match=r"A lag of 80 samples over Link\(.*\) needs \d+ packets, and at most 64"
+    ):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize("stream", [-1, 1.5, True])
+def test_a_stream_is_a_whole_number(stream: Any, make_bare) -> None:
+    text = f"'stream' must be a whole number from 0 on, got {stream}."
+    with pytest.raises(ValueError, match=f"FootSensors: {re.escape(text)}"):
+        FootSensors(make_bare(), stream=stream)
+    with pytest.raises(ValueError, match=f"SelfCalibration: {re.escape(text)}"):
+        SelfCalibration(FootSensors(make_bare()), stream=stream)

@@ -72,3 +72,11 @@ def test_at_power_up_some_packets_have_come() -> None:
         assert packets[-1].arrival <= 0.0
         assert len(packets) + len(state.under_way) == PACKETS_BEFORE_START
         assert packets[-1].values[:2] == pytest.approx([0.1, -0.2], abs=6e-3)
+
+
+def test_no_more_than_one_packet_a_substep() -> None:
+    for packet in clockwork(Link(rate=800.0, jitter=0.0), AVERAGING):
+        assert np.isfinite(packet.values).all()
+    text = "Link.rate must be at most 800 per second, one packet a substep of the simulation, got 900.0"
+    with pytest.raises(ValueError, match=text):
+        Telemetry(2, AVERAGING, EXACT, Link(rate=900.0), DT, SUBSTEPS)

@@ -1,0 +1,46 @@
+"""The flat equations of the online methods against the documented ones."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from surefoot.calibration import OnlineSetup, Parameters, Reference, ground_reference, moment_rows
+from surefoot.calibration._motion import Motions
+from surefoot.calibration.layout import nao_shoe_layout
+
+LAYOUT = nao_shoe_layout()
+SETUP = OnlineSetup(layout=LAYOUT, mass=5.3, initial=Parameters(np.ones(8), np.zeros(8)))
+SAMPLES = 50
+
+
+def beliefs(rng: np.random.Generator) -> Reference:
+    position = np.array([(0.0, 0.05, 0.0), (0.0, -0.05, 0.0)]) + rng.normal(0, 0.02, (SAMPLES, 2, 3))
+    rotation = Rotation.from_rotvec(rng.normal(0, 0.2, (2 * SAMPLES, 3))).as_matrix()
+    return Reference(
+        com=rng.normal((0.0, 0.0, 0.26), 0.02, (SAMPLES, 3)),
+        com_acceleration=rng.normal(0, 1.0, (SAMPLES, 3)),
+        angular_momentum_rate=rng.normal(0, 0.3, (SAMPLES, 3)),
+        position_sole=position,
+        R_level_sole=rotation.reshape(SAMPLES, 2, 3, 3),
+        stance=rng.random((SAMPLES, 2)) < 0.5,
+        swing=np.zeros((SAMPLES, 2), dtype=bool),
+        accelerometer=np.zeros((SAMPLES, 3)),
+        gyroscope=np.zeros((SAMPLES, 3)),
+    )
+
+
+def test_rows_are_those_of_the_centre_of_pressure() -> None:
+    reference, motions = beliefs(np.random.default_rng(0)), Motions(SETUP)
+    flat = motions.flatten(reference, np.zeros((SAMPLES, 8)))
+    expected = moment_rows(LAYOUT, reference.position_sole, reference.R_level_sole)
+    np.testing.assert_allclose(motions.rows(flat), expected, atol=1e-14)
+
+
+def test_the_ground_is_that_of_the_centroidal_equations() -> None:
+    reference = beliefs(np.random.default_rng(1))
+    for quasi_static in (False, True):
+        motions = Motions(SETUP, quasi_static=quasi_static)
+        vgrf, cop, possible = motions.ground(motions.flatten(reference, np.zeros((SAMPLES, 8))))
+        expected = ground_reference(reference, SETUP.mass, quasi_static=quasi_static)
+        assert possible.all()
+        np.testing.assert_allclose(vgrf, expected.vgrf, atol=1e-12)
+        np.testing.assert_allclose(cop, expected.cop, atol=1e-14)
