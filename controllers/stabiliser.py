@@ -22,7 +22,7 @@ mass by :math:`\ell \delta` over the foot that carries it. The lean itself is re
 
 **What an error of the sensors does.** At rest :math:`\Delta = p - p^{ref}`, so that a bias :math:`b` of the
 measured centre of pressure makes the body lean by :math:`b / (k_1 - 1)`. A small :math:`k_1` is gentle on
-impacts and noise, and hard on a miscalibrated foot: with :math:`k_1 = 1.2`, a bias of 10 mm comes to 50 mm,
+impacts and noise, and hard on a miscalibrated foot: with :math:`k_1 = 1.3`, a bias of 15 mm comes to 50 mm,
 as much as a sole has to its side. ``benchmarks/walking.py`` compares gains, pushes and biases.
 """
 
@@ -81,7 +81,7 @@ class Stabiliser:
         state_layout: Mapping[str, slice],
         *,
         admittance: float = 1.5,
-        position_gain: float = 1.2,
+        position_gain: float = 1.3,
         velocity_gain: float = 0.065,
         lever: float = 0.24,
         largest_error: float = 0.1,
