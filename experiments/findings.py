@@ -208,7 +208,7 @@ def target_table(
                 name.replace("against baseline", "less than Han's by"),
                 "> 0",
                 _amount(gap, factor, "").strip(),
-                gap.mean > 0,
+                gap.mean > 0 and _apart(gap),
             )
     row("one update of the window, median (ms)", "< 1", number(update_ms), update_ms < 1)
     for (severity, feed), part in loop.groupby(["severity", "feed"], sort=False):

@@ -92,6 +92,30 @@ def test_targets_are_reached_or_not() -> None:
     assert reached["severity 2, window-calibrated CoP fed back: share that falls"] == "yes"
 
 
+def test_a_lead_that_the_interval_does_not_tell_from_nothing_is_not_reached() -> None:
+    for lead, expected in (([4.0, 4.1, 4.2], "yes"), ([-3.0, 1.0, 5.0], "no")):
+        methods = {"window": [2.0] * 3, "quasi-static": [2.0 + gap for gap in lead]}
+        table = pd.DataFrame(
+            {
+                "condition": "paper",
+                "against": "baseline",
+                "speed": 0.04,
+                "seed": seed,
+                "method": method,
+                "cop": 1e-3 * values[seed],
+                "vgrf": values[seed],
+            }
+            for method, values in methods.items()
+            for seed in range(3)
+        )
+        loop = pd.DataFrame({"severity": [1.0], "feed": ["true"], "fell": [False]})
+        found = findings.target_table(
+            table, loop, paper_condition="paper", coefficient=0.0, bench=(0.0, 0.0), update_ms=0.5
+        )
+        reached = {row[0]: row[3] for row in found.rows}
+        assert reached["window at 0.04 m/s, CoP less than Han's by (mm)"] == expected
+
+
 def test_falls_are_paired_by_seed() -> None:
     fell = {"none": [1, 1, 1, 0], "window": [0, 0, 0, 1]}
     runs = pd.DataFrame(
