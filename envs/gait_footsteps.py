@@ -5,7 +5,8 @@ them. The first move and the last are half as long as the others, so that the wa
 and one more step brings the feet side by side.
 
 While turning, the foot on the inside of the turn takes the yaw of two steps at once, opening the feet, and
-the other follows. So the shoes toe out but never in, where their tips would touch.
+the other follows. So the shoes toe out but never in, where their tips would touch: each foot takes the
+heading of the path's next pose, or that of the other foot where it would toe in.
 """
 
 import math
@@ -15,7 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Footstep", "GaitTiming", "plan_footsteps", "stance_of_stand"]
+__all__ = [
+    "Footstep",
+    "GaitTiming",
+    "check_gait",
+    "end_of_path",
+    "place_footsteps",
+    "plan_footsteps",
+    "stance_of_stand",
+]
 
 CONTROL_RATE = 80
 """Control steps a second."""
@@ -122,6 +131,26 @@ def plan_footsteps(
     >>> [step.foot for step in plan_footsteps(0.04, 0.0, 4, 0.8, 0.05)]
     [0, 1, 0, 1]
     """
+    check_gait(speed, turn_rate, step_time)
+    if steps < 2:
+        raise ValueError(f"A walk needs at least two steps, one out and one to close the feet, got {steps}.")
+    moves = steps - 1
+    return place_footsteps(
+        np.full(moves, speed * step_time), np.full(moves, turn_rate * step_time), half_width
+    )
+
+
+def check_gait(speed: float, turn_rate: float, step_time: float) -> None:
+    """Refuse steps that are longer, or turn further, than the legs allow.
+
+    Args:
+        speed: Forward speed in m/s.
+        turn_rate: Change of heading in rad/s.
+        step_time: Duration of a step in s.
+
+    Raises:
+        ValueError: If they do, or if a number is not finite.
+    """
     for name, value in {"speed": speed, "turn_rate": turn_rate}.items():
         if not math.isfinite(value):
             raise ValueError(f"'{name}' must be finite, got {value}.")
@@ -137,20 +166,41 @@ def plan_footsteps(
             f"hips' {MAX_STEP_TURN} rad; at {step_time} s a step, turn at most "
             f"{MAX_STEP_TURN / step_time:.3f} rad/s."
         )
-    if steps < 2:
-        raise ValueError(f"A walk needs at least two steps, one out and one to close the feet, got {steps}.")
+
+
+def place_footsteps(
+    length: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    half_width: float,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[Footstep, ...]:
+    """Place footsteps beside a path of moves, one move a step and then a step that closes the feet.
+
+    Args:
+        length: Length of each move in m, shape (moves,); the first and the last are walked by half.
+        turn: Change of heading in each in rad, shape (moves,); likewise.
+        half_width: Distance of either sole's origin from the path in m.
+        start: Where the path begins: (x, y) in m and the heading in rad, midway between the feet.
+
+    Returns:
+        The moves + 1 footsteps in order.
+
+    Raises:
+        ValueError: If the half width is not positive.
+    """
     if half_width <= 0.0:
         raise ValueError(f"'half_width' must be positive, got {half_width} m.")
-
-    pose = _path(speed * step_time, turn_rate * step_time, steps)
-    first = RIGHT if turn_rate < 0 else LEFT
-    yaw_foot = [0.0, 0.0]
+    pose = _path(length, turn, start)
+    steps = len(pose)
+    first = RIGHT if turn[0] < 0 else LEFT
+    yaw_foot = [start[2], start[2]]
     placed = []
     for index in range(steps):
         foot = (first + index) % 2
-        opens = index % 2 == 0
         x, y, heading = pose[index].tolist()
-        yaw_foot[foot] = float(pose[min(index + 1, steps - 1), 2]) if opens else yaw_foot[1 - foot]
+        ahead, other = float(pose[min(index + 1, steps - 1), 2]), yaw_foot[1 - foot]
+        opens = ahead >= other if foot == LEFT else ahead <= other
+        yaw_foot[foot] = ahead if opens else other
         turned_out = abs(yaw_foot[foot] - yaw_foot[1 - foot])
         aside = half_width + (_HEEL * math.sin(turned_out) if opens else 0.0)
         side = aside if foot == LEFT else -aside
@@ -159,17 +209,27 @@ def plan_footsteps(
     return tuple(placed)
 
 
-def _path(length: float, turn: float, steps: int) -> NDArray[np.float64]:
-    """Body poses (x, y, heading) at each footstep, shape (steps, 3); the last two are the same."""
-    moves = steps - 1
+def end_of_path(
+    length: NDArray[np.float64], turn: NDArray[np.float64], start: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Find where a path of :func:`place_footsteps` ends: (x, y) in m and the heading in rad."""
+    x, y, heading = _path(length, turn, start)[-1].tolist()
+    return x, y, heading
+
+
+def _path(
+    length: NDArray[np.float64], turn: NDArray[np.float64], start: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """Body poses (x, y, heading) at each footstep, shape (moves + 1, 3); the last two are the same."""
+    moves = len(length)
     share = np.ones(moves)
     share[[0, -1]] = 0.5
-    pose = np.zeros((steps, 3))
-    state = np.zeros(3)
+    pose = np.zeros((moves + 1, 3))
+    state = np.array(start)
     for index in range(moves):
         # The chord of an arc points along the heading in its middle.
-        half = share[index] * turn / 2
-        chord = share[index] * length * np.sinc(half / np.pi)
+        half = share[index] * turn[index] / 2
+        chord = share[index] * length[index] * np.sinc(half / np.pi)
         state = state + np.array([chord * np.cos(state[2] + half), chord * np.sin(state[2] + half), 2 * half])
         pose[index] = state
     pose[-1] = state

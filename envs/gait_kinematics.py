@@ -40,7 +40,7 @@ class JointTrack(NamedTuple):
 
 
 class WholeBodyKinematics:
-    """Inverse kinematics of a biped with flat, level soles and an upright torso.
+    """Inverse kinematics of a biped with given soles, level unless a pitch is given, and an upright torso.
 
     Args:
         model: The robot, with sites ``left_sole`` and ``right_sole``, a body ``torso`` on a free joint, and a
@@ -73,6 +73,7 @@ class WholeBodyKinematics:
         position_sole: NDArray[np.float64],
         yaw_sole: NDArray[np.float64],
         start: NDArray[np.float64] | None = None,
+        pitch_sole: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[np.float64], float]:
         """Find the posture with the soles and the centre of mass in given places.
 
@@ -81,6 +82,7 @@ class WholeBodyKinematics:
             position_sole: Both soles' origins, shape (2, 3), m.
             yaw_sole: Both soles' headings, shape (2,), rad.
             start: Posture to start from, shape (nq,); the keyframe ``stand`` when not given.
+            pitch_sole: Both soles' pitch, positive toe down, shape (2,), rad; level when not given.
 
         Returns:
             The posture, shape (nq,), and the largest remaining error of a position in m.
@@ -92,10 +94,12 @@ class WholeBodyKinematics:
             self._configuration.update_from_keyframe("stand")
         else:
             self._configuration.update(start)
-        for task, position, yaw in zip(self._soles, position_sole, yaw_sole, strict=True):
-            task.set_target(
-                mink.SE3.from_rotation_and_translation(mink.SO3.from_z_radians(float(yaw)), position)
-            )
+        tilt = np.zeros(2) if pitch_sole is None else pitch_sole
+        for task, position, yaw, pitch in zip(self._soles, position_sole, yaw_sole, tilt, strict=True):
+            rotation = mink.SO3.from_z_radians(float(yaw))
+            if pitch != 0.0:
+                rotation = rotation @ mink.SO3.from_y_radians(float(pitch))
+            task.set_target(mink.SE3.from_rotation_and_translation(rotation, position))
         self._com.set_target(com)
         self._upright.set_target(mink.SE3.from_rotation(mink.SO3.from_z_radians(float(np.mean(yaw_sole)))))
         tasks = [*self._soles, self._com, self._upright]
@@ -125,6 +129,7 @@ class WholeBodyKinematics:
         com: NDArray[np.float64],
         position_sole: NDArray[np.float64],
         yaw_sole: NDArray[np.float64],
+        pitch_sole: NDArray[np.float64] | None = None,
     ) -> JointTrack:
         """Find the postures of a motion, each started from the one before.
 
@@ -135,6 +140,7 @@ class WholeBodyKinematics:
             com: Centre of mass, shape (ticks, 3), m.
             position_sole: Soles' origins, shape (ticks, 2, 3), m.
             yaw_sole: Soles' headings, shape (ticks, 2), rad.
+            pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad; level when not given.
 
         Raises:
             ValueError: If a posture is out of the legs' reach or limits.
@@ -149,8 +155,9 @@ class WholeBodyKinematics:
         com_left = np.einsum("kji,kj->ki", R_world_left, com - origin)
         sole_left = np.einsum("kji,kfj->kfi", R_world_left, position_sole - origin[:, None])
         yaw_left = yaw_sole - heading[:, None]
+        pitch = np.zeros_like(yaw_sole) if pitch_sole is None else pitch_sole
         keys = np.round(
-            np.concatenate([com_left, sole_left.reshape(len(com), 6), yaw_left], axis=1) / MEMO_GRID
+            np.concatenate([com_left, sole_left.reshape(len(com), 6), yaw_left, pitch], axis=1) / MEMO_GRID
         ).astype(np.int64)
 
         solved: dict[bytes, NDArray[np.float64]] = {}
@@ -158,7 +165,7 @@ class WholeBodyKinematics:
         worst, last = 0.0, None
         for k, key in enumerate(map(np.ndarray.tobytes, keys)):
             if key not in solved:
-                solved[key], error = self.solve(com_left[k], sole_left[k], yaw_left[k], last)
+                solved[key], error = self.solve(com_left[k], sole_left[k], yaw_left[k], last, pitch[k])
                 worst = max(worst, error)
             last = solved[key]
             qpos[k] = last

@@ -21,20 +21,15 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.gait_dynamics import joint_torques, joint_velocities, motor_targets, multibody_zmp
-from surefoot.envs.gait_footsteps import (
-    CONTROL_RATE,
-    LEFT,
-    Footstep,
-    GaitTiming,
-    plan_footsteps,
-    stance_of_stand,
-)
+from surefoot.envs.gait_footsteps import CONTROL_RATE, Footstep, GaitTiming, plan_footsteps
+from surefoot.envs.gait_ground import Ground, Walk, lay_out
 from surefoot.envs.gait_kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait_preview import CartTable, track_zmp
-from surefoot.envs.gait_swing import lift, minimum_jerk
+from surefoot.envs.gait_roll import checked_roll
+from surefoot.envs.gait_route import Leg, plan_legs
 from surefoot.envs.robot import load_nao_spec
 
-__all__ = ["Pattern", "plan_walk"]
+__all__ = ["Pattern", "plan_route", "plan_walk"]
 
 LIFT_HEIGHT = 0.015
 """How high a foot is lifted, in m."""
@@ -55,9 +50,6 @@ The ground gives way by 0.5 mm and the legs by the rest. Otherwise the swinging 
 early, and take over weight that the other is still to carry.
 """
 
-COP_SOLE = (0.015, 0.010)
-"""Where the centre of pressure is under a foot that carries alone: ahead of the ankle and inwards, in m."""
-
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
@@ -72,6 +64,7 @@ class Pattern:
         cop: Where the centre of pressure is to be, shape (ticks, 2), m.
         position_sole: Soles' origins, shape (ticks, 2, 3), m.
         yaw_sole: Soles' headings, shape (ticks, 2), rad.
+        pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad.
         stance: Whether a foot is planned to carry, shape (ticks, 2).
         phase: Phase of the stride (two steps) in [0, 1), shape (ticks,); 0 while standing.
         footsteps: The footsteps after the initial stand.
@@ -86,6 +79,7 @@ class Pattern:
     cop: NDArray[np.float64]
     position_sole: NDArray[np.float64]
     yaw_sole: NDArray[np.float64]
+    pitch_sole: NDArray[np.float64]
     stance: NDArray[np.bool_]
     phase: NDArray[np.float64]
     footsteps: tuple[Footstep, ...]
@@ -113,25 +107,6 @@ class Pattern:
         )
 
 
-@dataclass
-class _Ground:
-    """What happens on the ground: where the soles are and the centre of pressure is to be, row by row."""
-
-    position_sole: NDArray[np.float64]
-    yaw_sole: NDArray[np.float64]
-    cop: NDArray[np.float64]
-    cop_foot: NDArray[np.float64]
-    stance: NDArray[np.bool_]
-    phase: NDArray[np.float64]
-
-    @property
-    def share(self) -> NDArray[np.float64]:
-        """Share of the weight on each foot, as the centre of pressure says, shape (ticks, 2)."""
-        between = self.cop_foot[:, 1] - self.cop_foot[:, 0]
-        right = ((self.cop - self.cop_foot[:, 0]) * between).sum(axis=1) / (between**2).sum(axis=1)
-        return np.where(self.stance, np.stack([1.0 - right, right], axis=1), 0.0)
-
-
 @lru_cache(maxsize=32)
 def plan_walk(
     speed: float = 0.04,
@@ -142,6 +117,7 @@ def plan_walk(
     lift_height: float = LIFT_HEIGHT,
     com_height: float | None = None,
     half_width: float = HALF_WIDTH,
+    foot_roll: float = 0.0,
 ) -> Pattern:
     """Plan a walk on the flat from standing to standing.
 
@@ -155,6 +131,7 @@ def plan_walk(
         lift_height: How high a foot is lifted, in m.
         com_height: Height of the centre of mass in m; the longer the steps, the lower, when not given.
         half_width: Distance of either ankle from the path in m.
+        foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel; 0 keeps it flat.
 
     Raises:
         ValueError: If the walk asks more than the legs can do, or does not fit into its duration.
@@ -163,8 +140,7 @@ def plan_walk(
     480
     """
     timing = GaitTiming() if timing is None else timing
-    if not (np.isfinite(duration) and duration > 0):
-        raise ValueError(f"'duration' must be a positive number of seconds, got {duration}.")
+    ticks = _ticks_of(duration)
     steps = timing.steps_within(duration)
     if steps < 2:
         least = 2 * (timing.stand_time + timing.step_time) + timing.double_support * timing.step_time
@@ -174,71 +150,70 @@ def plan_walk(
         )
     footsteps = plan_footsteps(speed, turn_rate, steps, timing.step_time, half_width)
     if com_height is None:
-        com_height = COM_HEIGHT - COM_LOWERING * max(abs(speed) * timing.step_time - 0.02, 0.0)
-    ground = _lay_out(footsteps, timing, round(duration * CONTROL_RATE), lift_height, half_width)
+        com_height = _com_height(speed, timing)
+    walks = (Walk(timing.stand_ticks, footsteps),)
+    ground = lay_out(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll))
     return _make_pattern(ground, footsteps, com_height)
 
 
-def _lay_out(
-    footsteps: tuple[Footstep, ...], timing: GaitTiming, ticks: int, lift_height: float, half_width: float
-) -> _Ground:
-    """Write down, tick by tick, what the footsteps mean."""
-    stand = stance_of_stand(half_width)
-    position = np.tile(np.array([[*foot.position, 0.0] for foot in stand]), (ticks, 1, 1))
-    yaw = np.zeros((ticks, 2))
-    stance = np.ones((ticks, 2), dtype=bool)
-    phase = np.zeros(ticks)
-    cop = np.empty((ticks, 2))
-    cop_foot = np.tile(np.array([_cop_of(foot) for foot in stand]), (ticks, 1, 1))
+@lru_cache(maxsize=32)
+def plan_route(
+    legs: tuple[Leg, ...],
+    duration: float | None = None,
+    *,
+    timing: GaitTiming | None = None,
+    lift_height: float = LIFT_HEIGHT,
+    com_height: float | None = None,
+    half_width: float = HALF_WIDTH,
+    foot_roll: float = 0.0,
+) -> Pattern:
+    """Plan walking, turning and standing one after another, from standing to standing.
 
-    feet = list(stand)
-    tick = timing.stand_ticks
-    cop_now = np.mean([_cop_of(foot) for foot in feet], axis=0)
-    cop[:tick] = cop_now
-    double, single = timing.double_ticks, timing.step_ticks - timing.double_ticks
-    # In the air throughout the swing, the foot stands on the ground a tick before it and a tick after.
-    air = (np.arange(single) + 1.0) / (single + 1.0)
-    for step in footsteps:
-        support, old = feet[1 - step.foot], feet[step.foot]
-        cop_next = _cop_of(support)
-        _shift(cop[tick : tick + double], cop_now, cop_next)
-        swing = slice(tick + double, tick + double + single)
-        cop[swing] = cop_now = cop_next
-        way = minimum_jerk(air)[:, None]
-        position[swing, step.foot, :2] = np.add(old.position, way * np.subtract(step.position, old.position))
-        position[swing, step.foot, 2] = lift(air, lift_height)
-        yaw[swing, step.foot] = old.yaw + way[:, 0] * (step.yaw - old.yaw)
-        position[swing.stop :, step.foot, :2] = step.position
-        yaw[swing.stop :, step.foot] = step.yaw
-        stance[swing, step.foot] = False
-        cop_foot[tick + double :, step.foot] = _cop_of(step)
-        phase[tick : swing.stop] = (
-            0.5 * (step.foot + np.arange(timing.step_ticks) / timing.step_ticks)
-        ) % 1.0
-        feet[step.foot] = step
-        tick = swing.stop
-    cop_last = np.mean([_cop_of(foot) for foot in feet], axis=0)
-    _shift(cop[tick : tick + double], cop_now, cop_last)
-    cop[tick + double :] = cop_last
-    return _Ground(position, yaw, cop, cop_foot, stance, phase)
+    Legs that walk flow into each other; a leg that stands has the feet side by side from its first moment to
+    its last. A walk takes whole steps, so that it may stand up to a step before its time is over.
 
+    Args:
+        legs: The legs, from :func:`~surefoot.envs.gait_route.checked_route`.
+        duration: Duration of all of it in s, the stands before and after the route included; what the route
+            leaves over is stood. ``None`` for as long as it takes.
+        timing: Duration of a step and of its parts.
+        lift_height: How high a foot is lifted, in m.
+        com_height: Height of the centre of mass in m; as low as the longest steps need, when not given.
+        half_width: Distance of either ankle from the path in m.
+        foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel; 0 keeps it flat.
 
-def _cop_of(foot: Footstep) -> NDArray[np.float64]:
-    """Where the centre of pressure is to be when this foot alone carries, shape (2,)."""
-    forward, inward = COP_SOLE
-    left = -inward if foot.foot == LEFT else inward
-    c, s = np.cos(foot.yaw), np.sin(foot.yaw)
-    x, y = foot.position
-    return np.array([x + c * forward - s * left, y + s * forward + c * left])
+    Raises:
+        ValueError: If the route asks more than the legs can do, or does not fit into the duration.
+
+    >>> plan_route((Leg(4.0, 0.04, 0.0), Leg(2.0, 0.0, 0.0), Leg(4.0, 0.0, 0.2))).ticks
+    960
+    """
+    timing = GaitTiming() if timing is None else timing
+    walks, end = plan_legs(legs, timing, half_width)
+    least = end + timing.stand_ticks
+    ticks = least if duration is None else _ticks_of(duration)
+    if ticks < least:
+        raise ValueError(
+            f"'route' takes {least / CONTROL_RATE} s with {timing.stand_time} s of standing at either end, "
+            f"longer than its 'duration' of {duration} s; give it that time or leave out a leg."
+        )
+    if com_height is None:
+        com_height = _com_height(max(abs(leg.speed) for leg in legs), timing)
+    ground = lay_out(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll))
+    return _make_pattern(ground, tuple(step for walk in walks for step in walk.footsteps), com_height)
 
 
-def _shift(cop: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-    """Move smoothly from one place to another, in place, shape (ticks, 2)."""
-    way = minimum_jerk(np.arange(len(cop)) / len(cop))
-    cop[:] = start + way[:, None] * (end - start)
+def _ticks_of(duration: float) -> int:
+    if not (np.isfinite(duration) and duration > 0):
+        raise ValueError(f"'duration' must be a positive number of seconds, got {duration}.")
+    return round(duration * CONTROL_RATE)
 
 
-def _make_pattern(ground: _Ground, footsteps: tuple[Footstep, ...], com_height: float) -> Pattern:
+def _com_height(speed: float, timing: GaitTiming) -> float:
+    return COM_HEIGHT - COM_LOWERING * max(abs(speed) * timing.step_time - 0.02, 0.0)
+
+
+def _make_pattern(ground: Ground, footsteps: tuple[Footstep, ...], com_height: float) -> Pattern:
     model = load_nao_spec().compile()
     kinematics = WholeBodyKinematics(model)
     table = CartTable(com_height, 1.0 / CONTROL_RATE)
@@ -247,7 +222,7 @@ def _make_pattern(ground: _Ground, footsteps: tuple[Footstep, ...], com_height: 
     def postures(com: NDArray[np.float64], press: float = 0.0) -> JointTrack:
         sole = ground.position_sole.copy()
         sole[..., 2] -= press * ground.share
-        return kinematics.track(np.hstack([com, height]), sole, ground.yaw_sole)
+        return kinematics.track(np.hstack([com, height]), sole, ground.yaw_sole, ground.pitch_sole)
 
     motion = track_zmp(ground.cop, table)
     excess = multibody_zmp(model, postures(motion.position).qpos, table.dt) - ground.cop
@@ -268,6 +243,7 @@ def _make_pattern(ground: _Ground, footsteps: tuple[Footstep, ...], com_height: 
         "cop": ground.cop,
         "position_sole": ground.position_sole,
         "yaw_sole": ground.yaw_sole,
+        "pitch_sole": ground.pitch_sole,
         "stance": ground.stance,
         "phase": ground.phase,
     }

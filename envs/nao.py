@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.nao_observation import NaoObserver, Observation
-from surefoot.envs.options import checked_range, checked_stiffness, positive
+from surefoot.envs.options import checked_range, checked_stiffness, checked_time_constant, positive
+from surefoot.envs.payload import Payload
 from surefoot.envs.pushes import Pushes
 from surefoot.envs.rendering import Marker, SceneRenderer
 from surefoot.envs.robot import (
@@ -38,7 +39,13 @@ FALLEN_TILT = 0.8
 """Angle between the torso and the vertical in rad above which the robot has fallen."""
 
 SINK = 0.00016
-"""How far the ground gives way under the standing robot, in m."""
+"""How far the ground gives way under the standing robot, in m, at the time constant of nao.xml."""
+
+SINK_EXPONENT = 1.3
+"""Power of the time constant with which it gives way: 2 for a linear spring, less as MuJoCo's stiffens."""
+
+GROUND_TIME_CONSTANT = 0.02
+"""Time constant in s of the contacts in nao.xml: firm ground."""
 
 DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
 """Relative stiffnesses of the eight cells, uneven by up to 18 %: no two corners of a real shoe are alike."""
@@ -126,7 +133,13 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         action_scale: What a full action adds to a target, in rad.
         cell_stiffness: Relative stiffnesses of the eight cells, which decide how a sole shares its load;
             ``None`` for a fixed unequal set.
-        friction: Lowest and highest coefficient of friction under the soles.
+        friction: Lowest and highest coefficient of friction under the soles; (0.15, 0.2) is slippery, and
+            from 0.05 downwards feet slide at every step.
+        ground_time_constant: Time constant in s in which the ground gives way to a sole, from 0.005 to 0.1.
+            Under a foot that carries the robot, 0.02 gives way by 0.5 mm, 0.04 (a carpet) by 1.4 mm and 0.06
+            (a soft mat) by 2.8 mm.
+        payload: (mass in kg, time in s): a mass that is fixed before the chest from that time on, of which
+            neither the pattern nor a nominal model knows, (0.3, 15) for instance; ``None`` for none.
         joint_noise: Largest initial error of a joint in rad.
         velocity_noise: Largest initial velocity of the torso along each axis, in m/s and rad/s.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
@@ -160,6 +173,8 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         action_scale: float = 0.2,
         cell_stiffness: Sequence[float] | None = None,
         friction: Sequence[float] = (0.6, 0.9),
+        ground_time_constant: float = GROUND_TIME_CONSTANT,
+        payload: Sequence[float] | None = None,
         joint_noise: float = 0.005,
         velocity_noise: float = 0.01,
         push_impulse: Sequence[float] = (0.0, 0.0),
@@ -189,6 +204,10 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.position_cell_sole = cell_positions(self.model)
         self.channels = TruthChannels(self.model, stiffness)
         self._observer = NaoObserver(self.model, self.channels)
+        give = checked_time_constant("ground_time_constant", ground_time_constant)
+        self.model.pair_solref[:, 0] = give
+        self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
+        self._payload = Payload(self.model, payload, CONTROL_STEP)
         self._pushes = Pushes(self.model, push_impulse, push_interval, CONTROL_STEP)
         self._motor_of_joint = motor_of_joint(self.model)
         self._low, self._high = self.model.actuator_ctrlrange.T.copy()
@@ -254,6 +273,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         model, data, rng = self.model, self.data, self.np_random
+        self._payload.reset()
         mujoco.mj_resetData(model, data)
         self._start(options or {})
         self.command = self._command(0)
@@ -264,7 +284,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         data.ctrl[:] = self._target
         data.qpos[7:] = (self._target + noise)[self._motor_of_joint]
         place_on_ground(model, data, self.command.position_sole, self.command.yaw_sole)
-        data.qpos[2] -= SINK
+        data.qpos[2] -= self._sink
         data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
         self._pushes.reset(rng)
         mujoco.mj_forward(model, data)
@@ -300,6 +320,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         rows = np.empty((SUBSTEPS, self.channels.size))
         targets = self._target + self._fraction * move
         self._pushes.apply(data, self.np_random)
+        self._payload.apply(self._tick)
         for row, substep_target in zip(rows, targets, strict=True):
             ctrl[:] = substep_target
             mj_step(model, data)

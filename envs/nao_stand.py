@@ -21,8 +21,9 @@ class NaoStandEnv(NaoEnv):
     """Stand on both feet without falling; actions, observations and reward are :class:`NaoEnv`'s.
 
     Args:
-        sway: Amplitudes (forward, left) of a sine by which the pelvis sways over the feet, in m; zero to
-            stand still. The feet stay flat and the torso upright. It fades in over the first period.
+        sway: Amplitudes (forward, left) of a sine by which the pelvis sways over the feet, in m, forward and
+            left first; zero to stand still. The feet stay flat and the torso upright. It fades in over the
+            first period.
         sway_period: Period of the sway in s.
         **options: Of :class:`NaoEnv`.
 
@@ -67,10 +68,11 @@ class NaoStandEnv(NaoEnv):
         height = LEG_LENGTH * cos(posture[self._motor["LAnklePitch"]])
         pitch, roll = forward / height, left / height
         for side in "LR":
-            posture[self._motor[f"{side}AnklePitch"]] += pitch
-            posture[self._motor[f"{side}HipPitch"]] -= pitch
-            posture[self._motor[f"{side}AnkleRoll"]] -= roll
-            posture[self._motor[f"{side}HipRoll"]] += roll
+            # A positive ankle pitch turns the toes down, or, with the sole on the ground, the leg backwards.
+            posture[self._motor[f"{side}AnklePitch"]] -= pitch
+            posture[self._motor[f"{side}HipPitch"]] += pitch
+            posture[self._motor[f"{side}AnkleRoll"]] += roll
+            posture[self._motor[f"{side}HipRoll"]] -= roll
         return posture
 
     def _sine(self, tick: int) -> tuple[float, float, float]:

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.gait_footsteps import GaitTiming
-from surefoot.envs.gait_pattern import plan_walk
+from surefoot.envs.gait_pattern import plan_route, plan_walk
+from surefoot.envs.gait_roll import checked_roll
+from surefoot.envs.gait_route import checked_route
 from surefoot.envs.nao import NaoEnv
 
 COP_SCALE = 0.02
@@ -23,7 +25,7 @@ TILT_SCALE = 0.2
 
 
 class NaoWalkEnv(NaoEnv):
-    """Walk along a line or an arc from standing to standing.
+    """Walk along a line, an arc or a route of legs from standing to standing.
 
     :class:`NaoEnv` describes actions and observations. The zero action is the open-loop walker: the joint
     targets of a pattern planned by preview control, which knows the robot but neither its pushes nor its
@@ -52,6 +54,12 @@ class NaoWalkEnv(NaoEnv):
         turn_rate: Change of heading in rad/s, positive to the left.
         duration: Duration of the plan, standing at either end included, in s.
         stand_time: Standing before the first and after the last step, in s.
+        route: Legs (duration in s, speed in m/s, turn rate in rad/s) to go one after another, in place of
+            ``speed`` and ``turn_rate``; a leg with both zero stands still, and what the route leaves of the
+            duration is stood. For instance ``[[8, 0.04, 0], [3, 0, 0], [6, 0, 0.2], [8, 0.04, 0.1]]`` walks,
+            stops, turns in place and goes on along an arc.
+        foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel, 0.05 for
+            instance; 0 keeps the feet flat.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         **options: Of :class:`NaoEnv`.
 
@@ -69,11 +77,20 @@ class NaoWalkEnv(NaoEnv):
         turn_rate: float = 0.0,
         duration: float = 60.0,
         stand_time: float = 1.0,
+        route: Sequence[Sequence[float]] | None = None,
+        foot_roll: float = 0.0,
         push_impulse: Sequence[float] = (0.1, 0.5),
         **options: Any,
     ) -> None:
         timing = GaitTiming(stand_time=float(stand_time))
-        self.pattern = plan_walk(float(speed), float(turn_rate), float(duration), timing=timing)
+        roll = checked_roll(foot_roll)
+        if route is None:
+            self.pattern = plan_walk(
+                float(speed), float(turn_rate), float(duration), timing=timing, foot_roll=roll
+            )
+        else:
+            legs = checked_route(route)
+            self.pattern = plan_route(legs, float(duration), timing=timing, foot_roll=roll)
         super().__init__(duration=duration, push_impulse=push_impulse, **options)
 
     def _command(self, tick: int) -> Command:

@@ -16,7 +16,7 @@ def positive(name: str, value: float, *, or_zero: bool = False) -> float:
 
 def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
     """Refuse what is not (lowest, highest) with 0 <= lowest <= highest."""
-    numbers = _numbers(value)
+    numbers = numbers_of(value)
     if len(numbers) != 2 or not all(map(isfinite, numbers)) or not 0.0 <= numbers[0] <= numbers[1]:
         raise ValueError(
             f"'{name}' must be (lowest, highest) with 0 <= lowest <= highest, got {value!r}; "
@@ -25,9 +25,17 @@ def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
     return numbers[0], numbers[1]
 
 
+def checked_time_constant(name: str, value: float) -> float:
+    """Refuse a time constant of the contacts that the simulation's step of 1.25 ms cannot follow."""
+    number = _number(value)
+    if not 0.005 <= number <= 0.1:
+        raise ValueError(f"'{name}' must lie between 0.005 s (hard) and 0.1 s (very soft), got {value!r}.")
+    return number
+
+
 def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
     """Refuse what is not eight positive stiffnesses."""
-    numbers = _numbers(value)
+    numbers = numbers_of(value)
     if len(numbers) != 8 or not all(isfinite(number) and number > 0.0 for number in numbers):
         raise ValueError(
             "'cell_stiffness' must hold eight positive finite numbers, left then right, each (front-left, "
@@ -43,7 +51,8 @@ def _number(value: Any) -> float:
         return nan
 
 
-def _numbers(value: Any) -> tuple[float, ...]:
+def numbers_of(value: Any) -> tuple[float, ...]:
+    """Read a sequence of numbers: NaN for what is none, empty for what is no sequence."""
     try:
         return tuple(_number(number) for number in value)
     except TypeError:

@@ -104,7 +104,11 @@ class Truth:
 
     @cached_property
     def wrench_ankle(self) -> NDArray[np.float64]:
-        """Wrenches that the feet pass up at and in the frames of the ankle sensors, shape (S, 2, 6)."""
+        """Wrenches that the feet pass up at and in the ankle sensors' frames in N and N m, shape (S, 2, 6).
+
+        What the ground exerts on the foot, and gravity less inertia of all that hangs below the sensor
+        (:func:`~surefoot.envs.robot.below_ankle`): a foot in the air reads its own weight, downwards.
+        """
         return -self.rows[:, self.channels.ankle].reshape(-1, 2, 6)
 
     @property

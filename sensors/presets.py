@@ -5,9 +5,10 @@ from typing import Any, TypeVar
 
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.encoders import Encoders
+from surefoot.sensors.force_torque import ForceTorque
 from surefoot.sensors.imu import Imu
 from surefoot.sensors.link import Link
-from surefoot.sensors.load_cells import LoadCells
+from surefoot.sensors.load_cell_config import LoadCells
 
 Config = TypeVar("Config")
 
@@ -25,6 +26,24 @@ PERFECT_LOAD_CELLS = LoadCells(
     zero_drift=0.0,
 )
 """Cells that report the true load at the instant they are read, in N."""
+
+ICUB_FORCE_TORQUE = ForceTorque()
+"""Two sensors like the FTSens in an iCub's ankles."""
+
+PERFECT_FORCE_TORQUE = ForceTorque(
+    resolution_force=0.0,
+    resolution_torque=0.0,
+    noise_force=0.0,
+    noise_torque=0.0,
+    initial_gain_std=0.0,
+    cross_talk_std=0.0,
+    initial_zero_force_std=0.0,
+    initial_zero_torque_std=0.0,
+    gain_drift=0.0,
+    zero_drift_force=0.0,
+    zero_drift_torque=0.0,
+)
+"""Sensors that report the true wrench, in N and N m."""
 
 NAO_IMU = Imu()
 """Accelerometer and gyroscope of a NAO V5."""
@@ -52,6 +71,7 @@ NAO_LINK = Link()
 
 PRESETS: dict[type, dict[str, Any]] = {
     LoadCells: {"hx711-load-cells": HX711_LOAD_CELLS, "perfect": PERFECT_LOAD_CELLS},
+    ForceTorque: {"icub-force-torque": ICUB_FORCE_TORQUE, "perfect": PERFECT_FORCE_TORQUE},
     Imu: {
         "nao-imu": NAO_IMU,
         "perfect": PERFECT_IMU,
@@ -67,8 +87,8 @@ def preset(name: str, kind: type[Config] = LoadCells) -> Config:  # type: ignore
 
     Args:
         name: Such as ``"hx711-load-cells"``.
-        kind: The class of the configuration: :class:`LoadCells`, :class:`Imu`, :class:`Encoders` or
-            :class:`Link`.
+        kind: The class of the configuration: :class:`LoadCells`, :class:`ForceTorque`, :class:`Imu`,
+            :class:`Encoders` or :class:`Link`.
 
     Raises:
         ValueError: If there is none of that name; the message lists what there is.

@@ -7,7 +7,8 @@ import pytest
 from surefoot.envs.gait_dynamics import joint_torques, motor_targets, multibody_zmp
 from surefoot.envs.gait_footsteps import GaitTiming
 from surefoot.envs.gait_kinematics import WholeBodyKinematics
-from surefoot.envs.gait_pattern import plan_walk
+from surefoot.envs.gait_pattern import plan_route, plan_walk
+from surefoot.envs.gait_route import Leg
 from surefoot.envs.robot import load_nao_spec
 
 WALKS = {
@@ -18,7 +19,15 @@ WALKS = {
     "on the spot": (0.0, 0.0),
     "arc": (0.04, 0.1),
     "turn in place": (0.0, -0.2),
+    "route": None,
 }
+ROUTE = (
+    Leg(4.0, 0.04, 0.1),
+    Leg(1.0, 0.0, 0.0),
+    Leg(3.0, 0.0, -0.2),
+    Leg(3.0, -0.03, 0.1),
+    Leg(3.0, 0.1, 0.0),
+)
 SHOE = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) * (0.085, 0.049)
 
 
@@ -29,6 +38,8 @@ def model():
 
 @pytest.fixture(scope="module", params=WALKS.values(), ids=WALKS.keys())
 def pattern(request):
+    if request.param is None:
+        return plan_route(ROUTE)
     speed, turn_rate = request.param
     return plan_walk(speed, turn_rate, 8.0)
 

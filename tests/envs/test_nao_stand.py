@@ -201,6 +201,23 @@ def test_the_zero_action_stands(options):
             assert np.sqrt(np.mean(np.square(errors[160:]))) < 0.002
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_robot_sways_to_the_side_that_it_is_told(axis):
+    """A positive amplitude moves the centre of mass forward, or left, in the first half of a period."""
+    env = NaoStandEnv(sway=tuple(0.03 * (np.arange(2) == axis)), sway_period=4.0, joint_noise=0.0)
+    env.reset(seed=0)
+    planned, true = [], []
+    for _ in range(320):
+        env.step(ZERO)
+        planned.append(env.command.com[axis])
+        true.append(env.truth.com[-1, axis])
+    planned, true = np.array(planned) - planned[0], np.array(true) - true[0]
+    # The sway fades in: its second half is the larger one.
+    assert planned[:160].max() > 0.005
+    assert planned[160:].min() < -0.01
+    np.testing.assert_allclose(true, planned, atol=0.003)
+
+
 def test_a_hard_push_ends_the_episode():
     env = NaoStandEnv(push_impulse=(6.0, 6.0), push_interval=0.5)
     for seed in range(3):

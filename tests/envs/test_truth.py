@@ -7,7 +7,7 @@ import pytest
 from surefoot.envs.nao import SUBSTEPS, NaoEnv
 from surefoot.envs.nao_stand import NaoStandEnv
 from surefoot.envs.nao_walk import NaoWalkEnv
-from surefoot.envs.robot import FEET, load_nao_spec
+from surefoot.envs.robot import FEET, below_ankle, below_cells, load_nao_spec
 from surefoot.envs.truth import Truth, TruthChannels
 
 GRAVITY = 9.81
@@ -165,6 +165,63 @@ def test_hanging_feet_read_zero_and_ankle_sensors_carry_them():
     np.testing.assert_array_equal(truth.wrench_sole, 0.0)
     np.testing.assert_allclose(truth.wrench_ankle[0, :, 2], -0.17184 * GRAVITY, rtol=1e-3)
     assert np.isnan(truth.cop_world()).all()
+
+
+def test_what_hangs_below_a_sensor_is_the_published_foot_and_the_plate():
+    model = load_nao_spec().compile()
+    ankle, cells = below_ankle(model), below_cells(model)
+    side = np.array([1.0, -1.0])
+    np.testing.assert_allclose(ankle.mass, 0.17184, atol=1e-9)
+    np.testing.assert_allclose(ankle.position_sensor_sole, [[0.0, 0.0, 0.04511]] * 2, atol=1e-9)
+    np.testing.assert_allclose(ankle.R_sole_sensor, np.tile(np.eye(3), (2, 1, 1)), atol=1e-12)
+    # The vendor's centre of mass is about the ankle, 45.11 mm above the sole.
+    expected = np.stack([[0.02542] * 2, 0.0033 * side, [0.04511 - 0.03239] * 2], axis=1)
+    np.testing.assert_allclose(ankle.com_sole, expected, atol=1e-7)
+    np.testing.assert_allclose(cells.mass, PLATE_MASS)
+    np.testing.assert_allclose(cells.position_sensor_sole, 0.0, atol=1e-12)
+    expected = np.stack([[0.02397] * 2, 0.00676 * side, [0.003] * 2], axis=1)
+    np.testing.assert_allclose(cells.com_sole, expected, atol=1e-9)
+
+
+def test_ankle_wrenches_are_the_grounds_and_the_feets_own_weight_and_inertia():
+    """Newton and Euler for the foot about the ankle: ground, and m (g - a) and its moment of each body."""
+    env = NaoWalkEnv(speed=0.1, duration=6.0, foot_roll=0.05)
+    env.reset(seed=0)
+    model, data = env.model, env.data
+    below = below_ankle(model)
+    acceleration, velocity = np.zeros(6), np.zeros(6)
+    largest = 0.0
+    for step in range(320):
+        env.step(np.zeros(11))
+        if step < 80 or step % 3:
+            continue
+        truth = env.truth
+        for foot, name in enumerate(FEET):
+            R = truth.R_world_sole[-1, foot] @ below.R_sole_sensor[foot]
+            ankle = (
+                truth.position_sole[-1, foot]
+                + truth.R_world_sole[-1, foot] @ below.position_sensor_sole[foot]
+            )
+            force = truth.R_world_sole[-1, foot] @ truth.wrench_sole[-1, foot, :3]
+            torque = truth.R_world_sole[-1, foot] @ truth.wrench_sole[-1, foot, 3:]
+            torque = torque + np.cross(truth.position_sole[-1, foot] - ankle, force)
+            carried = force[2]
+            for body in (model.body(f"{name[0]}_ankle").id, model.body(f"{name}_plate").id):
+                kind = mujoco.mjtObj.mjOBJ_BODY
+                # Of the body's centre of mass, in the world's axes; MuJoCo's acceleration is a - g.
+                mujoco.mj_objectAcceleration(model, data, kind, body, acceleration, 0)
+                mujoco.mj_objectVelocity(model, data, kind, body, velocity, 0)
+                spin, turning, proper = velocity[:3], acceleration[:3], acceleration[3:]
+                axes = data.ximat[body].reshape(3, 3)
+                inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+                push = -model.body_mass[body] * proper
+                force = force + push
+                torque = torque + np.cross(data.xipos[body] - ankle, push)
+                torque = torque - inertia @ turning - np.cross(spin, inertia @ spin)
+            expected = np.concatenate([R.T @ force, R.T @ torque])
+            np.testing.assert_allclose(truth.wrench_ankle[-1, foot], expected, atol=2e-3)
+            largest = max(largest, carried)
+    assert largest > 40.0
 
 
 def test_newton_and_euler_hold_between_substeps(episode):

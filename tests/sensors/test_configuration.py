@@ -69,6 +69,10 @@ def test_anything_else_is_refused() -> None:
             "LoadCells.input_noise must be finite and not negative, got -1.0",
         ),
         (lambda: LoadCells(gain_drift=float("nan")), "LoadCells.gain_drift must be .*, got nan"),
+        (
+            lambda: LoadCells(temperature_ramp=-0.1),
+            "LoadCells.temperature_ramp must be finite and not negative, got -0.1",
+        ),
         (lambda: LoadCells(initial_zero_std="1"), "LoadCells.initial_zero_std must be .*, got '1'"),
         (lambda: LoadCells(capacity=0.0), "LoadCells.capacity must be finite and positive, got 0.0"),
         (lambda: LoadCells(channels=0), "LoadCells.channels must be a positive whole number, got 0"),

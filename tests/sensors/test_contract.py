@@ -11,12 +11,16 @@ from surefoot.sensors import (
     PRESETS,
     Corruption,
     Encoders,
+    Fault,
+    ForceTorque,
     Imu,
     Link,
     LoadCells,
     chain,
+    channel_faults,
     drift,
     encoders,
+    force_torque,
     gain,
     gain_drift,
     imu,
@@ -29,6 +33,7 @@ from surefoot.sensors import (
     quantize,
     sample_and_hold,
     saturate,
+    thermal_drift,
     white_noise,
 )
 
@@ -41,6 +46,8 @@ def build(config: Any) -> Corruption[Any]:
     match config:
         case LoadCells():
             return load_cells(config)
+        case ForceTorque():
+            return force_torque(config)
         case Imu():
             return imu(config)
         case Encoders():
@@ -53,6 +60,19 @@ def build(config: Any) -> Corruption[Any]:
 def cells_with(**fields: Any) -> Callable[[], Corruption[Any]]:
     return lambda: load_cells(LoadCells(**fields))
 
+
+WARM = {"span_tempco": 5e-5, "zero_tempco": 0.03, "temperature_ramp": 0.5, "temperature_rise": 14.0}
+FAULTS = (
+    Fault("spiking", 0, rate=20.0),
+    Fault("dropped", 1, probability=0.3, burst=0.05),
+    Fault("dropped", 2, probability=0.5),
+    Fault("stuck", 3, start=0.05, stop=0.1),
+    Fault("saturated", 4, level=4.0),
+    Fault("saturated", 5, start=0.06),
+    Fault("swapped", 6, other=7),
+    Fault("flipped", 6, start=0.03),
+    Fault("dead", 7, stop=0.05),
+)
 
 # Name: (how to make it, channels, whether it reads blocks of substeps).
 STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
@@ -69,12 +89,17 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "sample and hold": (lambda: sample_and_hold(white_noise(0.1), (60.0, 94.0)), 8, True),
     "chain": (lambda: chain(gain(2.0), drift(1.0, 0.1), quantize(0.01)), 8, False),
     "load cells, stage by stage": (lambda: load_cell_chain(LoadCells()), 8, True),
+    "thermal drift": (lambda: thermal_drift(1.0, 0.1, 0.01, ramp=0.5, rise=14.0), 8, False),
+    "thermal gain": (lambda: thermal_drift(0.1, 0.0, 1e-3, ramp=0.5, relative=True), 8, False),
+    "faults": (lambda: channel_faults(FAULTS, LoadCells()), 8, False),
+    "warming load cells": (cells_with(**WARM), 8, True),
+    "warming load cells, stage by stage": (lambda: load_cell_chain(LoadCells(**WARM)), 8, True),
     "load cells, walking gains only": (cells_with(zero_drift=0.0), 8, True),
     "load cells, walking zeros only": (cells_with(gain_drift=0.0, input_noise=0.0), 8, True),
 }
 for kind, named in PRESETS.items():
     for preset_name, preset_config in named.items():
-        count = 6 if kind is Imu else 8
+        count = {Imu: 6, ForceTorque: 12}.get(kind, 8)
         STAGES[f"{kind.__name__} {preset_name}"] = (
             lambda preset_config=preset_config: build(preset_config),
             count,
@@ -91,6 +116,8 @@ NULL = {
     "quantize": (lambda: quantize(0.0), False),
     "latency": (lambda: latency(0.0), False),
     "empty chain": (chain, False),
+    "no faults": (lambda: channel_faults((), LoadCells(adc_bits=0)), False),
+    "thermal drift": (lambda: thermal_drift(0.0, 0.0, 0.0, ramp=1.0), False),
     **{
         f"perfect {kind.__name__}": (lambda kind=kind: build(preset("perfect", kind)), kind)
         for kind in PRESETS
@@ -233,7 +260,7 @@ def test_a_batch_reads_what_single_robots_read_where_nothing_is_drawn(name: str)
 def test_a_null_model_changes_nothing(name: str, library: str, precision: str) -> None:
     make, kind = NULL[name]
     stage, rng = make(), generator(library)
-    channels = 6 if kind is Imu else 8
+    channels = {Imu: 6, ForceTorque: 12}.get(kind, 8)
     dtype = getattr(torch if library == "torch" else np, precision)
     state = stage.init((channels,), rng, dtype)
     for seed in range(5):

@@ -20,6 +20,9 @@ DT = 1 / 80
 PLAIN = replace(
     HX711_LOAD_CELLS, initial_gain_std=0.0, initial_zero_std=0.0, gain_drift=0.0, zero_drift=0.0, rate=None
 )
+WARMING = replace(
+    HX711_LOAD_CELLS, span_tempco=1e-3, zero_tempco=0.03, temperature_ramp=20.0 / 600.0, temperature_rise=14.0
+)
 
 
 @pytest.mark.parametrize(
@@ -33,6 +36,9 @@ PLAIN = replace(
         replace(HX711_LOAD_CELLS, gain_drift=0.0),
         replace(HX711_LOAD_CELLS, zero_drift=0.0, input_noise=0.0),
         replace(HX711_LOAD_CELLS, coding="two's complement", polarity=(1,)),
+        WARMING,
+        replace(WARMING, temperature_rise=0.0, rate=None),
+        replace(WARMING, gain_drift=0.0, zero_drift=0.0),
     ],
 )
 def test_fused_cells_equal_the_chain_of_their_stages(config: LoadCells) -> None:
@@ -124,6 +130,56 @@ def test_static_readings_leave_the_state_alone_and_do_not_drift() -> None:
         np.testing.assert_array_equal(part, before)
     halves = counts.reshape(2, 2500, 8).mean(axis=1)
     np.testing.assert_allclose(halves[0], halves[1], atol=5.0)
+
+
+@pytest.mark.parametrize(("rise", "expected"), [(0.0, 20.0), (14.0, 14.0 * (1.0 - np.exp(-20.0 / 14.0)))])
+@pytest.mark.parametrize("steps", [10, 60])
+def test_ten_minutes_of_warming_move_zero_and_span_by_their_coefficients(rise, expected, steps):
+    rng = np.random.default_rng(10)
+    config = replace(WARMING, gain_drift=0.0, zero_drift=0.0, temperature_rise=rise)
+    cells = load_cells(config)
+    start = state = cells.init((3000, 8), rng)
+    block = np.zeros((3000, 1, 8))
+    for _ in range(steps):
+        _, state = cells.apply(block, state, rng, 600.0 / steps)
+    np.testing.assert_allclose(state.thermal[2], expected, rtol=1e-9)
+    np.testing.assert_allclose(state.error - start.error, start.thermal[:2] * expected, atol=1e-9)
+    assert (state.error - start.error)[0].std() == pytest.approx(1e-3 * expected, rel=0.03)
+    assert (state.error - start.error)[1].std() == pytest.approx(0.03 * expected, rel=0.03)
+    # Cells of one robot warm up alike, but each follows with a coefficient of its own.
+    assert np.corrcoef(start.thermal[1].T)[0, 1] == pytest.approx(0.0, abs=0.06)
+
+
+def test_the_true_map_knows_the_temperature():
+    rng = np.random.default_rng(11)
+    config = replace(WARMING, input_noise=0.0, gain_drift=0.0, zero_drift=0.0)
+    cells = load_cells(config)
+    state = cells.init((8,), rng)
+    cold = true_map(config, state)
+    for _ in range(60):
+        _, state = cells.apply(np.zeros((1, 8)), state, rng, 10.0)
+    load = np.linspace(0.0, 40.0, 24).reshape(3, 8)
+    counts = static_counts(config, state, load, rng)
+    scale, offset = true_map(config, state)
+    np.testing.assert_allclose(scale * counts + offset, load, atol=4e-5)
+    assert np.abs(cold[0] * counts + cold[1] - load).max() > 0.1
+
+
+@pytest.mark.parametrize("off", [{"temperature_ramp": 0.0}, {"span_tempco": 0.0, "zero_tempco": 0.0}])
+def test_cells_that_do_not_warm_up_read_bit_for_bit_what_they_read_before(off):
+    config = replace(WARMING, **off)
+    assert not config.warms
+    read = []
+    for each in (HX711_LOAD_CELLS, config):
+        rng = np.random.default_rng(12)
+        cells = load_cells(each)
+        state = cells.init((8,), rng)
+        counts = []
+        for _ in range(50):
+            one, state = cells.apply(np.full((10, 8), 5.0), state, rng, DT)
+            counts.append(one)
+        read.append(counts)
+    np.testing.assert_array_equal(read[0], read[1])
 
 
 def test_wrong_channels_are_refused() -> None:

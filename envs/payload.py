@@ -1,0 +1,114 @@
+"""A mass that the robot picks up on its way."""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.options import numbers_of
+
+__all__ = ["POSITION_PAYLOAD_TORSO", "Payload"]
+
+POSITION_PAYLOAD_TORSO = (0.06, 0.0, 0.04)
+"""Where a payload's centre of mass lies in the torso's frame, in m: held before the chest."""
+
+HALF_EDGE = 0.03
+"""Half the edge in m of the cube whose inertia a payload has."""
+
+
+class Payload:
+    """A cube fixed to the torso from a given time of the episode on.
+
+    It changes the simulated robot alone: the pattern and every nominal model keep the robot as it was.
+
+    Args:
+        model: The robot, which is changed when the payload appears.
+        payload: (mass in kg, time in s), or ``None`` for none.
+        dt: Control step in s.
+
+    Raises:
+        ValueError: If the payload is neither, or a number is negative.
+    """
+
+    def __init__(self, model: mujoco.MjModel, payload: Sequence[float] | None, dt: float) -> None:
+        self._model = model
+        self._body = int(model.body("torso").id)
+        self.mass, time = _checked(payload)
+        self._tick = round(time / dt)
+        self._carried = False
+        self._empty = self._link()
+
+    @property
+    def carried(self) -> bool:
+        """Whether the robot carries it now."""
+        return self._carried
+
+    def reset(self) -> None:
+        """Put it down."""
+        if self._carried:
+            self._set(*self._empty)
+            self._carried = False
+
+    def apply(self, tick: int) -> None:
+        """Pick it up, or not, before the control step that leads to ``tick``."""
+        if self.mass and not self._carried and tick > self._tick:
+            self._set(*self._loaded())
+            self._carried = True
+
+    def _link(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Mass, centre of mass, principal inertia and its axes of the torso as it is now."""
+        model, body = self._model, self._body
+        return (
+            float(model.body_mass[body]),
+            model.body_ipos[body].copy(),
+            model.body_inertia[body].copy(),
+            model.body_iquat[body].copy(),
+        )
+
+    def _loaded(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """The torso and the payload as one rigid body, by the parallel axis theorem."""
+        mass, com, inertia, quaternion = self._empty
+        where = np.array(POSITION_PAYLOAD_TORSO)
+        total = mass + self.mass
+        centre = (mass * com + self.mass * where) / total
+        axes = np.empty(9)
+        mujoco.mju_quat2Mat(axes, quaternion)
+        R = axes.reshape(3, 3)
+        cube = self.mass * (2.0 * HALF_EDGE) ** 2 / 6.0
+        tensor = R @ np.diag(inertia) @ R.T + cube * np.eye(3)
+        for part, place in ((mass, com), (self.mass, where)):
+            arm = place - centre
+            tensor += part * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        principal, vectors = np.linalg.eigh(tensor)
+        if np.linalg.det(vectors) < 0.0:
+            vectors[:, 0] *= -1.0
+        mujoco.mju_mat2Quat(quaternion := np.empty(4), vectors.ravel())
+        return total, centre, principal, quaternion
+
+    def _set(
+        self,
+        mass: float,
+        com: NDArray[np.float64],
+        inertia: NDArray[np.float64],
+        quaternion: NDArray[np.float64],
+    ) -> None:
+        model, body = self._model, self._body
+        model.body_mass[body] = mass
+        model.body_ipos[body], model.body_inertia[body], model.body_iquat[body] = com, inertia, quaternion
+        # What MuJoCo derives from the masses; a data of its own keeps the robot's state as it is.
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _checked(payload: Any) -> tuple[float, float]:
+    if payload is None:
+        return 0.0, 0.0
+    numbers = numbers_of(payload)
+    if len(numbers) != 2 or not all(isfinite(number) and number >= 0.0 for number in numbers):
+        raise ValueError(
+            "'payload' must be (mass in kg, time in s at which it appears), both finite and not negative, or "
+            f"None for none; got {payload!r}."
+        )
+    return numbers[0], numbers[1]

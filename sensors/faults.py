@@ -1,0 +1,299 @@
+"""Faults of single channels: what wires, chips and bridges do when they break.
+
+A fault acts on the counts that a host reads, from its start to its stop, and leaves everything before and
+after as it was. Faults are applied in the order in which they are given: a swapped pair of which one is dead
+is another thing than a dead channel that is then swapped.
+
+| Kind | What the host reads | Parameters |
+|------|---------------------|------------|
+| ``"dead"`` | the code of an unloaded cell, whatever the load | |
+| ``"stuck"`` | the last reading before the fault | |
+| ``"saturated"`` | nothing beyond a load; without one, the converter's rail all the time | ``level`` |
+| ``"spiking"`` | single readings that are off, up or down | ``rate``, ``size`` |
+| ``"dropped"`` | NaN: no sample arrived | ``probability``, ``burst`` |
+| ``"swapped"`` | another channel's counts, and that one this one's | ``other`` |
+| ``"flipped"`` | the counts of the opposite load: the slope's sign is wrong | |
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from array_api_compat import array_namespace
+from array_api_compat import device as device_of
+from numpy.typing import NDArray
+
+from surefoot.sensors._arrays import Table, cast_like, limit, round_off
+from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.randomness import filled, uniform
+
+KINDS = ("dead", "stuck", "saturated", "spiking", "dropped", "swapped", "flipped")
+"""What can go wrong with a channel."""
+
+
+class Converter(Protocol):
+    """What faults have to know of an instrument: :class:`~surefoot.sensors.LoadCells`, for instance."""
+
+    @property
+    def slope(self) -> NDArray[np.float64]:
+        """Nominal counts per newton (or N m), shape (K,)."""
+
+    @property
+    def zero_code(self) -> float:
+        """Reading without a load in counts."""
+
+    @property
+    def code_range(self) -> tuple[Any, Any]:
+        """Lowest and highest reading in counts, one number each or one a channel."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of one channel."""
+
+    kind: str
+    """What goes wrong, one of :data:`KINDS`."""
+
+    channel: int
+    """Number of the channel that it happens to, from 0."""
+
+    start: float = 0.0
+    """Time of the first reading that is wrong in s."""
+
+    stop: float | None = None
+    """Time of the first reading that is right again in s; ``None`` for never."""
+
+    level: float | None = None
+    """Saturated: the load in N (or N m) by the data sheet beyond which nothing more is read, positive for
+    loads that press; ``None`` for a reading at the rail to which such loads drive the converter."""
+
+    rate: float = 1.0
+    """Spiking: mean number of spikes in a second in 1/s."""
+
+    size: float = 20.0
+    """Spiking: by how much a reading is off in N (or N m) by the data sheet, to either side alike."""
+
+    probability: float = 1.0
+    """Dropped: share of the readings that is lost in the long run; 1 loses all."""
+
+    burst: float = 0.0
+    """Dropped: mean duration of a gap in s; 0 loses each reading on its own."""
+
+    other: int | None = None
+    """Swapped: number of the other channel, from 0."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot happen."""
+        require(self.kind in KINDS, self, "kind", f"be one of {KINDS}")
+        require(_is_number(self.channel), self, "channel", "be a whole number from 0")
+        require_not_negative(self, "start", "burst")
+        require_positive(self, "rate", "size")
+        if self.stop is not None:
+            require_positive(self, "stop")
+            require(self.stop > self.start, self, "stop", f"come after the start at {self.start} s")
+        if self.level is not None:
+            require_positive(self, "level")
+        require(0.0 < self.probability <= 1.0, self, "probability", "lie above 0 and at most at 1")
+        swaps = self.kind == "swapped"
+        require(
+            (_is_number(self.other) and self.other != self.channel) if swaps else self.other is None,
+            self,
+            "other",
+            "name another channel" if swaps else f"be None for a channel that is {self.kind}",
+        )
+
+
+class FaultState(NamedTuple):
+    """Channels with faults.
+
+    Attributes:
+        time: Time of the last reading in s, shape (..., 1).
+        held: For each of F faults the last reading of its channel before it in counts, shape (..., F); NaN
+            before there was any.
+        lost: For each of them 1 within a gap and 0 elsewhere, shape (..., F).
+    """
+
+    time: Array
+    held: Array
+    lost: Array
+
+
+def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[FaultState]:
+    """Let channels fail while their counts stream by.
+
+    ``init(shape, rng)`` takes the shape of the readings, (..., K), and starts the clock at 0 s: the first
+    reading is that of the time ``dt``. Whether a fault is active or not, it draws the same random numbers.
+
+    Args:
+        faults: The faults, in the order in which they act.
+        config: The instrument, which knows what a newton is in counts.
+
+    Raises:
+        ValueError: If a fault names a channel that the instrument lacks, or a rail that it has not.
+    """
+    faults = tuple(faults)
+    slope = np.asarray(config.slope, dtype=np.float64)
+    channels = len(slope)
+    low, high = (np.broadcast_to(np.asarray(end, dtype=np.float64), (channels,)) for end in config.code_range)
+    _check(faults, channels, low, high)
+    rounds = bool(np.isfinite(low).all())
+    chosen = [Table(np.arange(channels) == fault.channel) for fault in faults]
+    chance = [index for index, fault in enumerate(faults) if fault.kind in ("spiking", "dropped")]
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> FaultState:
+        if not shape or shape[-1] != channels:
+            raise ValueError(f"The last axis must hold the {channels} channels, got shape {shape}.")
+        flags = (*shape[:-1], len(faults))
+        return FaultState(
+            filled(rng, 0.0, (*shape[:-1], 1), dtype),
+            filled(rng, float("nan"), flags, dtype),
+            filled(rng, 0.0, flags, dtype),
+        )
+
+    def apply(reading: Array, state: FaultState, rng: Rng, dt: float) -> tuple[Array, FaultState]:
+        xp = array_namespace(reading)
+        time = state.time + dt
+        now, counts = time[..., 0], reading + 0.0
+        held, lost = (cast_like(part, reading) for part in state[1:])
+        drawn = uniform(rng, 0.0, 1.0, (len(chance), 2, *counts.shape[:-1]), reading.dtype) if chance else ()
+        draws = dict(zip(chance, drawn, strict=True))
+        held_next, lost_next = [], []
+        for index, fault in enumerate(faults):
+            # Sums of time steps come out a little early or late.
+            active = now >= fault.start - 1e-6
+            if fault.stop is not None:
+                active = active & (now < fault.stop - 1e-6)
+            code, kept, gap = counts[..., fault.channel], held[..., index], lost[..., index]
+            kept = xp.where((active & ~xp.isnan(kept)) | xp.isnan(code), kept, code)
+            held_next.append(kept)
+            k, zero = float(slope[fault.channel]), config.zero_code
+            ends = float(low[fault.channel]), float(high[fault.channel])
+            wrong = code
+            match fault.kind:
+                case "dead":
+                    wrong = code * 0.0 + zero
+                    wrong = xp.where(xp.isnan(code), code, wrong)
+                case "stuck":
+                    wrong = kept
+                case "saturated":
+                    rail = ends[1] if k > 0.0 else ends[0]
+                    if fault.level is None:
+                        wrong = xp.where(xp.isnan(code), code, code * 0.0 + rail)
+                    else:
+                        edge = zero + k * fault.level
+                        edge = float(np.rint(edge)) if rounds else edge
+                        wrong = limit(code, -np.inf, edge) if k > 0.0 else limit(code, edge, np.inf)
+                case "spiking":
+                    hit = draws[index][0] < 1.0 - np.exp(-fault.rate * dt)
+                    jump = xp.where(draws[index][1] < 0.5, code * 0.0 - 1.0, code * 0.0 + 1.0)
+                    off = limit(code + jump * (abs(k) * fault.size), *ends)
+                    wrong = xp.where(hit, round_off(off) if rounds else off, code)
+                case "dropped":
+                    gap = _gap(xp, fault, gap, draws[index][0], dt)
+                    wrong = xp.where(gap > 0.5, code * 0.0 + float("nan"), code)
+                case "flipped":
+                    wrong = limit(2.0 * zero - code, *ends)
+                case "swapped":
+                    counts = _swapped(xp, counts, fault, active)
+            lost_next.append(xp.where(active, gap, gap * 0.0))
+            if fault.kind != "swapped":
+                where = chosen[index].like(counts) > 0.5
+                counts = xp.where(where & active[..., None], wrong[..., None], counts)
+        if not faults:
+            return counts, FaultState(time, held, lost)
+        return counts, FaultState(time, xp.stack(held_next, axis=-1), xp.stack(lost_next, axis=-1))
+
+    return Corruption(init, apply)
+
+
+def apply_faults(
+    counts: NDArray[np.float64],
+    time: NDArray[np.float64],
+    faults: Sequence[Fault],
+    config: Converter,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Let channels fail in a log.
+
+    Args:
+        counts: Readings in counts, shape (N, K); they are not changed.
+        time: Their times in s, increasing, shape (N,); the faults' own times are on this clock.
+        faults: The faults, in the order in which they act.
+        config: The instrument that was read.
+        rng: Where chance comes from.
+
+    Returns:
+        What the host would have read, shape (N, K).
+
+    Raises:
+        ValueError: If a shape is wrong, time does not increase, or a fault cannot happen to this instrument.
+
+    >>> from surefoot.sensors import LoadCells
+    >>> cells = LoadCells(channels=2, polarity=(1,), adc_bits=0)
+    >>> dead = Fault("dead", channel=1, start=2.0)
+    >>> apply_faults(np.full((3, 2), 5.0), np.array([1.0, 2.0, 3.0]), [dead], cells, np.random.default_rng(0))
+    array([[5., 5.],
+           [5., 0.],
+           [5., 0.]])
+    """
+    counts, time = np.asarray(counts, dtype=np.float64), np.asarray(time, dtype=np.float64)
+    if counts.ndim != 2 or time.shape != counts.shape[:1]:
+        raise ValueError(
+            f"'counts' must have shape (N, K) and 'time' (N,), got {counts.shape} and {time.shape}."
+        )
+    step = np.diff(time)
+    if not np.isfinite(time).all() or not (step > 0.0).all():
+        raise ValueError("'time' must be finite and increase from reading to reading.")
+    instrument = channel_faults(faults, config)
+    state = instrument.init(counts.shape[1:], rng)
+    # The first reading stands for as long as the others do.
+    steps = np.append(np.median(step) if len(step) else 1.0, step)
+    read = np.empty_like(counts)
+    for k, (row, dt) in enumerate(zip(counts, steps.tolist(), strict=True)):
+        state = state._replace(time=np.array([time[k] - dt]))
+        read[k], state = instrument.apply(row, state, rng, dt)
+    return read
+
+
+def _gap(xp: Any, fault: Fault, gap: Array, drawn: Array, dt: float) -> Array:
+    """Step a two-state chain: in a gap, or not."""
+    if fault.burst == 0.0 or fault.probability == 1.0:
+        return cast_like(drawn < fault.probability, gap)
+    leave = 1.0 - np.exp(-dt / fault.burst)
+    enter = min(leave * fault.probability / (1.0 - fault.probability), 1.0)
+    return cast_like(xp.where(gap > 0.5, drawn >= leave, drawn < enter), gap)
+
+
+def _swapped(xp: Any, counts: Array, fault: Fault, active: Array) -> Array:
+    order = list(range(counts.shape[-1]))
+    assert fault.other is not None
+    order[fault.channel], order[fault.other] = fault.other, fault.channel
+    index = xp.asarray(order, device=device_of(counts))
+    return xp.where(active[..., None], xp.take(counts, index, axis=-1), counts)
+
+
+def _check(
+    faults: tuple[Fault, ...], channels: int, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> None:
+    for fault in faults:
+        for name in ("channel", "other"):
+            number = getattr(fault, name)
+            require(
+                number is None or number < channels,
+                fault,
+                name,
+                f"be one of the instrument's {channels} channels, 0 to {channels - 1}",
+            )
+        ends = low[fault.channel], high[fault.channel]
+        require(
+            fault.kind != "saturated" or fault.level is not None or bool(np.isfinite(ends).all()),
+            fault,
+            "level",
+            "be given for an instrument without a converter, which has no rail",
+        )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0

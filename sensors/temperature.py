@@ -1,0 +1,82 @@
+r"""What temperature does to a strain-gauge bridge: zero and span move with it.
+
+A device warms up after it was switched on, along a ramp :math:`T = r t` or, as one with a heat loss does,
+levelling off, :math:`T = T_\infty (1 - e^{-r t / T_\infty})`. Its errors, besides walking at random, follow
+:math:`\alpha T` with a coefficient :math:`\alpha` of each channel's own. All of it is a sum of increments, so
+that the errors of the moment are in one place.
+"""
+
+from math import exp
+from typing import Any, NamedTuple
+
+from surefoot.sensors._arrays import cast_like
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.randomness import filled, normal
+
+
+class ThermalState(NamedTuple):
+    """A channel that wanders and warms up.
+
+    Attributes:
+        error: Its error now, shape (..., K).
+        tempco: What a kelvin adds to it, shape (..., K); constant from power-up.
+        temperature: Rise since power-up in K, shape (..., K).
+    """
+
+    error: Array
+    tempco: Array
+    temperature: Array
+
+
+def warmed(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
+    """Warm up for a while.
+
+    Args:
+        temperature: Rise since power-up in K.
+        ramp: Rate at power-up in K/s.
+        rise: Where the rise levels off in K; 0 for a ramp that goes on.
+        dt: How long in s.
+    """
+    if rise == 0.0:
+        return temperature + ramp * dt
+    return rise + (temperature - rise) * exp(-ramp * dt / rise)
+
+
+def thermal_drift(
+    initial_std: float,
+    density: float,
+    tempco_std: float,
+    *,
+    ramp: float,
+    rise: float = 0.0,
+    relative: bool = False,
+) -> Corruption[ThermalState]:
+    """Let an offset or a gain start anywhere, wander, and follow the temperature.
+
+    Args:
+        initial_std: Standard deviation of the error at power-up, in the unit of the readings (relative: 1).
+        density: Random walk of it per sqrt(s).
+        tempco_std: Standard deviation of its temperature coefficient, in that unit per K.
+        ramp: Rate at which the device warms up at first, in K/s.
+        rise: Where the rise levels off in K; 0 for a ramp that goes on.
+        relative: Whether the error is one of the gain rather than an offset.
+
+    Raises:
+        ValueError: If an argument is negative.
+    """
+    check_not_negative(initial_std=initial_std, density=density, tempco_std=tempco_std, ramp=ramp, rise=rise)
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ThermalState:
+        error = initial_std * normal(rng, shape, dtype)
+        return ThermalState(error, tempco_std * normal(rng, shape, dtype), filled(rng, 0.0, shape, dtype))
+
+    def apply(reading: Array, state: ThermalState, rng: Rng, dt: float) -> tuple[Array, ThermalState]:
+        error, tempco, before = (cast_like(part, reading) for part in state)
+        if density:
+            error = error + density * dt**0.5 * normal(rng, tuple(error.shape), reading.dtype)
+        temperature = warmed(before, ramp, rise, dt)
+        error = error + tempco * (temperature - before)
+        read = reading * (1.0 + error) if relative else reading + error
+        return read, ThermalState(error, tempco, temperature)
+
+    return Corruption(init, apply)
