@@ -23,7 +23,8 @@ from surefoot.calibration.cop_correction import CopCorrectionFit, PlacementScore
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.filters import low_pass, zero_phase
 from surefoot.calibration.foot_calibrator import FootCalibrator
-from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
+from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor, nao_shoe_layout
+from surefoot.calibration.moment_filter import MomentFilterConfig
 from surefoot.calibration.online import METHODS, OnlineMethod, OnlineSetup, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
@@ -49,7 +50,9 @@ __all__ = [
     "Flag",
     "FootCalibrator",
     "FootLayout",
+    "FootSensor",
     "GroundReference",
+    "MomentFilterConfig",
     "OnlineMethod",
     "OnlineSetup",
     "Parameters",

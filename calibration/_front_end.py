@@ -10,6 +10,7 @@
 * **Linear rows.** The level wrench of the feet is linear in the channels: (Fz, Fz px, Fz py) = rows @ F.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,7 +62,8 @@ class Sample(NamedTuple):
         rows: Rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (..., F, 3, K).
         past: F0 at the time that the reference describes, shape (..., K).
         read: Whether ``past`` was read and not held (bool), shape (..., K).
-        good: Whether the sample may be learnt from (bool), shape (...).
+        sound: Whether the reference is good and the clock did not jump (bool), shape (...).
+        good: Whether the sample may be learnt from: sound, and every channel read (bool), shape (...).
         clean: Good samples since the last bad one, this one included, shape (...).
         motion: The reference, flat; the last good one where this one was not, shape (..., R).
         stance: Feet surely on the ground by a reference that is good (bool), shape (..., F).
@@ -75,6 +77,7 @@ class Sample(NamedTuple):
     rows: Array
     past: Array
     read: Array
+    sound: Array
     good: Array
     clean: Array
     motion: Array
@@ -157,7 +160,12 @@ class FrontEnd:
         self.motions.check(reference, tuple(raw.shape[:-1]), state.known.dtype)
 
     def observe(
-        self, state: FrontState, raw: Array, reference: Reference, dt: float
+        self,
+        state: FrontState,
+        raw: Array,
+        reference: Reference,
+        dt: float,
+        repair: Callable[[Array, Array], tuple[Array, Array]] | None = None,
     ) -> tuple[FrontState, Sample]:
         """Check one sample, align it with its reference and write its rows.
 
@@ -166,6 +174,7 @@ class FrontEnd:
             raw: Readings, shape (..., K).
             reference: The robot's beliefs ``lag`` samples ago.
             dt: Time since the last sample in s.
+            repair: Takes the newest forces and whether they were read, and hands back those to go on with.
 
         Returns:
             The new state and the sample.
@@ -180,17 +189,18 @@ class FrontEnd:
 
         read = (raw >= low) & (raw <= high)
         held = xp.where(read, raw, state.raw)
-        force = scale * held + offset
-        newest = xp.concat([force, xp.astype(read, raw.dtype)], axis=-1)
+        force, sure = scale * held + offset, read
+        if repair is not None:
+            force, sure = repair(force, read)
+        newest = xp.concat([force, xp.astype(sure, raw.dtype)], axis=-1)
         history = xp.concat([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
         past, past_read = history[..., 0, :K], history[..., 0, K:] > 0.5
 
         flat = self.motions.flatten(reference, raw)
         sound = xp.all(xp.abs(flat) <= LARGEST_REFERENCE, axis=-1)
         motion = xp.where(sound[..., None], flat, state.motion)
-        good = sound & xp.all(past_read, axis=-1)
-        if gap:
-            good = good & False
+        usable = sound & False if gap else sound
+        good = usable & xp.all(past_read, axis=-1)
         clean = (state.clean + 1) * good
 
         wrong = xp.where(raw == raw, int(Flag.OUT_OF_RANGE), int(Flag.MISSING))
@@ -200,6 +210,7 @@ class FrontEnd:
             rows=self.motions.rows(motion),
             past=past,
             read=past_read,
+            sound=usable,
             good=good,
             clean=clean,
             motion=motion,
@@ -228,10 +239,38 @@ class FrontEnd:
             status: Flags that all channels share, shape (...).
             covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
         """
-        xp = namespace_of(sample.force)
-        scale, offset, _, _, wrench_map, lever_map, _ = self._constants.like(sample.force)
-        feet = self._feet
+        scale, offset, *_ = self._constants.like(sample.force)
         force = correction_scale * sample.force + correction_offset
+        return self.report(
+            sample,
+            force,
+            correction_scale * scale,
+            correction_scale * offset + correction_offset,
+            status,
+            covariance,
+        )
+
+    def report(
+        self,
+        sample: Sample,
+        force: Array,
+        scale: Array,
+        offset: Array,
+        status: Array | int = 0,
+        covariance: Array | None = None,
+    ) -> Estimate:
+        """Say what calibrated forces mean: wrenches and centres of pressure.
+
+        Args:
+            sample: The sample.
+            force: Its calibrated forces in N, shape (..., K).
+            scale: Newtons per unit of the reading, shape (..., K).
+            offset: Force that a reading of zero stands for in N, shape (..., K).
+            status: Flags that all channels share, shape (...), or of each, shape (..., K).
+            covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
+        """
+        xp, feet = namespace_of(force), self._feet
+        _, _, _, _, wrench_map, lever_map, _ = self._constants.like(force)
         wrench = xp.reshape(xp.matmul(force, wrench_map), (*force.shape[:-1], feet, 6))
         moments = xp.matmul(sample.rows, force[..., None, :, None])[..., 0]
         total = _sum_feet(moments, feet)
@@ -243,7 +282,8 @@ class FrontEnd:
             [loaded[..., :-1, :], loaded[..., -1:, :] & sample.known[..., None, None]], axis=-2
         )
         cop = xp.where(loaded, parts[..., 1:] / xp.where(loaded, fz, 1.0), xp.nan)
-        flags = sample.flags | (status if isinstance(status, int) else status[..., None])
+        if not isinstance(status, int) and status.ndim < force.ndim:
+            status = status[..., None]
         return Estimate(
             force=force,
             wrench=wrench,
@@ -252,10 +292,10 @@ class FrontEnd:
             cop_foot=cop[..., :-1, :],
             cop_valid=loaded[..., -1, 0],
             cop_foot_valid=loaded[..., :-1, 0],
-            scale=correction_scale * scale,
-            offset=correction_scale * offset + correction_offset,
+            scale=scale,
+            offset=offset,
             covariance=covariance,
-            flags=flags,
+            flags=sample.flags | status,
         )
 
 

@@ -38,6 +38,27 @@ class Flag(IntFlag):
     REJECTED = 128
     """What the data asked for was refused as impossible for a sensor: parameters unchanged."""
 
+    SPIKE = 256
+    """The reading leapt away from its neighbours: the last one is held."""
+
+    STUCK = 512
+    """The reading has not changed at all while the load did: the channel is out."""
+
+    DEAD = 1024
+    """The reading does not follow the load: the channel is out."""
+
+    FLIPPED = 2048
+    """The reading follows the load with the wrong sign: it is turned round."""
+
+    SWAPPED = 4096
+    """The reading follows another channel's load: both are exchanged."""
+
+    LOST = 8192
+    """The channel is out, and its force is reconstructed from the foot's other channels."""
+
+    SATURATED = 16384
+    """The reading stays at an end of its range: the channel is out while it does."""
+
 
 class Estimate(NamedTuple):
     """Calibrated readings of one sample; any leading batch dimensions, written as ``...``.
@@ -58,6 +79,14 @@ class Estimate(NamedTuple):
         covariance: Covariance of (scale, offset) relative to the starting map, that is of (a, b) in
             F = a F0 + b, shape (..., 2K, 2K); ``None`` for a method that claims none.
         flags: :class:`Flag` bits of each channel (integers), shape (..., K).
+        force_std: Standard deviation of ``force`` by that covariance in N, shape (..., K), or ``None``.
+        cop_covariance: Covariance of ``cop`` by it in m^2, shape (..., 2, 2), NaN where there is no centre of
+            pressure; or ``None``.
+        nis: Normalised innovation squared of the update at this sample, shape (...), NaN at samples without
+            one; or ``None``.
+        nis_rows: Number of rows, its degrees of freedom, shape (...), or ``None``.
+        matrix: Gains of a calibration with cross-talk against the starting map, the A of F = A F0 + b, shape
+            (..., K, K); ``None`` where gains are one a channel.
     """
 
     force: Array
@@ -71,3 +100,8 @@ class Estimate(NamedTuple):
     offset: Array
     covariance: Array | None
     flags: Array
+    force_std: Array | None = None
+    cop_covariance: Array | None = None
+    nis: Array | None = None
+    nis_rows: Array | None = None
+    matrix: Array | None = None

@@ -65,7 +65,7 @@ class FootCalibrator:
     def __init__(
         self,
         layout: FeetLayout,
-        method: str = "window",
+        method: str = "surefoot",
         *,
         mass: float,
         initial: Parameters | None = None,

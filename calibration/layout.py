@@ -9,16 +9,41 @@ x forward, y left, z up, the origin below the ankle on the face that touches the
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["FeetLayout", "FootLayout"]
+__all__ = ["FeetLayout", "FootLayout", "FootSensor"]
 
 LOAD_CELL_NAMES = ("front-left", "front-right", "rear-left", "rear-right")
+FORCE_TORQUE_NAMES = ("fx", "fy", "fz", "tx", "ty", "tz")
+
+
+@dataclass(frozen=True, eq=False)
+class FootSensor:
+    """One instrument of a foot: which channels are its own, and what hangs beyond it.
+
+    What is beyond a sensor (the sole plate under load cells, the whole foot below an ankle sensor) moves
+    with the foot, so that the sensor feels its inertia. Its weight at level rest counts as part of the zero.
+
+    Attributes:
+        channels: Its channels within the foot.
+        wrench_map: Its own sole wrench per unit of each of its channels, shape (6, channels).
+        six_axis: Whether its channels are the axes of one six-axis sensor, which may talk across.
+        share: Share of its wrench in the foot's, axis by axis, shape (6,).
+        mass_below: Mass beyond it in kg.
+        com_below_sole: Centre of that mass in the sole frame in m, shape (3,).
+    """
+
+    channels: slice
+    wrench_map: NDArray[np.float64]
+    six_axis: bool
+    share: NDArray[np.float64]
+    mass_below: float = 0.0
+    com_below_sole: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +56,14 @@ class FootLayout:
         channel_names: k names, such as ``"front-left"``.
         position_cell_sole: Positions of load cells in the sole frame in m, shape (k, 3), or ``None``
             for a sensor whose channels are not forces at a place.
+        sensors: The instruments that the channels belong to; by default one.
     """
 
     name: str
     wrench_map: NDArray[np.float64]
     channel_names: tuple[str, ...]
     position_cell_sole: NDArray[np.float64] | None = None
+    sensors: tuple[FootSensor, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a map that is no map."""
@@ -52,6 +79,9 @@ class FootLayout:
                 f"Foot '{self.name}' has {self.wrench_map.shape[1]} channels but "
                 f"{len(self.channel_names)} channel names: {self.channel_names}."
             )
+        if not self.sensors:
+            whole = FootSensor(slice(0, self.channels), self.wrench_map, False, np.ones(6))
+            object.__setattr__(self, "sensors", (whole,))
 
     @property
     def channels(self) -> int:
@@ -64,6 +94,9 @@ class FootLayout:
         name: str,
         position_cell_sole: ArrayLike,
         channel_names: Sequence[str] | None = None,
+        *,
+        mass_below: float = 0.0,
+        com_below_sole: ArrayLike = (0.0, 0.0, 0.0),
     ) -> "FootLayout":
         """Describe a foot on single-axis load cells.
 
@@ -75,10 +108,12 @@ class FootLayout:
             position_cell_sole: Positions of the cells in the sole frame in m, shape (k, 2) or (k, 3);
                 four cells are ordered (front-left, front-right, rear-left, rear-right).
             channel_names: Names of the cells; four cells need none.
+            mass_below: Mass of the sole plate under the cells in kg.
+            com_below_sole: Its centre of mass in the sole frame in m, shape (3,).
 
         Raises:
-            ValueError: If fewer than three cells are given, if they lie on one line, or if a position
-                is not finite.
+            ValueError: If fewer than three cells are given, if they lie on one line, if a position is not
+                finite, or if the mass is negative.
 
         >>> foot = FootLayout.load_cells("left", [(0.1, 0.05), (0.1, -0.05), (-0.06, 0.05), (-0.06, -0.05)])
         >>> foot.wrench_map[2]
@@ -107,7 +142,83 @@ class FootLayout:
         x, y = position[:, 0], position[:, 1]
         zero = np.zeros_like(x)
         wrench_map = np.stack([zero, zero, np.ones_like(x), y, -x, zero])
-        return cls(name, wrench_map, tuple(channel_names), position)
+        below = _check_below(name, mass_below, com_below_sole)
+        sensor = FootSensor(slice(0, len(position)), wrench_map, False, np.ones(6), *below)
+        return cls(name, wrench_map, tuple(channel_names), position, (sensor,))
+
+    @classmethod
+    def force_torque(
+        cls,
+        name: str,
+        *,
+        position_sensor_sole: ArrayLike,
+        R_sole_sensor: ArrayLike | None = None,
+        mass_below: float = 0.0,
+        com_below_sole: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> "FootLayout":
+        """Describe a foot below a six-axis force-torque sensor.
+
+        The channels are (fx, fy, fz, tx, ty, tz) of the ground on the robot, at and in the sensor's frame.
+
+        Args:
+            name: What messages and logs call the foot.
+            position_sensor_sole: Origin of the sensor's frame in the sole frame in m, shape (3,).
+            R_sole_sensor: Rotation from the sensor's frame to the sole frame, shape (3, 3); by default they
+                are parallel.
+            mass_below: Mass of the foot beyond the sensor in kg.
+            com_below_sole: Its centre of mass in the sole frame in m, shape (3,).
+
+        Raises:
+            ValueError: If a shape is wrong, a value is not finite, the rotation is none or the mass is
+                negative.
+
+        >>> foot = FootLayout.force_torque("left", position_sensor_sole=(0.0, 0.0, 0.05))
+        >>> foot.wrench_map @ (10.0, 0.0, 50.0, 0.0, 0.0, 0.0)
+        array([10. ,  0. , 50. ,  0. ,  0.5,  0. ])
+        """
+        position = _check_vector(name, "position_sensor_sole", position_sensor_sole)
+        R = np.eye(3) if R_sole_sensor is None else np.asarray(R_sole_sensor, dtype=np.float64)
+        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
+            raise ValueError(f"'R_sole_sensor' of foot '{name}' must be a rotation of shape (3, 3), got {R}.")
+        x, y, z = position
+        lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        wrench_map = np.block([[R, np.zeros((3, 3))], [lever @ R, R]])
+        below = _check_below(name, mass_below, com_below_sole)
+        sensor = FootSensor(slice(0, 6), wrench_map, True, np.ones(6), *below)
+        return cls(name, wrench_map, FORCE_TORQUE_NAMES, None, (sensor,))
+
+    @classmethod
+    def combined(cls, name: str, *feet: "FootLayout") -> "FootLayout":
+        """Describe a foot with several instruments, such as load cells below an ankle sensor.
+
+        Each instrument tells the same wrench on its own; the foot's is their mean over those that see an
+        axis at all. Calibrators that know of it hold the instruments against each other.
+
+        Args:
+            name: What messages and logs call the foot.
+            feet: The same foot with each of its instruments alone; their channels follow each other.
+
+        Raises:
+            ValueError: If fewer than two are given, or two channels share a name.
+        """
+        if len(feet) < 2:
+            raise ValueError(f"Foot '{name}' combines instruments and needs at least two, got {len(feet)}.")
+        names = tuple(channel for foot in feet for channel in foot.channel_names)
+        if len(set(names)) != len(names):
+            raise ValueError(f"Foot '{name}' combines channels of the same name: {names}; rename some.")
+        sees = np.array([(foot.wrench_map != 0.0).any(axis=1) for foot in feet], dtype=np.float64)
+        shares = sees / np.maximum(sees.sum(axis=0), 1.0)
+        ends = np.cumsum([0, *(foot.channels for foot in feet)]).tolist()
+        sensors = tuple(
+            replace(sensor, channels=slice(start + sensor.channels.start, start + sensor.channels.stop),
+                    share=sensor.share * share)
+            for start, foot, share in zip(ends, feet, shares, strict=False)
+            for sensor in foot.sensors
+        )  # fmt: skip
+        wrench_map = np.hstack(
+            [share[:, None] * foot.wrench_map for foot, share in zip(feet, shares, strict=True)]
+        )
+        return cls(name, wrench_map, names, None, sensors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +290,19 @@ class FeetLayout:
                 f"'{what}' must hold one reading for each of the {self.channels} channels "
                 f"{self.channel_names} on its last axis, got shape {shape}."
             )
+
+
+def _check_vector(foot: str, what: str, value: ArrayLike) -> NDArray[np.float64]:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError(f"'{what}' of foot '{foot}' must hold three finite numbers in m, got {value!r}.")
+    return vector
+
+
+def _check_below(foot: str, mass: float, com: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+    if not (np.isfinite(mass) and mass >= 0.0):
+        raise ValueError(f"'mass_below' of foot '{foot}' must be finite and not negative, got {mass} kg.")
+    return float(mass), _check_vector(foot, "com_below_sole", com)
 
 
 def nao_shoe_layout() -> FeetLayout:

@@ -2,7 +2,7 @@
 
 An online method is a pair of pure functions over a state that is a value,
 
-    init, update = online_method("window", setup)
+    init, update = online_method("surefoot", setup)
     state = init(raw)                                       # the kind and batch shape of readings to come
     state, estimate = update(state, raw, reference, dt)     # one sample
 
@@ -15,6 +15,7 @@ estimate holds) is described in :mod:`surefoot.calibration._front_end`:
 
 | name | learns | from |
 |---|---|---|
+| ``"surefoot"`` | scales, offsets, the reference's errors, faults | the robot's motion, feet in the air |
 | ``"window"`` | scales and offsets | the robot's motion, standing and walking (CoP paper, Eqs. 12-14) |
 | ``"quasi-static"`` | scales and offsets | the centre of mass alone (Han's method) |
 | ``"tare"`` | offsets | feet in the air |
@@ -27,6 +28,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from surefoot.calibration._setup import OnlineMethod, OnlineSetup
+from surefoot.calibration.moment_filter import MomentFilterConfig, moment_filter
 from surefoot.calibration.quasi_static import quasi_static
 from surefoot.calibration.tare import TareConfig, tare
 from surefoot.calibration.uncorrected import uncorrected
@@ -49,6 +51,7 @@ class MethodEntry(NamedTuple):
 
 METHODS = MappingProxyType(
     {
+        "surefoot": MethodEntry(moment_filter, MomentFilterConfig),
         "window": MethodEntry(window, WindowConfig),
         "quasi-static": MethodEntry(quasi_static, WindowConfig),
         "tare": MethodEntry(tare, TareConfig),
@@ -69,10 +72,10 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     Raises:
         ValueError: If no such method or option exists, or an option has a value without meaning.
 
-    >>> online_method("windows", ...)
+    >>> online_method("windows", ...)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    ValueError: Method 'windows' does not exist. Available: 'window', 'quasi-static', 'tare', 'none'.
+    ValueError: Method 'windows' does not exist. Available: 'surefoot', 'window', ..., 'tare', 'none'.
     """
     if name not in METHODS:
         available = ", ".join(repr(key) for key in METHODS)

@@ -1,0 +1,141 @@
+"""What a foot's sensors feel of the masses beyond them, besides their weight at level rest; private.
+
+A sole plate under load cells, or a whole foot below an ankle sensor, is accelerated by what passes through
+the sensor. With m the mass beyond it, c its centre in the sole frame and a its acceleration, the sensor reads
+the wrench of the ground less
+
+    m (a + g e_z) - m g R e_z    at c,
+
+where the second term is the weight at level rest, which counts as part of the zero.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.reference import GRAVITY
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+_LIGHTEST = 1e-3
+"""Mass in kg below a sensor from which on its inertia is worth computing."""
+
+
+class DistalMasses:
+    """The masses beyond the sensors of one layout.
+
+    Args:
+        layout: The feet.
+        dt: Time between samples in s.
+        spans: Numbers of samples that accelerations will be asked over.
+
+    Attributes:
+        matter: Whether there are any.
+    """
+
+    def __init__(self, layout: FeetLayout, dt: float, *spans: int) -> None:
+        parts = [
+            (foot_index, where.start, sensor)
+            for foot_index, (foot, where) in enumerate(zip(layout.feet, layout.slices, strict=True))
+            for sensor in foot.sensors
+        ]
+        self.matter = any(sensor.mass_below > _LIGHTEST for *_, sensor in parts)
+        self._foot_of = [foot for foot, _, _ in parts]
+        felt = np.zeros((len(parts), 6, layout.channels))
+        for row, (_, start, sensor) in zip(felt, parts, strict=True):
+            where = slice(start + sensor.channels.start, start + sensor.channels.stop)
+            row[:, where] = -np.linalg.pinv(sensor.wrench_map).T
+        self._constants = Constants(
+            np.array([sensor.mass_below for *_, sensor in parts]),
+            np.array([sensor.com_below_sole for *_, sensor in parts]),
+            np.array([sensor.share for *_, sensor in parts]),
+            felt,
+            np.eye(3),
+        )
+        self._curves = {n: Constants(_curvature(n) / dt**2) for n in set(spans)}
+
+    def total(self, com: Array, acceleration: Array, position: Array, R: Array, origin: Array) -> Array:
+        """Sum up what the feet's wrenches lack, over n samples in a row.
+
+        Args:
+            com: Centre of mass in the level frame in m, shape (..., n, 3).
+            acceleration: Its acceleration in m/s^2, shape (..., n, 3).
+            position: Origins of the soles in m, shape (..., n, F, 3).
+            R: Rotations from the soles to the level frame, shape (..., n, F, 3, 3).
+            origin: Points that moments are taken about in m, shape (..., n, 3).
+
+        Returns:
+            Mean wrench of all feet about those points in N and N m, shape (..., 6).
+        """
+        xp = namespace_of(com)
+        wrench = self._wrenches(com, acceleration, position, R)
+        share = self._constants.like(com)[2]
+        arm = xp.mean(position - origin[..., None, :], axis=-3)
+        parts = []
+        for p, foot in enumerate(self._foot_of):
+            force, moment = wrench[p][..., :3] * share[p][:3], wrench[p][..., 3:] * share[p][3:]
+            parts.append(xp.concat([force, moment + _cross(arm[..., foot, :], force)], axis=-1))
+        return sum(parts[1:], parts[0])
+
+    def felt(self, com: Array, acceleration: Array, position: Array, R: Array) -> Array:
+        """Say what each channel reads of it while nothing touches its foot.
+
+        Args:
+            com: As in :meth:`total`.
+            acceleration: As in :meth:`total`.
+            position: As in :meth:`total`.
+            R: As in :meth:`total`.
+
+        Returns:
+            In N or N m, shape (..., K).
+        """
+        xp = namespace_of(com)
+        felt = self._constants.like(com)[3]
+        middle = R[..., R.shape[-4] // 2, :, :, :]
+        parts = []
+        for p, (foot, part) in enumerate(
+            zip(self._foot_of, self._wrenches(com, acceleration, position, R), strict=True)
+        ):
+            turned = middle[..., foot, :, :].mT
+            force, moment = turned @ part[..., :3, None], turned @ part[..., 3:, None]
+            parts.append(xp.concat([force, moment], axis=-2)[..., 0] @ felt[p])
+        return sum(parts[1:], parts[0])
+
+    def _wrenches(self, com: Array, acceleration: Array, position: Array, R: Array) -> list[Array]:
+        """Compute each part's wrench at its sole's origin in level axes, shape (..., 6) each."""
+        xp = namespace_of(com)
+        mass, where, *_, identity = self._constants.like(com)
+        (curve,) = self._curves[position.shape[-3]].like(com)
+        # A level frame may move from sample to sample; distances to the centre of mass do not care.
+        bend = xp.sum((position - com[..., None, :]) * curve[:, None, None], axis=-3)
+        sole = bend + xp.mean(acceleration, axis=-2)[..., None, :]
+        middle = R[..., R.shape[-4] // 2, :, :, :]
+        parts = []
+        for p, foot in enumerate(self._foot_of):
+            force = mass[p] * (sole[..., foot, :] + GRAVITY * (identity[2] - middle[..., foot, :, 2]))
+            arm = (middle[..., foot, :, :] @ where[p][:, None])[..., 0]
+            parts.append(xp.concat([force, _cross(arm, force)], axis=-1))
+        return parts
+
+
+def _curvature(n: int) -> NDArray[np.float64]:
+    """Weights that take n samples in a row to the second derivative of a parabola through them."""
+    k = np.arange(n) - (n - 1) / 2.0
+    weights: NDArray[np.float64] = 2.0 * np.linalg.pinv(np.stack([np.ones(n), k, k**2], axis=1))[2]
+    return weights
+
+
+def _cross(a: Array, b: Array) -> Array:
+    xp = namespace_of(a)
+    return xp.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )

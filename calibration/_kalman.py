@@ -1,0 +1,88 @@
+r"""One step of a Kalman filter with rows that may lie and unknowns that are only considered; private.
+
+With the prior x, S and rows y = H x + e, e of variances R,
+
+    K = S H' (H S H' + R)^-1,    x <- x + K (y - H x),    S <- (1 - K H) S (1 - K H)' + K R K'.
+
+The second form is Joseph's: it holds for any gain K, also for one with rows set to zero for unknowns that are
+considered and not estimated (Schmidt, 1966), and stays positive in float32. A row whose innovation exceeds
+``gate`` standard deviations has its variance raised until it does not: it pulls no harder than one at the
+gate, and less the further it is out.
+"""
+
+from typing import Any, NamedTuple
+
+from surefoot.calibration._constants import namespace_of
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+class KalmanStep(NamedTuple):
+    """What came of one step; any leading batch dimensions ``...``; m rows, N unknowns.
+
+    Attributes:
+        mean: x, shape (..., N).
+        covariance: S, shape (..., N, N).
+        innovation: y - H x before the step, shape (..., m).
+        predicted: Diagonal of H S H', shape (..., m).
+        nis: Normalised innovation squared, e' (H S H' + R)^-1 e with the variances as they were used, shape
+            (...).
+        rows: How many rows said anything, shape (...).
+    """
+
+    mean: Array
+    covariance: Array
+    innovation: Array
+    predicted: Array
+    nis: Array
+    rows: Array
+
+
+def kalman_step(
+    mean: Array,
+    covariance: Array,
+    H: Array,
+    y: Array,
+    variance: Array,
+    learnt: Array,
+    identity: Array,
+    gate: float,
+) -> KalmanStep:
+    """Take in m rows at once.
+
+    Args:
+        mean: x, shape (..., N).
+        covariance: S, shape (..., N, N).
+        H: Rows, shape (..., m, N); a row of zeros with y = 0 says nothing.
+        y: Right-hand sides, shape (..., m).
+        variance: R, positive, shape (..., m).
+        learnt: 1 for unknowns to estimate and 0 for those to consider, shape (N,).
+        identity: Identity matrix, shape (N, N).
+        gate: Standard deviations of an innovation beyond which a row is thought to lie.
+    """
+    xp = namespace_of(mean)
+    e = y - (H @ mean[..., None])[..., 0]
+    HS = H @ covariance
+    V = HS @ H.mT
+    predicted = xp.linalg.diagonal(V)
+    needed = e * e / gate**2 - predicted
+    variance = xp.where(needed > variance, needed, variance)
+    V = V + variance[..., None] * _identity(identity, V)
+    solved = xp.linalg.solve(V, xp.concat([HS, e[..., None]], axis=-1))
+    nis = xp.sum(e * solved[..., -1], axis=-1)
+    gain = xp.matrix_transpose(solved[..., :-1]) * learnt[:, None]
+    mean = mean + (gain @ e[..., None])[..., 0]
+    keep = identity - gain @ H
+    kept = keep @ covariance @ keep.mT
+    covariance = kept + (gain * variance[..., None, :]) @ gain.mT
+    covariance = 0.5 * (covariance + covariance.mT)
+    rows = xp.sum(xp.astype(predicted > 0.0, mean.dtype), axis=-1)
+    return KalmanStep(mean, covariance, e, predicted, nis, rows)
+
+
+def _identity(identity: Array, like: Array) -> Array:
+    rows = like.shape[-1]
+    if rows <= identity.shape[0]:
+        return identity[:rows, :rows]
+    return namespace_of(like).eye(rows, dtype=like.dtype, device=getattr(identity, "device", None))

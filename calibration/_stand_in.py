@@ -1,0 +1,110 @@
+r"""How the cells of a foot stand in for each other; private.
+
+A rigid plate on k cells shares three numbers, (Fz, Mx, My), among k forces, so that each force is nearly a
+linear function of the others. Springs of equal stiffness give a first guess of it; the robot's own calibrated
+forces, as their second moments C = E[F F'], tell how its plate really shares. With both in one C, what the
+others say of cell i is the conditional mean of a normal distribution,
+
+.. math:: \hat F_i = C_{io} C_{oo}^{-1} F_o, \qquad \sigma_i^2 = C_{ii} - C_{io} C_{oo}^{-1} C_{oi}.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._setup import OnlineSetup
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+_STIFFNESS_ERROR = 0.03
+"""Standard deviation in body weights of a force about what equal springs would give it."""
+
+_FLOOR = 1e-5
+"""Variance in body weights squared that is never gone below, so that the inverse is one in float32 too."""
+
+_TYPICAL_ARM = 0.25
+"""Typical distance of a centre of pressure from the middle of a foot, in extents of its cells."""
+
+
+class StandIn:
+    """Learns how cells share loads, and reconstructs those that are lost.
+
+    Args:
+        setup: What the method was told about the robot.
+        memory: How many blocks are remembered.
+
+    Attributes:
+        cells: Channels that are load cells (bool), shape (K,): others cannot be reconstructed.
+    """
+
+    def __init__(self, setup: OnlineSetup, memory: float) -> None:
+        layout, weight = setup.layout, setup.weight
+        K = layout.channels
+        self._renewal = 1.0 / memory
+        self.cells: NDArray[np.bool_] = np.zeros(K, dtype=bool)
+        prior, together = np.eye(K), np.eye(K)
+        for foot, where in zip(layout.feet, layout.slices, strict=True):
+            for sensor in foot.sensors:
+                if sensor.six_axis:
+                    continue
+                index = np.arange(where.start, where.stop)[sensor.channels]
+                load = sensor.wrench_map[2:5]
+                share = load.T @ np.linalg.inv(load @ load.T)
+                arm = _TYPICAL_ARM * np.ptp(load[1:], axis=1)
+                spread = np.diag([1.0, *arm]) ** 2 / 4.0
+                ridge = _STIFFNESS_ERROR**2 * np.eye(len(index))
+                prior[np.ix_(index, index)] = share @ spread @ share.T + ridge
+                together[np.ix_(index, index)] = 1.0
+                self.cells[index] = True
+        self._constants = Constants(prior, together, np.eye(K))
+        self._weight = weight
+
+    def init(self, like: Array) -> Array:
+        """Begin with equal springs: second moments in body weights squared, shape (..., K, K)."""
+        return self._constants.like(like)[0] + 0.0 * like[..., None]
+
+    def learn(self, moments: Array, force: Array, good: Array) -> Array:
+        """Take in forces that are trusted.
+
+        Args:
+            moments: What is known, shape (..., K, K).
+            force: Calibrated forces of one block in N, shape (..., n, K).
+            good: Whether they are trusted (bool), shape (...).
+        """
+        xp = namespace_of(force)
+        _, together, _ = self._constants.like(force)
+        scaled = force / self._weight
+        seen = scaled.mT @ scaled / scaled.shape[-2] * together
+        return moments + xp.where(good[..., None, None], self._renewal * (seen - moments), 0.0)
+
+    def others(self, moments: Array, lost: Array) -> tuple[Array, Array]:
+        """Write what the channels that are not lost say of each single one.
+
+        Args:
+            moments: What is known, shape (..., K, K).
+            lost: Channels that say nothing (0 or 1), shape (..., K).
+
+        Returns:
+            Coefficients without a channel's own, shape (..., K, K), and standard deviations in N, shape
+            (..., K).
+        """
+        xp = namespace_of(moments)
+        *_, identity = self._constants.like(moments)
+        moments = moments + _FLOOR * identity
+        heard = 1.0 - lost
+        # Lost channels are cut off from the others, so that the inverse is that of those heard.
+        silent = identity * lost[..., None]
+        cut = moments * heard[..., None] * heard[..., None, :] + silent
+        precision = xp.linalg.inv(cut)
+        own = xp.linalg.diagonal(precision)
+        alone = (identity - precision / own[..., None]) * heard[..., None]
+        # What is said of a lost channel: C_io C_oo^-1, with all of those heard.
+        of_lost = (moments * heard[..., None, :]) @ precision * heard[..., None, :]
+        of_lost = of_lost * lost[..., None]
+        variance = xp.linalg.diagonal(moments) - xp.sum(of_lost * moments, axis=-1)
+        variance = xp.where(lost > 0.5, variance, 1.0 / own)
+        spread = xp.sqrt(xp.clip(variance, 0.0, None)) * self._weight
+        return alone * heard[..., None] + of_lost, spread

@@ -1,0 +1,110 @@
+"""How sure the moment filter is of what it says; private.
+
+With F_i = a_i F0_i + b_i and S the covariance of (a, b), the variance of a force is that of its row (F0_i,
+1), and the centre of pressure p = n / Fz has, to first order, the covariance J S J' with J_i = (p_i - p) / Fz
+times the same row.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._front_end import Sample
+from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration._unknowns import Unknowns
+from surefoot.calibration.estimate import Estimate
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+class Uncertainty:
+    """Covariances in the units of an estimate.
+
+    Args:
+        setup: What the method was told about the robot.
+        unknowns: The unknowns.
+    """
+
+    def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
+        K = setup.layout.channels
+        self.unknowns = unknowns
+        # From the unknowns' gains and offsets to (a, b) of each channel alone.
+        own = np.zeros((2 * K, unknowns.gains + K))
+        own[np.arange(K), unknowns.own] = 1.0
+        own[K + np.arange(K), unknowns.gains + np.arange(K)] = unknowns.unit
+        inputs = np.eye(K)[unknowns.inp]
+        self._constants = Constants(own, unknowns.gather, np.eye(K), inputs)
+
+    def of_parameters(self, covariance: Array) -> Array:
+        """Say the covariance of the unknowns as that of (a, b) of each channel, shape (..., 2K, 2K).
+
+        Args:
+            covariance: Of the unknowns, shape (..., N, N).
+        """
+        own = self._constants.like(covariance)[0]
+        known = own.shape[-1]
+        return own @ covariance[..., :known, :known] @ own.mT
+
+    def of_channels(self, learnt: Array) -> Array:
+        """Pick what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
+
+        Args:
+            learnt: Covariance of (a, b), shape (..., 2K, 2K).
+        """
+        xp, K = namespace_of(learnt), self.unknowns.channels
+        own = xp.linalg.diagonal(learnt)
+        return xp.stack([own[..., :K], 2.0 * xp.linalg.diagonal(learnt[..., :K, K:]), own[..., K:]], axis=-2)
+
+    def add(self, estimate: Estimate, sample: Sample, state: Any) -> Estimate:
+        """Say of an estimate how sure it is.
+
+        Args:
+            estimate: The estimate.
+            sample: The sample that it is of.
+            state: What the filter knows, a :class:`~surefoot.calibration._moment_stream.MomentState`.
+        """
+        xp, unknowns, F0 = namespace_of(state.mean), self.unknowns, sample.force
+        K, feet = unknowns.channels, sample.rows.shape[-3]
+        rows, load = sample.rows[..., 0, :, :], estimate.vgrf[..., 0]
+        if feet == 2:
+            rows, load = rows + sample.rows[..., 1, :, :], load + estimate.vgrf[..., 1]
+        covariance = state.learnt
+        if unknowns.diagonal and not state.faults.altered:
+            gain, cross, offset = state.spread[..., 0, :], state.spread[..., 1, :], state.spread[..., 2, :]
+            variance = (F0 * gain + cross) * F0 + offset
+            row = xp.concat([rows * F0[..., None, :], rows], axis=-1)
+        else:
+            to_force = self._to_force(F0, state)
+            if not unknowns.diagonal:
+                known = unknowns.gains + K
+                covariance = state.covariance[..., :known, :known]
+            variance = xp.sum((to_force @ covariance) * to_force, axis=-1) + state.faults.spare_std**2
+            row = rows @ to_force
+        load = xp.where(estimate.cop_valid, load, 1.0)[..., None, None]
+        turned = (row[..., 1:, :] - estimate.cop[..., None] * row[..., :1, :]) / load
+        return estimate._replace(
+            covariance=state.learnt,
+            force_std=xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
+            cop_covariance=turned @ covariance @ turned.mT,
+            matrix=None if unknowns.diagonal else self._matrix(state.mean),
+        )
+
+    def _to_force(self, force: Array, state: Any) -> Array:
+        """Write forces by the unknowns' gains and offsets, or by (a, b), with lost channels reconstructed."""
+        xp, unknowns = namespace_of(force), self.unknowns
+        own, gather, identity, *_ = self._constants.like(force)
+        if unknowns.diagonal:
+            gains = identity * force[..., None, :]
+            offsets = identity + 0.0 * gains
+        else:
+            gains = gather.mT * force[..., None, unknowns.inp]
+            offsets = own[unknowns.channels :, unknowns.gains :] + 0.0 * gains[..., :1]
+        to_force = xp.concat([gains, offsets], axis=-1)
+        return state.faults.spare @ to_force if state.faults.altered else to_force
+
+    def _matrix(self, mean: Array) -> Array:
+        """Lay the gains out as a matrix, shape (..., K, K)."""
+        _, gather, _, inputs = self._constants.like(mean)
+        return (gather * mean[..., self.unknowns.scale, None]).mT @ inputs
