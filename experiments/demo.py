@@ -4,21 +4,13 @@ Everything lands in one folder: logs, tables, figures, a film, ``results.json`` 
 """
 
 import json
-import os
-import platform
-import time
-from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-import surefoot
 from surefoot.calibration import METHODS
 from surefoot.experiments._files import atomic_path, write_text
 from surefoot.experiments._frames import Frame
@@ -33,6 +25,7 @@ from surefoot.experiments.demo_jobs import (
     window_update_ms,
 )
 from surefoot.experiments.demo_options import DemoOptions
+from surefoot.experiments.stages import Stage, Work, machine, stages
 from surefoot.experiments.video import Film, Reel, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walkers import STAND_TIME
 
@@ -83,13 +76,8 @@ def run_demo(options: DemoOptions, console: Console | None = None) -> DemoResult
         What was found; it is in files under ``options.out`` as well.
     """
     prepare_rendering()
-    console = Console(stderr=True) if console is None else console
-    results = DemoResults(options, run_bench(), machine=_machine())
-    with (
-        _progress(console) as progress,
-        parallel_config(backend="loky" if options.jobs > 1 else "sequential", **_threads(options.jobs)),
-    ):
-        stage = _Stage(options.jobs, progress, results.seconds)
+    results = DemoResults(options, run_bench(), machine=machine())
+    with stages(options.jobs, results.seconds, console) as stage:
         logs = _record(stage, options)
         _replay(stage, results, logs)
         _sensitivity(stage, results, logs)
@@ -99,55 +87,11 @@ def run_demo(options: DemoOptions, console: Console | None = None) -> DemoResult
     return results
 
 
-def _threads(jobs: int) -> dict[str, Any]:
-    return {"inner_max_num_threads": 1} if jobs > 1 else {}
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description:28s}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=console,
-    )
-
-
-Work = Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]
-"""Functions and what to give them."""
-
-
-@dataclass(eq=False)
-class _Stage:
-    """Runs pieces of work in processes, with a bar and a stopwatch."""
-
-    jobs: int
-    progress: Progress
-    seconds: dict[str, float]
-
-    def run(self, what: str, work: Work) -> list[Any]:
-        """Do pieces in any order and hand their results back in this one."""
-        began = time.perf_counter()
-        task = self.progress.add_task(what, total=len(work))
-        found: list[Any] = [None] * len(work)
-        parallel = Parallel(n_jobs=self.jobs, return_as="generator_unordered")
-        done: Any = parallel(delayed(_numbered)(i, f, a) for i, (f, a) in enumerate(work))
-        for index, result in done:
-            found[index] = result
-            self.progress.advance(task)
-        self.seconds[what] = time.perf_counter() - began
-        return found
-
-
-def _numbered(index: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
-    return index, function(*arguments)
-
-
 Logs = dict[float, list[list[Path]]]
 """Logs of each speed: one list a seed, one log a condition."""
 
 
-def _record(stage: _Stage, options: DemoOptions) -> Logs:
+def _record(stage: Stage, options: DemoOptions) -> Logs:
     folder = options.out / "logs"
     cells = [(speed, seed) for speed in options.speeds for seed in range(options.seeds)]
     found = stage.run("walk and record", [(record_job, (*cell, options.duration, folder)) for cell in cells])
@@ -157,7 +101,7 @@ def _record(stage: _Stage, options: DemoOptions) -> Logs:
     return logs
 
 
-def _replay(stage: _Stage, results: DemoResults, logs: Logs) -> None:
+def _replay(stage: Stage, results: DemoResults, logs: Logs) -> None:
     names = ["truth", "floor", "baseline", "reference", *METHODS]
     work: Work = [
         (replay_job, (_flat(logs[speed]), name, results.options.settle)) for speed in logs for name in names
@@ -169,7 +113,7 @@ def _replay(stage: _Stage, results: DemoResults, logs: Logs) -> None:
     results.errors = pd.DataFrame([row for outcome in outcomes for row in outcome.errors])
 
 
-def _sensitivity(stage: _Stage, results: DemoResults, logs: Logs) -> None:
+def _sensitivity(stage: Stage, results: DemoResults, logs: Logs) -> None:
     options = results.options
     work: Work = [
         (sensitivity_job, (_flat(logs[speed][: options.sensitivity_seeds]), weight, factor, options.settle))
@@ -190,7 +134,7 @@ def _flat(paths: list[list[Path]]) -> list[Path]:
     return [path for of_seed in paths for path in of_seed]
 
 
-def _close_the_loop(stage: _Stage, results: DemoResults) -> None:
+def _close_the_loop(stage: Stage, results: DemoResults) -> None:
     options = results.options
     cells = [
         (severity, feed, speed, seed)
@@ -253,11 +197,3 @@ def _save(results: DemoResults) -> None:
         "film": results.film.problem or "walk.mp4",
     }
     write_text(out / "results.json", json.dumps(facts, indent=1))
-
-
-def _machine() -> str:
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco", "gymnasium"))
-    return (
-        f"surefoot {surefoot.__version__}, Python {platform.python_version()}, {packages}; "
-        f"{os.cpu_count()} cores, {platform.machine()}"
-    )

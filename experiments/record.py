@@ -5,32 +5,23 @@ load cells act back on it, so that one walk serves all conditions: the same true
 read by other cells. The bench calibration is done with those very cells before the walk.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import surefoot
-from surefoot.calibration import Parameters, Reference
+from surefoot.calibration import Reference
 from surefoot.controllers import Stabiliser
-from surefoot.experiments.bench import run_bench
+from surefoot.experiments.foot_instruments import FootInstruments
 from surefoot.experiments.log_format import Log, LogTruth
 from surefoot.experiments.walkers import STAND_TIME, make_walker
-from surefoot.sensors import (
-    HX711_LOAD_CELLS,
-    PER_SQRT_MINUTE,
-    LoadCells,
-    LoadCellState,
-    load_cells,
-    true_map,
-)
+from surefoot.sensors import HX711_LOAD_CELLS, PER_SQRT_MINUTE, ForceTorque, LoadCells
+from surefoot.wrappers.foot_sensors import FootSensors
+from surefoot.wrappers.self_calibration import SelfCalibration
 
 __all__ = ["CONDITIONS", "Condition", "record_walk"]
-
-_STREAM = 0x10605
-"""Keeps the cells' randomness apart from every other stream with the same seed."""
 
 _SETTLING = 16
 """Rows cut off at the beginning of a log, in which telemetry has not yet arrived."""
@@ -43,14 +34,21 @@ class Condition:
     Attributes:
         name: Short name, for files.
         title: What to call it.
-        cells: The load cells.
+        cells: The load cells, or ``None`` for a robot without.
         start: The map that calibrators start from: ``"bench"`` or ``"nominal"``.
+        ankle: The six-axis sensors in the ankles, if there are any.
     """
 
     name: str
     title: str
-    cells: LoadCells
+    cells: LoadCells | None
     start: str
+    ankle: ForceTorque | None = None
+
+    @property
+    def age(self) -> float:
+        """Mean age in s of a reading when the host takes it; six-axis sensors are read at once."""
+        return 0.0 if self.cells is None else self.cells.nominal_age
 
 
 CONDITIONS = (
@@ -66,52 +64,15 @@ CONDITIONS = (
 minute); and a bad start: never calibrated (gains 12 % off, zeros 1.5 N) and drifting by 2 % and 1 N."""
 
 
-class _Cells:
-    """The cells of one condition under one walk.
-
-    Args:
-        condition: What cells.
-        index: Number of its random stream.
-        seed: Seed of the walk.
-        force: True forces of the first block in N, shape (S, K).
-    """
-
-    def __init__(self, condition: Condition, index: int, seed: int, force: NDArray[np.float64]) -> None:
-        self.condition = condition
-        self._rng = np.random.default_rng([_STREAM, index, seed])
-        self._instrument = load_cells(condition.cells)
-        self._state: LoadCellState = self._instrument.init(force.shape[-1:], self._rng)
-        self.bench: Parameters = run_bench(cells=condition.cells, state=self._state, seed=seed).channels.value
-        self._counts: list[NDArray[np.float64]] = []
-        self._maps: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
-        rate = condition.cells.rate
-        # Every chip delivers once before the walk, as they do while a robot boots.
-        _, self._state = self._instrument.apply(
-            force, self._state, self._rng, 1.0 / rate[0] if rate else 0.0125
-        )
-
-    def read(self, force: NDArray[np.float64], dt: float) -> None:
-        """Take the readings after a control step."""
-        counts, self._state = self._instrument.apply(force, self._state, self._rng, dt)
-        self._counts.append(counts)
-        self._maps.append(true_map(self.condition.cells, self._state))
-
-    @property
-    def raw(self) -> NDArray[np.float64]:
-        """All readings in counts, shape (N, K)."""
-        return np.array(self._counts)
-
-    @property
-    def maps(self) -> NDArray[np.float64]:
-        """The maps that would have undone the cells' errors, (scale, offset), shape (N, 2, K)."""
-        return np.array(self._maps)
-
-
 def record_walk(
     speed: float,
     seed: int,
     duration: float,
     conditions: Sequence[Condition] = CONDITIONS,
+    *,
+    sensors: Mapping[str, Any] | None = None,
+    beliefs: Mapping[str, Any] | None = None,
+    clock_error: float = 0.0,
     **env_options: Any,
 ) -> dict[str, Log]:
     """Walk once, and log what the cells of each condition read.
@@ -122,36 +83,52 @@ def record_walk(
         speed: Walking speed in m/s.
         seed: Of the walk, the sensors, the beliefs and the bench.
         duration: Duration in s, standing included; a fall ends the walk earlier.
-        conditions: What cells to read it with.
+        conditions: What cells to read it with. References are timed for each condition's own cells.
+        sensors: Further options of :class:`~surefoot.wrappers.FootSensors`: IMU, encoders and link.
+        beliefs: Further options of :class:`~surefoot.wrappers.SelfCalibration`: how wrong the robot is about
+            itself.
+        clock_error: By how many s telemetry is later than the robot believes: what it takes for the moment
+            of a reference is that much earlier in truth.
         **env_options: Further options of :class:`~surefoot.envs.nao_walk.NaoWalkEnv`.
 
     Returns:
         A log by the condition's name.
     """
     undisturbed = {"push_impulse": (0.0, 0.0)}
-    env, tap = make_walker("none", speed=speed, duration=duration, **(undisturbed | env_options))
+    options: dict[str, Any] = undisturbed | env_options
+    _, tap = make_walker("true", speed=speed, duration=duration, **options)
+    # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
+    youngest = min(condition.age for condition in conditions)
+    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None)
+    env = SelfCalibration(FootSensors(tap, carried, **(sensors or {})), "none", **(beliefs or {}))
     bare: Any = env.unwrapped
     controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
     _, info = env.reset(seed=seed)
     controller.reset()
-    cells = [_Cells(c, i, seed, bare.truth.force_cell.copy()) for i, c in enumerate(conditions)]
+    feet = [
+        FootInstruments(
+            c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, model=bare.model, layout=env.layout
+        )
+        for i, c in enumerate(conditions)
+    ]
     time: list[float] = []
-    beliefs: list[Reference] = []
-    force, position, rotation = [], [], []
+    believed: dict[float, list[Reference]] = {c.age: [] for c in conditions}
+    position, rotation = [], []
     done = terminated = False
     while not done:
         _, _, terminated, truncated, info = env.step(controller(tap.seen))
         truth = bare.truth
         time.append((len(time) + 1) * bare.dt)
-        beliefs.append(info["surefoot"]["reference"])
-        for one in cells:
-            one.read(truth.force_cell, bare.dt)
-        force.append(truth.force_cell[-1].copy())
+        reference: Reference = info["surefoot"]["reference"]
+        for age, references in believed.items():
+            early = age - youngest + clock_error
+            references.append(reference if early == 0.0 else _earlier(env, reference, early))
+        for one in feet:
+            one.read(truth, bare.dt)
         position.append(truth.position_sole[-1].copy())
         rotation.append(truth.R_world_sole[-1].copy())
         done = terminated or truncated
-    walker: Any = env
-    layout, mass = walker.layout, walker.calibrator.setup.mass
+    mass = env.calibrator.setup.mass
     env.close()
 
     kept = slice(_SETTLING, None)
@@ -161,32 +138,41 @@ def record_walk(
         "duration_s": duration,
         "surefoot": surefoot.__version__,
     }
-    reference = Reference(*(np.array(parts)[kept] for parts in zip(*beliefs, strict=True)))
+    stacked = {
+        age: Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True)))
+        for age, references in believed.items()
+    }
     return {
-        one.condition.name: Log(
+        condition.name: Log(
             time=np.array(time)[kept],
             raw=one.raw[kept],
-            reference=reference,
-            layout=layout,
+            reference=stacked[condition.age],
+            layout=one.layout,
             mass=mass,
-            nominal=Parameters(one.condition.cells.nominal_scale, one.condition.cells.nominal_offset),
+            nominal=one.nominal,
             bench=one.bench,
             dt=bare.dt,
             lag=int(info["surefoot"]["lag"]),
             seed=seed,
             truth=LogTruth(
-                force=np.array(force)[kept],
+                force=one.force[kept],
                 position_sole=np.array(position)[kept],
                 R_world_sole=np.array(rotation)[kept],
                 scale=one.maps[kept, 0],
                 offset=one.maps[kept, 1],
             ),
             about=about
+            | one.about
             | {
-                "condition": one.condition.name,
-                "start": one.condition.start,
-                "sample_age_s": one.condition.cells.nominal_age,
+                "condition": condition.name,
+                "start": condition.start,
+                "sample_age_s": condition.age,
             },
         )
-        for one in cells
+        for condition, one in zip(conditions, feet, strict=True)
     }
+
+
+def _earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
+    """Say what the robot believes of a moment that lies ``early`` s before that of a reference."""
+    return env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)

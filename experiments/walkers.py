@@ -16,7 +16,7 @@ from surefoot.wrappers.self_calibration import SelfCalibration
 
 __all__ = ["FEEDS", "STAND_TIME", "TruthTap", "make_walker"]
 
-FEEDS = ("true", *(name for name in ("none", "tare", "quasi-static", "window") if name in METHODS))
+FEEDS = ("true", "none", *(name for name in reversed(METHODS) if name != "none"))
 """What the controller may be given for the centre of pressure."""
 
 STAND_TIME = 4.0

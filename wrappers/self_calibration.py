@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
-from surefoot.envs import load_nao_spec
+from surefoot.envs import below_cells, load_nao_spec
 from surefoot.wrappers.beliefs import HISTORY, Beliefs
 from surefoot.wrappers.foot_sensors import FootSensors, check_stream
 from surefoot.wrappers.nominal import NominalModel
@@ -76,7 +76,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        method: str = "window",
+        method: str = "surefoot",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         lag: int | None = None,
@@ -350,6 +350,13 @@ def _channels(name: str, given: Any, channels: int) -> NDArray[np.float64]:
 
 
 def _layout(env: Any) -> FeetLayout:
-    """Lay out the cells where the drawing has them."""
-    left, right = env.position_cell_sole
-    return FeetLayout((FootLayout.load_cells("left", left), FootLayout.load_cells("right", right)))
+    """Lay out the cells where the drawing has them, over the sole plates that it has."""
+    plates = below_cells(env.model)
+    return FeetLayout(
+        tuple(
+            FootLayout.load_cells(name, position, mass_below=float(mass), com_below_sole=com)
+            for name, position, mass, com in zip(
+                ("left", "right"), env.position_cell_sole, plates.mass, plates.com_sole, strict=True
+            )
+        )
+    )

@@ -1,0 +1,259 @@
+"""The arena from end to end, small: what it writes, that it can be interrupted, and what it refuses."""
+
+import dataclasses
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from surefoot.calibration import METHODS
+from surefoot.experiments import arena_pieces, arena_walks
+from surefoot.experiments.arena import ArenaResults, run_arena
+from surefoot.experiments.arena_options import TRUE_MAP, ArenaOptions
+from surefoot.experiments.arena_page import ArenaPage
+from surefoot.experiments.arena_pieces import LogBound
+from surefoot.experiments.arena_recordings import RECORDINGS, recording_streams
+from surefoot.experiments.arena_replay import play
+from surefoot.experiments.arena_scenarios import SCENARIOS, scenarios_named
+from surefoot.experiments.arena_score import score_run
+from surefoot.experiments.arena_streams import Stream
+from surefoot.experiments.arena_walks import Walk, log_paths
+from surefoot.experiments.cli import app
+from surefoot.experiments.log_format import Log, read_log
+from surefoot.experiments.real_recordings import recordings_folder
+from surefoot.experiments.record import record_walk
+from surefoot.experiments.walkers import STAND_TIME
+from surefoot.sensors import ForceTorque
+
+RUN = ("speed-0.1", "chips-0.1", "fault-dropped")
+
+
+def bound(log: Log) -> LogBound:
+    return LogBound(1e-3, 0.1, 0.1)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
+    options = ArenaOptions(
+        out=tmp_path_factory.mktemp("arena"),
+        seeds=2,
+        scenarios=RUN,
+        methods=("none", "tare"),
+        jobs=1,
+        duration=STAND_TIME + 7.0,
+        settle=STAND_TIME + 2.0,
+    )
+    return run_arena(options, bound=bound)
+
+
+def test_every_run_is_scored(results: ArenaResults) -> None:
+    scores = results.scores
+    assert len(scores) == len(RUN) * 3 * 2
+    assert set(scores["method"]) == {TRUE_MAP, "none", "tare"}
+    assert np.isfinite(scores[["cop", "vgrf", "cell"]].to_numpy()).all()
+    means = scores.groupby(["scenario", "method"])["cop"].mean()
+    for name in ("speed-0.1", "chips-0.1"):
+        assert means[name, TRUE_MAP] < means[name, "tare"] < means[name, "none"]
+    # Cells that convert when they are asked have no age: the true map leaves their noise alone.
+    assert means["speed-0.1", TRUE_MAP] < 1e-4 < means["chips-0.1", TRUE_MAP]
+    assert not scores[scores["method"] == "none"]["worse"].any()
+    dropped = scores[(scores["scenario"] == "fault-dropped") & (scores["method"] != TRUE_MAP)]
+    assert (dropped["found"] < 0.02).all()
+    assert (dropped[["isolated", "named"]] == 1.0).all(axis=None)
+    healthy = scores["scenario"] != "fault-dropped"
+    assert (scores[healthy]["bound_cop"] == 1e-3).all()
+    assert scores[~healthy]["bound_cop"].isna().all()
+
+
+def test_walks_are_shared_and_kept(results: ArenaResults, monkeypatch: pytest.MonkeyPatch) -> None:
+    logs = results.options.out / "logs"
+    # Two seeds of two walks, each read by cells of two kinds.
+    assert len(list(logs.iterdir())) == 8
+    monkeypatch.setattr(arena_walks, "record_walk", _must_not_run)
+    monkeypatch.setattr(arena_pieces, "play", _must_not_run)
+    again = run_arena(results.options, bound=bound)
+    pd.testing.assert_frame_equal(again.scores, results.scores)
+    assert again.left_out == results.left_out
+
+
+def _must_not_run(*_: object, **__: object) -> None:
+    raise AssertionError("this was done before and is kept")
+
+
+def test_a_new_method_leaves_old_scores_alone(
+    results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[str] = []
+    original = arena_pieces.play
+    monkeypatch.setattr(
+        arena_pieces,
+        "play",
+        lambda streams, method, **more: played.append(method) or original(streams, method, **more),
+    )
+    folder = shutil.copytree(results.options.out, tmp_path / "arena")
+    methods = ("none", "tare", "quasi-static")
+    more = dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",), methods=methods)
+    assert set(run_arena(more, bound=bound).scores["method"]) == {TRUE_MAP, "none", "tare", "quasi-static"}
+    assert played == ["quasi-static"]
+
+
+def test_another_option_is_another_file(tmp_path: Path) -> None:
+    walk = Walk("w")
+    names = {
+        log_paths(one, seed, duration, tmp_path)["instant"].name
+        for one in (walk, dataclasses.replace(walk, beliefs={"mass_error": 0.02}))
+        for seed in (0, 1)
+        for duration in (10.0, 12.0)
+    }
+    assert len(names) == 8
+
+
+def test_the_page_holds_everything(results: ArenaResults) -> None:
+    page = ArenaPage(results).write()
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
+    for name in RUN:
+        assert f'<section id="{name}">' in text
+    out = results.options.out
+    summary = pd.read_csv(out / "tables" / "summary.csv")
+    assert len(summary) == 9
+    pd.testing.assert_frame_equal(
+        pd.read_parquet(out / "tables" / "scores.parquet"), results.scores, check_like=True
+    )
+    facts = json.loads((out / "results.json").read_text())
+    assert list(facts["scenarios"]) == list(RUN)
+    assert "times the bound" in text
+    tare = results.scores[(results.scores["scenario"] == "speed-0.1") & (results.scores["method"] == "tare")]
+    assert f"{1e3 * tare['cop'].mean():.2f} ± " in text
+
+
+def test_the_command(results: ArenaResults, tmp_path: Path) -> None:
+    runner = CliRunner()
+    unknown = runner.invoke(app, ["bench", "calibration", "--scenario", "moon", "--out", str(tmp_path)])
+    assert unknown.exit_code == 2
+    assert "There is no scenario 'moon'. Available: speed-0.02" in unknown.output
+    unknown = runner.invoke(app, ["bench", "calibration", "--method", "magic", "--out", str(tmp_path)])
+    assert unknown.exit_code == 2
+    assert "Method 'magic' does not exist." in unknown.output
+    # Without a subcommand it is still the bench.
+    assert "Table 3" in runner.invoke(app, ["bench"]).stdout
+
+
+def test_options_refuse_what_cannot_be_done() -> None:
+    with pytest.raises(ValueError, match="'seeds' must be at least 1, got 0"):
+        ArenaOptions(seeds=0)
+    with pytest.raises(ValueError, match="'settle' must lie between 4 s of standing"):
+        ArenaOptions(settle=50.0)
+    quick = ArenaOptions(seeds=9).quickly()
+    assert quick.seeds == 2
+    assert ArenaOptions().rows == (TRUE_MAP, *METHODS)
+
+
+def test_scenarios_are_the_ones_that_were_asked_for() -> None:
+    assert not any(scenario.long for scenario in scenarios_named((), quick=True))
+    assert {s.name for s in scenarios_named((), quick=False)} == set(SCENARIOS)
+    for scenario in SCENARIOS.values():
+        if scenario.walk is None:
+            assert scenario.recording in RECORDINGS
+            continue
+        assert scenario.condition in {condition.name for condition in scenario.walk.conditions}
+        assert scenario.answers
+    swapped = SCENARIOS["fault-swapped"]
+    for seed in range(20):
+        (fault,) = swapped.faults_of(seed, 18.0)
+        assert fault.other is not None
+        assert fault.other // 4 == fault.channel // 4
+        assert 18.0 <= fault.start <= 19.6
+    assert {swapped.faults_of(seed, 18.0)[0].channel for seed in range(60)} == set(range(8))
+
+
+def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
+    instant = (arena_walks.INSTANT,)
+    right = record_walk(0.1, 2, STAND_TIME + 2.0, instant)["instant"]
+    late = record_walk(0.1, 2, STAND_TIME + 2.0, instant, clock_error=2 * right.dt)["instant"]
+    np.testing.assert_array_equal(late.raw, right.raw)
+    # Two samples late: what is believed now was right two samples ago, while telemetry is complete.
+    walking = right.time > STAND_TIME
+    for name in ("com", "accelerometer"):
+        now, then = getattr(late.reference, name)[walking][2:], getattr(right.reference, name)[walking][:-2]
+        assert (
+            np.abs(now - then).max() < 0.05 * np.abs(now - getattr(right.reference, name)[walking][2:]).max()
+        )
+
+
+def test_beliefs_and_sensors_are_altered(results: ArenaResults) -> None:
+    paths = sorted((results.options.out / "logs").glob("*_instant_seed0_*.parquet"))
+    plain = read_log(paths[0])
+    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (arena_walks.INSTANT,), beliefs={"mass_error": 0.02})[
+        "instant"
+    ]
+    true_mass = plain.mass / (1.0 + np.sign(plain.mass - 5.305) * 0.005)
+    assert abs(heavy.mass / true_mass - 1.0) == pytest.approx(0.02, abs=1e-3)
+
+
+@pytest.fixture(scope="module")
+def ankles() -> dict[str, Log]:
+    return record_walk(0.1, 1, STAND_TIME + 3.0, SCENARIOS["ankle-ft"].walk.conditions)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("name", ["ankle", "both"])
+def test_six_axis_sensors_are_undone_up_to_their_noise(ankles: dict[str, Log], name: str) -> None:
+    log = ankles[name]
+    assert log.truth is not None
+    stream = Stream(log=log, seed=1, judged=log.time >= STAND_TIME, began=STAND_TIME)
+    (floor,), (start,) = play([stream], TRUE_MAP), play([stream], "none", foot_length=0.17)
+    error, before = (one.force - log.truth.force for one in (floor, start))
+    names = np.array([channel.rpartition("/")[2] for channel in log.layout.channel_names])
+    config = ForceTorque()
+    for axes, noise, gain in ((["fx", "fy", "fz"], config.noise_force, 0.08), (["tx"], 0.0025, 0.08)):
+        chosen = np.isin(names, axes)
+        # Undoing a gain of 8 % and cross-talk of 1 % scales the noise by little more.
+        assert np.sqrt(np.mean(error[:, chosen] ** 2)) == pytest.approx(noise, rel=3 * gain)
+        assert np.sqrt(np.mean(before[:, chosen] ** 2)) > 5 * noise
+
+
+def test_an_ankle_tells_what_the_cells_tell(ankles: dict[str, Log]) -> None:
+    both, ankle = ankles["both"], ankles["ankle"]
+    assert both.truth is not None
+    assert ankle.truth is not None
+    cells = [i for i, name in enumerate(both.layout.channel_names) if "front" in name or "rear" in name]
+    total = [i for i, name in enumerate(ankle.layout.channel_names) if name.endswith("/fz")]
+    by_cells = both.truth.force[:, cells].reshape(-1, 2, 4).sum(axis=-1)
+    by_ankle = ankle.truth.force[:, total]
+    # What is left is the inertia of the foot between the two, of 0.17 kg.
+    assert np.sqrt(np.mean((by_cells - by_ankle) ** 2)) < 0.5
+    # Both are read in the order left cells, left ankle, right cells, right ankle.
+    names = [name.partition("/")[0] for name in both.layout.channel_names]
+    assert names == ["left"] * 10 + ["right"] * 10
+    ankles_of_both = [i for i in range(20) if i not in cells]
+    np.testing.assert_array_equal(both.truth.force[:, ankles_of_both], ankle.truth.force)
+
+
+def test_recordings_are_skipped_where_they_are_not(
+    results: ArenaResults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SUREFOOT_DATA", raising=False)
+    both = dataclasses.replace(results.options, scenarios=("speed-0.1", "recording-pole"))
+    found = run_arena(both, bound=bound)
+    assert [scenario.name for scenario in found.skipped] == ["recording-pole"]
+    with pytest.raises(ValueError, match="set SUREFOOT_DATA"):
+        run_arena(dataclasses.replace(both, scenarios=("recording-pole",)))
+
+
+@pytest.mark.skipif(recordings_folder() is None, reason="SUREFOOT_DATA does not name a folder of recordings")
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_what_is_put_onto_a_recording_can_be_undone(name: str) -> None:
+    first, second = recording_streams(name, range(2))
+    assert (first.log.raw != second.log.raw).any()
+    (floor,) = play([first], TRUE_MAP)
+    row = score_run(first, floor)
+    assert row["scale"] < 1e-12
+    assert row["offset"] < 1e-9
+    if name != "empty-plate":
+        assert row["cell"] < 1e-9
+        assert score_run(first, play([first], "none", foot_length=0.1)[0])["cell"] > 1.0
