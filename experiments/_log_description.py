@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration.layout import FeetLayout, FootLayout
+from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
 from surefoot.experiments._log_checks import LogError
 
@@ -25,6 +25,7 @@ def describe(log: Any) -> dict[str, Any]:
                 "position_cell_sole_m": (
                     None if foot.position_cell_sole is None else foot.position_cell_sole.tolist()
                 ),
+                "sensors": [_describe_sensor(sensor) for sensor in foot.sensors],
             }
             for foot in log.layout.feet
         ],
@@ -35,6 +36,17 @@ def describe(log: Any) -> dict[str, Any]:
         "lag_samples": log.lag,
         "seed": log.seed,
         "about": log.about,
+    }
+
+
+def _describe_sensor(sensor: FootSensor) -> dict[str, Any]:
+    return {
+        "channels": [sensor.channels.start, sensor.channels.stop],
+        "wrench_map": sensor.wrench_map.tolist(),
+        "six_axis": sensor.six_axis,
+        "share": sensor.share.tolist(),
+        "mass_below_kg": sensor.mass_below,
+        "com_below_sole_m": sensor.com_below_sole.tolist(),
     }
 
 
@@ -53,7 +65,9 @@ def read_description(description: Any, name: str) -> dict[str, Any]:
         raise LogError(
             f"{name}: log format version {version!r} is not {FORMAT_VERSION}, which this surefoot reads."
         )
-    required = ("layout", "mass_kg", "nominal", "dt_s", "lag_samples")
+    required = ["layout", "mass_kg", "nominal", "dt_s"]
+    # References that are made of joints and IMU describe their own row.
+    required += [] if "motion" in description else ["lag_samples"]
     missing = [key for key in required if key not in description]
     if missing:
         raise LogError(f"{name}: the description lacks {missing}; see docs/log-format.md.")
@@ -65,7 +79,7 @@ def read_description(description: Any, name: str) -> dict[str, Any]:
             "nominal": _parameters(description["nominal"], layout, "nominal"),
             "bench": None,
             "dt": float(description["dt_s"]),
-            "lag": int(description["lag_samples"]),
+            "lag": int(description.get("lag_samples", 0)),
             "seed": None if description.get("seed") is None else int(description["seed"]),
             "about": dict(description.get("about") or {}),
         }
@@ -74,6 +88,11 @@ def read_description(description: Any, name: str) -> dict[str, Any]:
     except (TypeError, KeyError, ValueError) as error:
         what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
         raise LogError(f"{name}: the description cannot be used: {what}") from None
+    if "motion" in description and facts["lag"] != 0:
+        raise LogError(
+            f"{name}: the description's lag_samples is {facts['lag']} beside motion, whose references are "
+            "made for the very moment of each row; leave it out and give motion.delay_s in seconds."
+        )
     positive = {
         "mass_kg": facts["mass"] > 0,
         "dt_s": facts["dt"] > 0,
@@ -92,6 +111,19 @@ def _foot(description: dict[str, Any]) -> FootLayout:
         wrench_map=np.asarray(description["wrench_map"], dtype=np.float64),
         channel_names=tuple(description["channel_names"]),
         position_cell_sole=None if position is None else np.asarray(position, dtype=np.float64),
+        sensors=tuple(_sensor(sensor) for sensor in description.get("sensors") or ()),
+    )
+
+
+def _sensor(description: dict[str, Any]) -> FootSensor:
+    first, last = description["channels"]
+    return FootSensor(
+        channels=slice(int(first), int(last)),
+        wrench_map=np.asarray(description["wrench_map"], dtype=np.float64),
+        six_axis=bool(description["six_axis"]),
+        share=np.asarray(description["share"], dtype=np.float64),
+        mass_below=float(description["mass_below_kg"]),
+        com_below_sole=np.asarray(description["com_below_sole_m"], dtype=np.float64),
     )
 
 

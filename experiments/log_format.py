@@ -5,6 +5,9 @@ the robot: its layout, mass and calibrations. In a Parquet file the description 
 metadata under the key ``surefoot``; beside ``walk.csv`` it lies in ``walk.json``. Columns carry their unit
 at the end of their name; those that begin with ``truth_`` hold what only a simulator knows, and no
 calibrator is shown them. ``docs/log-format.md`` lists them all.
+
+In place of the robot's beliefs a log may hold joint angles and an IMU, and name a drawing of the robot under
+``motion``: reading it makes the beliefs, for which the extra ``[sim]`` is needed.
 """
 
 import json
@@ -22,7 +25,7 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.experiments._files import atomic_path, write_text
-from surefoot.experiments._log_checks import LogError, check_columns, check_time
+from surefoot.experiments._log_checks import LogError, check_columns, check_reference, check_time
 from surefoot.experiments._log_columns import (
     columns_of,
     names_of,
@@ -33,6 +36,8 @@ from surefoot.experiments._log_columns import (
     truth_of,
 )
 from surefoot.experiments._log_description import describe, read_description
+from surefoot.experiments._log_motion import read_motion, read_motion_facts
+from surefoot.experiments._log_motion_contacts import contacts
 
 __all__ = ["Log", "LogError", "LogTruth", "read_log", "write_log"]
 
@@ -132,37 +137,94 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
 
     Args:
         path: A ``.parquet`` file, or a ``.csv`` file with its ``.json`` beside it.
-        max_gap: Longest time in s allowed between two rows.
+        max_gap: Longest time in s allowed between two rows; with infinity gaps are left for a calibrator to
+            flag, which then keeps what it learnt and begins its filters anew.
 
     Raises:
         LogError: If the file is not there or not a log, if a column is missing or holds what it must not,
             or if time does not increase or leaps. The message names the file, the column and the cure.
     """
     path = Path(path)
-    if not path.is_file():
-        raise LogError(f"{path}: no such file; 'surefoot demo' records logs under out/demo/logs.")
-    if path.suffix == ".parquet":
-        columns, description = _read_parquet(path)
-    elif path.suffix == ".csv":
-        columns, description = _read_csv(path)
-    else:
-        raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
+    columns, description = _read_table(path)
     facts = read_description(description, path.name)
     layout: FeetLayout = facts["layout"]
-    values = check_columns(columns, names_of(layout), path.name)
-    truth_names = truth_names_of(layout)
+    makes = "motion" in description
+    names = ["time_s", *raw_names_of(layout)] if makes else names_of(layout)
+    values = check_columns(columns, names, path.name)
     has_truth = any(name.startswith("truth_") for name in columns)
     if has_truth:
-        values |= check_columns(columns, truth_names, path.name)
+        values |= check_columns(columns, truth_names_of(layout), path.name)
     time = values["time_s"]
     check_time(time, facts["dt"], max_gap, path.name)
+    if makes:
+        reference = _made_reference(path, columns, description["motion"], facts, time)
+    else:
+        reference = reference_of(values, layout)
+        check_reference(reference, path.name)
     return Log(
         time=time,
         raw=stack(values, raw_names_of(layout)),
-        reference=reference_of(values, layout),
+        reference=reference,
         truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
         **facts,
     )
+
+
+def _made_reference(
+    path: Path, columns: dict[str, Any], description: Any, facts: dict[str, Any], time: NDArray[np.float64]
+) -> Reference:
+    """Make references of joints and IMU, and note in ``about`` where they come from."""
+    motion_facts = read_motion_facts(description, path.parent, facts["dt"], path.name)
+    layout: FeetLayout = facts["layout"]
+    if len(layout.feet) != 2:
+        raise LogError(
+            f"{path.name}: motion needs the layout of two feet, got {len(layout.feet)}; "
+            "give the reference columns of a single plate."
+        )
+    try:
+        from surefoot.experiments._log_motion_model import load_model
+        from surefoot.experiments._log_motion_reference import check_spin, make_reference
+    except ImportError as error:
+        raise LogError(
+            f"{path.name}: joints and IMU need a model of the robot, for which {error.name} is missing; "
+            'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
+        ) from None
+    model = load_model(motion_facts, path.name)
+    table, file = columns, path.name
+    if motion_facts.table is not None:
+        table, file = _read_bare(motion_facts.table), motion_facts.table.name
+    motion = read_motion(table, motion_facts, model.joint_names, file)
+    check_spin(motion, model, file)
+    reference = make_reference(time, motion, motion_facts, model, facts["mass"])
+    if not np.isfinite(reference.com).all(axis=-1).any():
+        raise LogError(
+            f"{file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and the "
+            f"feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
+        )
+    left, right = layout.feet
+    stance, swing, said = contacts(columns, (left.name, right.name), reference, facts["dt"], path.name)
+    facts["about"] |= {"contacts": said, "model": motion_facts.model.name, "model_mass_kg": model.mass}
+    return reference._replace(stance=stance, swing=swing)
+
+
+def _read_table(path: Path) -> tuple[dict[str, Any], Any]:
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; 'surefoot demo' records logs under out/demo/logs.")
+    if path.suffix == ".parquet":
+        return _read_parquet(path)
+    if path.suffix == ".csv":
+        return _read_csv(path)
+    raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
+
+
+def _read_bare(path: Path) -> dict[str, Any]:
+    """Read a table that needs no description."""
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; motion.table gives its path from the log.")
+    try:
+        return _arrays(pq.read_table(path) if path.suffix == ".parquet" else csv.read_csv(path))
+    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
+        raise LogError(f"{path.name}: not a readable table ({str(error).splitlines()[0]}).") from None
 
 
 def _read_parquet(path: Path) -> tuple[dict[str, Any], Any]:

@@ -1,0 +1,100 @@
+"""The examples of a live loop: a log sent over a socket or a growing file comes out as a replay has it."""
+
+import importlib.util
+import json
+import socket
+import threading
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from surefoot.calibration import replay
+from surefoot.experiments.log_format import Log
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def load(name: str) -> ModuleType:
+    path = EXAMPLES / f"{name}.py"
+    if not path.is_file():
+        pytest.skip("the examples are not part of the wheel")
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def expected(log: Log, method: str) -> np.ndarray:
+    steps = np.diff(log.time, prepend=log.time[0] - log.dt)
+    options = {"mass": log.mass, "initial": log.nominal, "lag": log.lag}
+    return replay(log.layout, method, log.raw, log.reference, steps, **options).force
+
+
+def test_a_socket_carries_a_log_there_and_back(log: Log) -> None:
+    live_loop, send_log = load("live_loop"), load("send_log")
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        seconds: list[np.ndarray] = []
+        server = threading.Thread(target=lambda: seconds.append(live_loop.serve(door, "tare")))
+        server.start()
+        answers: list[dict] = []
+        with socket.create_connection(door.getsockname()) as link, link.makefile("r") as lines:
+            sent = send_log.send(
+                log,
+                lambda text: link.sendall(text.encode()),
+                lambda: answers.append(json.loads(lines.readline())),
+                fast=True,
+            )
+        server.join(timeout=30.0)
+    assert sent == len(log)
+    assert len(seconds[0]) == len(log)
+    assert (seconds[0] > 0.0).all()
+    np.testing.assert_allclose([a["force_N"] for a in answers], expected(log, "tare"), atol=1e-9)
+    assert [a["time_s"] for a in answers] == log.time.tolist()
+
+
+def test_a_missing_reading_is_answered_with_its_flag(log: Log) -> None:
+    live_loop, send_log = load("live_loop"), load("send_log")
+    log.raw[5, 2] = np.nan
+    lines: list[str] = []
+    send_log.send(log, lines.append, lambda: None, fast=True)
+    answers: list[str] = []
+    live_loop.run(lines, answers.append, "none")
+    found = json.loads(answers[5])
+    assert found["flags"] == ["", "", "MISSING", "", "", "", "", ""]
+    assert np.isfinite(found["force_N"]).all()
+
+
+def test_a_file_is_followed_as_it_grows_even_in_pieces_of_lines(log: Log, tmp_path: Path) -> None:
+    live_loop, send_log = load("live_loop"), load("send_log")
+    lines: list[str] = []
+    send_log.send(log, lines.append, lambda: None, fast=True)
+    text = "".join(lines)
+    path = tmp_path / "stream.jsonl"
+    path.touch()
+
+    def write() -> None:
+        with path.open("a", encoding="utf-8", buffering=1) as file:
+            for piece in range(0, len(text), 5000):
+                file.write(text[piece : piece + 5000])
+                file.flush()
+                time.sleep(0.001)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    answers: list[str] = []
+    seconds = live_loop.run(live_loop.follow(path), answers.append, "none")
+    writer.join(timeout=30.0)
+    assert len(seconds) == len(log)
+    np.testing.assert_allclose([json.loads(a)["force_N"] for a in answers], expected(log, "none"), atol=1e-9)
+
+
+def test_a_file_that_stops_growing_ends_the_loop(tmp_path: Path) -> None:
+    live_loop = load("live_loop")
+    path = tmp_path / "stream.jsonl"
+    path.write_text("one\ntwo\nthr")
+    assert list(live_loop.follow(path, patience=0.02)) == ["one\n", "two\n"]
