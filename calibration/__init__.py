@@ -7,6 +7,7 @@ NumPy, SciPy and the array API standard; no simulator and no Gymnasium, so that 
 """
 
 from surefoot.calibration.bench import ChannelFit, fit_channels
+from surefoot.calibration.bound import Bound, posterior_bound
 from surefoot.calibration.centroidal import GroundReference, ground_height, ground_reference
 from surefoot.calibration.cop import (
     FORCE_THRESHOLD,
@@ -40,6 +41,7 @@ __all__ = [
     "FORCE_THRESHOLD",
     "GRAVITY",
     "METHODS",
+    "Bound",
     "CalibrationRefused",
     "ChannelFit",
     "CopCorrectionFit",
@@ -80,6 +82,7 @@ __all__ = [
     "moment_rows",
     "nao_shoe_layout",
     "online_method",
+    "posterior_bound",
     "replay",
     "save_state",
     "sole_wrenches",

@@ -34,6 +34,9 @@ LONGEST_LEAP = 3
 _SUSPICION = 4.0
 """Mean squared normalised residual of a block above which something is thought to be wrong."""
 
+_TRUST = 10.0
+"""Blocks in which all must have seemed well before the robot's motion can speak against a channel."""
+
 _PATIENCE = 10
 """Blocks after which a suspicion that nothing explains is dropped."""
 
@@ -59,6 +62,7 @@ class FaultState(NamedTuple):
     Attributes:
         last: Last readings that were believed, F0 in N, shape (..., K).
         leaps: Samples in a row that were held for leaping, shape (..., K).
+        trust: Blocks in which nothing seemed wrong, shape (...).
         doubt: Blocks since something seemed wrong, 0 while nothing does, shape (...).
         scores: Mean squared residuals of these blocks without a fault, and by each hypothesis, shape
             (..., 1 + H).
@@ -74,6 +78,7 @@ class FaultState(NamedTuple):
 
     last: Array
     leaps: Array
+    trust: Array
     doubt: Array
     scores: Array
     moments: Array
@@ -129,6 +134,7 @@ class Faults:
         return FaultState(
             last=resting + zero,
             leaps=xp.zeros(raw.shape, dtype=xp.int64, device=device) + LONGEST_LEAP,
+            trust=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
             doubt=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
             scores=xp.zeros((*raw.shape[:-1], 1 + self._hypotheses), dtype=raw.dtype, device=device),
             moments=self.stand_in.init(zero),
@@ -215,6 +221,7 @@ class Faults:
         count = xp.sum(there, axis=-1)
         count = xp.where(count > 0.5, count, 1.0)
         nothing = xp.sum(xp.clip(square, 0.0, _CLIP) * there, axis=-1) / count
+        state = state._replace(trust=state.trust + xp.astype(nothing < 0.5 * _SUSPICION, residual.dtype))
         # Most of the time nothing is wrong with anybody, and no hypothesis needs to be tried.
         if not bool(xp.any((nothing > _SUSPICION) | (state.doubt > 0.5))):
             return state, nothing < 0.0
@@ -252,7 +259,13 @@ class Faults:
         least = xp.min(each, axis=-1)
         rivals = xp.where(chosen @ related > 0.5, 1e9, each)
         rival = xp.min(rivals, axis=-1)
-        found = (doubt > 1.5) & (now > _SUSPICION) & (least < _RELIEF * now) & (least < _CONTRAST * rival)
+        found = (
+            (doubt > 1.5)
+            & (state.trust >= _TRUST)
+            & (now > _SUSPICION)
+            & (least < _RELIEF * now)
+            & (least < _CONTRAST * rival)
+        )
         accepted = chosen * xp.astype(found, residual.dtype)[..., None]
 
         state = state._replace(scores=scores, doubt=xp.where(found, 0.0, doubt))

@@ -36,12 +36,15 @@ class Block(NamedTuple):
         motion: Flat references, shape (..., n, R).
         swing: Feet surely in the air (0 or 1), shape (..., n, F).
         use: Samples that may be learnt from (0 or 1), shape (..., n).
+        stand: Samples at which a foot surely stands (0 or 1), shape (..., n): only then does a motion ask for
+            a force of the ground.
     """
 
     force: Array
     motion: Array
     swing: Array
     use: Array
+    stand: Array
 
 
 class Rows(NamedTuple):
@@ -154,7 +157,7 @@ class MomentRows:
         xp, config, unknowns = namespace_of(mean), self.config, self.unknowns
         force_map, torque_map, scale, base, cross, *_ = self._constants.like(mean)
         batch, n, settle, middle = tuple(mean.shape[:-1]), config.every, config.settle, self._middle
-        force, use = block.force[..., middle, :], block.use[..., middle]
+        force, use = block.force[..., middle, :], block.use[..., middle] * block.stand[..., middle]
         for shift in (-settle, -1, 1, settle):
             use = use * block.use[..., settle + shift : settle + shift + n]
         com, acceleration, rate, position, R = self._motion(block.motion[..., middle, :])

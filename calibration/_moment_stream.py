@@ -39,6 +39,9 @@ _UNSURE = 0.06
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
+_REACH = 5.0
+"""Standard deviations from the starting map beyond which a sensor is not thought to be."""
+
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to."""
 
@@ -50,7 +53,8 @@ class MomentState(NamedTuple):
         front: What the way of a sample remembers.
         step: Samples seen.
         pending: The newest samples, oldest first: F0, the flat reference, which channels were read, which
-            feet surely swing, whether the reference is sound, shape (..., every + 2 settle, P).
+            feet surely swing, whether any surely stands, whether the reference is sound, shape
+            (..., every + 2 settle, P).
         mean: The unknowns, shape (..., N).
         covariance: Their covariance, shape (..., N, N).
         learnt: Covariance of (a, b) of each channel, shape (..., 2K, 2K).
@@ -113,7 +117,7 @@ class MomentStream:
         return MomentState(
             front=front,
             step=0,
-            pending=zeros(self._length, 2 * self.setup.layout.channels + front.motion.shape[-1] + feet + 1),
+            pending=zeros(self._length, 2 * self.setup.layout.channels + front.motion.shape[-1] + feet + 2),
             mean=zeros(1) + start,
             covariance=zeros(1, 1) + covariance,
             learnt=zeros(1, 1) + learnt,
@@ -139,7 +143,8 @@ class MomentStream:
 
         front, sample = self._front_end.observe(state.front, raw, reference, dt, repair)
         pending = state.pending * 0.0 if sample.gap else state.pending
-        notes = xp.concat([sample.read, sample.swing, sample.sound[..., None]], axis=-1)
+        stand = xp.any(sample.stance, axis=-1)[..., None]
+        notes = xp.concat([sample.read, sample.swing, stand, sample.sound[..., None]], axis=-1)
         newest = xp.concat([sample.past, sample.motion, xp.astype(notes, raw.dtype)], axis=-1)
         pending = xp.concat([pending[..., 1:, :], newest[..., None, :]], axis=-2)
         state = state._replace(front=front, step=state.step + 1, pending=pending, faults=faults)
@@ -179,15 +184,26 @@ class MomentStream:
                 )
             learnt_from = learnt_from.beside(parity)
         step = kalman_step(mean, covariance, *learnt_from, learnt, identity, self.config.gate)
+        low, high = self._limits(state.step, mean)
+        clipped = xp.clip(step.mean, low, high)
+        rejected = rejected | xp.any(clipped != step.mean, axis=-1)
         finite = xp.all(xp.isfinite(step.mean), axis=-1)
         finite = finite & xp.all(xp.isfinite(step.covariance), axis=(-2, -1))
         state = state._replace(
-            mean=xp.where(finite[..., None], step.mean, mean),
+            mean=xp.where(finite[..., None], clipped, mean),
             covariance=xp.where(finite[..., None, None], step.covariance, state.covariance),
             noise=self._noise(state.noise, step, newton),
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
         return self._watch(state, faults, mean, block, rows, places, covariance), step
+
+    def _limits(self, step: int, like: Array) -> tuple[Array, Array]:
+        """Bound what a sensor can be, by where it began and by how far it can have drifted."""
+        xp = namespace_of(like)
+        start, spread, walk, *_ = self._constants.like(like)
+        reach = xp.linalg.diagonal(spread) + xp.linalg.diagonal(walk) * (step / self.config.every)
+        reach = _REACH * xp.sqrt(reach)
+        return start - reach, start + reach
 
     def _watch(
         self, state: MomentState, faults: FaultState, before: Array, block: Block, rows: Rows, places: Array,
@@ -234,13 +250,12 @@ class MomentStream:
     def _block(self, state: MomentState) -> tuple[Block, Array]:
         """Take the waiting samples apart; and which channels were read, shape (..., n, K)."""
         pending, K, feet = state.pending, self.setup.layout.channels, len(self.setup.layout.feet)
-        xp, notes = namespace_of(pending), -K - feet - 1
+        xp, notes = namespace_of(pending), -K - feet - 2
         motion = pending[..., K:notes]
         _, _, physical = self._front_end.motions.ground(motion)
         use = pending[..., -1] * xp.astype(physical, pending.dtype)
-        return Block(pending[..., :K], motion, pending[..., -feet - 1 : -1], use), pending[
-            ..., notes : notes + K
-        ]
+        block = Block(pending[..., :K], motion, pending[..., -feet - 2 : -2], use, pending[..., -2])
+        return block, pending[..., notes : notes + K]
 
     def _plausible(self, mean: Array, covariance: Array, rows: Rows) -> tuple[Rows, Array]:
         """Leave out groups of rows that no error of calibration explains, such as of a lifted robot."""

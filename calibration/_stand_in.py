@@ -37,7 +37,7 @@ class StandIn:
         memory: How many blocks are remembered.
 
     Attributes:
-        cells: Channels that are load cells (bool), shape (K,): others cannot be reconstructed.
+        cells: Channels that are cells under one plate (bool), shape (K,): others cannot be reconstructed.
     """
 
     def __init__(self, setup: OnlineSetup, memory: float) -> None:
@@ -52,6 +52,8 @@ class StandIn:
                     continue
                 index = np.arange(where.start, where.stop)[sensor.channels]
                 load = sensor.wrench_map[2:5]
+                if np.linalg.matrix_rank(load) < 3:
+                    continue
                 share = load.T @ np.linalg.inv(load @ load.T)
                 arm = _TYPICAL_ARM * np.ptp(load[1:], axis=1)
                 spread = np.diag([1.0, *arm]) ** 2 / 4.0

@@ -117,6 +117,7 @@ def bench_calibration(
 ) -> None:
     """Hold the calibrators against each other on the same walks, in every scenario, and report."""
     from surefoot.experiments.arena import run_arena
+    from surefoot.experiments.arena_bound import bound_of
     from surefoot.experiments.arena_options import ArenaOptions
     from surefoot.experiments.arena_page import ArenaPage
 
@@ -125,7 +126,7 @@ def bench_calibration(
             out=out, seeds=seeds, scenarios=tuple(scenario or ()), methods=tuple(method or ()), jobs=jobs
         )
         out.mkdir(parents=True, exist_ok=True)
-        results = run_arena(options.quickly() if quick else options)
+        results = run_arena(options.quickly() if quick else options, bound=bound_of)
     except ValueError as error:
         _fail(str(error))
     except OSError as error:
