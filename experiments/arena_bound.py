@@ -10,12 +10,17 @@ from surefoot.experiments.walkers import STAND_TIME
 
 __all__ = ["bound_of"]
 
+_FOOT_LENGTH = 0.17
+"""Extent of a NAO's shoe in m, as layouts of ankle sensors do not tell it."""
+
 _SETTLE = 10.0
 """Time in s of walking that scores leave out, and so does the bound."""
 
 
 def bound_of(log: Log) -> LogBound:
-    """Compute what no estimator can go below on a log with truth, over the samples that are scored.
+    """Compute what no estimator can go below on a walk with truth, over the samples that are scored.
+
+    The bound of a recording of something else than a walking NAO is NaN.
 
     Args:
         log: The log.
@@ -23,7 +28,16 @@ def bound_of(log: Log) -> LogBound:
     unknown = LogBound(float("nan"), float("nan"), float("nan"))
     if log.truth is None or not np.isfinite(log.raw).all():
         return unknown
-    setup = OnlineSetup(layout=log.layout, mass=log.mass, initial=starting_map(log), dt=log.dt, lag=log.lag)
+    if not log.about.get("speed_m_s"):
+        return unknown
+    setup = OnlineSetup(
+        layout=log.layout,
+        mass=log.mass,
+        initial=starting_map(log),
+        dt=log.dt,
+        lag=log.lag,
+        foot_length=_FOOT_LENGTH,
+    )
     bound = posterior_bound(setup, log.raw, log.reference, Parameters(log.truth.scale, log.truth.offset))
     counted = log.time >= STAND_TIME + _SETTLE
     if not counted.any():

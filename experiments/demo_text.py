@@ -8,10 +8,10 @@ TEXTS = {
     "introduction": """
         A NAO-class biped of 5.3 kg walks in MuJoCo on eight load cells, four under each foot, whose
         gains and zeros are wrong and drift. Every walk was recorded once, and the same stream of counts
-        went through every calibration method: the sliding window of the CoP paper, Han's quasi-static
-        method, a tare in swing, and none at all. The methods were told what a robot knows (late and
-        noisy encoders and IMU, and a model of itself whose mass and centre of mass are off), never the
-        truth; the truth is used here to score them.""",
+        went through every calibration method: the surefoot estimator, the sliding window of the CoP
+        paper, Han's quasi-static method, a tare in swing, and none at all. The methods were told what a
+        robot knows (late and noisy encoders and IMU, and a model of itself whose mass and centre of mass
+        are off), never the truth; the truth is used here to score them.""",
     "amount": """
         {seeds} seeds at each of {speeds} speeds, walks of {duration:g} s of which the first {stand:g} s
         are standing; errors count from {settle:g} s on. All intervals are 95 % intervals of the mean
@@ -82,7 +82,7 @@ CAPTIONS = {
         foot in the air should read zero; where a colour does not, its zero is wrong.""",
     "film": """
         The same robot and seed twice (severity {severity:g}, {speed:g} m/s, seed {seed}): left on drifting
-        raw feet, right on feet that the window calibrates. Below, the soles from above: the black dot is
+        raw feet, right on feet that surefoot calibrates. Below, the soles from above: the black dot is
         the true
         centre of pressure, the coloured one that which the controller is given.""",
     "closed_loop": """

@@ -48,6 +48,7 @@ _SHORT = {
     "tare": "tare",
     "quasi-static": "Han",
     "window": "window",
+    "surefoot": "surefoot",
 }
 
 

@@ -53,7 +53,7 @@ def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path) -> None:
     result = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     assert "Errors" not in result.stdout
-    assert (tmp_path / "new" / "walk.window.parquet").is_file()
+    assert (tmp_path / "new" / "walk.surefoot.parquet").is_file()
 
 
 def test_calibrating_a_bench(tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     )
     fails(
         [*walking, path, "--method", "kalman"],
-        "Method 'kalman' does not exist. Available: 'window', 'quasi-static', 'tare', 'none'.",
+        "Method 'kalman' does not exist. Available: 'surefoot', 'window', 'quasi-static', 'tare', 'none'.",
     )
     fails(
         [*walking, path, "--start", "bench"],
@@ -96,7 +96,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(["view", "--video", "walk.gif"], "'walk.gif' must end in .mp4.")
     fails(
         ["view", "--feed", "guess", "--video", "walk.mp4"],
-        "There is no feed 'guess'. Available: 'true', 'none', 'tare', 'quasi-static', 'window'.",
+        "There is no feed 'guess'. Available: 'true', 'none', 'tare', 'quasi-static', 'window', 'surefoot'.",
     )
 
 

@@ -21,7 +21,7 @@ from surefoot.experiments.log_format import read_log
 from surefoot.experiments.recordings_section import recordings_section
 from surefoot.experiments.walkers import STAND_TIME
 
-METHODS = {"none", "tare", "quasi-static", "window"}
+METHODS = {"none", "tare", "quasi-static", "window", "surefoot"}
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_one_cell_repeated_by_the_command(results: DemoResults, tmp_path: Path) 
     assert result.exit_code == 0, result.output
     table = results.scores.set_index(["condition", "seed", "method", "against"])
     expected = 1e3 * table.loc[("bad-start", 1, "window", "truth"), "cop"]
-    shown = re.search(r"calibrated\s+([\d.]+)", result.stdout)
+    shown = re.search(r"Errors[\s\S]*?calibrated\s+([\d.]+)", result.stdout)
     assert shown is not None
     assert float(shown[1]) == pytest.approx(expected, rel=6e-3)
 
@@ -187,7 +187,7 @@ def test_recordings_are_laid_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 
 def test_the_walk_to_film_falls_raw_and_stands_calibrated() -> None:
-    ends = {"none": [5.0, 9.5, 30.0, 9.0], "window": [30.0, 30.0, 30.0, 9.0]}
+    ends = {"none": [5.0, 9.5, 30.0, 9.0], "surefoot": [30.0, 30.0, 30.0, 9.0]}
     loop = pd.DataFrame(
         {"speed": 0.1, "seed": seed, "feed": feed, "fell": time < 30.0, "time": time}
         for feed, times in ends.items()
