@@ -52,7 +52,7 @@ class DistalMasses:
         self._constants = Constants(
             np.array([sensor.mass_below for *_, sensor in parts]),
             np.array([sensor.com_below_sole for *_, sensor in parts]),
-            np.array([sensor.share for *_, sensor in parts]),
+            np.array([sensor.share * (sensor.wrench_map != 0.0).any(axis=1) for *_, sensor in parts]),
             felt,
             np.eye(3),
         )
@@ -74,10 +74,15 @@ class DistalMasses:
         xp = namespace_of(com)
         wrench = self._wrenches(com, acceleration, position, R)
         share = self._constants.like(com)[2]
+        middle = R[..., R.shape[-4] // 2, :, :, :]
         arm = xp.mean(position - origin[..., None, :], axis=-3)
         parts = []
         for p, foot in enumerate(self._foot_of):
-            force, moment = wrench[p][..., :3] * share[p][:3], wrench[p][..., 3:] * share[p][3:]
+            # What a sensor is blind to it does not lack; that is told along the sole's axes.
+            turn = middle[..., foot, :, :]
+            part = xp.stack([wrench[p][..., :3], wrench[p][..., 3:]], axis=-1)
+            part = turn @ ((turn.mT @ part) * xp.stack([share[p][:3], share[p][3:]], axis=-1))
+            force, moment = part[..., 0], part[..., 1]
             parts.append(xp.concat([force, moment + _cross(arm[..., foot, :], force)], axis=-1))
         return sum(parts[1:], parts[0])
 

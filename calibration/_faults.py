@@ -31,10 +31,13 @@ Array = Any
 LONGEST_LEAP = 3
 """Samples in a row that a reading may be away before it is believed."""
 
+_ALONE = 4.0
+"""How many times further than any other cell of its foot a reading must leap to be an error."""
+
 _SUSPICION = 4.0
 """Mean squared normalised residual of a block above which something is thought to be wrong."""
 
-_TRUST = 10.0
+TRUST = 10.0
 """Blocks in which all must have seemed well before the robot's motion can speak against a channel."""
 
 _PATIENCE = 10
@@ -45,6 +48,9 @@ _RELIEF = 0.4
 
 _CONTRAST = 0.6
 """The same against the best hypothesis about other channels."""
+
+_LEAST_ERROR = 0.1
+"""Error of a force in body weights that a fault amounts to at least, for the motion to tell of it."""
 
 _CLIP = 30.0
 """Largest squared normalised residual that counts."""
@@ -162,10 +168,14 @@ class Faults:
         if state.altered:
             force = (state.wiring @ force[..., None])[..., 0]
             read = (xp.abs(state.wiring) @ xp.astype(read, force.dtype)[..., None])[..., 0] > 0.5
-        leaping = xp.abs(force - state.last) > self._leap
+        step = xp.abs(force - state.last)
+        leaping = step > self._leap
         if not bool(xp.any(leaping)):
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
-        leaping = leaping & read & (state.leaps < LONGEST_LEAP)
+        # A foot that lands moves several of its cells.
+        same_foot = self._constants.like(force)[4]
+        others = xp.max(step[..., None, :] * same_foot, axis=-1)
+        leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
         leaps = xp.where(leaping, state.leaps + 1, xp.where(read, 0, state.leaps))
         used = xp.where(leaping, state.last, force)
         flags = state.kind | int(Flag.SPIKE) * leaping
@@ -186,7 +196,9 @@ class Faults:
         flat = spread == 0.0
         moving = xp.astype(spread > 0.02 * self._weight, force.dtype) @ same_foot > 0.5
         heard = xp.mean(read, axis=-2)
-        missing = heard < 0.5 * xp.max(heard, axis=-1)[..., None]
+        missing = (heard < 0.5) & (xp.max(heard, axis=-1) >= 0.5)[..., None]
+        again = (heard > 0.99) & ~flat & ((state.kind & int(Flag.MISSING)) > 0) & (state.lost > 0.5)
+        state = self._return(state, again)
         stuck = flat & moving & ~missing
         dead = stuck & (xp.abs(high) <= 0.1 * self._weight)
         rail = stuck & ~dead & (xp.abs(high) > _HEAVIEST * self._weight)
@@ -235,6 +247,9 @@ class Faults:
             (scaled[..., first] - scaled[..., second]) * (reading[..., first] - reading[..., second]),
             (scaled[..., first] + scaled[..., second]) * (reading[..., first] + reading[..., second]),
         ]
+        swing = reading[..., first] - reading[..., second], reading[..., first] + reading[..., second]
+        sizes = [xp.abs(force - said), 2.0 * xp.abs(reading), xp.abs(swing[0]), xp.abs(swing[1])]
+        size = xp.max(xp.concat(sizes, axis=-1) * there[..., None], axis=-2)
         left = residual[..., None] + xp.concat(changes, axis=-1)
         square = left * left / (predicted + rows.variance)[..., None]
         mean = xp.sum(xp.clip(square, 0.0, _CLIP) * there[..., None], axis=-2) / count[..., None]
@@ -253,7 +268,9 @@ class Faults:
         heard = 1.0 - xp.astype((state.lost @ about.mT) > 0.5, residual.dtype)
         # Putting a channel right is preferred to losing it.
         handicap = xp.where(xp.sum(about, axis=-1) * 0.0 + xp.arange(about.shape[0]) < K, 1.15, 1.0)
-        each = xp.where(possible * heard > 0.5, scores[..., 1:] * handicap, 1e9)
+        # What small errors of the reference could be as well is not put down to a channel.
+        telling = size > _LEAST_ERROR * self._weight
+        each = xp.where((possible * heard > 0.5) & telling, scores[..., 1:] * handicap, 1e9)
         best = xp.argmin(each, axis=-1)
         chosen = xp.astype(best[..., None] == xp.arange(about.shape[0]), residual.dtype)
         least = xp.min(each, axis=-1)
@@ -261,7 +278,7 @@ class Faults:
         rival = xp.min(rivals, axis=-1)
         found = (
             (doubt > 1.5)
-            & (state.trust >= _TRUST)
+            & (state.trust >= TRUST)
             & (now > _SUSPICION)
             & (least < _RELIEF * now)
             & (least < _CONTRAST * rival)
@@ -308,10 +325,16 @@ class Faults:
         back = (agreed >= _RETURN_BLOCKS) & (state.lost > 0.5)
         if not bool(xp.any(back)):
             return state._replace(agreed=agreed)
-        lost = xp.where(back, 0.0, state.lost)
+        return self._return(state._replace(agreed=xp.where(back, 0.0, agreed)), back)
+
+    def _return(self, state: FaultState, back: Array) -> FaultState:
+        """Take channels in again."""
+        xp = namespace_of(state.last)
+        if not bool(xp.any(back)):
+            return state
         gone = int(Flag.LOST | Flag.DEAD | Flag.STUCK | Flag.SATURATED | Flag.MISSING)
         kind = xp.where(back, state.kind & ~gone, state.kind)
-        return self._rebuild(state._replace(lost=lost, kind=kind, agreed=xp.where(back, 0.0, agreed)))
+        return self._rebuild(state._replace(lost=xp.where(back, 0.0, state.lost), kind=kind))
 
     def _lose(self, state: FaultState, fresh: Array, kind: Array) -> FaultState:
         """Take channels out."""

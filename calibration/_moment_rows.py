@@ -84,6 +84,7 @@ class MomentRows:
 
     Attributes:
         kinds: Newton-Euler rows of one group of samples: 3 for (Fz, Mx, My), or all 6.
+        vertical: Which of them is the vertical force.
         compares: Whether any foot has several instruments to hold against each other.
     """
 
@@ -99,7 +100,7 @@ class MomentRows:
         wrench_map = layout.wrench_map
         self._six_axes = bool((wrench_map != 0.0).any(axis=2).all())
         self._seen = list(range(6)) if self._six_axes else [2, 3, 4]
-        self.kinds, self._vertical = len(self._seen), self._seen.index(2)
+        self.kinds, self.vertical = len(self._seen), self._seen.index(2)
         noise = np.repeat([config.force_noise, config.cop_noise / setup.length], 3)[self._seen]
         scale = np.repeat([1.0 / setup.weight, 1.0 / (setup.weight * setup.length)], 3)[self._seen]
         self._distal = DistalMasses(layout, setup.dt, config.every, config.every + 2 * config.settle)
@@ -250,10 +251,10 @@ class MomentRows:
         """Write the matrices that take moments to the centre of pressure of an estimated wrench."""
         xp = namespace_of(wrench)
         *_, shifts, identity = self._constants.like(wrench)
-        load = wrench[..., self._vertical, None, None]
+        load = wrench[..., self.vertical, None, None]
         load = xp.where(load > _LEAST_LOAD, load, _LEAST_LOAD)
-        x = -wrench[..., self._vertical + 2, None, None] / load
-        y = wrench[..., self._vertical + 1, None, None] / load
+        x = -wrench[..., self.vertical + 2, None, None] / load
+        y = wrench[..., self.vertical + 1, None, None] / load
         return identity + x * shifts[0] + y * shifts[1]
 
     def _error_columns(self, asked: Array, given: Array, height: Array, late: Array) -> Array:
@@ -264,7 +265,7 @@ class MomentRows:
         """
         xp = namespace_of(asked)
         bias = self._constants.like(asked)[5]
-        zero, fz = xp.zeros_like(height), asked[..., self._vertical]
+        zero, fz = xp.zeros_like(height), asked[..., self.vertical]
         # A point that is off by d sees the moment d x f besides.
         com = [[zero, zero], [zero, fz], [-fz, zero]]
         if self._six_axes:

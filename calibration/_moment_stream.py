@@ -11,7 +11,7 @@ import numpy as np
 from array_api_compat import device as device_of
 
 from surefoot.calibration._constants import Constants, namespace_of
-from surefoot.calibration._faults import Faults, FaultState
+from surefoot.calibration._faults import TRUST, Faults, FaultState
 from surefoot.calibration._front_end import FrontEnd, FrontState, Sample
 from surefoot.calibration._kalman import KalmanStep, kalman_step
 from surefoot.calibration._moment_rows import Block, MomentRows, Rows
@@ -29,6 +29,15 @@ Array = Any
 
 _REJECT_STD = 8.0
 """Standard deviations beyond which a large innovation is no error of calibration."""
+
+_LOUDEST = 100.0
+"""By how many times variances are taken as larger than stated at most."""
+
+_LEAP_STD = 5.0
+"""Standard deviations of a block's mean vertical force beyond which the mass itself is doubted."""
+
+_SETTLED = 50.0
+"""Blocks in which all must have seemed well before the mass is doubted."""
 
 _NOISE_MEMORY = 0.1
 """How much of the noise's factor one update renews."""
@@ -62,6 +71,8 @@ class MomentState(NamedTuple):
         kept_mean: The unknowns of two moments of the last seconds, to go back to, shape (..., 2, N).
         kept_covariance: Their covariances, shape (..., 2, N, N).
         noise: By how many times rows' variances are taken as larger than stated, shape (..., kinds).
+        quiet: Blocks in which the readings have not changed, shape (...).
+        anchor: The readings from which on they have not, shape (..., K).
         status: Flags of the last update, shape (...).
         faults: What is known of faults.
     """
@@ -76,6 +87,8 @@ class MomentState(NamedTuple):
     kept_mean: Array
     kept_covariance: Array
     noise: Array
+    quiet: Array
+    anchor: Array
     status: Array
     faults: FaultState
 
@@ -100,6 +113,7 @@ class MomentStream:
             np.eye(unknowns.size),
             unknowns.unit,
             *(np.asarray(part, dtype=np.float64) for part in setup.initial),
+            np.diag(unknowns.change**2),
         )
 
     def init(self, raw: Array) -> MomentState:
@@ -107,7 +121,7 @@ class MomentStream:
         front = self._front_end.init(raw)
         xp, device = namespace_of(raw), device_of(raw)
         batch, feet = tuple(raw.shape[:-1]), len(self.setup.layout.feet)
-        start, covariance, *_, scale, offset = self._constants.like(raw)
+        start, covariance, *_, scale, offset, _ = self._constants.like(raw)
 
         learnt = self._uncertainty.of_parameters(covariance)
 
@@ -125,6 +139,8 @@ class MomentStream:
             kept_mean=zeros(2, 1) + start,
             kept_covariance=zeros(2, 1, 1) + covariance,
             noise=zeros(self.rows.kinds) + 1.0,
+            quiet=zeros(),
+            anchor=zeros(self.setup.layout.channels),
             status=zeros(dtype=xp.int64),
             faults=self._faults.init(raw, scale * front.raw + offset),
         )
@@ -172,10 +188,15 @@ class MomentStream:
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.rows.total(mean, block, state.noise, *spare)
         newton, rejected = self._plausible(mean, covariance, rows)
-        learnt_from = newton
+        changed = self._changed(mean, covariance, newton) & (faults.trust >= _SETTLED)
+        faults = faults._replace(trust=xp.where(changed, TRUST, faults.trust))
+        more = self._constants.like(mean)[-1]
+        believed = covariance
+        covariance = covariance + xp.where(changed[..., None, None], more, 0.0)
+        quiet, anchor, learnt_from = self._quiet(state, block, newton)
         if bool(xp.any(block.swing > 0.5)):
             tare, doubted = self._tare(mean, covariance, block, faults)
-            learnt_from, rejected = newton.beside(tare), rejected | doubted
+            learnt_from, rejected = learnt_from.beside(tare), rejected | doubted
         if self.rows.compares:
             parity = self.rows.parity(block)
             if faults.altered:
@@ -192,17 +213,23 @@ class MomentStream:
         state = state._replace(
             mean=xp.where(finite[..., None], clipped, mean),
             covariance=xp.where(finite[..., None, None], step.covariance, state.covariance),
-            noise=self._noise(state.noise, step, newton),
+            noise=xp.where(
+                (faults.doubt > 0.5)[..., None], state.noise, self._noise(state.noise, step, newton)
+            ),
+            quiet=quiet,
+            anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        return self._watch(state, faults, mean, block, rows, places, covariance), step
+        return self._watch(state, faults, mean, block, rows, places, believed), step
 
     def _limits(self, step: int, like: Array) -> tuple[Array, Array]:
         """Bound what a sensor can be, by where it began and by how far it can have drifted."""
         xp = namespace_of(like)
         start, spread, walk, *_ = self._constants.like(like)
         reach = xp.linalg.diagonal(spread) + xp.linalg.diagonal(walk) * (step / self.config.every)
-        reach = _REACH * xp.sqrt(reach)
+        # Errors of the reference may change, when a load is picked up; a sensor only drifts.
+        known = self.unknowns.gains + self.unknowns.channels
+        reach = _REACH * xp.concat([xp.sqrt(reach[..., :known]), xp.inf + reach[..., known:]], axis=-1)
         return start - reach, start + reach
 
     def _watch(
@@ -257,6 +284,20 @@ class MomentStream:
         block = Block(pending[..., :K], motion, pending[..., -feet - 2 : -2], use, pending[..., -2])
         return block, pending[..., notes : notes + K]
 
+    def _quiet(self, state: MomentState, block: Block, rows: Rows) -> tuple[Array, Array, Rows]:
+        """Take a robot that stands still for one measurement, however long it stands.
+
+        Without a change of load all blocks say the same; what their readings still do is noise and drift,
+        and a gain that should explain why the motion does not follow them would come out too small.
+        """
+        xp = namespace_of(block.force)
+        high, low = xp.max(block.force, axis=-2), xp.min(block.force, axis=-2)
+        middle, limit = 0.5 * (high + low), self.config.still * self._constants.like(block.force)[5]
+        moved = xp.any((high - low >= 2.0 * limit) | (xp.abs(middle - state.anchor) > limit), axis=-1)
+        quiet = xp.where(moved, 0.0, state.quiet + 1.0)
+        anchor = xp.where(moved[..., None], middle, state.anchor)
+        return quiet, anchor, rows._replace(variance=rows.variance * ((1.0 + quiet) ** 2)[..., None])
+
     def _plausible(self, mean: Array, covariance: Array, rows: Rows) -> tuple[Rows, Array]:
         """Leave out groups of rows that no error of calibration explains, such as of a lifted robot."""
         xp, kinds = namespace_of(mean), self.rows.kinds
@@ -266,6 +307,19 @@ class MomentStream:
         groups = xp.any(xp.reshape(wrong, (*e.shape[:-1], -1, kinds)), axis=-1)
         keep = xp.reshape(xp.stack([~groups] * kinds, axis=-1), tuple(e.shape))
         return rows.keep(xp.astype(keep, mean.dtype)), xp.any(groups, axis=-1)
+
+    def _changed(self, mean: Array, covariance: Array, rows: Rows) -> Array:
+        """Tell where the force of a whole block leaps away from what the motion asks for (bool)."""
+        xp, which = namespace_of(mean), slice(self.rows.vertical, None, self.rows.kinds)
+        H = rows.H[..., which, :]
+        there = xp.astype(xp.any(H != 0.0, axis=-1), mean.dtype)
+        count = xp.sum(there, axis=-1)
+        count = xp.where(count > 0.5, count, 1.0)
+        row = xp.sum(H, axis=-2) / count[..., None]
+        e = xp.sum(rows.y[..., which], axis=-1) / count - xp.sum(row * mean, axis=-1)
+        spread = (row[..., None, :] @ covariance @ row[..., None])[..., 0, 0]
+        spread = spread + xp.sum(rows.variance[..., which] * there, axis=-1) / count**2
+        return (e * e > _LEAP_STD**2 * spread) & (xp.abs(e) > 0.5 * self.config.mass_change)
 
     def _tare(self, mean: Array, covariance: Array, block: Block, faults: FaultState) -> tuple[Rows, Array]:
         """Write the tare of feet that hang, unless they carry weight."""
@@ -277,6 +331,8 @@ class MomentStream:
         spread = xp.sum((row @ covariance[..., :known, :known]) * row, axis=-1)
         limit = self.config.swing_load + 4.0 * xp.sqrt(xp.clip(spread, 0.0, None))
         doubted = (count > 0.5) & (xp.abs(load) > limit)
+        # Not all feet of a robot that stands are in the air.
+        doubted = doubted | xp.all(count > 0.5, axis=-1)[..., None]
         count = xp.where(doubted, 0.0, count)
         rows = self.rows.tare(block, count, reading)
         return rows.keep(1.0 - faults.lost) if faults.altered else rows, xp.any(doubted, axis=-1)
@@ -289,12 +345,12 @@ class MomentStream:
         there = xp.astype(xp.any(rows.H != 0.0, axis=-1), noise.dtype)
         surplus = (xp.clip(e * e / (predicted + rows.variance), 0.0, 9.0) - 1.0) * there
         surplus = xp.mean(xp.reshape(surplus, (*noise.shape[:-1], -1, self.rows.kinds)), axis=-2)
-        return xp.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, 1e3)
+        return xp.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
 
     def _estimate(self, state: MomentState, sample: Sample, kinds: Array) -> Estimate:
         """Apply the map to the newest sample, and say how sure it is."""
         unknowns = self.unknowns
-        *_, unit, scale, offset = self._constants.like(sample.force)
+        *_, unit, scale, offset, _ = self._constants.like(sample.force)
         force = unknowns.force(state.mean, sample.force, unit)
         faults = state.faults if state.faults.altered else None
         if faults is not None:

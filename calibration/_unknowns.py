@@ -49,6 +49,7 @@ class Unknowns:
         start: Mean to start from, shape (N,).
         std: Standard deviations to start from, shape (N,).
         walk: Variance of their random walks per second, shape (N,).
+        change: Standard deviations of sudden changes of the reference, shape (N,).
         learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
     """
 
@@ -95,6 +96,9 @@ class Unknowns:
         self.walk: NDArray[np.float64] = np.zeros(self.size)
         self.walk[self.scale] = np.where(own, config.scale_drift**2 / 60.0, 0.0)
         self.walk[self.offset] = config.offset_drift**2 / 60.0
+        self.change: NDArray[np.float64] = np.zeros(self.size)
+        self.change[self.com] = config.com_change / setup.length
+        self.change[self.mass] = config.mass_change
         self.learnt: NDArray[np.float64] = np.ones(self.size)
         self.learnt[self.mass] = float(config.learn_mass)
         self.gather: NDArray[np.float64] = np.zeros((self.gains, channels))

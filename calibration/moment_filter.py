@@ -85,9 +85,15 @@ class MomentFilterConfig:
     mass_std: float = 0.005
     """How far the believed mass is thought to be off, relative."""
 
-    learn_mass: bool = False
-    """Whether to estimate the mass. It is only considered by default: what a robot weighs can be found on any
-    kitchen scale, and cells whose gains are unknown tell it badly."""
+    learn_mass: bool = True
+    """Whether to estimate the mass, or only to consider that it may be off (Schmidt)."""
+
+    mass_change: float = 0.05
+    """How much the mass is thought to have changed, relative, when the vertical force of a whole block leaps
+    away from what the motion asks for: a load was picked up."""
+
+    com_change: float = 0.004
+    """How much the centre of mass is thought to have moved along each axis then, in m."""
 
     acceleration_std: float = 0.02
     """How far the mean believed acceleration is thought to be off along each axis, in m/s^2."""
@@ -109,6 +115,10 @@ class MomentFilterConfig:
     """Load of a foot in body weights above which it is not believed to swing, beyond four standard
     deviations of what the load is known to."""
 
+    still: float = 0.02
+    """Change of a reading in body weights (times foot lengths for a torque) below which a robot stands still:
+    all that it says then counts as little more than one block. 0 takes every block for itself."""
+
     leap: float = 0.25
     """Change of a channel's reading from one sample to the next in body weights that no foot makes: such
     readings are held for up to three samples."""
@@ -124,7 +134,7 @@ class MomentFilterConfig:
         )  # fmt: skip
         check_not_negative(
             self, "cross_talk", "scale_drift", "offset_drift", "timing_noise", "com_std", "mass_std",
-            "acceleration_std", "delay_std", "swing_load",
+            "acceleration_std", "delay_std", "swing_load", "still", "mass_change", "com_change",
         )  # fmt: skip
         check_count(self, "every", "average", "settle")
         if self.every % self.average:

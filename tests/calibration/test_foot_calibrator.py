@@ -38,7 +38,11 @@ def test_the_object_is_the_stream_and_the_replay(log, method):
     for field in ("force", "cop", "cop_foot", "scale", "offset", "flags", "vgrf"):
         expected = np.stack([getattr(estimate, field) for estimate in streamed])
         np.testing.assert_array_equal(getattr(replayed, field), expected)
-    assert replayed.covariance is None
+    if method == "surefoot":
+        np.testing.assert_array_equal(replayed.covariance, [estimate.covariance for estimate in streamed])
+        np.testing.assert_array_equal(replayed.force_std, [estimate.force_std for estimate in streamed])
+    else:
+        assert replayed.covariance is None
 
 
 @pytest.mark.parametrize("method", list(METHODS))
@@ -84,7 +88,7 @@ def test_a_state_of_something_else_is_refused(log, tmp_path):
     with pytest.raises(ValueError, match="was saved for method 'window', but this is 'tare'"):
         tare.load(tmp_path / "window.npz")
     left, right = (FootLayout.load_cells(name, LAYOUT.feet[0].position_cell_sole) for name in ("a", "b"))
-    other = FootCalibrator(FeetLayout((left, right)), mass=MASS)
+    other = FootCalibrator(FeetLayout((left, right)), "window", mass=MASS)
     with pytest.raises(
         ValueError, match=r"was saved for channels 'left/front-left .*, but this is 'a/front-left"
     ):

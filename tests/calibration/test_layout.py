@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 
@@ -100,3 +101,105 @@ def test_refuses_missing_feet_and_twins():
 def test_refuses_readings_of_other_channels(raw):
     with pytest.raises(ValueError, match=re.escape("'raw' must hold one reading for each of the 8 channels")):
         nao_shoe_layout().check_raw(raw)
+
+
+TILTED = Rotation.from_rotvec([0.2, -0.5, 0.4]).as_matrix()
+PLACE = np.array([0.02, -0.01, 0.06])
+
+
+def test_an_ankle_sensor_tells_the_wrench_at_the_sole():
+    rng = np.random.default_rng(2)
+    foot = FootLayout.force_torque("left", position_sensor_sole=PLACE, R_sole_sensor=TILTED)
+    point, force, twist = rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
+    # One force at one point and one free moment, seen from the sole and from the sensor.
+    at_sole = np.concatenate([force, np.cross(point, force) + twist])
+    at_sensor = np.concatenate([TILTED.T @ force, TILTED.T @ (np.cross(point - PLACE, force) + twist)])
+    np.testing.assert_allclose(foot.wrench_map @ at_sensor, at_sole, rtol=1e-13)
+    assert foot.channel_names == ("fx", "fy", "fz", "tx", "ty", "tz")
+    assert foot.position_cell_sole is None
+    (sensor,) = foot.sensors
+    assert sensor.six_axis
+    assert sensor.channels == slice(0, 6)
+    parallel = FootLayout.force_torque("left", position_sensor_sole=(0.0, 0.0, 0.0))
+    np.testing.assert_array_equal(parallel.wrench_map, np.eye(6))
+
+
+def test_both_instruments_of_a_foot_share_its_wrench():
+    rng = np.random.default_rng(3)
+    cells = FootLayout.load_cells("left", CORNERS, mass_below=0.1)
+    ankle = FootLayout.force_torque(
+        "left", position_sensor_sole=PLACE, R_sole_sensor=TILTED, mass_below=0.6, com_below_sole=PLACE / 2
+    )
+    both = FootLayout.combined("left", cells, ankle)
+    assert both.channels == 10
+    assert both.channel_names == cells.channel_names + ankle.channel_names
+    wrench = rng.normal(size=6)
+    told = np.concatenate(
+        [np.linalg.pinv(cells.wrench_map) @ wrench, np.linalg.solve(ankle.wrench_map, wrench)]
+    )
+    # Where both tell the truth, so does their mean, on the axes of one alone as well.
+    np.testing.assert_allclose(both.wrench_map @ told, wrench, rtol=1e-12)
+    np.testing.assert_allclose(
+        both.wrench_map[:, :4], [[0], [0], [0.5], [0.5], [0.5], [0]] * cells.wrench_map
+    )
+    first, second = both.sensors
+    assert (first.channels, second.channels) == (slice(0, 4), slice(4, 10))
+    assert (first.six_axis, second.six_axis) == (False, True)
+    np.testing.assert_array_equal(second.share, [1.0, 1.0, 0.5, 0.5, 0.5, 1.0])
+    assert (first.mass_below, second.mass_below) == (0.1, 0.6)
+    np.testing.assert_array_equal(second.com_below_sole, PLACE / 2)
+    np.testing.assert_array_equal(second.wrench_map, ankle.wrench_map)
+
+
+def test_what_hangs_below_is_kept_and_nothing_by_default():
+    bare, heavy = (
+        FootLayout.load_cells("left", CORNERS, **options)
+        for options in ({}, {"mass_below": 0.2, "com_below_sole": (0.01, 0.02, 0.03)})
+    )
+    assert bare.sensors[0].mass_below == 0.0
+    assert heavy.sensors[0].mass_below == 0.2
+    np.testing.assert_array_equal(heavy.sensors[0].com_below_sole, [0.01, 0.02, 0.03])
+    plain = FootLayout("left", np.eye(6)[:, :3], ("a", "b", "c"))
+    assert plain.sensors[0].channels == slice(0, 3)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (
+            lambda: FootLayout.load_cells("left", CORNERS, mass_below=-0.1),
+            "'mass_below' of foot 'left' must be finite and not negative, got -0.1 kg.",
+        ),
+        (
+            lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, mass_below=np.nan),
+            "'mass_below' of foot 'left' must be finite and not negative, got nan kg.",
+        ),
+        (
+            lambda: FootLayout.load_cells("left", CORNERS, com_below_sole=(0.0, 0.0)),
+            "'com_below_sole' of foot 'left' must hold three finite numbers in m, got (0.0, 0.0).",
+        ),
+        (
+            lambda: FootLayout.force_torque("left", position_sensor_sole=(0.0, np.inf, 0.0)),
+            "'position_sensor_sole' of foot 'left' must hold three finite numbers in m, got (0.0, inf, 0.0).",
+        ),
+        (
+            lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, R_sole_sensor=-np.eye(3)),
+            "'R_sole_sensor' of foot 'left' must be a rotation of shape (3, 3), got",
+        ),
+        (
+            lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, R_sole_sensor=np.eye(2)),
+            "'R_sole_sensor' of foot 'left' must be a rotation of shape (3, 3), got",
+        ),
+        (
+            lambda: FootLayout.combined("left", FootLayout.load_cells("left", CORNERS)),
+            "Foot 'left' combines instruments and needs at least two, got 1.",
+        ),
+        (
+            lambda: FootLayout.combined("left", *[FootLayout.load_cells("left", CORNERS)] * 2),
+            "Foot 'left' combines channels of the same name: ('front-left',",
+        ),
+    ],
+)
+def test_refuses_instruments_that_make_no_foot(build, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        build()
