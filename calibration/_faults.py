@@ -40,6 +40,9 @@ _SUSPICION = 4.0
 TRUST = 10.0
 """Blocks in which all must have seemed well before the robot's motion can speak against a channel."""
 
+_WAIT = 6.0
+"""Blocks that learning waits for while channels are under suspicion."""
+
 _PATIENCE = 10
 """Blocks after which a suspicion that nothing explains is dropped."""
 
@@ -228,11 +231,7 @@ class Faults:
         """
         xp, K = namespace_of(residual), self._channels
         possible, related, identity, about, *_ = self._constants.like(residual)
-        square = residual * residual / (predicted + rows.variance)
-        there = xp.astype(xp.any(rows.H != 0.0, axis=-1), residual.dtype)
-        count = xp.sum(there, axis=-1)
-        count = xp.where(count > 0.5, count, 1.0)
-        nothing = xp.sum(xp.clip(square, 0.0, _CLIP) * there, axis=-1) / count
+        nothing, there, count = self._misfit(rows, residual, predicted)
         state = state._replace(trust=state.trust + xp.astype(nothing < 0.5 * _SUSPICION, residual.dtype))
         # Most of the time nothing is wrong with anybody, and no hypothesis needs to be tried.
         if not bool(xp.any((nothing > _SUSPICION) | (state.doubt > 0.5))):
@@ -302,6 +301,32 @@ class Faults:
         kind = kind ^ (int(Flag.SWAPPED) * exchanged)
         wiring = turn @ exchange @ state.wiring
         return state._replace(wiring=wiring, kind=kind, altered=1), found
+
+    def suspects(self, state: FaultState, rows: Rows, residual: Array, predicted: Array) -> Array:
+        """Tell whether to wait with learning, as something has begun to seem wrong (bool), shape (...).
+
+        Args:
+            state: What is known.
+            rows: The Newton-Euler rows of a block, m of them.
+            residual: y - H x, shape (..., m).
+            predicted: Diagonal of H S H', shape (..., m).
+        """
+        nothing, _, _ = self._misfit(rows, residual, predicted)
+        begun = (nothing > _SUSPICION) | (state.doubt > 0.5)
+        return begun & (state.doubt < _WAIT) & (state.trust >= TRUST)
+
+    def baffled(self, state: FaultState) -> Array:
+        """Tell where something has long seemed wrong and no channel explains it (bool), shape (...)."""
+        return (state.doubt >= _WAIT) & (state.scores[..., 0] > _SUSPICION)
+
+    def _misfit(self, rows: Rows, residual: Array, predicted: Array) -> tuple[Array, Array, Array]:
+        """Average squared normalised residuals; and tell which rows are there, and how many."""
+        xp = namespace_of(residual)
+        square = residual * residual / (predicted + rows.variance)
+        there = xp.astype(xp.any(rows.H != 0.0, axis=-1), residual.dtype)
+        count = xp.sum(there, axis=-1)
+        count = xp.where(count > 0.5, count, 1.0)
+        return xp.sum(xp.clip(square, 0.0, _CLIP) * there, axis=-1) / count, there, count
 
     def learn(self, state: FaultState, force: Array, good: Array) -> FaultState:
         """Learn how cells share loads while nothing is wrong, and let channels come back.

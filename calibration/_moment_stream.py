@@ -188,10 +188,14 @@ class MomentStream:
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.rows.total(mean, block, state.noise, *spare)
         newton, rejected = self._plausible(mean, covariance, rows)
-        changed = self._changed(mean, covariance, newton) & (faults.trust >= _SETTLED)
+        residual = rows.y - (rows.H @ mean[..., None])[..., 0]
+        predicted = xp.sum((rows.H @ covariance) * rows.H, axis=-1)
+        waiting = self._faults.suspects(faults, rows, residual, predicted)
+        # What still seems wrong when no channel was found to be is the robot itself.
+        changed = self._changed(mean, covariance, newton) | self._faults.baffled(faults)
+        changed = changed & (faults.trust >= _SETTLED) & ~waiting
         faults = faults._replace(trust=xp.where(changed, TRUST, faults.trust))
         more = self._constants.like(mean)[-1]
-        believed = covariance
         covariance = covariance + xp.where(changed[..., None, None], more, 0.0)
         quiet, anchor, learnt_from = self._quiet(state, block, newton)
         if bool(xp.any(block.swing > 0.5)):
@@ -204,6 +208,7 @@ class MomentStream:
                     0.0 * parity.y + xp.astype(xp.all(faults.lost < 0.5, axis=-1), mean.dtype)[..., None]
                 )
             learnt_from = learnt_from.beside(parity)
+        learnt_from = learnt_from.keep(0.0 * learnt_from.y + xp.astype(~waiting, mean.dtype)[..., None])
         step = kalman_step(mean, covariance, *learnt_from, learnt, identity, self.config.gate)
         low, high = self._limits(state.step, mean)
         clipped = xp.clip(step.mean, low, high)
@@ -220,7 +225,7 @@ class MomentStream:
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        return self._watch(state, faults, mean, block, rows, places, believed), step
+        return self._watch(state, faults, mean, block, rows, places, residual, predicted), step
 
     def _limits(self, step: int, like: Array) -> tuple[Array, Array]:
         """Bound what a sensor can be, by where it began and by how far it can have drifted."""
@@ -234,14 +239,12 @@ class MomentStream:
 
     def _watch(
         self, state: MomentState, faults: FaultState, before: Array, block: Block, rows: Rows, places: Array,
-        covariance: Array,
+        residual: Array, predicted: Array,
     ) -> MomentState:  # fmt: skip
         """Look for faults in what the block left unexplained; and go back to before one that is found."""
         xp, unknowns = namespace_of(before), self.unknowns
         reading = self.rows.readings(block)
         force = unknowns.force(before[..., None, :], reading, self._constants.like(before)[5])
-        residual = rows.y - (rows.H @ before[..., None])[..., 0]
-        predicted = xp.sum((rows.H @ covariance) * rows.H, axis=-1)
         fresh = xp.any(faults.lost != state.faults.lost, axis=-1)
         faults, found = self._faults.contradicted(
             faults, rows, places, residual, predicted, reading, unknowns.own_gains(before), force
