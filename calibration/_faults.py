@@ -202,7 +202,7 @@ class Faults:
         missing = (heard < 0.5) & (xp.max(heard, axis=-1) >= 0.5)[..., None]
         again = (heard > 0.99) & ~flat & ((state.kind & int(Flag.MISSING)) > 0) & (state.lost > 0.5)
         state = self._return(state, again)
-        stuck = flat & moving & ~missing
+        stuck = flat & moving & (heard > 0.99)
         dead = stuck & (xp.abs(high) <= 0.1 * self._weight)
         rail = stuck & ~dead & (xp.abs(high) > _HEAVIEST * self._weight)
         kind = int(Flag.DEAD) * dead | int(Flag.SATURATED) * rail | int(Flag.STUCK) * (stuck & ~dead & ~rail)

@@ -101,7 +101,7 @@ class MomentStream:
         self.unknowns = unknowns = Unknowns(setup, config)
         self.rows = MomentRows(setup, config, unknowns)
         self._front_end = FrontEnd(setup)
-        self._uncertainty = Uncertainty(setup, unknowns)
+        self._uncertainty = Uncertainty(setup, config, unknowns)
         self._faults = Faults(setup, config.leap, config.stand_in_memory / (config.every * setup.dt))
         self._keep_every = max(1, round(_KEPT / (config.every * setup.dt)))
         self._length = config.every + 2 * config.settle

@@ -5,7 +5,7 @@ With F_i = a_i F0_i + b_i and S the covariance of (a, b), the variance of a forc
 times the same row.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from surefoot.calibration._front_end import Sample
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration._unknowns import Unknowns
 from surefoot.calibration.estimate import Estimate
+
+if TYPE_CHECKING:
+    from surefoot.calibration.moment_filter import MomentFilterConfig
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -24,10 +27,11 @@ class Uncertainty:
 
     Args:
         setup: What the method was told about the robot.
+        config: Options of the filter.
         unknowns: The unknowns.
     """
 
-    def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
+    def __init__(self, setup: OnlineSetup, config: "MomentFilterConfig", unknowns: Unknowns) -> None:
         K = setup.layout.channels
         self.unknowns = unknowns
         # From the unknowns' gains and offsets to (a, b) of each channel alone.
@@ -35,17 +39,25 @@ class Uncertainty:
         own[np.arange(K), unknowns.own] = 1.0
         own[K + np.arange(K), unknowns.gains + np.arange(K)] = unknowns.unit
         inputs = np.eye(K)[unknowns.inp]
+        # What is learnt is of the middle of a block, and serves until the next one is full.
+        age = (config.settle + config.every) * setup.dt
+        known = unknowns.gains + K
+        late = own @ np.diag(age * unknowns.walk[:known]) @ own.T
+        self._late = Constants(late)
         self._constants = Constants(own, unknowns.gather, np.eye(K), inputs)
 
     def of_parameters(self, covariance: Array) -> Array:
         """Say the covariance of the unknowns as that of (a, b) of each channel, shape (..., 2K, 2K).
+
+        They have drifted since they were learnt, which is added.
 
         Args:
             covariance: Of the unknowns, shape (..., N, N).
         """
         own = self._constants.like(covariance)[0]
         known = own.shape[-1]
-        return own @ covariance[..., :known, :known] @ own.mT
+        (late,) = self._late.like(covariance)
+        return own @ covariance[..., :known, :known] @ own.mT + late
 
     def of_channels(self, learnt: Array) -> Array:
         """Pick what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).

@@ -78,6 +78,12 @@ def posterior_bound(
             raise ValueError(
                 f"'truth.{name}' must have the shape of 'raw', {raw.shape}, got {np.shape(part)}."
             )
+    for name, told in zip(Reference._fields, reference, strict=True):
+        if np.shape(told)[:1] != raw.shape[:1]:
+            raise ValueError(
+                f"'reference.{name}' must have one row for each of the {len(raw)} rows of 'raw', "
+                f"got shape {np.shape(told)}."
+            )
     unknowns = Unknowns(setup, config)
     rows = MomentRows(setup, config, unknowns)
     start = Parameters(*(np.asarray(part, dtype=np.float64) for part in setup.initial))
@@ -88,10 +94,12 @@ def posterior_bound(
     covariance = np.diag(unknowns.std**2)
     walk = np.diag(unknowns.walk * every * setup.dt)
     identity, free = np.eye(unknowns.size), np.ones(unknowns.size)
+    # What is learnt is of the middle of a block; drift since then is part of what cannot be known.
+    late = np.diag(unknowns.walk * (config.settle + every / 2) * setup.dt)
     spread = _Spread(setup, unknowns)
     for end in range(every, len(raw) + 1, every):
         part = slice(end - every, end)
-        spread.add(covariance, samples, learnt, part)
+        spread.add(covariance + late + 0.5 * walk, samples, learnt, part)
         if end < span:
             continue
         mean = unknowns.start.copy()
@@ -106,8 +114,8 @@ def posterior_bound(
         step = kalman_step(mean, covariance + walk, *all_rows, free, identity, np.inf)
         covariance = step.covariance
     rest = slice(len(raw) // every * every, len(raw))
-    spread.add(covariance, samples, learnt, rest)
-    return Bound(*spread.result(), Uncertainty(setup, unknowns).of_parameters(covariance))
+    spread.add(covariance + late + 0.5 * walk, samples, learnt, rest)
+    return Bound(*spread.result(), Uncertainty(setup, config, unknowns).of_parameters(covariance))
 
 
 class _Samples:
