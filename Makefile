@@ -6,13 +6,17 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test check format wheel-test clean
+.PHONY: demo test slow check format wheel-test clean
 
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
 
 test: $(VENV)/.dev
-	$(BIN)/pytest -n auto --dist worksteal $(PYTEST)
+	$(BIN)/pytest -n auto --dist worksteal -m "not slow" $(PYTEST)
+
+# Studies that take minutes: a million fuzzed samples, consistency over 200 runs.
+slow: $(VENV)/.dev
+	$(BIN)/pytest -n auto --dist worksteal -m slow $(PYTEST)
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -32,7 +36,7 @@ wheel-test: $(VENV)/.dev
 	$(BIN)/pip install --quiet --no-deps --target build/wheel/site build/wheel/*.whl
 	cp -r tests pyproject.toml build/wheel/
 	cd build/wheel && PYTHONPATH=site SUREFOOT_EXPECT_ROOT=$$PWD/site \
-		../../$(BIN)/pytest -n auto --dist worksteal tests site/surefoot $(PYTEST)
+		../../$(BIN)/pytest -n auto --dist worksteal -m "not slow" tests site/surefoot $(PYTEST)
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -1,0 +1,47 @@
+"""Robots that walk side by side, and the surefoot estimator over their streams."""
+
+import numpy as np
+from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
+
+from surefoot.calibration import Reference, replay
+
+BAD = Faults.bad()
+
+
+def rows_of(reference, k):
+    return Reference(*(part[k] for part in reference))
+
+
+def stream(method, raw, reference, state=None, convert=np.asarray, dt=DT):
+    """Stream samples, and hand back the state, the last estimate, and (nis, rows) of each block."""
+    state = method.init(convert(raw[0])) if state is None else state
+    blocks = []
+    for k in range(len(raw)):
+        row = Reference(*(convert(part[k]) for part in reference))
+        state, estimate = method.update(state, convert(raw[k]), row, dt)
+        if estimate.nis is not None and np.isfinite(np.asarray(estimate.nis)).all():
+            blocks.append((np.asarray(estimate.nis), np.asarray(estimate.nis_rows)))
+    return state, estimate, blocks
+
+
+def fleet(seeds, speeds=(0.02, 0.04, 0.1), faults=BAD, **options):
+    """Walks of several robots side by side."""
+    logs = [walk(seed, speed, faults=faults, **options) for speed in speeds for seed in seeds]
+    reference = Reference(
+        *(np.stack(parts, axis=1) for parts in zip(*(log.reference for log in logs), strict=True))
+    )
+    return logs, np.stack([log.raw for log in logs], axis=1), reference
+
+
+def calibrated(raw, reference, faults=BAD, name="surefoot", **options):
+    return replay(LAYOUT, name, raw, reference, DT, mass=believed_mass(faults), initial=NOMINAL, **options)
+
+
+def robot(estimate, i):
+    """One robot's share of a batch."""
+    return type(estimate)(*(None if part is None else part[:, i] for part in estimate))
+
+
+def rows_between(reference, start, end):
+    """A reference's samples from ``start`` on, before ``end``."""
+    return Reference(*(part[start:end] for part in reference))

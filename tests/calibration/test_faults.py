@@ -1,0 +1,244 @@
+"""Channels that break under a walking robot: what the estimator says of them, and what it goes on with.
+
+Faults are put into the readings of many robots at 20 s, by arrays; every robot breaks another channel.
+"""
+
+import numpy as np
+import pytest
+from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
+
+from surefoot.calibration import GRAVITY, Flag, Parameters, Reference, replay
+
+ROBOTS = 8
+AT = round(20.0 / DT)
+IN_TIME = round(1.2 / DT)
+SETTLED = round(1.5 / DT)
+BAD = Faults.bad()
+IDENTITY = Parameters(np.ones(8), np.zeros(8))
+WHO = np.arange(ROBOTS)
+CHANNEL = WHO % 8
+SAME_FOOT = (CHANNEL + 2) % 4 + CHANNEL // 4 * 4
+OTHER_FOOT = (CHANNEL + 5) % 8
+WRONG = Flag.SPIKE | Flag.STUCK | Flag.DEAD | Flag.FLIPPED | Flag.SWAPPED | Flag.LOST | Flag.SATURATED
+
+OUT = Flag.DEAD | Flag.STUCK | Flag.SATURATED | Flag.MISSING
+"""What may be said of a channel that reads nothing of the load: of some, two of these are true."""
+
+RECONSTRUCTED, PUT_RIGHT = 10.0, 2.0
+"""Bounds on the error of the centre of pressure in mm once a channel is out, and once nothing is lost."""
+
+
+def silent_but_for_noise(own, rng):
+    return 0.05 * rng.normal(size=own.shape)
+
+
+def stuck(own, rng):
+    return np.repeat(own[:1], len(own), axis=0)
+
+
+def with_spikes(own, rng):
+    return own + np.where(rng.random(own.shape) < 0.03, rng.choice([-60.0, 60.0], own.shape), 0.0)
+
+
+BROKEN = {
+    "healthy": lambda own, rng: own,
+    "dead": lambda own, rng: np.full_like(own, 0.3),
+    "dead, with noise": silent_but_for_noise,
+    "stuck": stuck,
+    "dropped": lambda own, rng: np.full_like(own, np.nan),
+    "dropped in bursts": lambda own, rng: np.where((np.arange(len(own)) % 80 < 40)[:, None], np.nan, own),
+    "at its rail": lambda own, rng: np.full_like(own, 150.0),
+    "spikes": with_spikes,
+    "flipped": lambda own, rng: -own,
+}
+EXCHANGED = {
+    "swapped": (SAME_FOOT, 1.0),
+    "swapped between bridges of opposite polarity": (SAME_FOOT, -1.0),
+    "swapped across the feet": (OTHER_FOOT, 1.0),
+}
+KINDS = [*BROKEN, *EXCHANGED]
+
+
+class Broken:
+    """Estimates of all robots with all faults, from one batch."""
+
+    def __init__(self):
+        logs = [walk(seed, 0.1, 24.0, 2.0, BAD) for seed in WHO]
+        self.true_cop = np.stack([log.cop for log in logs], axis=1)
+        self.truth = np.stack([log.force for log in logs], axis=1)
+        reference = Reference(
+            *(np.stack(parts, axis=1) for parts in zip(*(log.reference for log in logs), strict=True))
+        )
+        healthy = np.stack([forces(log) for log in logs], axis=1)
+        rng = np.random.default_rng(3)
+        parts = []
+        for kind in KINDS:
+            force = healthy.copy()
+            after = force[AT:]
+            own = after[:, WHO, CHANNEL].copy()
+            if kind in BROKEN:
+                after[:, WHO, CHANNEL] = BROKEN[kind](own, rng)
+            else:
+                other, sign = EXCHANGED[kind]
+                after[:, WHO, CHANNEL] = sign * after[:, WHO, other]
+                after[:, WHO, other] = sign * own
+            parts.append(force)
+        self.reference, self.healthy = reference, healthy
+        self.raw = dict(zip(KINDS, parts, strict=True))
+        many = Reference(*(np.concatenate([part] * len(KINDS), axis=1) for part in reference))
+        estimate = calibrated(np.concatenate(parts, axis=1), many)
+        self.flags = dict(zip(KINDS, np.split(estimate.flags, len(KINDS), axis=1), strict=True))
+        self.cop = dict(zip(KINDS, np.split(estimate.cop, len(KINDS), axis=1), strict=True))
+
+    def named_in_time(self, kind, bits, channel=CHANNEL):
+        """Of which robots the channel has all bits soon, and keeps them, shape (robots,)."""
+        there = self.flags[kind][AT:, WHO, channel] & int(bits)
+        return (there[IN_TIME:] == int(bits)).all(axis=0)
+
+    def blamed(self, kind, *channels):
+        """Robots of which any channel but those that broke is flagged, shape (robots,)."""
+        wrong = (self.flags[kind] & int(WRONG)).any(axis=0)
+        for channel in channels:
+            wrong[WHO, channel] = False
+        return wrong.any(axis=1)
+
+    def wrong_cop(self, kind):
+        """Root mean square errors in mm once all has settled, shape (robots,)."""
+        away = self.cop[kind][AT + SETTLED :] - self.true_cop[AT + SETTLED :]
+        return 1e3 * np.sqrt((away**2).sum(axis=-1).mean(axis=0))
+
+
+def forces(log):
+    """A log's readings in newtons: the starting map is then the identity."""
+    return NOMINAL.force(log.raw)
+
+
+def calibrated(force, reference):
+    return replay(LAYOUT, "surefoot", force, reference, DT, mass=believed_mass(BAD), initial=IDENTITY)
+
+
+@pytest.fixture(scope="module")
+def broken():
+    return Broken()
+
+
+def test_sound_channels_are_never_blamed(broken):
+    assert not broken.flags["healthy"].any()
+    assert broken.wrong_cop("healthy").max() < PUT_RIGHT
+    for kind in KINDS:
+        assert not (broken.flags[kind][:AT] & int(WRONG)).any(), kind
+
+
+@pytest.mark.parametrize("kind", ["dead", "stuck", "dropped", "at its rail"])
+def test_a_channel_that_says_nothing_is_found_and_replaced(broken, kind):
+    assert broken.named_in_time(kind, Flag.LOST).all()
+    assert (broken.flags[kind][AT + IN_TIME :, WHO, CHANNEL] & int(OUT)).all()
+    assert not broken.blamed(kind, CHANNEL).any()
+    assert broken.wrong_cop(kind).max() < RECONSTRUCTED
+
+
+def test_what_a_silent_channel_is_called_follows_its_reading(broken):
+    flags = {kind: broken.flags[kind][-1, WHO, CHANNEL] for kind in BROKEN}
+    assert (flags["dead"] & int(Flag.DEAD)).all()
+    assert (flags["dropped"] & int(Flag.MISSING)).all()
+    # A foot in the air tells neither a stuck cell nor one at its rail from others that rest, but the
+    # motion tells that they do not follow the load; and what stuck near zero is dead.
+    loaded = np.abs(broken.raw["stuck"][AT, WHO, CHANNEL]) > 0.1 * believed_mass(BAD) * GRAVITY
+    assert loaded.any()
+    assert (flags["stuck"][loaded] & int(Flag.STUCK)).all()
+    assert (flags["at its rail"] & int(Flag.SATURATED)).astype(bool).sum() >= ROBOTS // 2
+
+
+def test_a_channel_with_nothing_but_noise_is_mostly_found_from_the_motion(broken):
+    kind = "dead, with noise"
+    found = broken.named_in_time(kind, Flag.DEAD | Flag.LOST)
+    late = (broken.flags[kind][-1, WHO, CHANNEL] & int(Flag.LOST)) > 0
+    assert found.sum() >= ROBOTS // 2
+    assert late.sum() >= 3 * ROBOTS // 4
+    assert not broken.blamed(kind, CHANNEL).any()
+    assert broken.wrong_cop(kind)[found].max() < RECONSTRUCTED
+
+
+def test_readings_that_come_in_bursts_are_reconstructed_between(broken):
+    kind = "dropped in bursts"
+    flags = broken.flags[kind][AT:, WHO, CHANNEL]
+    missing = np.isnan(broken.raw[kind][AT:, WHO, CHANNEL])
+    assert (flags[missing] & int(Flag.MISSING)).all()
+    assert not broken.blamed(kind, CHANNEL).any()
+    assert broken.wrong_cop(kind).max() < RECONSTRUCTED
+
+
+def test_spikes_are_held_and_flagged_and_nothing_is_lost(broken):
+    kind = "spikes"
+    flags = broken.flags[kind][AT:, WHO, CHANNEL]
+    hit = broken.raw[kind][AT:, WHO, CHANNEL] != broken.healthy[AT:, WHO, CHANNEL]
+    assert ((flags[hit] & int(Flag.SPIKE)) > 0).mean() > 0.9
+    assert ((flags[~hit] & int(Flag.SPIKE)) > 0).mean() < 0.02
+    assert not (flags & int(Flag.LOST)).any()
+    assert not broken.blamed(kind, CHANNEL).any()
+    assert broken.wrong_cop(kind).max() < PUT_RIGHT
+
+
+def test_a_flipped_channel_is_turned_round(broken):
+    assert broken.named_in_time("flipped", Flag.FLIPPED).all()
+    assert not broken.blamed("flipped", CHANNEL).any()
+    assert broken.wrong_cop("flipped").max() < PUT_RIGHT
+
+
+@pytest.mark.parametrize("kind", EXCHANGED)
+def test_exchanged_channels_are_put_right(broken, kind):
+    other, _ = EXCHANGED[kind]
+    found = broken.named_in_time(kind, Flag.SWAPPED) & broken.named_in_time(kind, Flag.SWAPPED, other)
+    assert found.sum() >= 3 * ROBOTS // 4
+    lost = (broken.flags[kind] & int(Flag.LOST | Flag.FLIPPED | Flag.DEAD)) > 0
+    assert not lost.any()
+    assert broken.wrong_cop(kind)[found].max() < PUT_RIGHT
+
+
+def test_a_channel_that_comes_back_is_taken_in_again(broken):
+    away = slice(AT, AT + round(2.0 / DT))
+    raw = broken.healthy.copy()
+    raw[away, WHO, CHANNEL] = np.nan
+    estimate = calibrated(raw, broken.reference)
+    flags = estimate.flags[:, WHO, CHANNEL]
+    assert (flags[away.stop - 1] & int(Flag.LOST)).all()
+    back = away.stop + round(1.0 / DT)
+    assert not estimate.flags[back:].any()
+    wrong = np.linalg.norm(estimate.cop[back:] - broken.true_cop[back:], axis=-1)
+    assert 1e3 * np.sqrt((wrong**2).mean(axis=0)).max() < PUT_RIGHT
+
+
+def test_a_single_spike_changes_nothing_but_its_own_sample(broken):
+    raw, at = broken.healthy.copy(), AT + 37
+    raw[at, WHO, CHANNEL] += 80.0
+    clean, spoilt = (calibrated(part[: at + 40], head(broken.reference, at + 40))
+                     for part in (broken.healthy, raw))  # fmt: skip
+    flagged = np.argwhere(spoilt.flags & int(Flag.SPIKE))
+    np.testing.assert_array_equal(flagged, np.stack([np.full(ROBOTS, at), WHO, CHANNEL], axis=1))
+    # The sample before is held in its place, on its own channel alone.
+    moved = np.abs(spoilt.force[at] - clean.force[at])
+    expected = np.abs(clean.force[at, WHO, CHANNEL] - clean.force[at - 1, WHO, CHANNEL])
+    np.testing.assert_allclose(moved[WHO, CHANNEL], expected, atol=1e-9)
+    moved[WHO, CHANNEL] = 0.0
+    np.testing.assert_allclose(moved, 0.0, atol=1e-9)
+    np.testing.assert_allclose(spoilt.cop[-1], clean.cop[-1], atol=2e-4)
+
+
+def test_a_reading_that_stays_away_is_believed_after_three_samples(broken):
+    raw, at = broken.healthy[: AT + 8].copy(), AT
+    raw[at:, WHO, CHANNEL] += 80.0
+    flags = calibrated(raw, head(broken.reference, AT + 8)).flags[:, WHO, CHANNEL]
+    assert (flags[at : at + 3] & int(Flag.SPIKE)).all()
+    assert not (flags[at + 3 : at + 8] & int(Flag.SPIKE)).any()
+
+
+def test_a_foot_that_lands_on_all_its_cells_does_not_spike(broken):
+    raw, leap = broken.healthy[: AT + 8].copy(), 0.4 * believed_mass(BAD) * GRAVITY
+    raw[AT:, :, :4] += leap * np.array([1.0, 0.9, 0.6, 0.8])
+    assert np.abs(np.diff(raw[AT - 1 : AT + 1, :, :4], axis=0)).min() > 0.2 * leap
+    flags = calibrated(raw, head(broken.reference, AT + 8)).flags
+    assert not (flags & int(Flag.SPIKE)).any()
+
+
+def head(reference, samples):
+    return Reference(*(part[:samples] for part in reference))

@@ -1,0 +1,97 @@
+"""The surefoot estimator on ankle sensors; and that batch, library, dtype and saving do not matter."""
+
+import numpy as np
+import pytest
+from _matched import ANKLES, matched, on_ankles
+from _robots import BAD, stream
+from _synthetic import DT, LAYOUT, MASS, NOMINAL, walk
+
+from surefoot.calibration import Parameters, Reference, replay
+from surefoot.calibration.moment_filter import MomentFilterConfig, moment_filter
+from surefoot.calibration.state import load_state, save_state
+
+
+@pytest.fixture(scope="module")
+def ankle_fleet():
+    return matched(on_ankles(3, 0.1, 6.0), ANKLES, MomentFilterConfig(cross_talk=0.01), 3, 1)
+
+
+@pytest.mark.parametrize("cross_talk", [0.0, 0.01])
+def test_ankle_sensors_are_calibrated_from_walking(cross_talk):
+    truth = on_ankles(3, 0.1, 20.0)
+    drawn = matched(truth, ANKLES, MomentFilterConfig(cross_talk=cross_talk), 20, 1)
+    unknowns = drawn.unknowns
+    state, estimate, _ = stream(moment_filter(drawn.setup, drawn.config), drawn.raw, drawn.reference)
+    rms = lambda values: np.sqrt((values**2).mean(axis=0))  # noqa: E731
+    gain = state.mean[:, unknowns.scale]
+    after, before = rms(gain - drawn.gain[-1]), rms(unknowns.start[unknowns.scale] - drawn.gain[-1])
+    # Shear, and the twist above all, are small; what they excite little is found late.
+    assert after[unknowns.own].mean() < 0.8 * before[unknowns.own].mean()
+    assert after.mean() < before.mean()
+    offset = state.mean[:, unknowns.offset] * unknowns.unit
+    assert (rms(offset - drawn.offset[-1]) < 0.3 * rms(drawn.offset[-1])).all()
+    wrong = [rms(force - truth.force[-1]) for force in (estimate.force, drawn.raw[-1])]
+    assert (wrong[0] < 0.5 * wrong[1]).all()
+    if cross_talk:
+        full = np.einsum("rij,rj->ri", estimate.matrix, drawn.raw[-1]) + offset
+        np.testing.assert_allclose(full, estimate.force, atol=1e-9)
+    else:
+        assert estimate.matrix is None
+
+
+def test_single_precision_is_close_after_many_steps():
+    log = walk(1, 0.1, 20.0, 2.0, BAD)
+    force = NOMINAL.force(log.raw)
+    identity = Parameters(np.ones(8), np.zeros(8))
+    single = Reference(
+        *(part.astype(np.float32) if part.dtype.kind == "f" else part for part in log.reference)
+    )
+    double, narrow = (
+        replay(LAYOUT, "surefoot", raw, reference, DT, mass=MASS, initial=identity)
+        for raw, reference in ((force, log.reference), (force.astype(np.float32), single))
+    )
+    assert narrow.force.dtype == narrow.covariance.dtype == narrow.cop_covariance.dtype == np.float32
+    spread = np.sqrt(np.diagonal(double.covariance, axis1=-2, axis2=-1))
+    assert (np.abs(narrow.scale - double.scale) < 0.05 * spread[:, :8]).all()
+    assert (np.abs(narrow.offset - double.offset) < 0.05 * spread[:, 8:]).all()
+    np.testing.assert_allclose(narrow.force, double.force, atol=0.02)
+    np.testing.assert_allclose(narrow.force_std, double.force_std, rtol=0.02)
+
+
+def test_ankle_sensors_in_a_batch_are_themselves_one_by_one(ankle_fleet):
+    method = moment_filter(ankle_fleet.setup, ankle_fleet.config)
+    _, together, blocks = stream(method, ankle_fleet.raw, ankle_fleet.reference)
+    for i in range(3):
+        row = Reference(*(part[:, i] for part in ankle_fleet.reference))
+        _, alone, single = stream(method, ankle_fleet.raw[:, i], row)
+        for field, a, b in zip(together._fields, together, alone, strict=True):
+            if a is not None:
+                np.testing.assert_allclose(a[i], b, rtol=1e-9, atol=1e-9, err_msg=field)
+        np.testing.assert_allclose([nis[i] for nis, _ in blocks], [nis for nis, _ in single], rtol=1e-6)
+
+
+def test_torch_gives_the_same_numbers_for_ankle_sensors(ankle_fleet):
+    torch = pytest.importorskip("torch")
+    method = moment_filter(ankle_fleet.setup, ankle_fleet.config)
+    _, expected, _ = stream(method, ankle_fleet.raw, ankle_fleet.reference)
+    _, found, _ = stream(
+        method, ankle_fleet.raw, ankle_fleet.reference, convert=lambda v: torch.as_tensor(np.array(v))
+    )
+    for field, a, b in zip(expected._fields, expected, found, strict=True):
+        if a is not None:
+            assert isinstance(b, torch.Tensor), field
+            np.testing.assert_allclose(a, b.numpy(), rtol=1e-9, atol=1e-9, err_msg=field)
+
+
+def test_saved_in_mid_block_it_goes_on_bit_for_bit(ankle_fleet, tmp_path):
+    method = moment_filter(ankle_fleet.setup, ankle_fleet.config)
+    raw, reference = ankle_fleet.raw, ankle_fleet.reference
+    cut = 203
+    head = Reference(*(part[:cut] for part in reference))
+    tail = Reference(*(part[cut:] for part in reference))
+    state, _, _ = stream(method, raw[:cut], head)
+    save_state(tmp_path / "state.npz", state)
+    restored = load_state(tmp_path / "state.npz", method.init(raw[0]))
+    (_, one, _), (_, two, _) = (stream(method, raw[cut:], tail, state=start) for start in (state, restored))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
