@@ -57,7 +57,7 @@ def kalman_step(
         H: Rows, shape (..., m, N); a row of zeros with y = 0 says nothing.
         y: Right-hand sides, shape (..., m).
         variance: R, positive, shape (..., m).
-        learnt: 1 for unknowns to estimate and 0 for those to consider, shape (N,).
+        learnt: 1 for unknowns to estimate and 0 for those to consider, shape (..., N).
         identity: Identity matrix, shape (N, N).
         gate: Standard deviations of an innovation beyond which a row is thought to lie.
     """
@@ -71,7 +71,7 @@ def kalman_step(
     V = V + variance[..., None] * _identity(identity, V)
     solved = xp.linalg.solve(V, xp.concat([HS, e[..., None]], axis=-1))
     nis = xp.sum(e * solved[..., -1], axis=-1)
-    gain = xp.matrix_transpose(solved[..., :-1]) * learnt[:, None]
+    gain = xp.matrix_transpose(solved[..., :-1]) * learnt[..., :, None]
     mean = mean + (gain @ e[..., None])[..., 0]
     keep = identity - gain @ H
     kept = keep @ covariance @ keep.mT

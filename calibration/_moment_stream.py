@@ -48,6 +48,9 @@ _UNSURE = 0.06
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
+_UNSURE_MASS = 2.0
+"""How many times less sure than at the start the mass is while it is estimated."""
+
 _REACH = 5.0
 """Standard deviations from the starting map beyond which a sensor is not thought to be."""
 
@@ -209,6 +212,7 @@ class MomentStream:
                 )
             learnt_from = learnt_from.beside(parity)
         learnt_from = learnt_from.keep(0.0 * learnt_from.y + xp.astype(~waiting, mean.dtype)[..., None])
+        learnt = self._learnt(covariance, learnt)
         step = kalman_step(mean, covariance, *learnt_from, learnt, identity, self.config.gate)
         low, high = self._limits(state.step, mean)
         clipped = xp.clip(step.mean, low, high)
@@ -226,6 +230,15 @@ class MomentStream:
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
         return self._watch(state, faults, mean, block, rows, places, residual, predicted), step
+
+    def _learnt(self, covariance: Array, learnt: Array) -> Array:
+        """Tell which unknowns to estimate; the mass only while it is much less sure than it began."""
+        xp, mass, config = namespace_of(covariance), self.unknowns.mass, self.config
+        if not config.learn_mass:
+            return learnt
+        unsure = covariance[..., mass, mass] > (_UNSURE_MASS * config.mass_std) ** 2
+        only = self._constants.like(covariance)[4][mass, :]
+        return learnt * (1.0 - only * xp.astype(~unsure, covariance.dtype)[..., None])
 
     def _limits(self, step: int, like: Array) -> tuple[Array, Array]:
         """Bound what a sensor can be, by where it began and by how far it can have drifted."""

@@ -16,7 +16,8 @@ noise. See ``docs/estimator.md`` for the derivation and :mod:`surefoot.calibrati
 * **Swing tare.** A foot in the air reads what its own sole's inertia makes it read: every offset at once,
   and the only moment at which the warp (+, -, -, +) of four cells can be seen.
 * **Errors of the reference are unknowns too** (centre of mass, acceleration, delay), or are considered
-  without being estimated (mass, after Schmidt): what belongs to the reference does not flow into the cells.
+  without being estimated (mass, after Schmidt, until it leaps): what belongs to the reference does not flow
+  into the cells.
 * **Sums, not a filter.** A low-pass makes noise coloured, and a Kalman filter that takes coloured noise for
   white is too sure of itself. Here samples are averaged, ``average`` of them, the same on both sides.
 * **Rows may lie**: see :mod:`surefoot.calibration._kalman`. A foot that is said to swing and carries weight
@@ -86,7 +87,8 @@ class MomentFilterConfig:
     """How far the believed mass is thought to be off, relative."""
 
     learn_mass: bool = True
-    """Whether to estimate the mass, or only to consider that it may be off (Schmidt)."""
+    """Whether to estimate the mass after it leapt. Else it is only considered that it may be off (Schmidt):
+    what a robot weighs can be found on any kitchen scale, and drifting gains would carry it along."""
 
     mass_change: float = 0.05
     """How much the mass is thought to have changed, relative, when the vertical force of a whole block leaps
