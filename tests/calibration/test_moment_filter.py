@@ -226,6 +226,6 @@ def test_a_load_that_is_picked_up_goes_to_the_mass_and_not_to_the_gains(change):
     np.testing.assert_allclose(np.mean(total, axis=0) / true[settled:].mean(axis=0), 1.0, atol=0.015)
     moved = state.mean[:, unknowns.mass] - before.mean[:, unknowns.mass]
     # Believed over true mass, less one.
-    np.testing.assert_allclose(moved, 1.0 / (1.0 + change) - 1.0, atol=0.01)
+    np.testing.assert_allclose(moved, 1.0 / (1.0 + change) - 1.0, atol=0.015)
     gains = [start.mean[:, unknowns.scale].mean(axis=-1) for start in (before, state)]
-    np.testing.assert_allclose(gains[1] / gains[0], 1.0, atol=0.01)
+    np.testing.assert_allclose(gains[1] / gains[0], 1.0, atol=0.015)
