@@ -20,7 +20,7 @@ import numpy as np
 from array_api_compat import device as device_of
 
 from surefoot.calibration._constants import Constants, namespace_of
-from surefoot.calibration._moment_rows import Rows
+from surefoot.calibration._moment_rows import Misfit
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration._stand_in import StandIn
 from surefoot.calibration.estimate import Flag
@@ -54,9 +54,6 @@ _CONTRAST = 0.6
 
 _LEAST_ERROR = 0.1
 """Error of a force in body weights that a fault amounts to at least, for the motion to tell of it."""
-
-_CLIP = 30.0
-"""Largest squared normalised residual that counts."""
 
 _HEAVIEST = 2.0
 """Load of a cell in body weights beyond which a reading that does not change is at the end of its range."""
@@ -133,6 +130,9 @@ class Faults:
             about.astype(float),
             same_foot.astype(float) - np.eye(K),
             self.stand_in.cells.astype(float),
+            # Putting a channel right is preferred to losing it.
+            np.where(np.arange(len(about)) < K, 1.15, 1.0),
+            np.arange(len(about)),
         )
 
     def init(self, raw: Array, resting: Array) -> FaultState:
@@ -176,7 +176,7 @@ class Faults:
         if not bool(xp.any(leaping)):
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
         # A foot that lands moves several of its cells.
-        same_foot = self._constants.like(force)[4]
+        *_, same_foot, _, _, _ = self._constants.like(force)
         others = xp.max(step[..., None, :] * same_foot, axis=-1)
         leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
         leaps = xp.where(leaping, state.leaps + 1, xp.where(read, 0, state.leaps))
@@ -193,7 +193,7 @@ class Faults:
             read: Whether they were read (0 or 1), shape (..., n, K).
         """
         xp = namespace_of(force)
-        *_, same_foot, cells = self._constants.like(force)
+        *_, same_foot, cells, _, _ = self._constants.like(force)
         high, low = xp.max(force, axis=-2), xp.min(force, axis=-2)
         spread = high - low
         flat = spread == 0.0
@@ -211,17 +211,20 @@ class Faults:
         return self._lose(state, fresh, kind)
 
     def contradicted(
-        self, state: FaultState, rows: Rows, channel_rows: Array, residual: Array, predicted: Array,
-        reading: Array, gain: Array, force: Array,
-    ) -> tuple[FaultState, Array]:  # fmt: skip
+        self,
+        state: FaultState,
+        misfit: Misfit,
+        channel_rows: Array,
+        reading: Array,
+        gain: Array,
+        force: Array,
+    ) -> tuple[FaultState, Array]:
         """Hold hypotheses against the robot's motion.
 
         Args:
             state: What is known.
-            rows: The Newton-Euler rows of a block, m of them.
+            misfit: What the m Newton-Euler rows of a block leave unexplained.
             channel_rows: What a newton on each channel does to them, shape (..., m, K).
-            residual: y - H x, shape (..., m).
-            predicted: Diagonal of H S H', shape (..., m).
             reading: Forces by the starting map of each row in N, shape (..., m, K).
             gain: Gains a, shape (..., K).
             force: Calibrated forces of each row in N, shape (..., m, K).
@@ -229,9 +232,10 @@ class Faults:
         Returns:
             The state, and whether something was found (bool), shape (...).
         """
+        residual, there = misfit.residual, misfit.there
         xp, K = namespace_of(residual), self._channels
-        possible, related, identity, about, *_ = self._constants.like(residual)
-        nothing, there, count = self._misfit(rows, residual, predicted)
+        possible, related, identity, about, _, _, handicap, order = self._constants.like(residual)
+        nothing = misfit.mean
         state = state._replace(trust=state.trust + xp.astype(nothing < 0.5 * _SUSPICION, residual.dtype))
         # Most of the time nothing is wrong with anybody, and no hypothesis needs to be tried.
         if not bool(xp.any((nothing > _SUSPICION) | (state.doubt > 0.5))):
@@ -240,19 +244,14 @@ class Faults:
         said = force @ alone.mT
         scaled = channel_rows * gain[..., None, :]
         first, second = self._first, self._second
-        changes = [
-            channel_rows * (force - said),
-            2.0 * scaled * reading,
-            (scaled[..., first] - scaled[..., second]) * (reading[..., first] - reading[..., second]),
-            (scaled[..., first] + scaled[..., second]) * (reading[..., first] + reading[..., second]),
-        ]
-        swing = reading[..., first] - reading[..., second], reading[..., first] + reading[..., second]
-        sizes = [xp.abs(force - said), 2.0 * xp.abs(reading), xp.abs(swing[0]), xp.abs(swing[1])]
-        size = xp.max(xp.concat(sizes, axis=-1) * there[..., None], axis=-2)
-        left = residual[..., None] + xp.concat(changes, axis=-1)
-        square = left * left / (predicted + rows.variance)[..., None]
-        mean = xp.sum(xp.clip(square, 0.0, _CLIP) * there[..., None], axis=-2) / count[..., None]
-        mean = xp.concat([nothing[..., None], mean], axis=-1)
+        straight = reading[..., first] - reading[..., second]
+        crossed = reading[..., first] + reading[..., second]
+        # What each hypothesis changes of a force, and what a newton of that does to the rows.
+        errors = xp.concat([force - said, 2.0 * reading, straight, crossed], axis=-1)
+        felt = [channel_rows, scaled, scaled[..., first] - scaled[..., second]]
+        felt = xp.concat([*felt, scaled[..., first] + scaled[..., second]], axis=-1)
+        size = xp.max(xp.abs(errors) * there[..., None], axis=-2)
+        mean = xp.concat([nothing[..., None], misfit.mean_with(felt * errors)], axis=-1)
 
         # The block in which a fault begins is half right: what counts are those behind it.
         doubt = state.doubt + (state.doubt > 0.5)
@@ -265,13 +264,11 @@ class Faults:
 
         now = scores[..., 0]
         heard = 1.0 - xp.astype((state.lost @ about.mT) > 0.5, residual.dtype)
-        # Putting a channel right is preferred to losing it.
-        handicap = xp.where(xp.sum(about, axis=-1) * 0.0 + xp.arange(about.shape[0]) < K, 1.15, 1.0)
         # What small errors of the reference could be as well is not put down to a channel.
         telling = size > _LEAST_ERROR * self._weight
         each = xp.where((possible * heard > 0.5) & telling, scores[..., 1:] * handicap, 1e9)
         best = xp.argmin(each, axis=-1)
-        chosen = xp.astype(best[..., None] == xp.arange(about.shape[0]), residual.dtype)
+        chosen = xp.astype(best[..., None] == order, residual.dtype)
         least = xp.min(each, axis=-1)
         rivals = xp.where(chosen @ related > 0.5, 1e9, each)
         rival = xp.min(rivals, axis=-1)
@@ -302,31 +299,14 @@ class Faults:
         wiring = turn @ exchange @ state.wiring
         return state._replace(wiring=wiring, kind=kind, altered=1), found
 
-    def suspects(self, state: FaultState, rows: Rows, residual: Array, predicted: Array) -> Array:
-        """Tell whether to wait with learning, as something has begun to seem wrong (bool), shape (...).
-
-        Args:
-            state: What is known.
-            rows: The Newton-Euler rows of a block, m of them.
-            residual: y - H x, shape (..., m).
-            predicted: Diagonal of H S H', shape (..., m).
-        """
-        nothing, _, _ = self._misfit(rows, residual, predicted)
-        begun = (nothing > _SUSPICION) | (state.doubt > 0.5)
+    def suspects(self, state: FaultState, misfit: Misfit) -> Array:
+        """Tell whether to wait with learning, as something has begun to seem wrong (bool), shape (...)."""
+        begun = (misfit.mean > _SUSPICION) | (state.doubt > 0.5)
         return begun & (state.doubt < _WAIT) & (state.trust >= TRUST)
 
     def baffled(self, state: FaultState) -> Array:
         """Tell where something has long seemed wrong and no channel explains it (bool), shape (...)."""
         return (state.doubt >= _WAIT) & (state.scores[..., 0] > _SUSPICION)
-
-    def _misfit(self, rows: Rows, residual: Array, predicted: Array) -> tuple[Array, Array, Array]:
-        """Average squared normalised residuals; and tell which rows are there, and how many."""
-        xp = namespace_of(residual)
-        square = residual * residual / (predicted + rows.variance)
-        there = xp.astype(xp.any(rows.H != 0.0, axis=-1), residual.dtype)
-        count = xp.sum(there, axis=-1)
-        count = xp.where(count > 0.5, count, 1.0)
-        return xp.sum(xp.clip(square, 0.0, _CLIP) * there, axis=-1) / count, there, count
 
     def learn(self, state: FaultState, force: Array, good: Array) -> FaultState:
         """Learn how cells share loads while nothing is wrong, and let channels come back.

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
 
+_CLIP = 30.0
+"""Largest squared normalised residual that counts."""
+
 _LEAST_LOAD = 0.1
 """Load in body weights that a centre of pressure is computed with at least, for moments to be taken about."""
 
@@ -61,7 +64,7 @@ class Rows(NamedTuple):
     variance: Array
 
     def keep(self, share: Array) -> "Rows":
-        """Keep rows (1) or leave them out (0), shape (..., m)."""
+        """Keep rows (1) or leave them out (0), shape (..., m), or (..., 1) for all alike."""
         return Rows(self.H * share[..., None], self.y * share, self.variance)
 
     def beside(self, other: "Rows") -> "Rows":
@@ -72,6 +75,43 @@ class Rows(NamedTuple):
             xp.concat([self.y, other.y], axis=-1),
             xp.concat([self.variance, other.variance], axis=-1),
         )
+
+
+class Misfit(NamedTuple):
+    """What m rows leave unexplained.
+
+    Attributes:
+        residual: y - H x, shape (..., m).
+        variance: What it may be: the diagonal of H S H' + R, shape (..., m).
+        there: Rows that say anything (0 or 1), shape (..., m).
+        mean: The mean squared normalised residual, each clipped, shape (...).
+    """
+
+    residual: Array
+    variance: Array
+    there: Array
+    mean: Array
+
+    @classmethod
+    def of(cls, rows: Rows, mean: Array, covariance: Array) -> "Misfit":
+        """Hold rows against unknowns with a covariance, shapes (..., N) and (..., N, N)."""
+        xp = namespace_of(mean)
+        residual = rows.y - (rows.H @ mean[..., None])[..., 0]
+        variance = xp.sum((rows.H @ covariance) * rows.H, axis=-1) + rows.variance
+        there = xp.astype(xp.any(rows.H != 0.0, axis=-1), mean.dtype)
+        return cls(residual, variance, there, _mean_square(residual, variance, there, axis=-1))
+
+    def mean_with(self, change: Array) -> Array:
+        """Compute the mean for residuals that hypotheses change, shape (..., m, H) to (..., H)."""
+        residual, variance, there = (part[..., None] for part in self[:3])
+        return _mean_square(residual + change, variance, there, axis=-2)
+
+
+def _mean_square(residual: Array, variance: Array, there: Array, axis: int) -> Array:
+    xp = namespace_of(residual)
+    count = xp.sum(there, axis=axis)
+    square = xp.clip(residual * residual / variance, 0.0, _CLIP) * there
+    return xp.sum(square, axis=axis) / xp.where(count > 0.5, count, 1.0)
 
 
 class MomentRows:
@@ -118,7 +158,8 @@ class MomentRows:
         parity = parity.reshape(-1, self._channels)
         parity = parity[(parity != 0.0).any(axis=1)]
         self.compares = len(parity) > 0
-        self._parity_constants = Constants(parity)
+        others = np.eye(self._channels, unknowns.size - unknowns.gains) * unknowns.unit[:, None]
+        self._parity_constants = Constants(parity, parity @ others)
         tare_offsets = np.eye(self._channels, unknowns.size, unknowns.gains)
         self._tare_constants = Constants(
             np.eye(self._feet)[:, layout.foot_of_channel],
@@ -342,8 +383,8 @@ class MomentRows:
             For each axis that two instruments of a foot see, one row for each half of the block.
         """
         xp, unknowns, settle = namespace_of(block.force), self.unknowns, self.config.settle
-        (parity,) = self._parity_constants.like(block.force)
-        unit, half = self._tare_constants.like(block.force)[3], self.config.every // 2
+        parity, tail = self._parity_constants.like(block.force)
+        half = self.config.every // 2
         y = 0.0 * (block.force[..., 0, :] @ parity.mT)
         if self._distal.matter:
             com, acceleration, _, position, R = self._motion(block.motion)
@@ -354,12 +395,10 @@ class MomentRows:
             reading = xp.mean(block.force[..., part, :], axis=-2)
             readings = reading if unknowns.diagonal else reading[..., unknowns.inp]
             gains = (parity if unknowns.diagonal else parity[..., unknowns.out]) * readings[..., None, :]
-            rest = xp.zeros((unknowns.size - unknowns.gains - self._channels,), dtype=gains.dtype)
-            tail = xp.concat([parity * unit, rest + 0.0 * parity[:, :1]], axis=-1)
             H = xp.concat([gains, tail + 0.0 * gains[..., :1]], axis=-1)
             known = xp.astype(xp.all(block.use[..., part] > 0.5, axis=-1), gains.dtype)[..., None]
             variance = self.config.parity_noise**2 + 0.0 * y
-            parts.append(Rows(H, y, variance).keep(known + 0.0 * y))
+            parts.append(Rows(H, y, variance).keep(known))
         return parts[0].beside(parts[1])
 
 

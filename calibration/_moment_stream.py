@@ -14,7 +14,7 @@ from surefoot.calibration._constants import Constants, namespace_of
 from surefoot.calibration._faults import TRUST, Faults, FaultState
 from surefoot.calibration._front_end import FrontEnd, FrontState, Sample
 from surefoot.calibration._kalman import KalmanStep, kalman_step
-from surefoot.calibration._moment_rows import Block, MomentRows, Rows
+from surefoot.calibration._moment_rows import Block, Misfit, MomentRows, Rows
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration._uncertainty import Uncertainty
 from surefoot.calibration._unknowns import Unknowns
@@ -104,7 +104,7 @@ class MomentStream:
         self.unknowns = unknowns = Unknowns(setup, config)
         self.rows = MomentRows(setup, config, unknowns)
         self._front_end = FrontEnd(setup)
-        self._uncertainty = Uncertainty(setup, config, unknowns)
+        self._uncertainty = Uncertainty(setup, unknowns)
         self._faults = Faults(setup, config.leap, config.stand_in_memory / (config.every * setup.dt))
         self._keep_every = max(1, round(_KEPT / (config.every * setup.dt)))
         self._length = config.every + 2 * config.settle
@@ -190,10 +190,9 @@ class MomentStream:
         covariance = state.covariance + walk
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.rows.total(mean, block, state.noise, *spare)
-        newton, rejected = self._plausible(mean, covariance, rows)
-        residual = rows.y - (rows.H @ mean[..., None])[..., 0]
-        predicted = xp.sum((rows.H @ covariance) * rows.H, axis=-1)
-        waiting = self._faults.suspects(faults, rows, residual, predicted)
+        misfit = Misfit.of(rows, mean, covariance)
+        newton, rejected = self._plausible(rows, misfit)
+        waiting = self._faults.suspects(faults, misfit)
         # What still seems wrong when no channel was found to be is the robot itself.
         changed = self._changed(mean, covariance, newton) | self._faults.baffled(faults)
         changed = changed & (faults.trust >= _SETTLED) & ~waiting
@@ -207,11 +206,9 @@ class MomentStream:
         if self.rows.compares:
             parity = self.rows.parity(block)
             if faults.altered:
-                parity = parity.keep(
-                    0.0 * parity.y + xp.astype(xp.all(faults.lost < 0.5, axis=-1), mean.dtype)[..., None]
-                )
+                parity = parity.keep(xp.astype(xp.all(faults.lost < 0.5, axis=-1), mean.dtype)[..., None])
             learnt_from = learnt_from.beside(parity)
-        learnt_from = learnt_from.keep(0.0 * learnt_from.y + xp.astype(~waiting, mean.dtype)[..., None])
+        learnt_from = learnt_from.keep(xp.astype(~waiting, mean.dtype)[..., None])
         learnt = self._learnt(covariance, learnt)
         step = kalman_step(mean, covariance, *learnt_from, learnt, identity, self.config.gate)
         low, high = self._limits(state.step, mean)
@@ -229,7 +226,7 @@ class MomentStream:
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        return self._watch(state, faults, mean, block, rows, places, residual, predicted), step
+        return self._watch(state, faults, mean, block, places, misfit), step
 
     def _learnt(self, covariance: Array, learnt: Array) -> Array:
         """Tell which unknowns to estimate; the mass only while it is much less sure than it began."""
@@ -251,16 +248,21 @@ class MomentStream:
         return start - reach, start + reach
 
     def _watch(
-        self, state: MomentState, faults: FaultState, before: Array, block: Block, rows: Rows, places: Array,
-        residual: Array, predicted: Array,
-    ) -> MomentState:  # fmt: skip
+        self,
+        state: MomentState,
+        faults: FaultState,
+        before: Array,
+        block: Block,
+        places: Array,
+        misfit: Misfit,
+    ) -> MomentState:
         """Look for faults in what the block left unexplained; and go back to before one that is found."""
         xp, unknowns = namespace_of(before), self.unknowns
         reading = self.rows.readings(block)
         force = unknowns.force(before[..., None, :], reading, self._constants.like(before)[5])
         fresh = xp.any(faults.lost != state.faults.lost, axis=-1)
         faults, found = self._faults.contradicted(
-            faults, rows, places, residual, predicted, reading, unknowns.own_gains(before), force
+            faults, misfit, places, reading, unknowns.own_gains(before), force
         )
         found = found | fresh
         used = xp.all(block.use > 0.5, axis=-1) & ~found
@@ -314,15 +316,14 @@ class MomentStream:
         anchor = xp.where(moved[..., None], middle, state.anchor)
         return quiet, anchor, rows._replace(variance=rows.variance * ((1.0 + quiet) ** 2)[..., None])
 
-    def _plausible(self, mean: Array, covariance: Array, rows: Rows) -> tuple[Rows, Array]:
+    def _plausible(self, rows: Rows, misfit: Misfit) -> tuple[Rows, Array]:
         """Leave out groups of rows that no error of calibration explains, such as of a lifted robot."""
-        xp, kinds = namespace_of(mean), self.rows.kinds
-        e = rows.y - (rows.H @ mean[..., None])[..., 0]
-        spread = xp.sum((rows.H @ covariance) * rows.H, axis=-1) + rows.variance
-        wrong = (xp.abs(e) > self.config.reject) & (e * e > _REJECT_STD**2 * spread)
+        e = misfit.residual
+        xp, kinds = namespace_of(e), self.rows.kinds
+        wrong = (xp.abs(e) > self.config.reject) & (e * e > _REJECT_STD**2 * misfit.variance)
         groups = xp.any(xp.reshape(wrong, (*e.shape[:-1], -1, kinds)), axis=-1)
         keep = xp.reshape(xp.stack([~groups] * kinds, axis=-1), tuple(e.shape))
-        return rows.keep(xp.astype(keep, mean.dtype)), xp.any(groups, axis=-1)
+        return rows.keep(xp.astype(keep, e.dtype)), xp.any(groups, axis=-1)
 
     def _changed(self, mean: Array, covariance: Array, rows: Rows) -> Array:
         """Tell where the force of a whole block leaps away from what the motion asks for (bool)."""

@@ -5,7 +5,7 @@ With F_i = a_i F0_i + b_i and S the covariance of (a, b), the variance of a forc
 times the same row.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from surefoot.calibration._front_end import Sample
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration._unknowns import Unknowns
 from surefoot.calibration.estimate import Estimate
-
-if TYPE_CHECKING:
-    from surefoot.calibration.moment_filter import MomentFilterConfig
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -27,11 +24,10 @@ class Uncertainty:
 
     Args:
         setup: What the method was told about the robot.
-        config: Options of the filter.
         unknowns: The unknowns.
     """
 
-    def __init__(self, setup: OnlineSetup, config: "MomentFilterConfig", unknowns: Unknowns) -> None:
+    def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
         K = setup.layout.channels
         self.unknowns = unknowns
         # From the unknowns' gains and offsets to (a, b) of each channel alone.
@@ -39,11 +35,7 @@ class Uncertainty:
         own[np.arange(K), unknowns.own] = 1.0
         own[K + np.arange(K), unknowns.gains + np.arange(K)] = unknowns.unit
         inputs = np.eye(K)[unknowns.inp]
-        # What is learnt is of the middle of a block, and serves until the next one is full.
-        age = (config.settle + config.every) * setup.dt
-        known = unknowns.gains + K
-        late = own @ np.diag(age * unknowns.walk[:known]) @ own.T
-        self._late = Constants(late)
+        self._late = Constants(own @ np.diag(unknowns.aged[: unknowns.gains + K]) @ own.T)
         self._constants = Constants(own, unknowns.gather, np.eye(K), inputs)
 
     def of_parameters(self, covariance: Array) -> Array:
@@ -88,14 +80,15 @@ class Uncertainty:
             variance = (F0 * gain + cross) * F0 + offset
             row = xp.concat([rows * F0[..., None, :], rows], axis=-1)
         else:
-            to_force = self._to_force(F0, state)
+            to_force = self.to_force(F0, plain=unknowns.diagonal)
+            if state.faults.altered:
+                to_force = state.faults.spare @ to_force
             if not unknowns.diagonal:
                 known = unknowns.gains + K
                 covariance = state.covariance[..., :known, :known]
-            variance = xp.sum((to_force @ covariance) * to_force, axis=-1) + state.faults.spare_std**2
+            variance = variances(to_force, covariance) + state.faults.spare_std**2
             row = rows @ to_force
-        load = xp.where(estimate.cop_valid, load, 1.0)[..., None, None]
-        turned = (row[..., 1:, :] - estimate.cop[..., None] * row[..., :1, :]) / load
+        turned = to_cop(row, estimate.cop, xp.where(estimate.cop_valid, load, 1.0))
         return estimate._replace(
             covariance=state.learnt,
             force_std=xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
@@ -103,20 +96,45 @@ class Uncertainty:
             matrix=None if unknowns.diagonal else self._matrix(state.mean),
         )
 
-    def _to_force(self, force: Array, state: Any) -> Array:
-        """Write forces by the unknowns' gains and offsets, or by (a, b), with lost channels reconstructed."""
+    def to_force(self, force: Array, *, plain: bool = False) -> Array:
+        """Write forces by what they are known by.
+
+        Args:
+            force: Forces by the starting map in N, shape (..., K).
+            plain: Whether they are known by (a, b) of each channel, and not by the unknowns.
+
+        Returns:
+            Shape (..., K, 2K) or (..., K, P + K).
+        """
         xp, unknowns = namespace_of(force), self.unknowns
-        own, gather, identity, *_ = self._constants.like(force)
-        if unknowns.diagonal:
-            gains = identity * force[..., None, :]
-            offsets = identity + 0.0 * gains
+        own, gather, identity, _ = self._constants.like(force)
+        if plain:
+            gains, offsets = identity * force[..., None, :], identity
         else:
             gains = gather.mT * force[..., None, unknowns.inp]
-            offsets = own[unknowns.channels :, unknowns.gains :] + 0.0 * gains[..., :1]
-        to_force = xp.concat([gains, offsets], axis=-1)
-        return state.faults.spare @ to_force if state.faults.altered else to_force
+            offsets = own[unknowns.channels :, unknowns.gains :]
+        return xp.concat([gains, offsets + 0.0 * gains[..., :1]], axis=-1)
 
     def _matrix(self, mean: Array) -> Array:
         """Lay the gains out as a matrix, shape (..., K, K)."""
         _, gather, _, inputs = self._constants.like(mean)
         return (gather * mean[..., self.unknowns.scale, None]).mT @ inputs
+
+
+def variances(row: Array, covariance: Array) -> Array:
+    """Carry a covariance along rows, shapes (..., m, n) and (..., n, n) to (..., m)."""
+    return namespace_of(row).sum((row @ covariance) * row, axis=-1)
+
+
+def to_cop(row: Array, cop: Array, load: Array) -> Array:
+    """Write the centre of pressure by what the moments are known by, to first order.
+
+    Args:
+        row: Rows of (Fz, Fz px, Fz py), shape (..., 3, n).
+        cop: Centre of pressure in m, shape (..., 2).
+        load: Fz in N, shape (...).
+
+    Returns:
+        Shape (..., 2, n).
+    """
+    return (row[..., 1:, :] - cop[..., None] * row[..., :1, :]) / load[..., None, None]

@@ -13,7 +13,7 @@ robot stands still, the bound is high. A mass that the filter only considers is 
 to estimate it.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,9 @@ from surefoot.calibration._front_end import FrontEnd
 from surefoot.calibration._kalman import kalman_step
 from surefoot.calibration._moment_rows import Block, MomentRows
 from surefoot.calibration._setup import OnlineSetup
-from surefoot.calibration._uncertainty import Uncertainty
+from surefoot.calibration._uncertainty import Uncertainty, to_cop, variances
 from surefoot.calibration._unknowns import Unknowns
+from surefoot.calibration.cop import cop_of_moments
 from surefoot.calibration.moment_filter import MomentFilterConfig
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
@@ -94,12 +95,11 @@ def posterior_bound(
     covariance = np.diag(unknowns.std**2)
     walk = np.diag(unknowns.walk * every * setup.dt)
     identity, free = np.eye(unknowns.size), np.ones(unknowns.size)
-    # What is learnt is of the middle of a block; drift since then is part of what cannot be known.
-    late = np.diag(unknowns.walk * (config.settle + every / 2) * setup.dt)
-    spread = _Spread(setup, unknowns)
+    uncertainty = Uncertainty(setup, unknowns)
+    spread = _Spread(setup, uncertainty)
     for end in range(every, len(raw) + 1, every):
         part = slice(end - every, end)
-        spread.add(covariance + late + 0.5 * walk, samples, learnt, part)
+        spread.add(covariance, samples, learnt, part)
         if end < span:
             continue
         mean = unknowns.start.copy()
@@ -114,8 +114,8 @@ def posterior_bound(
         step = kalman_step(mean, covariance + walk, *all_rows, free, identity, np.inf)
         covariance = step.covariance
     rest = slice(len(raw) // every * every, len(raw))
-    spread.add(covariance + late + 0.5 * walk, samples, learnt, rest)
-    return Bound(*spread.result(), Uncertainty(setup, config, unknowns).of_parameters(covariance))
+    spread.add(covariance, samples, learnt, rest)
+    return Bound(*spread.result(), uncertainty.of_parameters(covariance))
 
 
 class _Samples:
@@ -146,31 +146,24 @@ class _Samples:
 class _Spread:
     """What a covariance means for forces and centres of pressure."""
 
-    def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
-        self._setup, self._unknowns = setup, unknowns
+    def __init__(self, setup: OnlineSetup, uncertainty: Uncertainty) -> None:
+        self._setup, self._uncertainty = setup, uncertainty
         self._parts: list[tuple[Floats, Floats, Floats]] = []
 
     def add(self, covariance: Floats, samples: _Samples, learnt: Parameters, part: slice) -> None:
-        unknowns, K = self._unknowns, self._unknowns.channels
+        unknowns = self._uncertainty.unknowns
         force, rows = samples.force[part], samples.rows[part]
-        known = covariance[: unknowns.gains + K, : unknowns.gains + K]
-        to_force: Any = unknowns.gather.T * force[:, None, unknowns.inp]
-        offsets = np.broadcast_to(np.diag(unknowns.unit), (len(force), K, K))
-        to_force = np.concatenate([to_force, offsets], axis=-1)
-        variance = ((to_force @ known) * to_force).sum(axis=-1)
-        moments = rows @ to_force
+        # What has drifted since a block is part of what cannot be known.
+        known = slice(0, unknowns.gains + unknowns.channels)
+        covariance = (covariance + np.diag(unknowns.aged))[known, known]
+        to_force = self._uncertainty.to_force(force)
         true = learnt.scale[part] * force + learnt.offset[part]
-        vertical, *turning = np.moveaxis((rows @ true[..., None])[..., 0], -1, 0)
-        loaded = vertical > self._setup.force_threshold
-        cop = np.stack(turning, axis=-1) / np.where(loaded, vertical, np.nan)[:, None]
-        turned = (moments[:, 1:] - cop[..., None] * moments[:, :1]) / vertical[:, None, None]
-        self._parts.append(
-            (
-                np.sqrt(variance),
-                np.sqrt(((moments[:, 0] @ known) * moments[:, 0]).sum(axis=-1)),
-                np.sqrt(((turned @ known) * turned).sum(axis=-1)),
-            )
-        )
+        moments = (rows @ true[..., None])[..., 0]
+        cop = cop_of_moments(moments[..., 0], moments[..., 1:], self._setup.force_threshold)
+        row = rows @ to_force
+        parts = (to_force, row[:, :1], to_cop(row, cop, moments[..., 0]))
+        force_std, vgrf_std, cop_std = (np.sqrt(variances(one, covariance)) for one in parts)
+        self._parts.append((force_std, vgrf_std[:, 0], cop_std))
 
     def result(self) -> tuple[Floats, Floats, Floats]:
         force, vgrf, cop = (np.concatenate(part) for part in zip(*self._parts, strict=True))
