@@ -57,7 +57,7 @@ def main() -> None:
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     for speed in SPEEDS:
         logs = [record_walk(speed, seed, 34.0, [INSTANT])[INSTANT.name] for seed in seeds]
-        bounds = [bound_of(log) for log in logs]
+        bounds = [bound_of(log, log.time >= SETTLE, {}) for log in logs]
         print(f"\n{speed} m/s, {len(logs)} seeds: rmse of CoP (mm), vGRF (N), single cells (N)", flush=True)
         limit = [np.mean([getattr(bound, part) for bound in bounds]) for part in ("cop", "vgrf", "cell")]
         print(f"  {'bound':38s} {1e3 * limit[0]:6.2f} {limit[1]:6.3f} {limit[2]:6.3f}")

@@ -1,50 +1,48 @@
 """The posterior Cramér-Rao bound of a log, in the terms of the arena's scores."""
 
-import numpy as np
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
-from surefoot.calibration import OnlineSetup, Parameters, posterior_bound
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import MomentFilterConfig, OnlineSetup, Parameters, posterior_bound
 from surefoot.experiments.arena_pieces import LogBound
 from surefoot.experiments.log_format import Log
 from surefoot.experiments.replay import starting_map
-from surefoot.experiments.walkers import STAND_TIME
 
 __all__ = ["bound_of"]
 
-_FOOT_LENGTH = 0.17
-"""Extent of a NAO's shoe in m, as layouts of ankle sensors do not tell it."""
 
-_SETTLE = 10.0
-"""Time in s of walking that scores leave out, and so does the bound."""
-
-
-def bound_of(log: Log) -> LogBound:
-    """Compute what no estimator can go below on a walk with truth, over the samples that are scored.
+def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> LogBound:
+    """Compute what no estimator can go below on a walk with truth.
 
     The bound of a recording of something else than a walking NAO is NaN.
 
     Args:
         log: The log.
+        judged: Samples that are scored, shape (N,).
+        options: What the surefoot estimator is told besides the log.
     """
-    unknown = LogBound(float("nan"), float("nan"), float("nan"))
-    if log.truth is None or not np.isfinite(log.raw).all():
-        return unknown
-    if not log.about.get("speed_m_s"):
-        return unknown
+    walks = log.truth is not None and bool(log.about.get("speed_m_s"))
+    if not walks or not judged.any() or not np.isfinite(log.raw).all():
+        return LogBound(float("nan"), float("nan"), float("nan"))
+    assert log.truth is not None
+    model = {field.name for field in fields(MomentFilterConfig)}
     setup = OnlineSetup(
         layout=log.layout,
         mass=log.mass,
         initial=starting_map(log),
         dt=log.dt,
         lag=log.lag,
-        foot_length=_FOOT_LENGTH,
+        **{name: value for name, value in options.items() if name not in model},
     )
-    bound = posterior_bound(setup, log.raw, log.reference, Parameters(log.truth.scale, log.truth.offset))
-    counted = log.time >= STAND_TIME + _SETTLE
-    if not counted.any():
-        return unknown
-    square = bound.cop[counted] ** 2
+    config = MomentFilterConfig(**{name: value for name, value in options.items() if name in model})
+    truth = Parameters(log.truth.scale, log.truth.offset)
+    bound = posterior_bound(setup, log.raw, log.reference, truth, config)
     return LogBound(
-        cop=float(np.sqrt(np.nanmean(square.sum(axis=-1)))),
-        vgrf=float(np.sqrt(np.mean(bound.vgrf[counted] ** 2))),
-        cell=float(np.sqrt(np.mean(bound.force[counted] ** 2))),
+        cop=float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
+        vgrf=float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
+        cell=float(np.sqrt(np.mean(bound.force[judged] ** 2))),
     )

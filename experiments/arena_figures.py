@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from scipy import stats
 
@@ -45,13 +46,8 @@ def overview(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Path
                     values = part[part["method"] == method][metric]
                     _dot(axes, values, factor, i + 0.7 * ((j + 0.5) / len(methods) - 0.5), method)
             axes.axvline(target, color="black", linestyle="--", linewidth=0.8)
-            axes.set_xscale("log")
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.set_xlabel(label)
-        panels[0].set_yticks(range(len(shown)), [s.title for s in shown])
-        panels[0].set_ylim(len(shown) - 0.4, -0.6)
-        _keys(panels[0], methods)
-        legend_below(figure, panels[0])
+            _log_x(axes, label)
+        _by_scenario(figure, panels[0], shown, methods)
     return path
 
 
@@ -119,13 +115,8 @@ def consistency(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> P
                 axes.plot([low, high], [at, at], color="black", linewidth=5, alpha=0.25)
                 _dot(axes, runs["nees_end"], 1.0, at, method)
         axes.axvline(1.0, color="black", linewidth=0.8)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.set_yticks(range(len(shown)), [s.title for s in shown])
-        axes.set_ylim(len(shown) - 0.4, -0.6)
-        axes.set_xlabel("NEES of gains and zeros over its degrees of freedom")
-        _keys(axes, methods)
-        legend_below(figure, axes)
+        _log_x(axes, "NEES of gains and zeros over its degrees of freedom")
+        _by_scenario(figure, axes, shown, methods)
     return path
 
 
@@ -154,14 +145,24 @@ def detection(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Pat
                 at = np.full(len(times), i + 0.7 * ((j + 0.5) / len(methods) - 0.5))
                 axes.plot(times, at, linestyle="none", alpha=0.5, markersize=4, **_mark(method))
         axes.axvline(1.0, color="black", linestyle="--", linewidth=0.8)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.set_yticks(range(len(shown)), [s.title for s in shown])
-        axes.set_ylim(len(shown) - 0.4, -0.6)
-        axes.set_xlabel("time until a fault is found (s)")
-        _keys(axes, methods)
-        legend_below(figure, axes)
+        _log_x(axes, "time until a fault is found (s)")
+        _by_scenario(figure, axes, shown, methods)
     return path
+
+
+def _log_x(axes: Axes, label: str) -> None:
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_xlabel(label)
+
+
+def _by_scenario(figure: Figure, axes: Axes, shown: list[Scenario], methods: list[str]) -> None:
+    """Name the scenarios from the top, and put a key to the methods below."""
+    axes.set_yticks(range(len(shown)), [s.title for s in shown])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    for method in methods:
+        axes.plot([], [], linestyle="none", label=look_of(method).label, **_mark(method))
+    legend_below(figure, axes)
 
 
 def _dot(axes: Axes, values: Any, factor: float, at: float, method: str) -> None:
@@ -177,8 +178,3 @@ def _dot(axes: Axes, values: Any, factor: float, at: float, method: str) -> None
 def _mark(method: str) -> dict[str, Any]:
     look = look_of(method)
     return {"color": look.colour, "marker": look.marker}
-
-
-def _keys(axes: Axes, methods: list[str]) -> None:
-    for method in methods:
-        axes.plot([], [], linestyle="none", label=look_of(method).label, **_mark(method))

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from surefoot.calibration import METHODS
-from surefoot.experiments.walkers import STAND_TIME
+from surefoot.experiments.walkers import STAND_TIME, check_study
 
 __all__ = ["TRUE_MAP", "ArenaOptions"]
 
@@ -38,14 +38,7 @@ class ArenaOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done."""
-        for name in ("seeds", "jobs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
-        if not STAND_TIME < self.settle < self.duration:
-            raise ValueError(
-                f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
-                f"{self.duration:g} s, got {self.settle:g} s."
-            )
+        check_study(self, "seeds", "jobs")
         unknown = [name for name in self.methods if name not in METHODS and name != TRUE_MAP]
         if unknown:
             available = ", ".join(map(repr, METHODS))

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator, Reference
 from surefoot.experiments._files import atomic_path
@@ -51,8 +52,9 @@ class LogBound:
     cell: float
 
 
-Bound = Callable[[Log], LogBound]
-"""Computes the bound of a log; must survive pickling."""
+Bound = Callable[[Log, NDArray[np.bool_], Mapping[str, Any]], LogBound]
+"""Computes the bound of a log over the samples that are judged, for an estimator that is told the options of
+a scenario; must survive pickling."""
 
 
 def score_piece(name: str, method: str, options: ArenaOptions) -> tuple[Frame, Frame, int]:
@@ -96,6 +98,7 @@ _SCORERS = (
     "arena_recordings",
     "arena_replay",
     "real_recordings",
+    "replay",
     "score",
 )
 """What else than the calibrators scores depend on."""
@@ -119,10 +122,14 @@ def bound_piece(name: str, options: ArenaOptions, bound: Bound) -> Frame:
         limits: Frame = pd.read_parquet(file)
         return limits
     rows = []
+
+    def told(stream: Stream) -> dict[str, float]:
+        return asdict(bound(stream.log, stream.judged, scenario.options_of("surefoot")))
+
     for stream in _streams(scenario, options)[0]:
         # A bound knows of no fault: what it says of a channel that fails would mean nothing.
         if not stream.faults:
-            limit = {f"bound_{part}": value for part, value in asdict(bound(stream.log)).items()}
+            limit = {f"bound_{part}": value for part, value in told(stream).items()}
             rows.append({"scenario": name, "seed": stream.seed} | limit)
     kinds = {"scenario": str, "seed": int} | {
         f"bound_{part}": float for part in LogBound.__dataclass_fields__

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import (
     Estimate,
-    OnlineSetup,
+    FootCalibrator,
     Parameters,
     Reference,
     cop_of_feet,
-    online_method,
     sole_wrenches,
 )
 from surefoot.experiments.arena_options import TRUE_MAP
 from surefoot.experiments.arena_streams import Stream, held
+from surefoot.experiments.replay import LogBatch, batches_of
 
 __all__ = ["Consistency", "Played", "play"]
 
@@ -86,15 +86,13 @@ def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]
     """
     if method == TRUE_MAP:
         return [_true_map(stream) for stream in streams]
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    for i, stream in enumerate(streams):
-        log = stream.log
-        key = (len(log), round(log.mass, 9), log.lag, log.dt, log.layout.wrench_map.tobytes())
-        groups.setdefault(key, []).append(i)
+    logs = [stream.log for stream in streams]
     played: dict[int, Played] = {}
-    for members in groups.values():
-        batch = _play_batch([streams[i] for i in members], method, options)
-        played |= dict(zip(members, batch, strict=True))
+    for batch in batches_of(logs, [log.nominal for log in logs]):
+        members = batch.members
+        played |= zip(
+            members, _play_batch([streams[i] for i in members], batch, method, options), strict=True
+        )
     return [played[i] for i in range(len(streams))]
 
 
@@ -126,35 +124,18 @@ def _undone(stream: Stream) -> NDArray[np.float64]:
     return undone
 
 
-def _play_batch(streams: list[Stream], method: str, options: dict[str, Any]) -> list[Played]:
+def _play_batch(streams: list[Stream], batch: LogBatch, method: str, options: dict[str, Any]) -> list[Played]:
     first = streams[0].log
     layout, samples, robots = first.layout, len(first), len(streams)
-    # Readings are handed over as forces by each log's own starting map: robots of a batch share one map.
-    raw = np.stack([s.log.nominal.force(s.log.raw) for s in streams], axis=1)
-    reference = Reference(
-        *(np.stack(parts, axis=1) for parts in zip(*(s.log.reference for s in streams), strict=True))
-    )
-    own = {"foot_length", "force_threshold", "plausible_weights"} & set(options)
-    setup = OnlineSetup(
-        layout=layout,
-        mass=first.mass,
-        initial=Parameters(np.ones(layout.channels), np.zeros(layout.channels)),
-        dt=first.dt,
-        lag=first.lag,
-        **{name: options[name] for name in own},
-    )
-    init, update = online_method(
-        method, setup, **{name: value for name, value in options.items() if name not in own}
-    )
-    steps = np.diff(np.mean([s.log.time for s in streams], axis=0), prepend=first.time[0] - first.dt).tolist()
+    calibrator = FootCalibrator(layout, method, mass=first.mass, dt=first.dt, lag=first.lag, **options)
     force, scale, offset = (np.empty((samples, robots, layout.channels)) for _ in range(3))
     flags = np.empty((samples, robots, layout.channels), dtype=np.int64)
     watch = _Watch(streams)
-    state, seconds = init(raw[0]), 0.0
-    for k in range(samples):
-        now = Reference(*(part[k] for part in reference))
+    seconds = 0.0
+    for k, step in enumerate(batch.steps.tolist()):
+        now = Reference(*(part[k] for part in batch.reference))
         began = time.perf_counter()
-        state, estimate = update(state, raw[k], now, steps[k])
+        estimate = calibrator.update(batch.force[k], now, step)
         seconds += time.perf_counter() - began
         force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
         flags[k] = estimate.flags

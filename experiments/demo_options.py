@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from surefoot.experiments.walkers import FEEDS, STAND_TIME
+from surefoot.experiments.walkers import FEEDS, STAND_TIME, check_study
 
 __all__ = ["DemoOptions"]
 
@@ -44,14 +44,7 @@ class DemoOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done."""
-        for name in ("seeds", "jobs", "sensitivity_seeds"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
-        if not STAND_TIME < self.settle < self.duration:
-            raise ValueError(
-                f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
-                f"{self.duration:g} s, got {self.settle:g} s."
-            )
+        check_study(self, "seeds", "jobs", "sensitivity_seeds")
 
     def quick(self) -> "DemoOptions":
         """The same with one speed, two seeds and short walks: half a minute, to see whether all works."""

@@ -5,7 +5,7 @@ length, mass, lag and layout; their starting maps may differ, because readings a
 each log's own starting map and the result is brought back to counts afterwards.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,46 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters, Reference, replay
 from surefoot.experiments.log_format import Log, LogError
 
-__all__ = ["Replayed", "replay_logs", "starting_map"]
+__all__ = ["LogBatch", "Replayed", "batches_of", "replay_logs", "starting_map"]
+
+
+class LogBatch(NamedTuple):
+    """Walks that go through a method side by side, as robots of one batch.
+
+    Attributes:
+        members: Which of the logs they are.
+        force: Readings as forces by each log's own starting map in N, shape (N, B, K).
+        reference: The robots' beliefs, N rows of B robots in every field.
+        steps: Times since the sample before in s, shape (N,).
+    """
+
+    members: list[int]
+    force: NDArray[np.float64]
+    reference: Reference
+    steps: NDArray[np.float64]
+
+
+def batches_of(logs: Sequence[Log], starts: Sequence[Parameters]) -> Iterator[LogBatch]:
+    """Put those logs together that share length, mass, lag and layout.
+
+    Args:
+        logs: Walks of any lengths and robots.
+        starts: The map that each starts from.
+    """
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for i, log in enumerate(logs):
+        key = (len(log), round(log.mass, 9), log.lag, log.dt, log.layout.wrench_map.tobytes())
+        groups.setdefault(key, []).append(i)
+    for members in groups.values():
+        batch = [logs[i] for i in members]
+        parts = zip(*(log.reference for log in batch), strict=True)
+        start = batch[0].time[0] - batch[0].dt
+        yield LogBatch(
+            members,
+            np.stack([starts[i].force(logs[i].raw) for i in members], axis=1),
+            Reference(*(np.stack(part, axis=1) for part in parts)),
+            np.diff(np.mean([log.time for log in batch], axis=0), prepend=start),
+        )
 
 
 class Replayed(NamedTuple):
@@ -72,47 +111,28 @@ def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **op
         LogError: If a log has no such starting map.
         ValueError: If there is no such method or option.
     """
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    for i, log in enumerate(logs):
-        key = (len(log), round(log.mass, 9), log.lag, log.dt, log.layout.wrench_map.tobytes())
-        groups.setdefault(key, []).append(i)
-    results: dict[int, Replayed] = {}
-    for members in groups.values():
-        batch = _replay_batch([logs[i] for i in members], method, start, options)
-        results |= dict(zip(members, batch, strict=True))
-    return [results[i] for i in range(len(logs))]
-
-
-def _replay_batch(logs: list[Log], method: str, start: str | None, options: dict[str, Any]) -> list[Replayed]:
     starts = [starting_map(log, start) for log in logs]
-    force = np.stack([first.force(log.raw) for first, log in zip(starts, logs, strict=True)], axis=1)
-    reference = Reference(
-        *(np.stack(parts, axis=1) for parts in zip(*(log.reference for log in logs), strict=True))
-    )
-    first = logs[0]
-    channels = first.layout.channels
-    steps = np.diff(np.mean([log.time for log in logs], axis=0), prepend=first.time[0] - first.dt)
-    estimate = replay(
-        first.layout,
-        method,
-        force,
-        reference,
-        steps,
-        mass=first.mass,
-        initial=Parameters(np.ones(channels), np.zeros(channels)),
-        lag=first.lag,
-        **options,
-    )
-    replayed = []
-    for i, began in enumerate(starts):
-        learnt = Parameters(estimate.scale[:, i], estimate.offset[:, i]).after(began)
-        replayed.append(
-            Replayed(
+    results: dict[int, Replayed] = {}
+    for batch in batches_of(logs, starts):
+        first, K = logs[batch.members[0]], logs[batch.members[0]].layout.channels
+        estimate = replay(
+            first.layout,
+            method,
+            batch.force,
+            batch.reference,
+            batch.steps,
+            mass=first.mass,
+            initial=Parameters(np.ones(K), np.zeros(K)),
+            lag=first.lag,
+            **options,
+        )
+        for i, member in enumerate(batch.members):
+            learnt = Parameters(estimate.scale[:, i], estimate.offset[:, i]).after(starts[member])
+            results[member] = Replayed(
                 force=estimate.force[:, i],
                 cop=estimate.cop[:, i],
                 scale=learnt.scale,
                 offset=learnt.offset,
                 flags=np.asarray(estimate.flags[:, i]),
             )
-        )
-    return replayed
+    return [results[i] for i in range(len(logs))]

@@ -14,13 +14,33 @@ from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-__all__ = ["FEEDS", "STAND_TIME", "TruthTap", "make_walker"]
+__all__ = ["FEEDS", "STAND_TIME", "TruthTap", "check_study", "make_walker"]
 
 FEEDS = ("true", "none", *(name for name in reversed(METHODS) if name != "none"))
 """What the controller may be given for the centre of pressure."""
 
 STAND_TIME = 4.0
 """Time in s that the robot stands before it walks: a standing start needs three, and the filters a while."""
+
+
+def check_study(study: Any, *counts: str) -> None:
+    """Refuse a study of walks that cannot be done.
+
+    Args:
+        study: Its options, ``settle`` and ``duration`` in s among them.
+        counts: Names of those that count something.
+
+    Raises:
+        ValueError: If a count is below one, or errors count from no moment of the walk on.
+    """
+    for name in counts:
+        if getattr(study, name) < 1:
+            raise ValueError(f"'{name}' must be at least 1, got {getattr(study, name)}.")
+    if not STAND_TIME < study.settle < study.duration:
+        raise ValueError(
+            f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
+            f"{study.duration:g} s, got {study.settle:g} s."
+        )
 
 
 class TruthTap(gym.Wrapper[Any, Any, Any, Any]):

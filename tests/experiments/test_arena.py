@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -33,7 +34,7 @@ from surefoot.sensors import ForceTorque
 RUN = ("speed-0.1", "chips-0.1", "fault-dropped")
 
 
-def bound(log: Log) -> LogBound:
+def bound(log: Log, judged: Any, options: Any) -> LogBound:
     return LogBound(1e-3, 0.1, 0.1)
 
 
