@@ -3,11 +3,13 @@
 from surefoot.sensors.clock import ClockState, sample_and_hold
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.corruption import Corruption, chain
+from surefoot.sensors.creep import CreepState, creep
 from surefoot.sensors.drift import PER_SQRT_MINUTE, drift, gain_drift
 from surefoot.sensors.encoders import Encoders, encoders
 from surefoot.sensors.faults import Fault, FaultState, apply_faults, channel_faults
 from surefoot.sensors.force_torque import ForceTorque, ForceTorqueState, force_torque, true_matrix
 from surefoot.sensors.gain import gain, offset
+from surefoot.sensors.hysteresis import HysteresisState, hysteresis
 from surefoot.sensors.imu import Imu, ImuState, imu
 from surefoot.sensors.link import Link, Packet, latency, receive, send
 from surefoot.sensors.load_cell_config import LoadCells
@@ -22,45 +24,67 @@ from surefoot.sensors.noise import noise_density, white_noise
 from surefoot.sensors.presets import (
     HX711_LOAD_CELLS,
     ICUB_FORCE_TORQUE,
+    ICUB_FTSENS_FOOT,
+    ICUB_FTSENS_LEG,
     PERFECT_FORCE_TORQUE,
     PERFECT_LOAD_CELLS,
+    PERFECT_STRAIN_GAUGES,
     PRESETS,
     preset,
     resolve,
 )
 from surefoot.sensors.quantize import quantize, saturate
+from surefoot.sensors.strain_gauge_config import FTSENS_SN039, FTSENS_SN142, StrainGauges
+from surefoot.sensors.strain_gauges import (
+    StrainGaugeState,
+    read_sequence,
+    shift_zero,
+    strain_gauges,
+    true_response,
+)
 from surefoot.sensors.temperature import ThermalState, thermal_drift
 
 __all__ = [
+    "FTSENS_SN039",
+    "FTSENS_SN142",
     "HX711_LOAD_CELLS",
     "ICUB_FORCE_TORQUE",
+    "ICUB_FTSENS_FOOT",
+    "ICUB_FTSENS_LEG",
     "PERFECT_FORCE_TORQUE",
     "PERFECT_LOAD_CELLS",
+    "PERFECT_STRAIN_GAUGES",
     "PER_SQRT_MINUTE",
     "PRESETS",
     "ClockState",
     "Corruption",
+    "CreepState",
     "Encoders",
     "Fault",
     "FaultState",
     "ForceTorque",
     "ForceTorqueState",
+    "HysteresisState",
     "Imu",
     "ImuState",
     "Link",
     "LoadCellState",
     "LoadCells",
     "Packet",
+    "StrainGaugeState",
+    "StrainGauges",
     "ThermalState",
     "apply_faults",
     "chain",
     "channel_faults",
+    "creep",
     "drift",
     "encoders",
     "force_torque",
     "from_mapping",
     "gain",
     "gain_drift",
+    "hysteresis",
     "imu",
     "latency",
     "load_cell_chain",
@@ -69,14 +93,18 @@ __all__ = [
     "offset",
     "preset",
     "quantize",
+    "read_sequence",
     "receive",
     "resolve",
     "sample_and_hold",
     "saturate",
     "send",
+    "shift_zero",
     "static_counts",
+    "strain_gauges",
     "thermal_drift",
     "true_map",
     "true_matrix",
+    "true_response",
     "white_noise",
 ]

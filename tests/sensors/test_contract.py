@@ -16,13 +16,16 @@ from surefoot.sensors import (
     Imu,
     Link,
     LoadCells,
+    StrainGauges,
     chain,
     channel_faults,
+    creep,
     drift,
     encoders,
     force_torque,
     gain,
     gain_drift,
+    hysteresis,
     imu,
     latency,
     load_cell_chain,
@@ -33,6 +36,7 @@ from surefoot.sensors import (
     quantize,
     sample_and_hold,
     saturate,
+    strain_gauges,
     thermal_drift,
     white_noise,
 )
@@ -48,6 +52,8 @@ def build(config: Any) -> Corruption[Any]:
             return load_cells(config)
         case ForceTorque():
             return force_torque(config)
+        case StrainGauges():
+            return strain_gauges(config)
         case Imu():
             return imu(config)
         case Encoders():
@@ -62,6 +68,7 @@ def cells_with(**fields: Any) -> Callable[[], Corruption[Any]]:
 
 
 WARM = {"span_tempco": 5e-5, "zero_tempco": 0.03, "temperature_ramp": 0.5, "temperature_rise": 14.0}
+WARM_GAUGES = {"hysteresis_of": "gauges", "temperature_ramp": 0.5, "temperature_rise": 14.0}
 FAULTS = (
     Fault("spiking", 0, rate=20.0),
     Fault("dropped", 1, probability=0.3, burst=0.05),
@@ -91,6 +98,9 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "load cells, stage by stage": (lambda: load_cell_chain(LoadCells()), 8, True),
     "thermal drift": (lambda: thermal_drift(1.0, 0.1, 0.01, ramp=0.5, rise=14.0), 8, False),
     "thermal gain": (lambda: thermal_drift(0.1, 0.0, 1e-3, ramp=0.5, relative=True), 8, False),
+    "hysteresis": (lambda: hysteresis(0.05, [10.0] * 8), 8, False),
+    "creep": (lambda: creep((0.1, -0.02), (0.05, 2.0)), 8, False),
+    "warming gauges that lag": (lambda: strain_gauges(StrainGauges(**WARM_GAUGES)), 6, False),
     "faults": (lambda: channel_faults(FAULTS, LoadCells()), 8, False),
     "warming load cells": (cells_with(**WARM), 8, True),
     "warming load cells, stage by stage": (lambda: load_cell_chain(LoadCells(**WARM)), 8, True),
@@ -99,7 +109,7 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
 }
 for kind, named in PRESETS.items():
     for preset_name, preset_config in named.items():
-        count = {Imu: 6, ForceTorque: 12}.get(kind, 8)
+        count = {Imu: 6, StrainGauges: 6, ForceTorque: 12}.get(kind, 8)
         STAGES[f"{kind.__name__} {preset_name}"] = (
             lambda preset_config=preset_config: build(preset_config),
             count,
@@ -118,9 +128,13 @@ NULL = {
     "empty chain": (chain, False),
     "no faults": (lambda: channel_faults((), LoadCells(adc_bits=0)), False),
     "thermal drift": (lambda: thermal_drift(0.0, 0.0, 0.0, ramp=1.0), False),
+    "hysteresis": (lambda: hysteresis(0.0, 1.0), False),
+    "creep": (lambda: creep((), ()), False),
     **{
         f"perfect {kind.__name__}": (lambda kind=kind: build(preset("perfect", kind)), kind)
         for kind in PRESETS
+        # Perfect gauges still read counts: their own tests turn them back into wrenches.
+        if kind is not StrainGauges
     },
 }
 

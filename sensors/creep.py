@@ -1,0 +1,70 @@
+r"""Creep: under a constant load a spring element and its glue go on yielding.
+
+The reading follows the history of the load by a few exponentials with shares :math:`s_j` and time constants
+:math:`\tau_j`,
+
+.. math:: y = x + \sum_j s_j z_j, \qquad \tau_j \dot z_j = x - z_j,
+
+so that a step of the load to :math:`x_0` reads :math:`x_0 (1 + \sum_j s_j (1 - e^{-t / \tau_j}))`. The
+discretisation is exact for a load that is constant between readings, however long that is.
+"""
+
+from collections.abc import Sequence
+from math import expm1, isfinite
+from typing import Any, NamedTuple
+
+from surefoot.sensors._arrays import cast_like, namespace
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.randomness import filled
+
+
+class CreepState(NamedTuple):
+    """What a spring element still has to yield.
+
+    Attributes:
+        yielded: The loads that each exponential has followed so far, in the unit of the readings, shape
+            (J, ..., K).
+    """
+
+    yielded: Array
+
+
+def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruption[CreepState]:
+    """Let readings creep after the load, up or down.
+
+    A reading counts as the load since the reading before.
+
+    Args:
+        shares: How much each exponential adds in the end, in shares of the load; negative ones creep back.
+            None, ``()``, changes nothing.
+        time_constants: Their time constants in s.
+
+    Raises:
+        ValueError: If there are not as many of both, a share is not finite or a time constant not positive.
+    """
+    if len(shares) != len(time_constants):
+        raise ValueError(
+            f"Give as many 'shares' as 'time_constants', got {len(shares)} and {len(time_constants)}."
+        )
+    if not all(isfinite(share) for share in shares):
+        raise ValueError(f"'shares' must be finite, got {shares}.")
+    if not all(0.0 < constant < float("inf") for constant in time_constants):
+        raise ValueError(f"'time_constants' must be finite and positive, got {time_constants}.")
+    shares, time_constants = tuple(shares), tuple(time_constants)
+    count = len(shares)
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> CreepState:
+        return CreepState(filled(rng, 0.0, (count, *shape), dtype))
+
+    def apply(reading: Array, state: CreepState, rng: Rng, dt: float) -> tuple[Array, CreepState]:
+        if not count:
+            return reading + 0.0, state
+        yielded, read = [], reading
+        for share, constant, part in zip(
+            shares, time_constants, cast_like(state.yielded, reading), strict=True
+        ):
+            yielded.append(part - expm1(-dt / constant) * (reading - part))
+            read = read + share * yielded[-1]
+        return read, CreepState(namespace(reading).stack(yielded))
+
+    return Corruption(init, apply)

@@ -1,0 +1,301 @@
+"""Six-axis sensors of strain gauges: their errors as specified, and the map that undoes them."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+
+from surefoot.sensors import (
+    FTSENS_SN039,
+    FTSENS_SN142,
+    StrainGauges,
+    preset,
+    read_sequence,
+    resolve,
+    shift_zero,
+    strain_gauges,
+    true_response,
+)
+
+LEG = preset("icub-ftsens-leg", StrainGauges)
+PERFECT = preset("perfect", StrainGauges)
+WRENCH = np.array([12.0, -9.0, 44.0, 3.1, -2.2, 0.4])
+RESPONSE_8 = np.random.default_rng(80).normal(size=(8, 6)) * np.repeat([15.0, 900.0], 3)
+EIGHT = replace(PERFECT, matrix=np.linalg.pinv(RESPONSE_8))
+FORCE, TORQUE = slice(0, 3), slice(3, 6)
+
+
+def drawn(config, batch=(), seed=0):
+    rng = np.random.default_rng(seed)
+    return strain_gauges(config), strain_gauges(config).init((*batch, config.channels), rng), rng
+
+
+def wrenches(config, counts):
+    """What the maker's matrix shows."""
+    return counts @ config.nominal_matrix.T
+
+
+@pytest.mark.parametrize("matrix", [FTSENS_SN039, FTSENS_SN142])
+def test_the_makers_matrix_turns_perfect_counts_into_the_wrench(matrix):
+    config = replace(PERFECT, matrix=matrix)
+    sensor, state, rng = drawn(config)
+    counts, _ = sensor.apply(WRENCH, state, rng, 0.01)
+    np.testing.assert_allclose(np.array(matrix) @ counts, WRENCH, rtol=0.0, atol=1e-12 * 50.0)
+    np.testing.assert_allclose(config.nominal_response @ WRENCH, counts, rtol=1e-12)
+
+
+@pytest.mark.parametrize("config", [LEG, preset("icub-ftsens-foot", StrainGauges)], ids=["leg", "foot"])
+def test_the_true_response_undoes_every_wandering_heating_sensor(config):
+    """w = A^+ (r - o) but for what creeps, lags, hisses and rounds (in-situ paper, Eq. 2)."""
+    still = {"hysteresis": 0.0, "noise_force": 0.0, "noise_torque": 0.0, "adc_bits": 0}
+    config = replace(
+        config, **still, creep_shares=(), creep_time_constants=(), temperature_ramp=0.1, temperature_rise=14.0
+    )
+    sensor, state, rng = drawn(config, (30,), seed=1)
+    for _ in range(50):
+        counts, state = sensor.apply(np.tile(WRENCH, (30, 1)), state, rng, 2.0)
+    A, o = true_response(config, state)
+    assert (A.shape, o.shape) == ((30, 6, 6), (30, 6))
+    np.testing.assert_allclose(counts, A @ WRENCH + o, rtol=1e-12)
+    back = np.linalg.solve(A, (counts - o)[..., None])[..., 0]
+    np.testing.assert_allclose(back, np.tile(WRENCH, (30, 1)), atol=1e-9)
+
+
+def test_without_offsets_the_true_matrix_is_exact():
+    config = replace(PERFECT, gain_error_std=0.2, cross_talk_std=0.03)
+    sensor, state, rng = drawn(config, (200,), seed=2)
+    counts, _ = sensor.apply(np.tile(WRENCH, (200, 1)), state, rng, 0.01)
+    A, o = true_response(config, state)
+    back = (np.linalg.inv(A) @ (counts - o)[..., None])[..., 0]
+    np.testing.assert_allclose(back, np.tile(WRENCH, (200, 1)), atol=1e-12 * 50.0)
+
+
+def test_small_matrix_errors_have_their_spread_and_large_ones_stay_invertible():
+    for gain, talk in ((0.01, 0.003), (0.5, 0.1)):
+        config = replace(PERFECT, gain_error_std=gain, cross_talk_std=talk)
+        _, state, _ = drawn(config, (4000,), seed=3)
+        scale = config.full_scale
+        shown = config.nominal_matrix @ state.response * scale / scale[:, None]
+        error = shown - np.eye(6)
+        if gain < 0.1:
+            assert np.diagonal(error, axis1=-2, axis2=-1).std() == pytest.approx(gain, rel=0.02)
+            assert error[..., ~np.eye(6, dtype=bool)].std() == pytest.approx(talk, rel=0.02)
+        assert np.linalg.det(shown).min() > 0.0
+        assert np.linalg.cond(shown).max() < 200.0
+
+
+def test_an_old_leg_sensor_shows_a_weight_as_badly_as_the_papers_did():
+    """In-situ paper, Table I, manufacturer, leg: the longest semi-axis is 1.7 to 1.9 times the shortest."""
+    _, state, _ = drawn(LEG, (4000,), seed=4)
+    mass, com = 4.9, np.array([0.01, 0.02, 0.17])
+    skew = np.cross(np.eye(3), com).T
+    carried = 9.81 * mass * np.concatenate([np.eye(3), skew])
+    axes = np.linalg.svd((LEG.nominal_matrix @ state.response @ carried)[:, FORCE], compute_uv=False)
+    assert np.median(axes[:, 0] / axes[:, 2]) == pytest.approx(1.9, abs=0.1)
+
+
+def test_zeros_lie_within_their_range_and_fill_it():
+    _, state, _ = drawn(LEG, (4000,), seed=5)
+    shown = wrenches(LEG, state.zero)
+    for part, most in ((FORCE, LEG.offset_force), (TORQUE, LEG.offset_torque)):
+        assert 0.99 * most < abs(shown[:, part]).max() <= most * (1.0 + 1e-9)
+        assert shown[:, part].std() == pytest.approx(most / np.sqrt(3.0), rel=0.02)
+
+
+def test_noise_shows_as_specified():
+    config = replace(PERFECT, noise_force=0.1, noise_torque=0.0025)
+    sensor, state, rng = drawn(config, (5000,), seed=6)
+    counts, _ = sensor.apply(np.tile(WRENCH, (5000, 1)), state, rng, 0.01)
+    shown = wrenches(config, counts) - WRENCH
+    np.testing.assert_allclose(shown.std(axis=0), np.repeat([0.1, 0.0025], 3), rtol=0.05)
+    assert abs(np.corrcoef(shown.T) - np.eye(6)).max() < 0.06
+
+
+@pytest.mark.parametrize("steps", [6, 60])
+def test_drift_depends_on_time_and_not_on_the_step(steps):
+    config = replace(LEG, offset_force=0.0, offset_torque=0.0)
+    sensor, state, rng = drawn(config, (2000,), seed=7)
+    for _ in range(steps):
+        _, state = sensor.apply(np.zeros((2000, 6)), state, rng, 60.0 / steps)
+    shown = wrenches(config, state.zero)
+    assert shown[:, FORCE].std() == pytest.approx(0.05, rel=0.04)
+    assert shown[:, TORQUE].std() == pytest.approx(0.001, rel=0.04)
+
+
+def test_zeros_jump_between_recordings():
+    _, state, rng = drawn(LEG, (3000,), seed=8)
+    later = shift_zero(LEG, state, rng, 2.0, 0.04)
+    jump = wrenches(LEG, later.zero - state.zero)
+    assert jump[:, FORCE].std() == pytest.approx(2.0, rel=0.03)
+    assert jump[:, TORQUE].std() == pytest.approx(0.04, rel=0.03)
+    np.testing.assert_array_equal(later.response, state.response)
+    with pytest.raises(ValueError, match="'torque_std' must be finite and not negative, got -1"):
+        shift_zero(LEG, state, rng, 1.0, -1.0)
+
+
+@pytest.mark.parametrize("step", [1.0, 90.0])
+def test_heat_moves_zeros_and_gains_as_specified(step):
+    config = replace(
+        PERFECT,
+        zero_tempco_force=0.05,
+        zero_tempco_torque=0.001,
+        span_tempco=2e-4,
+        temperature_ramp=14.0 / 900.0,
+        temperature_rise=14.0,
+    )
+    sensor, state, rng = drawn(config, (2000,), seed=9)
+    loads = np.tile(WRENCH, (2000, 1))
+    for _ in range(int(900 / step)):
+        counts, state = sensor.apply(loads, state, rng, step)
+    rise = 14.0 * (1.0 - np.exp(-1.0))
+    np.testing.assert_allclose(state.temperature, rise, rtol=1e-12)
+    zero = wrenches(config, state.zero)
+    assert zero[:, FORCE].std() == pytest.approx(0.05 * rise, rel=0.04)
+    assert zero[:, TORQUE].std() == pytest.approx(0.001 * rise, rel=0.04)
+    relative = (counts - state.zero) / (config.nominal_response @ WRENCH) - 1.0
+    assert relative.std() == pytest.approx(2e-4 * rise, rel=0.04)
+
+
+@pytest.mark.parametrize("of", ["load", "gauges"])
+def test_what_lags_is_the_load_or_the_gauges(of):
+    """A force of 2 N beside a torque of 6 N m, swinging out of step: whose loop is seen in the force?"""
+    config = replace(PERFECT, hysteresis=0.01, hysteresis_of=of)
+    _, state, rng = drawn(config)
+    angle = 2.0 * np.pi * np.arange(200) / 100.0
+    swing = np.zeros((200, 6))
+    swing[:, 2], swing[:, 3] = 2.0 * np.sin(angle), 6.0 * np.cos(angle)
+    counts, _, _ = read_sequence(config, swing, state, rng, 0.1)
+    shown = wrenches(config, counts)[100:]
+    width = shown[0, 2] - shown[50, 2]
+    torque_width = shown[75, 3] - shown[25, 3]
+    assert abs(torque_width) == pytest.approx(0.01 * 12.0, rel=0.05)
+    # Beneath is what the steps of the sampling leave of the extremes.
+    assert abs(width) == pytest.approx(0.01 * 4.0, rel=0.05) if of == "load" else abs(width) > 0.2
+
+
+@pytest.mark.parametrize("of", ["load", "gauges"])
+def test_cycles_of_the_stated_amplitude_end_where_the_true_response_says(of):
+    config = replace(PERFECT, hysteresis=0.01, hysteresis_of=of)
+    sensor, state, rng = drawn(config)
+    for axis, amplitude in ((0, 50.0), (4, 5.0)):
+        shown = []
+        for sign in (1.0, -1.0):
+            counts, state = sensor.apply(sign * amplitude * np.eye(6)[axis], state, rng, 0.1)
+            shown.append(wrenches(config, counts)[axis])
+        # A gauge that feels both much and little of an axis has a cycle of its own.
+        tolerance = 1e-12 if of == "load" else 0.03
+        assert shown[0] - shown[1] == pytest.approx(2.0 * amplitude, rel=tolerance)
+
+
+def test_a_constant_load_creeps():
+    config = replace(PERFECT, creep_shares=(0.002,), creep_time_constants=(30.0,))
+    sensor, state, rng = drawn(config)
+    for _ in range(30):
+        counts, state = sensor.apply(WRENCH, state, rng, 1.0)
+    np.testing.assert_allclose(wrenches(config, counts), WRENCH * (1.002 - 0.002 * np.exp(-1.0)), rtol=1e-9)
+
+
+def test_counts_are_whole_and_end_at_the_converters_range():
+    sensor, state, rng = drawn(LEG, (20,), seed=10)
+    for size in (1.0, 1e4, -1e4):
+        counts, _ = sensor.apply(np.tile(size * WRENCH, (20, 1)), state, rng, 0.01)
+        np.testing.assert_array_equal(counts, np.round(counts))
+        assert abs(counts).max() == 32767.0 if abs(size) > 1.0 else abs(counts).max() < 32767.0
+    assert StrainGauges(adc_bits=12).code_range == (-2047.0, 2047.0)
+
+
+def test_eight_gauges_show_their_redundancy():
+    np.testing.assert_allclose(EIGHT.nominal_response, RESPONSE_8, rtol=1e-9)
+    noisy = replace(EIGHT, noise_force=0.1, noise_torque=0.0025)
+    sensor, state, rng = drawn(noisy, (5000,), seed=11)
+    counts, _ = sensor.apply(np.tile(WRENCH, (5000, 1)), state, rng, 0.01)
+    assert counts.shape == (5000, 8)
+    shown = wrenches(noisy, counts) - WRENCH
+    np.testing.assert_allclose(shown.std(axis=0), np.repeat([0.1, 0.0025], 3), rtol=0.05)
+    # No wrench causes this part of the noise, which is as large as the rest is on average.
+    noise = counts - RESPONSE_8 @ WRENCH
+    image = shown @ RESPONSE_8.T
+    assert (noise - image).var() * 8 / 2 == pytest.approx(image.var() * 8 / 6, rel=0.05)
+    A, o = true_response(EIGHT, drawn(replace(EIGHT, gain_error_std=0.2, offset_force=50.0), seed=12)[1])
+    np.testing.assert_allclose(np.linalg.pinv(A) @ (A @ WRENCH + o - o), WRENCH, atol=1e-11)
+    assert abs(o - RESPONSE_8 @ EIGHT.nominal_matrix @ o).max() > 1.0
+
+
+def test_a_sequence_is_the_loop_and_a_recording_may_be_felt_by_many():
+    config = replace(LEG, temperature_ramp=0.1)
+    sensor, state, rng = drawn(config, (3, 2), seed=13)
+    recorded = np.random.default_rng(14).normal(0.0, 5.0, (2, 40, 6))
+    counts, last, temperature = read_sequence(config, recorded, state, np.random.default_rng(15), 0.5)
+    assert (counts.shape, temperature.shape) == ((3, 2, 40, 6), (3, 2, 40))
+    rng = np.random.default_rng(15)
+    for step in range(40):
+        expected, state = sensor.apply(np.tile(recorded[:, step], (3, 1, 1)), state, rng, 0.5)
+        np.testing.assert_array_equal(counts[:, :, step], expected)
+        np.testing.assert_array_equal(temperature[:, :, step], state.temperature)
+    np.testing.assert_array_equal(last.zero, state.zero)
+
+
+@pytest.mark.parametrize("of", ["load", "gauges"])
+def test_torch_reads_the_same(of):
+    config = replace(LEG, noise_force=0.0, noise_torque=0.0, zero_drift_force=0.0, zero_drift_torque=0.0)
+    config = replace(config, temperature_ramp=0.1, hysteresis_of=of)
+    _, state, rng = drawn(config, (4,), seed=16)
+    recorded = np.random.default_rng(17).normal(0.0, 5.0, (4, 50, 6))
+
+    def convert(part):
+        return type(part)(*map(convert, part)) if isinstance(part, tuple) else torch.from_numpy(part)
+
+    counts, last, temperature = read_sequence(config, recorded, state, rng, 0.1)
+    same, end, warm = read_sequence(
+        config, torch.from_numpy(recorded), convert(state), torch.Generator(), 0.1
+    )
+    assert same.dtype == torch.float64
+    np.testing.assert_array_equal(same, counts)
+    np.testing.assert_allclose(warm, temperature, rtol=1e-14)
+    np.testing.assert_allclose(true_response(config, end)[0], true_response(config, last)[0], rtol=1e-14)
+    jumped = shift_zero(config, end, torch.Generator().manual_seed(1), 1.0, 0.1)
+    assert jumped.zero.dtype == torch.float64
+    assert not torch.equal(jumped.zero, end.zero)
+
+
+def test_matrices_may_come_as_arrays_and_lists():
+    config = StrainGauges(matrix=np.array(FTSENS_SN039))
+    assert config == LEG
+    assert hash(config) == hash(LEG)
+    assert resolve(json.loads(json.dumps(asdict(EIGHT))), StrainGauges) == EIGHT
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"matrix": ((1.0, 2.0),)}, "StrainGauges.matrix must have six rows of at least six numbers"),
+        ({"matrix": (FTSENS_SN039[0],) * 6}, "StrainGauges.matrix must be finite and have rank six"),
+        ({"matrix": np.full((6, 6), np.nan)}, "StrainGauges.matrix must be finite and have rank six"),
+        ({"matrix": ((1.0, 2.0), (1.0,))}, "StrainGauges.matrix must have six rows of at least six numbers"),
+        ({"noise_force": -0.1}, "StrainGauges.noise_force must be finite and not negative, got -0.1"),
+        ({"full_scale_torque": 0.0}, "StrainGauges.full_scale_torque must be finite and positive, got 0.0"),
+        ({"gain_error_std": 0.6}, "StrainGauges.gain_error_std must be at most 0.5, got 0.6"),
+        ({"adc_bits": 1}, "StrainGauges.adc_bits must be 0 or lie in 2 to 32, got 1"),
+        ({"hysteresis": 0.2}, "StrainGauges.hysteresis must be at most 0.08, got 0.2"),
+        ({"hysteresis_of": "glue"}, "StrainGauges.hysteresis_of must be 'load' or 'gauges', got 'glue'"),
+        (
+            {"hysteresis_true_torque": 36.0},
+            "StrainGauges.hysteresis_true_torque must be at most the full scale, 35.0, got 36.0",
+        ),
+        ({"creep_shares": (float("inf"),)}, r"StrainGauges.creep_shares must be finite, got \(inf,\)"),
+        ({"creep_shares": (0.1,)}, "StrainGauges.creep_time_constants must hold a positive time for each of"),
+    ],
+)
+def test_impossible_values_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        StrainGauges(**fields)
+
+
+def test_wrong_shapes_are_refused():
+    sensor, state, rng = drawn(LEG, (2,))
+    with pytest.raises(ValueError, match=r"must hold the 6 gauges, got shape \(12,\)"):
+        sensor.init((12,), rng)
+    with pytest.raises(ValueError, match=r"must have the shape \(2, 6\), got \(6,\)"):
+        sensor.apply(WRENCH, state, rng, 0.01)
