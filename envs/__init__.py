@@ -3,6 +3,9 @@
 from surefoot.envs.command import Command
 from surefoot.envs.gait_pattern import Pattern, plan_route, plan_walk
 from surefoot.envs.gait_route import Leg, checked_route
+from surefoot.envs.icub_leg import load_icub_leg_spec
+from surefoot.envs.leg_rig import ADDED_MASSES, AddedMass, load_leg_rig_spec
+from surefoot.envs.leg_rig_env import LegRigEnv
 from surefoot.envs.nao import NaoEnv
 from surefoot.envs.nao_stand import NaoStandEnv
 from surefoot.envs.nao_walk import NaoWalkEnv
@@ -11,9 +14,12 @@ from surefoot.envs.robot import BelowSensor, below_ankle, below_cells, load_nao_
 from surefoot.envs.truth import Truth
 
 __all__ = [
+    "ADDED_MASSES",
+    "AddedMass",
     "BelowSensor",
     "Command",
     "Leg",
+    "LegRigEnv",
     "NaoEnv",
     "NaoStandEnv",
     "NaoWalkEnv",
@@ -23,6 +29,8 @@ __all__ = [
     "below_ankle",
     "below_cells",
     "checked_route",
+    "load_icub_leg_spec",
+    "load_leg_rig_spec",
     "load_nao_spec",
     "plan_route",
     "plan_walk",

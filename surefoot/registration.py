@@ -8,9 +8,10 @@ from gymnasium.envs.registration import register, registry
 
 def register_environments() -> None:
     """Register ``surefoot/...``; doing so again changes nothing."""
-    for name, entry_point in {
-        "surefoot/NaoStand-v0": "surefoot.envs.nao_stand:NaoStandEnv",
-        "surefoot/NaoWalk-v0": "surefoot.envs.nao_walk:NaoWalkEnv",
+    for name, (entry_point, max_episode_steps) in {
+        "surefoot/LegRig-v0": ("surefoot.envs.leg_rig_env:LegRigEnv", 3000),
+        "surefoot/NaoStand-v0": ("surefoot.envs.nao_stand:NaoStandEnv", None),
+        "surefoot/NaoWalk-v0": ("surefoot.envs.nao_walk:NaoWalkEnv", None),
     }.items():
         if name not in registry:
-            register(id=name, entry_point=entry_point)
+            register(id=name, entry_point=entry_point, max_episode_steps=max_episode_steps)
