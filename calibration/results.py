@@ -15,6 +15,9 @@ class FitResult(StrEnum):
     PARTLY_DETERMINED = "partly determined"
     """Directions that the data do not excite were left where they started; see the rank."""
 
+    REFUSED = "refused"
+    """The data cannot tell; the reasons are with the fit."""
+
 
 class CalibrationRefused(ValueError):  # noqa: N818 - a refusal is not an error of the program
     """A fit that will not say what it cannot know.

@@ -1,0 +1,48 @@
+"""Whether gravity was seen in enough directions; private."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.results import CalibrationRefused
+
+__all__ = ["MINIMUM_SPREAD", "refuse_narrow_gravity"]
+
+MINIMUM_SPREAD = 0.01
+"""Standard deviation of gravity along its least seen direction over gravity's size, dimensionless.
+
+About half a degree. What an accelerometer's noise and a wobbling joint add to a plane motion lies below it: a
+fit that took them for gravity turning would divide by them.
+"""
+
+_SEEN = (
+    "Gravity was seen in one direction only",
+    "Gravity was seen turning to and fro between two directions only",
+    "Gravity was seen turning in a plane only",
+)
+
+
+def refuse_narrow_gravity(
+    centred: NDArray[np.float64], size: float, minimum: float, sought: str, cure: str
+) -> None:
+    """Refuse vectors of gravity that do not spread in three dimensions.
+
+    Args:
+        centred: Gravity less its mean, shape (n, 3); any unit. Their triangular factor does as well.
+        size: Root mean square of gravity's length times the root of the number of samples, in the same unit.
+        minimum: Share of gravity's size by which it must have spread along its least seen direction.
+        sought: What is to be found, for the message.
+        cure: What to do.
+
+    Raises:
+        CalibrationRefused: If it did not spread that far.
+    """
+    singular = np.linalg.svd(centred, compute_uv=False)
+    spread = np.zeros(3)
+    spread[: len(singular)] = singular / size if size > 0.0 else 0.0
+    rank = int(np.sum(spread >= minimum))
+    if rank < 3:
+        raise CalibrationRefused(
+            f"{_SEEN[rank]} (beside that it spread by {100.0 * spread[rank]:.2g} % of its size, and "
+            f"{100.0 * minimum:g} % are needed), so {sought} cannot be told.",
+            cure,
+        )

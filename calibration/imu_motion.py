@@ -1,0 +1,86 @@
+"""From an IMU somewhere on the limb to what an F/T sensor feels.
+
+An IMU at p in the sensor's frame reads the specific force f = a_imu - g, and for a rigid limb
+
+    a_imu = a + alpha x p + omega x (omega x p)
+
+with the acceleration a of the sensor's origin. What the limb weighs at the sensor follows g - a, so that
+
+    g - a = -R_sensor_imu f + alpha x p + omega x (omega x p).
+
+The angular acceleration alpha is the derivative of the gyroscope's rate by local polynomials
+(Savitzky-Golay): a zero-phase filter, for logs. At rest all this is g = -R f, wherever the IMU sits.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.calibration.in_situ_static import savitzky_golay
+
+__all__ = ["ImuMotion", "gravity_from_imu"]
+
+
+class ImuMotion(NamedTuple):
+    """What a limb's motion means to its sensor, in the sensor's frame at the sensor's origin.
+
+    Attributes:
+        gravity: g - a in m/s^2, pointing down at rest, shape (n, 3).
+        angular_velocity: In rad/s, shape (n, 3).
+        angular_acceleration: In rad/s^2, shape (n, 3).
+    """
+
+    gravity: NDArray[np.float64]
+    angular_velocity: NDArray[np.float64]
+    angular_acceleration: NDArray[np.float64]
+
+
+def gravity_from_imu(
+    specific_force: ArrayLike,
+    angular_velocity: ArrayLike,
+    *,
+    dt: float,
+    position_imu: ArrayLike = (0.0, 0.0, 0.0),
+    R_sensor_imu: ArrayLike | None = None,
+    window: int = 15,
+    order: int = 3,
+) -> ImuMotion:
+    """Carry an IMU's log to the sensor's origin.
+
+    Args:
+        specific_force: What the accelerometer reads, calibrated, in the IMU's frame in m/s^2, shape (n, 3).
+        angular_velocity: What the gyroscope reads less its bias, in the IMU's frame in rad/s, shape (n, 3).
+        dt: Time between samples in s, the same for all.
+        position_imu: Of the accelerometer in the sensor's frame in m, shape (3,).
+        R_sensor_imu: Turns vectors of the IMU's frame into the sensor's, shape (3, 3); else the identity.
+        window: Of the derivative in samples, odd. The noise of alpha falls with its 3/2nd power; motion
+            faster than about the window is flattened.
+        order: Of the derivative's polynomials.
+
+    Returns:
+        The motion at the sensor's origin.
+
+    Raises:
+        ValueError: If shapes do not belong together, the rotation is none, the log is shorter than the window
+            or the gyroscope's log is not finite. Accelerometer samples that are not finite stay so.
+
+    >>> motion = gravity_from_imu(np.tile([0.0, 0.0, 9.81], (40, 1)), np.zeros((40, 3)), dt=0.01)
+    >>> motion.gravity[0] + 0.0
+    array([ 0.  ,  0.  , -9.81])
+    """
+    f, omega = np.asarray(specific_force, dtype=np.float64), np.asarray(angular_velocity, dtype=np.float64)
+    if f.ndim != 2 or f.shape[1] != 3:
+        raise ValueError(f"'specific_force' must have shape (n, 3), got {f.shape}.")
+    if omega.shape != f.shape:
+        raise ValueError(f"'angular_velocity' must have shape {f.shape}, got {omega.shape}.")
+    p = np.asarray(position_imu, dtype=np.float64)
+    if p.shape != (3,) or not np.isfinite(p).all():
+        raise ValueError(f"'position_imu' must be three finite numbers, got {position_imu!r}.")
+    R = np.eye(3) if R_sensor_imu is None else np.asarray(R_sensor_imu, dtype=np.float64)
+    if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
+        raise ValueError(f"'R_sensor_imu' must be a rotation of shape (3, 3), got {R.tolist()}.")
+    omega_sensor = omega @ R.T
+    alpha = savitzky_golay(omega_sensor, window, order, derivative=1, dt=dt)
+    carried = np.cross(alpha, p) + np.cross(omega_sensor, np.cross(omega_sensor, p))
+    return ImuMotion(-f @ R.T + carried, omega_sensor, alpha)

@@ -1,0 +1,111 @@
+"""What in-situ calibration hands back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+
+__all__ = ["InSituFit", "Limb"]
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """The rigid body beyond the sensor, without what was added to it.
+
+    Attributes:
+        mass: m in kg.
+        mass_com: First moment m c in the sensor's frame in kg m, shape (3,).
+        inertia: About the sensor's origin in its frame in kg m^2, shape (3, 3); None where the motion did not
+            show it.
+    """
+
+    mass: float
+    mass_com: NDArray[np.float64]
+    inertia: NDArray[np.float64] | None = None
+
+    @property
+    def com(self) -> NDArray[np.float64]:
+        """Centre of mass in the sensor's frame in m, shape (3,)."""
+        return np.asarray(self.mass_com / self.mass)
+
+
+@dataclass(frozen=True, eq=False)
+class InSituFit:
+    """A calibrated six-axis sensor, w = C (r - o) (in-situ paper, Eq. 2), with J sets of k channels.
+
+    Where the fit was refused all values are NaN and ``refusals`` says why.
+
+    Attributes:
+        matrix: C in N and N m per count, shape (6, k).
+        offset: o of the last set (at its end, where it drifts) in counts, shape (k,).
+        offsets: o of each set in counts, at the middle of its samples, shape (J, k).
+        response: Counts per N and N m, shape (k, 6): r = response w + o; C is its inverse, for k > 6 the
+            one of least variance.
+        limb: The body beyond the sensor.
+        covariance: Of (C row by row, the last set's offset, the limb's mass and first moment), shape
+            (7 k + 4, 7 k + 4).
+        noise: Covariance of a sample's noise in counts^2, shape (k, k).
+        temperature_coefficient: Counts per K, shape (k,); None if no temperature was given.
+        rotation: R_sensor_accelerometer, shape (3, 3); the identity unless it was estimated.
+        result: How much the data determined.
+        refusals: Why it was refused, empty if it was not.
+        warnings: What to know before the numbers are used.
+        stats: Of all sets together; the residual is in counts.
+        set_stats: One a set.
+        affine_residual: Share of a set's spread that leaves the three-space of Lemma 1, shape (J,).
+        set_names: What messages call the sets.
+        hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if none
+            was seen.
+    """
+
+    matrix: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    response: NDArray[np.float64]
+    limb: Limb
+    covariance: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    temperature_coefficient: NDArray[np.float64] | None
+    rotation: NDArray[np.float64]
+    result: FitResult
+    refusals: tuple[CalibrationRefused, ...]
+    warnings: tuple[str, ...]
+    stats: FitStats
+    set_stats: tuple[FitStats, ...]
+    affine_residual: NDArray[np.float64]
+    set_names: tuple[str, ...]
+    hysteresis: NDArray[np.float64] | None = None
+
+    @property
+    def matrix_std(self) -> NDArray[np.float64]:
+        """Standard deviation of each entry of C in N and N m per count, shape (6, k)."""
+        deviations = np.sqrt(np.diag(self.covariance)[: self.matrix.size])
+        return np.asarray(deviations.reshape(self.matrix.shape))
+
+    @property
+    def offset_std(self) -> NDArray[np.float64]:
+        """Standard deviation of the last set's offset in counts, shape (k,)."""
+        first = self.matrix.size
+        return np.asarray(np.sqrt(np.diag(self.covariance)[first : first + len(self.offset)]))
+
+    @property
+    def limb_mass_std(self) -> float:
+        """Standard deviation of the limb's mass in kg."""
+        return float(np.sqrt(self.covariance[-4, -4]))
+
+    def wrench(
+        self, raw: NDArray[np.float64], offset: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Compute w = C (r - o) in N and N m (in-situ paper, Eq. 2).
+
+        Args:
+            raw: Counts, shape (..., k).
+            offset: o in counts, shape (..., k); the last set's by default.
+
+        Returns:
+            What the limb exerts on the robot, at and in the sensor's frame, shape (..., 6).
+        """
+        zero = self.offset if offset is None else offset
+        return np.asarray((np.asarray(raw, dtype=np.float64) - zero) @ self.matrix.T)
