@@ -4,8 +4,10 @@ NumPy, SciPy and the array API standard; no simulator and no Gymnasium, so that 
 
 * :class:`FootCalibrator` in a robot's loop, :func:`replay` for a log; by name from :data:`METHODS`.
 * :func:`online_method` for the pure functions beneath them, batched, on NumPy or torch.
+* :func:`calibrate_in_situ` for six-axis force-torque sensors, from gravity and known masses.
 """
 
+from surefoot.calibration.accelerometer import AccelerometerFit, calibrate_accelerometer
 from surefoot.calibration.bench import ChannelFit, fit_channels
 from surefoot.calibration.bound import Bound, posterior_bound
 from surefoot.calibration.centroidal import GroundReference, ground_height, ground_reference
@@ -22,8 +24,31 @@ from surefoot.calibration.cop import (
 )
 from surefoot.calibration.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
 from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.excitation import (
+    ExcitationPlan,
+    ExcitationPrior,
+    MassCandidate,
+    PlannedPose,
+    plan_excitation,
+    prior_from_factory,
+    prior_from_fit,
+)
 from surefoot.calibration.filters import low_pass, zero_phase
 from surefoot.calibration.foot_calibrator import FootCalibrator
+from surefoot.calibration.imu_motion import ImuMotion, gravity_from_imu
+from surefoot.calibration.in_situ import calibrate_in_situ
+from surefoot.calibration.in_situ_fit import InSituFit, Limb
+from surefoot.calibration.in_situ_matrix import PaperMatrixFit, estimate_matrix
+from surefoot.calibration.in_situ_offset import OffsetFit, estimate_offset
+from surefoot.calibration.in_situ_options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ_set import InSituSet
+from surefoot.calibration.in_situ_static import savitzky_golay, static_samples
+from surefoot.calibration.in_situ_tracker import (
+    InSituEstimate,
+    InSituTracker,
+    InSituTrackerConfig,
+    in_situ_tracker,
+)
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor, nao_shoe_layout
 from surefoot.calibration.moment_filter import MomentFilterConfig
 from surefoot.calibration.online import METHODS, OnlineMethod, OnlineSetup, online_method
@@ -41,11 +66,14 @@ __all__ = [
     "FORCE_THRESHOLD",
     "GRAVITY",
     "METHODS",
+    "AccelerometerFit",
     "Bound",
     "CalibrationRefused",
     "ChannelFit",
     "CopCorrectionFit",
     "Estimate",
+    "ExcitationPlan",
+    "ExcitationPrior",
     "FeetLayout",
     "FitResult",
     "FitStats",
@@ -54,11 +82,24 @@ __all__ = [
     "FootLayout",
     "FootSensor",
     "GroundReference",
+    "ImuMotion",
+    "InSituEstimate",
+    "InSituFit",
+    "InSituOptions",
+    "InSituSet",
+    "InSituTracker",
+    "InSituTrackerConfig",
+    "KnownLimb",
+    "Limb",
+    "MassCandidate",
     "MomentFilterConfig",
+    "OffsetFit",
     "OnlineMethod",
     "OnlineSetup",
+    "PaperMatrixFit",
     "Parameters",
     "PlacementScore",
+    "PlannedPose",
     "QuietStanding",
     "Reference",
     "StandingEstimate",
@@ -66,26 +107,37 @@ __all__ = [
     "StandingState",
     "TareConfig",
     "WindowConfig",
+    "calibrate_accelerometer",
+    "calibrate_in_situ",
     "confidence_from_standing",
     "cop_is_valid",
     "cop_of_cells",
     "cop_of_feet",
     "cop_of_moments",
     "cop_of_wrench",
+    "estimate_matrix",
+    "estimate_offset",
     "fit_channels",
     "fit_cop_correction",
+    "gravity_from_imu",
     "ground_height",
     "ground_reference",
+    "in_situ_tracker",
     "level_moments",
     "load_state",
     "low_pass",
     "moment_rows",
     "nao_shoe_layout",
     "online_method",
+    "plan_excitation",
     "posterior_bound",
+    "prior_from_factory",
+    "prior_from_fit",
     "replay",
     "save_state",
+    "savitzky_golay",
     "sole_wrenches",
     "standing_start",
+    "static_samples",
     "zero_phase",
 ]

@@ -1,0 +1,89 @@
+"""How an in-situ calibration is to be made."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["InSituOptions", "KnownLimb"]
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLimb:
+    """What is known of the limb beforehand, such as from a model of the robot or a pair of scales.
+
+    Attributes:
+        mass: m in kg.
+        mass_std: Its standard deviation in kg.
+        com: Centre of mass in the sensor's frame in m, shape (3,); None if only the mass is known.
+        com_std: Its standard deviation along each axis in m.
+
+    Raises:
+        ValueError: If a value is not positive or not finite.
+    """
+
+    mass: float
+    mass_std: float
+    com: NDArray[np.float64] | None = None
+    com_std: float = 0.005
+
+    def __post_init__(self) -> None:
+        """Check."""
+        for name in ("mass", "mass_std", "com_std"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"KnownLimb: '{name}' must be positive and finite, got {value!r}.")
+        if self.com is not None:
+            com = np.asarray(self.com, dtype=np.float64)
+            if com.shape != (3,) or not np.all(np.isfinite(com)):
+                raise ValueError(f"KnownLimb: 'com' must be three finite numbers in m, got {self.com!r}.")
+            object.__setattr__(self, "com", com)
+
+
+@dataclass(frozen=True)
+class InSituOptions:
+    """How an in-situ calibration is to be made."""
+
+    drift: int = 2
+    """Number of cosines over a set's time along which its offset may drift; 0 for none. Sets without times
+    have none, and each cosine takes 8 s of a set."""
+
+    robust: bool = True
+    """Whether samples that disagree with all others are weighted down (Tukey's biweight)."""
+
+    hysteresis: bool = True
+    """Whether the sensor's hysteresis is part of the fit where sets have times and show it beyond chance."""
+
+    factory_std: tuple[float, ...] | None = None
+    """How far each axis of the sensor may be from the factory matrix, as a share of its response, (6,). None
+    lets cross-validation choose; only used with a factory matrix."""
+
+    estimate_rotation: bool = False
+    """Whether the rotation from the accelerometer's frame to the sensor's is unknown (in-situ paper, remark
+    of II-B). It shows through added masses at places known in the sensor's frame; limb at rest only."""
+
+    code_range: tuple[float, float] | None = None
+    """Lowest and highest count of the converter; channels that stay there are saturated."""
+
+    misfit_tolerance: float = 0.03
+    """Share of a set's spread that may be left unexplained before the set is refused."""
+
+    mass_tolerance: float = 0.05
+    """Share of the largest added mass, or of its reach, by which readings may contradict what was added."""
+
+    scale_tolerance: float = 0.1
+    """Standard deviation of the limb's mass, as a share of it, beyond which the scale counts as unknown."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        for name in ("misfit_tolerance", "mass_tolerance", "scale_tolerance"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"'{name}' must be positive and finite, got {value!r}.")
+        if self.drift not in range(9):
+            raise ValueError(f"'drift' must be a whole number from 0 to 8, got {self.drift!r}.")
+        stds = self.factory_std
+        if stds is not None and (len(stds) != 6 or not all(value > 0.0 for value in stds)):
+            raise ValueError(f"'factory_std' must hold six positive shares, one an axis, got {stds!r}.")
+        if self.code_range is not None and not self.code_range[0] < self.code_range[1]:
+            raise ValueError(f"'code_range' must be (lowest, highest), got {self.code_range!r}.")

@@ -1,0 +1,266 @@
+"""What the in-situ calibration refuses, and with which words."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, paper_sets, swept_gravity
+from _in_situ_stacked import wrench_of_gravity
+
+from surefoot.calibration.in_situ import calibrate_in_situ
+from surefoot.calibration.in_situ_options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ_set import InSituSet
+from surefoot.calibration.results import CalibrationRefused, FitResult
+
+MATRIX, MASS, COM, _ = SENSORS["leg"]
+GAIN = np.linalg.inv(MATRIX)
+NOISE = np.array([0.05, 0.05, 0.05, 0.001, 0.001, 0.001])
+
+
+def leg_sets():
+    rng = np.random.default_rng(0)
+    sets, _ = paper_sets("leg", rng, n=600)
+    return [
+        replace(
+            one, raw=one.raw + (NOISE * rng.standard_normal((600, 6))) @ GAIN.T, time=np.arange(600) / 10.0
+        )
+        for one in sets
+    ]
+
+
+def with_raw(one, change):
+    raw = one.raw.copy()
+    change(raw)
+    return replace(one, raw=raw)
+
+
+def planar(sets):
+    planar = []
+    for one in sets:
+        g = one.gravity * [1.0, 0.0, 1.0]
+        planar.append(replace(one, gravity=9.81 * g / np.linalg.norm(g, axis=1, keepdims=True)))
+    return planar
+
+
+def two_orientations(sets):
+    return [replace(one, raw=one.raw[::20], gravity=one.gravity[[0, 30] * 15], time=None) for one in sets]
+
+
+def bending(sets):
+    bent = []
+    for one in sets:
+        shift = MASS * one.gravity[:, :1] / 9.81 * np.array([0.01, 0.0, 0.0])
+        torque = np.cross(shift, one.gravity)
+        bent.append(replace(one, raw=one.raw + torque @ GAIN.T[3:]))
+    return bent
+
+
+def touching(sets):
+    touched = np.where(sets[2].gravity[:, 0] > 5.0, 3.0 * (sets[2].gravity[:, 0] - 5.0), 0.0)
+    push = np.outer(touched, [-0.5, 0.0, -1.0, 0.3, 0.0, 0.1])
+    return [*sets[:2], replace(sets[2], raw=sets[2].raw + push @ GAIN.T), sets[3]]
+
+
+def bumped(sets):
+    def bump(raw):
+        raw[200:260] += GAIN @ [15.0, -20.0, 10.0, 1.0, 0.0, 0.0]
+
+    return [with_raw(sets[0], bump), *sets[1:]]
+
+
+def heavier(sets):
+    return [*sets[:2], replace(sets[2], added_mass=0.62), sets[3]]
+
+
+def misplaced(sets):
+    return [*sets[:3], replace(sets[3], added_com=np.add(sets[3].added_com, [0.0, 0.04, 0.0]))]
+
+
+def dead(sets):
+    def constant(raw):
+        raw[:, 3] = 12.0
+
+    return [sets[0], with_raw(sets[1], constant), *sets[2:]]
+
+
+def clipped(sets):
+    top = np.quantile(sets[0].raw[:, 4], 0.9)
+
+    def clip(raw):
+        raw[:, 4] = np.minimum(raw[:, 4], top)
+
+    return [with_raw(sets[0], clip), *sets[1:]], InSituOptions(code_range=(-40000.0, float(top)))
+
+
+def empty(sets):
+    def lose(raw):
+        raw[3:, 1] = np.nan
+
+    return [with_raw(sets[0], lose), *sets[1:]]
+
+
+REFUSALS = {
+    "planar motion": (planar, "Gravity was seen to turn in one plane only"),
+    "two orientations": (two_orientations, "Gravity was seen to turn along one line only"),
+    "one mass": (
+        lambda s: s[:1],
+        "Different added masses: 1, and three are needed to tell a matrix (Lemma 2)",
+    ),
+    "two masses": (lambda s: [*s[:2], s[1]], "Different added masses: 2, and three are needed"),
+    "no set without": (lambda s: s[1:], "The 3 different added masses determine 36 of 40 unknowns"),
+    "a limb that bends": (bending, "of the readings' spread goes with gravity's squares: the limb bends"),
+    "a bump": (bumped, "'data set 1': 10% of the samples disagree with all others, most of them between 20."),
+    "a mass that is not as said": (
+        heavier,
+        "The added mass of 'data set 3' contradicts the other sets: 0.620 kg",
+    ),
+    "a place that is not as said": (misplaced, "The added mass of 'data set 4' contradicts the other sets"),
+    "a dead channel": (dead, "'data set 2': channel 3 reads 12 throughout."),
+    "a clipped channel": (clipped, "'data set 1': channel 4 is saturated in 10"),
+    "no sample": (empty, "'data set 1': 3 of 600 samples are whole, and four are the least."),
+    "units of g": (
+        lambda s: [replace(one, gravity=one.gravity / 9.81) for one in s],
+        "'data set 1': gravity is 1 m/s^2 long, where 9.81 is expected. Give it in m/s^2",
+    ),
+}
+
+
+@pytest.mark.parametrize(("make", "said"), REFUSALS.values(), ids=REFUSALS.keys())
+def test_refuses_with_the_reason_and_the_cure(make, said):
+    made = make(leg_sets())
+    sets, options = made if isinstance(made, tuple) else (made, None)
+    with pytest.raises(CalibrationRefused, match=re.escape(said)) as raised:
+        calibrate_in_situ(sets, options=options)
+    assert raised.value.cure.endswith(".")
+    fit = calibrate_in_situ(sets, options=options, refuse=False)
+    assert fit.result is FitResult.REFUSED
+    assert said in str(fit.refusals[0])
+    for value in (fit.matrix, fit.offset, fit.covariance, fit.limb.mass):
+        assert np.isnan(value).all()
+
+
+def test_a_foot_in_contact_is_refused():
+    # Where it pushes is seen as well as that it does; which of the checks sees it first depends on where.
+    with pytest.raises(CalibrationRefused, match="'data set 3'"):
+        calibrate_in_situ(touching(leg_sets()))
+
+
+def test_takes_the_same_sets_unhurt():
+    fit = calibrate_in_situ(leg_sets())
+    assert fit.result is FitResult.DETERMINED
+    assert fit.refusals == ()
+    assert abs(fit.limb.mass - MASS) < 4.0 * fit.limb_mass_std
+
+
+@pytest.mark.parametrize(("row", "column", "factor"), [(2, 4, -1.0), (0, 5, 10.0), (1, 1, 0.1)])
+def test_one_corrupt_entry_of_the_factory_matrix_is_named(row, column, factor):
+    corrupt = MATRIX.copy()
+    corrupt[row, column] *= factor
+    said = re.escape(
+        f"Entry [{row}, {column}] of the factory matrix, {corrupt[row, column]:.4g}, contradicts"
+    )
+    with pytest.raises(CalibrationRefused, match=said):
+        calibrate_in_situ(leg_sets(), factory_matrix=corrupt)
+    with pytest.raises(CalibrationRefused, match=said):
+        calibrate_in_situ(leg_sets()[:1], factory_matrix=corrupt, limb=KnownLimb(MASS, 0.02, COM, 0.002))
+
+
+def test_planar_motion_is_a_warning_beside_a_factory_matrix():
+    rng = np.random.default_rng(1)
+    angle = np.radians(rng.uniform(-40.0, 40.0, 400))
+    gravity = 9.81 * np.stack([np.sin(angle), np.zeros(400), np.cos(angle)], axis=1)
+    raw = gravity @ wrench_of_gravity(MASS, COM).T @ GAIN.T + (NOISE * rng.standard_normal((400, 6))) @ GAIN.T
+    fit = calibrate_in_situ(
+        [InSituSet(raw, gravity)], factory_matrix=MATRIX, limb=KnownLimb(MASS, 0.05, COM, 0.005)
+    )
+    assert fit.result is FitResult.PARTLY_DETERMINED
+    assert "in one plane only" in fit.warnings[0]
+    np.testing.assert_allclose(fit.offset @ MATRIX.T, 0.0, atol=0.6)
+
+
+def test_a_scale_that_is_not_known_is_refused():
+    # Masses of 20 g beside a limb of 4.9 kg.
+    rng = np.random.default_rng(2)
+    gravity = swept_gravity(600)
+    sets = [
+        make_set(MATRIX, 0.0, (MASS, COM), (0.03 * added, place), gravity, noise=0.01, rng=rng)
+        for added, place in zip(ADDED_MASS, ADDED_COM_LEG, strict=True)
+    ]
+    with pytest.raises(
+        CalibrationRefused, match=r"The limb's mass comes out as .* kg with a standard deviation of"
+    ):
+        calibrate_in_situ(sets)
+
+
+ARGUMENTS = {
+    "no set": (lambda s: ([], {}), "Give at least one set of readings."),
+    "other channels": (
+        lambda s: ([s[0], replace(s[1], raw=np.ones((600, 7)))], {}),
+        "All sets must have the same number of channels, got [6, 7].",
+    ),
+    "factory shape": (
+        lambda s: (s, {"factory_matrix": np.eye(5)}),
+        "'factory_matrix' must have shape (6, 6), got (5, 5).",
+    ),
+    "factory rank": (
+        lambda s: (s, {"factory_matrix": np.ones((6, 6))}),
+        "'factory_matrix' must be finite and of rank 6",
+    ),
+}
+
+
+@pytest.mark.parametrize(("make", "said"), ARGUMENTS.values(), ids=ARGUMENTS.keys())
+def test_bad_arguments(make, said):
+    sets, options = make(leg_sets())
+    with pytest.raises(ValueError, match=re.escape(said)):
+        calibrate_in_situ(sets, **options)
+
+
+SETS = {
+    "channels": ({"raw": np.ones((5, 4))}, "'raw' must have shape (n, k) with k >= 6, got (5, 4)."),
+    "gravity": ({"gravity": np.ones((4, 3))}, "'gravity' must have shape (5, 3), got (4, 3)."),
+    "rate alone": ({"angular_velocity": np.ones((5, 3))}, "give angular velocity and acceleration together"),
+    "time": (
+        {"time": [0.0, 1.0, 1.0, 2.0, 3.0]},
+        "'time' must be finite and increase from sample to sample.",
+    ),
+    "mass": ({"added_mass": -0.1}, "'added_mass' must be at least 0 kg and finite, got -0.1."),
+    "place": ({"added_com": [0.0, np.nan, 0.0]}, "'added_com' must be finite"),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), SETS.values(), ids=SETS.keys())
+def test_bad_sets(change, said):
+    good = {"raw": np.ones((5, 6)), "gravity": np.ones((5, 3)), "name": "one"}
+    with pytest.raises(ValueError, match=re.escape(said)):
+        InSituSet(**(good | change))
+
+
+OPTIONS = {
+    "drift": ({"drift": 9}, "'drift' must be a whole number from 0 to 8, got 9."),
+    "tolerance": ({"misfit_tolerance": 0.0}, "'misfit_tolerance' must be positive and finite, got 0.0."),
+    "shares": ({"factory_std": (0.1, 0.1)}, "'factory_std' must hold six positive shares, one an axis"),
+    "range": ({"code_range": (5.0, 5.0)}, "'code_range' must be (lowest, highest), got (5.0, 5.0)."),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), OPTIONS.values(), ids=OPTIONS.keys())
+def test_bad_options(change, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        InSituOptions(**change)
+
+
+def test_a_known_limb_is_checked():
+    with pytest.raises(ValueError, match="KnownLimb: 'mass_std' must be positive and finite, got 0"):
+        KnownLimb(1.0, 0)
+    with pytest.raises(ValueError, match="KnownLimb: 'com' must be three finite numbers in m"):
+        KnownLimb(1.0, 0.1, com=np.ones(2))
+
+
+def test_a_rotation_needs_a_limb_at_rest():
+    sets = leg_sets()
+    still = np.zeros((600, 3))
+    moving = [replace(one, angular_velocity=still, angular_acceleration=still) for one in sets]
+    with pytest.raises(ValueError, match="'estimate_rotation' needs a limb at rest"):
+        calibrate_in_situ(moving, options=InSituOptions(estimate_rotation=True))
