@@ -1,0 +1,117 @@
+"""Six-axis calibration matrices as text files, among them those of the iCub's FTSens.
+
+An FTSens file has 43 lines: the 36 entries of C row by row as 16-bit two's-complement hexadecimal in 1.15
+fixed point, a gain of 1, and the six full scales in N and N m. The entries are those of diag(1 / full scale)
+C 32767, which map counts as shares of the converter's 32767 to shares of the full scales and must lie in [-1,
+1).
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.experiments._log_checks import LogError
+
+__all__ = ["ICUB_COUNTS", "icub_text", "read_icub_text", "read_matrix"]
+
+ICUB_COUNTS = 32767.0
+"""Counts at the end of an FTSens's converter."""
+
+_UNIT = 2**15
+_ENTRIES = 36
+_LINES = 43
+
+
+def icub_text(matrix: NDArray[np.float64], full_scale: NDArray[np.float64]) -> str:
+    """Write C as an FTSens file holds it; each entry is rounded to 2^-15 of full scale per 32767 counts.
+
+    Args:
+        matrix: C in N and N m per count, shape (6, 6).
+        full_scale: In N and N m, whole numbers, shape (6,).
+
+    Raises:
+        ValueError: If a shape is another, a full scale is no positive whole number, or an entry does not fit.
+    """
+    matrix, scale = np.asarray(matrix, dtype=np.float64), np.asarray(full_scale, dtype=np.float64)
+    if matrix.shape != (6, 6):
+        raise ValueError(
+            f"The iCub's format holds a 6 x 6 matrix, got shape {matrix.shape}; write JSON or YAML for a "
+            "sensor with other than six channels."
+        )
+    if scale.shape != (6,) or not (np.isfinite(scale) & (scale > 0.0) & (scale == np.round(scale))).all():
+        raise ValueError(
+            f"The iCub's format needs six full scales in whole N and N m, got {scale.tolist()}; give "
+            "sensor.full_scale as its data sheet does."
+        )
+    share = matrix * ICUB_COUNTS / scale[:, None]
+    fixed = np.round(share * _UNIT)
+    if not ((fixed >= -_UNIT) & (fixed < _UNIT)).all():
+        i, j = np.unravel_index(int(np.argmax(np.nan_to_num(np.abs(share), nan=np.inf))), share.shape)
+        raise ValueError(
+            f"The iCub's format holds entries in [-1, 1), and that of row {i}, column {j} is "
+            f"{share[i, j]:.4g} of a full scale of {scale[i]:g}; give a larger full scale for that row."
+        )
+    entries = [f"{int(value) & 0xFFFF:04X}" for value in fixed.ravel()]
+    return "".join(f"{line}\r\n" for line in [*entries, "1", *(f"{int(value)}" for value in scale)])
+
+
+def read_icub_text(text: str, file: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read what :func:`icub_text` writes.
+
+    Returns:
+        C in N and N m per count, shape (6, 6), and the full scales, shape (6,).
+
+    Raises:
+        LogError: If it is not such a file.
+    """
+    lines = text.split()
+    if len(lines) != _LINES:
+        raise LogError(
+            f"{file}: an iCub matrix has {_LINES} lines (36 entries, a gain, six full scales), got "
+            f"{len(lines)}; give the sensor's own file, or six rows of numbers."
+        )
+    try:
+        if any(len(line) > 4 for line in lines[:_ENTRIES]):
+            raise ValueError
+        entries = np.array([int(line, 16) for line in lines[:_ENTRIES]], dtype=np.float64)
+        gain, scale = float(lines[_ENTRIES]), np.array([float(line) for line in lines[_ENTRIES + 1 :]])
+    except ValueError:
+        raise LogError(
+            f"{file}: an iCub matrix begins with 36 entries of up to four hexadecimal digits and ends with "
+            "decimal numbers; check the file."
+        ) from None
+    share = np.where(entries >= _UNIT, entries - 2 * _UNIT, entries).reshape(6, 6) / _UNIT
+    return gain * scale[:, None] * share / ICUB_COUNTS, scale
+
+
+def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Read a factory matrix: six rows of numbers (commas or spaces between them), or an iCub's file.
+
+    Returns:
+        C in N and N m per count, shape (6, k), and the full scales, shape (6,), where the file has them.
+
+    Raises:
+        LogError: If the file is not there or holds neither.
+    """
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; factory.file gives its path from the configuration.")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
+    if rows and all(len(row) == 1 for row in rows):
+        return read_icub_text(text, path.name)
+    widths = sorted({len(row) for row in rows})
+    if len(rows) != 6 or len(widths) != 1 or widths[0] < 6:
+        raise LogError(
+            f"{path.name}: a factory matrix has six rows (fx fy fz tx ty tz) of a number a channel, at least "
+            f"six of them; got {len(rows)} rows of {' or '.join(map(str, widths)) or 'no'} numbers."
+        )
+    try:
+        matrix = np.array(rows, dtype=np.float64)
+    except ValueError:
+        raise LogError(
+            f"{path.name}: a factory matrix holds numbers only; remove headings and text."
+        ) from None
+    if not np.isfinite(matrix).all():
+        raise LogError(f"{path.name}: the factory matrix has an entry that is not finite; write all of it.")
+    return matrix, None

@@ -1,0 +1,118 @@
+"""From a log of in-situ sets to a calibration, its files and its page."""
+
+import dataclasses
+import html
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.calibrate_in_situ import SAMPLE, CalibratedSensor, calibrate_in_situ_log
+from surefoot.experiments.in_situ_export import read_calibration, read_icub_matrix
+from surefoot.experiments.in_situ_log import config_beside
+from surefoot.experiments.in_situ_sample import make_sample, write_sample
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> CalibratedSensor:
+    return calibrate_in_situ_log(SAMPLE, folder=tmp_path_factory.mktemp("sample"))
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample's first five sets, every third row: enough where the figures do not matter."""
+    path = tmp_path_factory.mktemp("short") / "in_situ_leg.parquet"
+    table = pq.read_table(SAMPLE).filter(pc.field("set") <= 5)
+    pq.write_table(table.take(np.arange(0, table.num_rows, 3)), path)
+    told = SAMPLE.with_suffix(".toml").read_text()
+    path.with_suffix(".toml").write_text(told[: told.index('[[sets]]\nname = "6"')])
+    return path
+
+
+def test_all_files_are_written(result: CalibratedSensor) -> None:
+    assert sorted(result.files) == ["calibration", "icub", "report", "ros2", "yaml"]
+    folder = result.files["report"].parent
+    assert sorted(folder.iterdir()) == sorted(result.files.values())
+    np.testing.assert_array_equal(read_calibration(result.files["calibration"]).matrix, result.fit.matrix)
+    found, scale = read_icub_matrix(result.files["icub"])
+    assert np.abs(found - result.fit.matrix).max() <= scale.max() / 2**16 / 32767 * (1 + 1e-9)
+    told = json.loads(result.files["calibration"].read_text())
+    assert told["sensor"] == "FTSens in a leg (simulated)"
+    assert told["channels"] == [f"raw_{i}_count" for i in range(6)]
+
+
+def test_the_page_shows_every_table_and_figure(result: CalibratedSensor) -> None:
+    page = html.unescape(result.files["report"].read_text())
+    assert page.count("data:image/png;base64,") == 3
+    for table in result.tables:
+        assert f"<b>{table.title}</b>" in page
+    for what in ("5 (kept aside)", "The matrix, per count", "Offsets (counts)", "by the factory matrix"):
+        assert what in page
+
+
+def test_sets_that_were_kept_aside_agree(result: CalibratedSensor) -> None:
+    """The sample's sensor has 1 % hysteresis: its weights come out to a few grams all the same."""
+    axes, masses, places = result.tables[2:]
+    aside = [row for row in axes.rows if "kept aside" in row[0]]
+    assert len(aside) == 4
+    assert all(float(row[6]) < 1.05 < float(row[10]) for row in aside)
+    assert all(abs(float(row[4])) < 0.02 for row in masses.rows if "kept aside" in row[0])
+    assert all(abs(float(row[5])) < 1.5 for row in places.rows if "kept aside" in row[0])
+
+
+def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> None:
+    config = dataclasses.replace(config_beside(short), limb_mass=6.0)
+    result = calibrate_in_situ_log(short, config, folder=tmp_path, stem="leg")
+    assert any("and weighs 6 kg (-2" in notice for notice in result.notices)
+    assert "and weighs 6 kg" in result.files["report"].read_text()
+    rows = {row[0]: row[1] for row in result.tables[1].rows}
+    assert rows["known mass (kg)"] == "6.0000"
+
+
+def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Path) -> None:
+    """One column a table less, no iCub file, and a notice that the sign cannot be checked."""
+    config = dataclasses.replace(
+        config_beside(short), factory_matrix=None, full_scale=None, limb_mass=None, fit_sets=None
+    )
+    result = calibrate_in_situ_log(short, config, folder=tmp_path)
+    assert "icub" not in result.files
+    assert any("no factory matrix" in notice for notice in result.notices)
+    assert all("factory" not in column for table in result.tables for column in table.columns)
+    assert "No known mass of the limb" in result.tables[1].note
+
+
+def test_a_matrix_that_an_icub_cannot_hold_is_left_out(short: Path, tmp_path: Path) -> None:
+    config = dataclasses.replace(config_beside(short), full_scale=np.array([100.0, 100, 100, 35, 35, 25]))
+    result = calibrate_in_situ_log(short, config, folder=tmp_path)
+    assert "icub" not in result.files
+    assert any("No matrix in the iCub's format was written" in notice for notice in result.notices)
+
+
+def test_what_is_refused_leaves_nothing_behind(short: Path, tmp_path: Path) -> None:
+    config = dataclasses.replace(config_beside(short), fit_sets=("1", "2"), factory_matrix=None)
+    with pytest.raises(CalibrationRefused, match=r"in_situ_leg\.parquet: .*mass"):
+        calibrate_in_situ_log(short, config, folder=tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_sample_is_what_its_script_makes(tmp_path: Path) -> None:
+    path = write_sample(tmp_path / "again.parquet")
+    assert path.with_suffix(".toml").read_text() == SAMPLE.with_suffix(".toml").read_text()
+    made, shipped = pq.read_table(path), pq.read_table(SAMPLE)
+    assert made.schema.equals(shipped.schema)
+    for name in made.column_names:
+        # Machines differ in the last digits, which may move a count by one.
+        a, b = (table.column(name).to_numpy().astype(float) for table in (made, shipped))
+        np.testing.assert_allclose(a, b, atol=1.0 if "count" in name else 0.02)
+
+
+def test_the_sample_tells_no_truth() -> None:
+    columns, _, truth = make_sample()
+    assert not any("truth" in name for name in columns)
+    factory = config_beside(SAMPLE).factory_matrix
+    assert factory is not None
+    assert np.abs(factory @ truth.response - np.eye(6)).max() > 0.05

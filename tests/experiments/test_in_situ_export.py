@@ -1,0 +1,208 @@
+"""Calibrations as files: whole and exact in JSON and YAML, and as robots read them."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from surefoot.calibration.in_situ_fit import InSituFit, Limb
+from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.experiments.in_situ_export import (
+    offset_wrench,
+    read_calibration,
+    read_icub_matrix,
+    write_icub_matrix,
+    write_json,
+    write_ros2_parameters,
+    write_yaml,
+)
+from surefoot.experiments.log_format import LogError
+from surefoot.sensors import FTSENS_SN039, FTSENS_SN142
+
+FULL_SCALE = np.array([1500.0, 1500.0, 2000.0, 35.0, 35.0, 25.0])
+
+
+def fit(channels: int = 6, **other: Any) -> InSituFit:
+    """A calibration of two sets, with awkward numbers."""
+    rng = np.random.default_rng(7)
+    k = channels
+    root = rng.standard_normal((7 * k + 4, 7 * k + 4)) * 1e-5
+    stats = FitStats(1199, 1, 0, 1 / 3, 6 * k + 4, 6 * k + 4, 123.456)
+    values: dict[str, Any] = {
+        "matrix": rng.standard_normal((6, k)) * 1e-3,
+        "offset": 1e4 * rng.standard_normal(k),
+        "offsets": 1e4 * rng.standard_normal((2, k)),
+        "response": rng.standard_normal((k, 6)) * 1e3,
+        "limb": Limb(4.72, np.array([0.1, 1e-17, 1 / 3]), np.diag([0.3, 0.2, 0.1])),
+        "covariance": root @ root.T,
+        "noise": np.eye(k) * 2.5,
+        "temperature_coefficient": None,
+        "rotation": np.eye(3),
+        "result": FitResult.DETERMINED,
+        "refusals": (),
+        "warnings": ("Mind the knee.",),
+        "stats": stats,
+        "set_stats": (stats, stats),
+        "affine_residual": np.array([1e-3, 2e-3]),
+        "set_names": ("1", "größer"),
+    }
+    return InSituFit(**{**values, **other})
+
+
+def refused() -> InSituFit:
+    """A calibration that was refused: all NaN, with the reason."""
+    nothing = FitStats(0, 0, 0, np.nan, 0, 40, np.inf)
+    return fit(
+        matrix=np.full((6, 6), np.nan),
+        offset=np.full(6, np.nan),
+        covariance=np.full((46, 46), np.nan),
+        limb=Limb(np.nan, np.full(3, np.nan)),
+        result=FitResult.REFUSED,
+        refusals=(CalibrationRefused("Too few masses.", "Add one."),),
+        stats=nothing,
+        set_stats=(nothing, nothing),
+    )
+
+
+CALIBRATIONS = {
+    "six channels": fit,
+    "eight channels": lambda: fit(8),
+    "with temperature": lambda: fit(temperature_coefficient=np.arange(6.0) / 7.0),
+    "turned": lambda: fit(rotation=np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+    "limb without inertia": lambda: fit(limb=Limb(1.0, np.ones(3))),
+    "refused": refused,
+}
+
+
+def same(one: Any, two: Any) -> None:
+    """Compare to the last bit, NaN being NaN."""
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            same(getattr(one, field.name), getattr(two, field.name))
+    elif isinstance(one, tuple):
+        assert len(one) == len(two)
+        for a, b in zip(one, two, strict=True):
+            same(a, b)
+    elif isinstance(one, CalibrationRefused):
+        assert str(one) == str(two)
+    elif isinstance(one, np.ndarray | float):
+        np.testing.assert_array_equal(one, two)
+    else:
+        assert one == two
+
+
+@pytest.mark.parametrize("name", CALIBRATIONS)
+def test_json_reads_back_to_the_last_bit(name: str, tmp_path: Path) -> None:
+    made = CALIBRATIONS[name]()
+    path = write_json(made, tmp_path / "sensor.json", channels=("a",), sensor="SN1", notices=("gap",))
+    same(made, read_calibration(path))
+
+
+def test_yaml_says_the_same_as_json(tmp_path: Path) -> None:
+    facts: dict[str, Any] = {"channels": ("a", "b"), "sensor": "SN1", "notices": ("a gap: of 3 s",)}
+    told = json.loads(write_json(fit(), tmp_path / "a.json", **facts).read_text())
+    assert yaml.safe_load(write_yaml(fit(), tmp_path / "a.yaml", **facts).read_text()) == told
+    assert told["sensor"] == "SN1"
+    assert told["notices"] == ["a gap: of 3 s"]
+    assert [one["name"] for one in told["sets"]] == ["1", "größer"]
+    assert any("exerted by the limb on the robot" in line for line in told["conventions"])
+    np.testing.assert_allclose(told["matrix_std_N_Nm_per_count"], fit().matrix_std)
+    np.testing.assert_allclose(told["offset_std_count"], fit().offset_std)
+
+
+def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no such file"):
+        read_calibration(tmp_path / "nothing.json")
+    path = write_json(fit(), tmp_path / "sensor.json")
+    told = json.loads(path.read_text())
+    for change, said in (
+        ("[", r"sensor\.json: not JSON"),
+        ("[]", r"sensor\.json: no in-situ calibration"),
+        (json.dumps({**told, "format_version": 9}), r"format_version 9, and this surefoot reads 1"),
+        (json.dumps({k: v for k, v in told.items() if k != "offset_count"}), "key 'offset_count' is missing"),
+        (json.dumps({**told, "result": "perfect"}), "holds what a calibration cannot"),
+    ):
+        path.write_text(change)
+        with pytest.raises(LogError, match=said):
+            read_calibration(path)
+
+
+@pytest.mark.parametrize("matrix", [FTSENS_SN039, FTSENS_SN142])
+def test_an_icub_matrix_reads_back_within_its_rounding(matrix: Any, tmp_path: Path) -> None:
+    path = write_icub_matrix(matrix, FULL_SCALE, tmp_path / "SN.txt")
+    found, scale = read_icub_matrix(path)
+    np.testing.assert_array_equal(scale, FULL_SCALE)
+    half_a_unit = FULL_SCALE / 2**16 / 32767
+    assert (np.abs(found - np.array(matrix)) <= half_a_unit[:, None] * (1 + 1e-9)).all()
+    # What is on the grid already stays as it is.
+    again = write_icub_matrix(found, scale, tmp_path / "again.txt")
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_the_lines_of_an_icub_matrix(tmp_path: Path) -> None:
+    """Entries as shares of full scale per 32767 counts: 0.5 is 4000, -0.25 is E000, -1 is 8000."""
+    share = np.zeros((6, 6))
+    share[0, 0], share[0, 1], share[5, 5] = 0.5, -0.25, -1.0
+    path = write_icub_matrix(share * FULL_SCALE[:, None] / 32767, FULL_SCALE, tmp_path / "SN.txt")
+    text = path.read_bytes().decode()
+    lines = text.split("\r\n")
+    assert lines[:3] == ["4000", "E000", "0000"]
+    assert lines[35:] == ["8000", "1", "1500", "1500", "2000", "35", "35", "25", ""]
+
+
+def test_what_an_icub_cannot_hold_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "SN.txt"
+    matrix = np.array(FTSENS_SN039)
+    large = matrix.copy()
+    large[3, 2] = 35.0 / 32767
+    for bad, scale, said in (
+        (np.zeros((6, 8)), FULL_SCALE, r"holds a 6 x 6 matrix, got shape \(6, 8\)"),
+        (matrix, FULL_SCALE[:5], "six full scales in whole N and N m"),
+        (matrix, FULL_SCALE + 0.5, "six full scales in whole N and N m"),
+        (large, FULL_SCALE, r"entries in \[-1, 1\), and that of row 3, column 2 is 1 of a full scale of 35"),
+        (matrix * np.nan, FULL_SCALE, r"entries in \[-1, 1\)"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            write_icub_matrix(bad, scale, path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_icub_matrix_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "SN.txt"
+    lines = write_icub_matrix(FTSENS_SN039, FULL_SCALE, path).read_text().split()
+    for bad, said in (
+        (lines[:-1], "has 43 lines .* got 42"),
+        (["4000Z", *lines[1:]], "36 entries of up to four hexadecimal digits"),
+        (["XY", *lines[1:]], "36 entries of up to four hexadecimal digits"),
+    ):
+        path.write_text("\n".join(bad))
+        with pytest.raises(LogError, match=said):
+            read_icub_matrix(path)
+    with pytest.raises(LogError, match="no such file"):
+        read_icub_matrix(tmp_path / "nothing.txt")
+
+
+def test_what_ros_adds_makes_the_drivers_wrench_the_calibrated_one(tmp_path: Path) -> None:
+    made = fit()
+    path = write_ros2_parameters(made, tmp_path / "ros2.yaml", node="left_foot", frame_id="l_ft")
+    told = yaml.safe_load(path.read_text())["left_foot"]["ros__parameters"]
+    assert told["frame_id"] == "l_ft"
+    add = [told["offset"][kind][axis] for kind in ("force", "torque") for axis in "xyz"]
+    raw = 1e4 * np.random.default_rng(1).standard_normal(6)
+    np.testing.assert_allclose(made.matrix @ raw + add, made.wrench(raw), rtol=1e-12)
+    # The matrix, which the broadcaster cannot take, stands in the comments.
+    rows = [line[5:-1] for line in path.read_text().splitlines() if line.startswith("#   [")]
+    np.testing.assert_allclose([np.fromstring(row, sep=",") for row in rows], made.matrix, rtol=1e-8)
+
+
+def test_an_offset_that_follows_the_temperature_needs_one(tmp_path: Path) -> None:
+    made = fit(temperature_coefficient=np.arange(6.0))
+    with pytest.raises(ValueError, match="give the one at which it shall hold"):
+        write_ros2_parameters(made, tmp_path / "ros2.yaml")
+    expected = -made.matrix @ (made.offset + 30.0 * np.arange(6.0))
+    np.testing.assert_allclose(offset_wrench(made, 30.0), expected)
+    assert list(tmp_path.iterdir()) == []

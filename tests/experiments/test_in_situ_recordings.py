@@ -1,0 +1,116 @@
+"""In-situ calibration of real sensors; the recordings are found through SUREFOOT_DATA."""
+
+import numpy as np
+import pytest
+
+from surefoot.calibration import CalibrationRefused
+from surefoot.calibration.in_situ import calibrate_in_situ
+from surefoot.experiments.in_situ_optical import LOADED, load_optical, optical_refusals, optical_sensor
+from surefoot.experiments.in_situ_recordings import gamma_on_arm, icub_foot, sensor_recordings_folder
+
+FOLDER = sensor_recordings_folder()
+pytestmark = pytest.mark.skipif(
+    FOLDER is None, reason="the environment variable SUREFOOT_DATA names no folder with real recordings"
+)
+
+
+@pytest.fixture(scope="module")
+def foot():
+    return {(row.method, row.fitted): row for row in icub_foot(FOLDER)}
+
+
+@pytest.fixture(scope="module")
+def gamma():
+    return {row.gravity: row for row in gamma_on_arm(FOLDER)}
+
+
+@pytest.fixture(scope="module")
+def optical():
+    return load_optical(FOLDER)
+
+
+@pytest.fixture(scope="module")
+def predicted(optical):
+    return {row.method: row for row in optical_sensor(optical)}
+
+
+def test_the_foots_forces_come_right_on_the_half_that_was_not_fitted(foot):
+    factory = foot["factory matrix, offset by the model", "first"].rmse
+    np.testing.assert_allclose(factory[:3], [0.469, 0.054, 0.179], atol=0.002)
+    for method in ("in situ, mass known to 1 %", "limb unknown"):
+        row = foot[method, "first"]
+        assert np.all(row.rmse[:3] <= [0.076, 0.049, 0.034]), method
+        assert row.mass == pytest.approx(0.382, rel=0.02)
+
+
+@pytest.mark.parametrize("fitted", ["first", "second"])
+def test_knowing_where_the_foots_mass_is_keeps_the_torques_right(foot, fitted):
+    factory = foot["factory matrix, offset by the model", fitted].rmse
+    loose, tight = (
+        foot[name, fitted].rmse for name in ("in situ, mass known to 1 %", "mass to 1 %, place to 0.3 mm")
+    )
+    assert loose[4] > 3.0 * factory[4]
+    assert np.linalg.norm(tight[3:]) < np.linalg.norm(factory[3:])
+    assert np.linalg.norm(tight[:3]) < 0.4 * np.linalg.norm(factory[:3])
+
+
+def test_counts_that_were_not_filtered_serve_the_foot_worse(foot):
+    filtered, unfiltered = (
+        foot[name, "first"].rmse for name in ("in situ, mass known to 1 %", "fitted to unfiltered counts")
+    )
+    assert np.all(unfiltered[:3] > 2.0 * filtered[:3])
+
+
+def test_an_accelerometer_needs_its_own_calibration_before_it_gives_an_offset(gamma):
+    as_read, calibrated = gamma["accelerometer as it reads"], gamma["accelerometer calibrated first"]
+    assert as_read.error == pytest.approx(0.70, abs=0.02)
+    assert calibrated.error < 0.02
+    assert calibrated.error_in_situ < 0.02
+
+
+def test_the_gammas_load_and_ellipsoid_are_those_of_independent_code(gamma):
+    joints = gamma["the arm's joints"]
+    np.testing.assert_allclose(joints.offset[:3], [9.08, -1.02, 9.98], atol=0.006)
+    np.testing.assert_allclose(joints.axes, [9.28, 9.11, 9.08], atol=0.006)
+    for row in gamma.values():
+        assert row.mass == pytest.approx(0.932, abs=0.006)
+        assert row.held_out < 0.1
+
+
+def test_a_printed_sensor_is_refused_for_not_being_linear(optical):
+    with pytest.raises(CalibrationRefused, match="the sensor is not linear"):
+        calibrate_in_situ(optical.sets)
+    refusals = optical_refusals(optical)
+    assert len(refusals) > 1
+    assert "standard deviation" in refusals[-1]
+
+
+def test_regressing_on_readings_loses_the_printed_sensors_base(predicted):
+    paper, ours = predicted["paper (III-B, III-C)"], predicted["in situ"]
+    assert paper.mass < 0.3 * 0.309
+    assert paper.com_error > 0.1
+    assert 0.309 < ours.mass < 0.45
+    assert ours.com_error < 0.015
+
+
+def test_a_matrix_that_is_too_small_predicts_the_printed_sensors_unseen_loads_better(predicted):
+    paper, ours, known = (
+        predicted[name].rmse(LOADED)[0]
+        for name in ("paper (III-B, III-C)", "in situ", "in situ, base known to 1 %")
+    )
+    zero = predicted["told nothing: zero"].rmse(LOADED)[0]
+    assert paper < known < ours < zero
+
+
+def test_no_linear_map_predicts_the_printed_sensors_unseen_loads(predicted):
+    zero = predicted["told nothing: zero"].rmse(LOADED)[2]
+    for method in ("linear", "linear, ridge", "with squares, ridge"):
+        assert predicted[f"told all wrenches: {method}"].rmse(LOADED)[2] > 0.5 * zero
+
+
+def test_without_the_bare_load_only_a_known_base_gives_a_matrix(predicted):
+    for method in ("paper (III-B, III-C)", "in situ"):
+        bare = predicted[method].held_out[0]
+        assert np.isnan(bare.force)
+        assert bare.refusal
+    assert predicted["in situ, base known to 1 %"].held_out[0].force < 1.75

@@ -1,0 +1,160 @@
+"""Ellipsoids and weighings against bodies that are known to the last digit."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from surefoot.calibration import GRAVITY
+from surefoot.calibration.in_situ_fit import Limb
+from surefoot.calibration.in_situ_set import InSituSet
+from surefoot.experiments.in_situ_score import (
+    added_mass,
+    expected_wrench,
+    force_ellipsoid,
+    motion_wrench,
+    offset_of_set,
+    quadric_ellipsoid,
+    semi_axes,
+)
+from surefoot.experiments.rig_record import record_rig
+
+LIMB = Limb(4.7, 4.7 * np.array([0.012, 0.001, 0.19]))
+
+
+def pulls(n: int = 200, spread: float = 1.0, seed: int = 3) -> NDArray[np.float64]:
+    """Gravity in n directions; a small spread leaves them about z."""
+    rng = np.random.default_rng(seed)
+    towards = np.array([0.0, 0.0, 1.0]) + spread * rng.standard_normal((n, 3))
+    return GRAVITY * towards / np.linalg.norm(towards, axis=1)[:, None]
+
+
+def mixed(seed: int = 4) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A matrix with known singular values, 12, 9 and 5."""
+    left, right = Rotation.random(2, rng=np.random.default_rng(seed)).as_matrix()
+    return left @ np.diag([12.0, 9.0, 5.0]) @ right, np.array([12.0, 9.0, 5.0])
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.5, 3.0])
+def test_semi_axes_are_gravity_times_the_singular_values(spread: float) -> None:
+    K, values = mixed()
+    gravity = pulls(spread=spread)
+    force = gravity @ K.T + np.array([30.0, -200.0, 4.0])
+    np.testing.assert_allclose(semi_axes(force, gravity), GRAVITY * values, rtol=1e-9)
+    ellipsoid = force_ellipsoid(force, gravity)
+    np.testing.assert_allclose(ellipsoid.centre, (30.0, -200.0, 4.0), atol=1e-9)
+    assert ellipsoid.ratio == pytest.approx(12.0 / 5.0)
+
+
+def test_every_point_lies_on_the_ellipsoid_that_is_drawn() -> None:
+    K, _ = mixed()
+    gravity = pulls(spread=2.0)
+    points = gravity @ K.T + 7.0
+    for ellipsoid in (force_ellipsoid(points, gravity), quadric_ellipsoid(points)):
+        on_sphere = np.linalg.solve(ellipsoid.axes, (points - ellipsoid.centre).T)
+        np.testing.assert_allclose(np.linalg.norm(on_sphere, axis=0), 1.0, rtol=1e-8)
+
+
+def test_a_quadric_needs_no_gravity() -> None:
+    K, values = mixed()
+    found = quadric_ellipsoid(pulls(spread=2.0) @ K.T + np.array([1e4, -2e4, 3e4]))
+    np.testing.assert_allclose(found.semi_axes, GRAVITY * values, rtol=1e-7)
+    np.testing.assert_allclose(found.centre, (1e4, -2e4, 3e4), rtol=1e-9)
+
+
+def test_semi_axes_do_not_depend_on_the_frame() -> None:
+    K, _ = mixed()
+    gravity = pulls()
+    force = gravity @ K.T
+    R = Rotation.from_rotvec([0.3, -1.0, 0.4]).as_matrix()
+    np.testing.assert_allclose(semi_axes(force @ R.T, gravity @ R.T), semi_axes(force, gravity), rtol=1e-10)
+
+
+def test_missing_samples_are_left_out() -> None:
+    K, values = mixed()
+    gravity = pulls()
+    force = gravity @ K.T
+    force[5, 1] = gravity[9, 0] = np.nan
+    np.testing.assert_allclose(semi_axes(force, gravity), GRAVITY * values, rtol=1e-9)
+
+
+def test_what_draws_no_ellipsoid_is_refused() -> None:
+    gravity = pulls()
+    planar = gravity.copy()
+    planar[:, 1] = 0.0
+    with pytest.raises(ValueError, match=r"Gravity stays in a plane .* turn the limb about a second axis"):
+        semi_axes(planar, planar)
+    with pytest.raises(ValueError, match="Only 3 rows are finite, and an ellipsoid needs at least four"):
+        semi_axes(gravity[:3], gravity[:3])
+    with pytest.raises(ValueError, match=r"got \(200, 3\) and \(199, 3\)"):
+        semi_axes(gravity, gravity[1:])
+    with pytest.raises(ValueError, match="nine unknowns, got 8 points"):
+        quadric_ellipsoid(gravity[:8])
+    with pytest.raises(ValueError, match=r"must have shape \(n, 3\), got \(200, 2\)"):
+        quadric_ellipsoid(gravity[:, :2])
+    x, y = np.random.default_rng(0).standard_normal((2, 50))
+    with pytest.raises(ValueError, match="lie on no ellipsoid; turn the limb further around"):
+        quadric_ellipsoid(np.stack([x, y, x * x - y * y], axis=1))
+    with pytest.raises(ValueError, match="All points are the same"):
+        quadric_ellipsoid(np.ones((20, 3)))
+
+
+@pytest.mark.parametrize("mass", [0.703, 0.05, -0.1])
+def test_an_added_mass_is_weighed_and_located(mass: float) -> None:
+    gravity, place = pulls(spread=0.3), np.array([0.22, 0.108, 0.37])
+    first = LIMB.mass_com + mass * place
+    wrench = np.concatenate([(LIMB.mass + mass) * gravity, np.cross(first, gravity)], axis=1)
+    wrench[3] = np.nan
+    found = added_mass(wrench, gravity, LIMB)
+    assert found.mass == pytest.approx(mass, rel=1e-9)
+    np.testing.assert_allclose(found.position, place, rtol=1e-8)
+
+
+def test_one_direction_does_not_locate_a_mass() -> None:
+    with pytest.raises(ValueError, match="Gravity has one direction only"):
+        added_mass(np.ones((9, 6)), np.tile([0.0, 0.0, 9.81], (9, 1)), LIMB)
+    with pytest.raises(ValueError, match=r"'wrench' must have shape \(n, 6\), got \(9, 3\)"):
+        added_mass(np.ones((9, 3)), np.ones((9, 3)), LIMB)
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_the_expected_wrench_is_that_of_the_rig(fast: bool) -> None:
+    """Against MuJoCo: a leg that swings, with a mass on it."""
+    told = record_rig([5], duration=6.0, rate=20.0, speed_deg=90.0, fast_motion=fast)[0]
+    data = InSituSet(
+        raw=np.zeros((len(told.time), 6)),
+        gravity=told.gravity_leg,
+        added_mass=told.added_mass,
+        added_com=told.added_com_leg,
+        angular_velocity=told.angular_velocity,
+        angular_acceleration=told.angular_acceleration,
+    )
+    # The rig's cube has an inertia of its own, and the expected one is a point.
+    atol = 2.0 * told.added_inertia * float(np.abs(told.angular_acceleration).max()) + 1e-9
+    np.testing.assert_allclose(expected_wrench(data, told.limb_leg), told.wrench_leg, atol=atol)
+    still = told.wrench_leg - motion_wrench(data, told.limb_leg)
+    found = added_mass(still, told.gravity_leg, told.limb_leg)
+    assert found.mass == pytest.approx(told.added_mass, abs=1e-4)
+    np.testing.assert_allclose(found.position, told.added_com_leg, atol=1e-3)
+    lengths = semi_axes(still[:, :3], told.gravity_leg)
+    np.testing.assert_allclose(lengths / lengths.mean(), 1.0, atol=1e-4)
+
+
+def test_a_limb_at_rest_has_no_wrench_of_motion() -> None:
+    data = InSituSet(np.zeros((4, 6)), pulls(4), added_mass=0.5, added_com=(0.1, 0.0, 0.3))
+    np.testing.assert_array_equal(motion_wrench(data, LIMB), 0.0)
+
+
+def test_an_offset_is_found_without_knowing_what_hangs_there() -> None:
+    rng = np.random.default_rng(6)
+    gravity, A = pulls(spread=0.3), rng.standard_normal((8, 6)) * np.repeat([30.0, 900.0], 3)
+    wrench = np.concatenate([5.2 * gravity, np.cross((0.3, 0.1, 0.9), gravity)], axis=1)
+    offset = 1e4 * rng.standard_normal(8)
+    raw = wrench @ A.T + offset
+    raw[7, 2] = np.nan
+    for noise in (None, np.diag(np.arange(1.0, 9.0))):
+        np.testing.assert_allclose(offset_of_set(raw, gravity, A, noise), offset, rtol=1e-8)
+    with pytest.raises(ValueError, match=r"got \(200, 8\), \(200, 3\) and \(6, 6\)"):
+        offset_of_set(raw, gravity, A[:6])
+    with pytest.raises(ValueError, match="Only 3 rows are finite"):
+        offset_of_set(raw[:3], gravity[:3], A)

@@ -1,0 +1,365 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from surefoot.calibration.in_situ import calibrate_in_situ
+from surefoot.calibration.in_situ_fit import Limb
+from surefoot.calibration.in_situ_options import InSituOptions
+from surefoot.calibration.in_situ_set import InSituSet
+from surefoot.experiments import in_situ_methods, in_situ_study, in_situ_study_pieces
+from surefoot.experiments.in_situ_bound import cramer_rao, normalised_error, offset_bounds
+from surefoot.experiments.in_situ_instruments import (
+    XSENS_MTX,
+    accelerometer_bias,
+    read_imus,
+    read_sensors,
+    sensor_config,
+    static_sets,
+)
+from surefoot.experiments.in_situ_methods import FITTED, METHODS, MethodResult, calibrate_by_all
+from surefoot.experiments.in_situ_printed import PRINTED
+from surefoot.experiments.in_situ_refusals import CASES, refusal_row
+from surefoot.experiments.in_situ_study import InSituStudyOptions, run_in_situ_study
+from surefoot.experiments.in_situ_study_page import InSituStudyPage
+from surefoot.experiments.in_situ_study_pieces import KINDS, exact_piece, sweep_piece, white_piece
+from surefoot.experiments.in_situ_study_score import fit_row, wrench_error
+from surefoot.experiments.in_situ_targets import Target, consistency, targets_of
+from surefoot.experiments.rig_record import record_rig
+
+QUIET = Console(quiet=True)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    out = tmp_path_factory.mktemp("study")
+    options = InSituStudyOptions(
+        out=out, seeds=2, jobs=1, rate=2.0, moving_seeds=1, refused_seeds=1, motions=(0,)
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(in_situ_study_pieces, "WHITE_RATE", 1.0)
+        patch.setattr(in_situ_study, "CASES", CASES[:3])
+        patch.setattr(in_situ_study, "KINDS", {"still": KINDS["still"]})
+        yield run_in_situ_study(options, console=QUIET)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return record_rig(duration=100.0, rate=5.0)
+
+
+def case_named(start):
+    return next(i for i, case in enumerate(CASES) if case.name.startswith(start))
+
+
+def test_one_row_for_each_sensor_seed_method_and_set(results):
+    assert len(results.fits) == 2 * 2 * len(METHODS)
+    assert set(results.fits["method"]) == set(METHODS)
+    answered = results.fits[results.fits["said"] == ""]
+    assert len(results.sets) == 4 * len(answered)
+    assert sorted(results.sets["set"].unique()) == [5, 6, 7, 8]
+    assert [one.sensor for one in results.shown] == ["foot", "leg"]
+
+
+def test_everything_is_in_files(results):
+    out = results.options.out
+    for name, frame in results.frames.items():
+        assert len(pd.read_csv(out / "tables" / f"{name}.csv")) == len(frame)
+    facts = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert facts["options"]["seeds"] == 2
+    assert not list(out.rglob("*.part*"))
+
+
+def test_finished_pieces_are_read_and_give_the_same(results, monkeypatch):
+    def never(*_):
+        raise AssertionError("a finished piece was done again")
+
+    never.__name__ = "sweep_piece"
+    monkeypatch.setattr(in_situ_study, "sweep_piece", never)
+    monkeypatch.setattr(in_situ_study, "CASES", CASES[:3])
+    monkeypatch.setattr(in_situ_study, "KINDS", {"still": KINDS["still"]})
+    again = run_in_situ_study(results.options, console=QUIET)
+    pd.testing.assert_frame_equal(again.fits, results.fits)
+    pd.testing.assert_frame_equal(again.white, results.white)
+
+
+def test_the_page_holds_all_tables_and_the_printed_numbers(results):
+    page = InSituStudyPage(results)
+    text = page.write().read_text(encoding="utf-8")
+    for table in page.tables:
+        assert table.title in text
+        assert all(len(row) == len(table.columns) for row in table.rows)
+        assert (results.options.out / "tables" / f"page_{table.name}.csv").is_file()
+    assert "34.4 / 33.3 / 32.5" in text
+    assert "273 / 83 / 81" in text
+    assert text.count("data:image/png;base64,") == 3
+
+
+def test_table_three_leaves_out_the_set_without_a_mass(results):
+    page = InSituStudyPage(results)
+    axes, masses, places = page.spheres
+    assert len(axes.rows) == len(masses.rows) == 8
+    assert len(places.rows) == 6
+    assert not any("set 7" in row[0] for row in places.rows)
+
+
+def test_printed_numbers_cover_the_validation_sets():
+    assert set(PRINTED) == {(sensor, j) for sensor in ("foot", "leg") for j in (5, 6, 7, 8)}
+    ratios = [row.ratio for row in PRINTED.values()]
+    assert min(ratios) == pytest.approx(1.05, abs=0.01)
+    assert max(ratios) == pytest.approx(1.15, abs=0.01)
+
+
+@pytest.mark.parametrize("sensor", ["foot", "leg"])
+def test_the_papers_method_is_exact_without_noise(sensor):
+    row = exact_piece(sensor, 5.0)
+    assert max(value for key, value in row.items() if key != "sensor") < 1e-9
+
+
+def test_methods_see_what_a_robot_has(recordings, monkeypatch):
+    seen = []
+
+    def spy(sets, nominal, options):
+        seen.append((sets, nominal, options))
+        return dict.fromkeys(METHODS, "not asked")
+
+    monkeypatch.setattr(in_situ_study_pieces, "calibrate_by_all", spy)
+    monkeypatch.setattr(in_situ_study_pieces, "record_rig", lambda **_: recordings)
+    fits, sets_rows, _ = sweep_piece((0,), 5.0)
+    assert (fits["said"] == "not asked").all()
+    assert sets_rows.empty
+    for (sets, nominal, options), sensor in zip(seen, ("foot", "leg"), strict=True):
+        config = sensor_config(sensor)
+        assert np.array_equal(nominal, config.nominal_matrix)
+        assert options == InSituOptions(code_range=config.code_range)
+        for data, recording in zip(sets, recordings, strict=True):
+            assert np.array_equal(data.raw, np.round(data.raw))
+            assert not np.allclose(data.gravity, -recording.specific_force, atol=1e-3)
+            assert data.added_mass == recording.added_mass
+            assert data.angular_velocity is None
+
+
+def test_a_sensor_is_the_same_in_all_sets_but_for_its_zeros(recordings):
+    config = sensor_config("foot", exact=True)
+    ((counts, truth),) = read_sensors(config, "foot", [recordings], [1])
+    wrench = np.stack([one.wrench_foot for one in recordings])
+    expected = wrench @ truth.response.T + truth.offsets[:, None]
+    assert np.allclose(counts, expected, atol=1e-6 * np.abs(counts).max())
+    assert not np.allclose(truth.offsets[0], truth.offsets[1])
+    assert np.allclose(truth.offset, truth.offsets[-1])
+
+
+def test_a_seed_means_the_same_sensor_in_any_batch(recordings):
+    config = sensor_config("leg", exact=True)
+    alone = read_sensors(config, "leg", [recordings[:2]], [4])[0]
+    among = read_sensors(config, "leg", [recordings[:2]] * 2, [2, 4])[1]
+    assert np.array_equal(alone[0], among[0])
+
+
+def test_the_accelerometers_bias_is_found_from_its_readings(recordings):
+    rest = record_rig((1,), duration=100.0, rate=20.0, at_rest=True)
+    readings = read_imus([rest] * 2, [0, 1])
+    for of_seed in readings:
+        bias = np.mean(of_seed[0, :, :3] - rest[0].specific_force, axis=0)
+        assert np.linalg.norm(bias) > 0.01
+        assert accelerometer_bias(of_seed[..., :3]) == pytest.approx(bias, abs=0.01)
+    assert XSENS_MTX.accelerometer_bias_std > 0.0
+
+
+def test_the_paper_filters_three_seconds_whatever_the_rate(recordings, monkeypatch):
+    windows = []
+
+    def spy(signal, window):
+        windows.append(window)
+        return signal
+
+    monkeypatch.setattr(in_situ_methods, "savitzky_golay", spy)
+    for rate in (10.0, 100.0):
+        n = 400
+        data = InSituSet(np.zeros((n, 6)), np.zeros((n, 3)), time=np.arange(n) / rate)
+        in_situ_methods.filtered(data)
+    assert windows == [31, 31, 301, 301]
+
+
+def small_problem(rng, n=200):
+    limb = Limb(2.0, np.array([0.05, -0.02, 0.3]))
+    places = [(0.0, np.zeros(3)), (0.7, np.array([0.2, 0.1, 0.1])), (0.5, np.array([-0.1, 0.3, 0.4]))]
+    places.append((0.6, np.array([0.1, -0.2, -0.1])))
+    response = rng.standard_normal((6, 6)) + 5.0 * np.eye(6)
+    gravity = rng.standard_normal((n, 3))
+    gravity *= 9.81 / np.linalg.norm(gravity, axis=1, keepdims=True)
+    sets = [InSituSet(np.zeros((n, 6)), gravity, mass, com) for mass, com in places]
+    return sets, response, limb
+
+
+def reading(theta, sets):
+    A, mass, first = theta[:36].reshape(6, 6), theta[36], theta[37:40]
+    found = []
+    for j, data in enumerate(sets):
+        offset = theta[40 + 6 * j : 46 + 6 * j]
+        moment = first + data.added_mass * np.asarray(data.added_com)
+        wrench = np.hstack([(mass + data.added_mass) * data.gravity, np.cross(moment, data.gravity)])
+        found.append((wrench @ A.T + offset).ravel())
+    return np.concatenate(found)
+
+
+def test_the_bound_is_that_of_numerical_slopes():
+    rng = np.random.default_rng(5)
+    sets, response, limb = small_problem(rng, n=30)
+    root = rng.standard_normal((6, 6)) / 3.0 + np.eye(6)
+    noise = root @ root.T
+    theta = np.concatenate([response.ravel(), [limb.mass], limb.mass_com, rng.standard_normal(24)])
+    steps = 1e-6 * np.eye(len(theta))
+    J = np.stack([(reading(theta + h, sets) - reading(theta - h, sets)) / 2e-6 for h in steps], axis=1)
+    white = np.linalg.solve(np.linalg.cholesky(noise), J.reshape(-1, 6, len(theta)))
+    white = white.reshape(-1, len(theta))
+    expected = np.linalg.inv(white.T @ white)
+    bound = cramer_rao(sets, response, limb, noise)
+    assert np.allclose(bound, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+    assert offset_bounds(bound, response, 4).shape == (4, 6, 6)
+
+
+def test_there_is_no_bound_where_sets_leave_an_unknown_open():
+    sets, response, limb = small_problem(np.random.default_rng(6))
+    with pytest.raises(ValueError, match="leave some unknown open"):
+        cramer_rao(sets[:2], response, limb, np.eye(6))
+
+
+def test_nees_grows_with_the_square_of_the_error():
+    rng = np.random.default_rng(7)
+    sets, response, limb = small_problem(rng, n=400)
+    theta = np.concatenate([response.ravel(), [limb.mass], limb.mass_com, np.zeros(24)])
+    raw = reading(theta, sets).reshape(4, 400, 6) + 0.01 * rng.standard_normal((4, 400, 6))
+    fit = calibrate_in_situ([replace(one, raw=counts) for one, counts in zip(sets, raw, strict=True)])
+    near = normalised_error(fit, response, np.zeros(6), limb)
+    exact = np.linalg.pinv(fit.matrix)
+    assert 15.0 < near < 110.0
+    at = normalised_error(fit, exact, fit.offset, fit.limb)
+    assert at == pytest.approx(0.0, abs=1e-6)
+    off = Limb(fit.limb.mass + 3.0 * fit.limb_mass_std, fit.limb.mass_com)
+    twice = Limb(fit.limb.mass + 6.0 * fit.limb_mass_std, fit.limb.mass_com)
+    once = normalised_error(fit, exact, fit.offset, off)
+    assert once >= 9.0 * (1.0 - 1e-6)
+    assert normalised_error(fit, exact, fit.offset, twice) == pytest.approx(4.0 * once)
+
+
+def test_wrench_errors_are_shares_of_the_load():
+    wrench = np.random.default_rng(8).standard_normal((50, 6))
+    response = np.diag([2.0] * 6)
+    right = np.linalg.inv(response)
+    assert wrench_error(right, response, wrench) == pytest.approx((0.0, 0.0))
+    off = np.diag([1.1] * 3 + [0.8] * 3) @ right
+    assert wrench_error(off, response, wrench) == pytest.approx((0.1, 0.2))
+
+
+def test_a_refused_calibration_has_no_numbers_and_says_why(recordings):
+    ((_, truth),) = read_sensors(sensor_config("leg"), "leg", [recordings[:1]], [0])
+    row = fit_row("because", truth, recordings[0].wrench_leg)
+    assert row["said"] == "because"
+    assert np.isnan(row["limb_error"])
+
+
+def test_targets_count_refused_fits_as_missed():
+    within = Target("x", 1.0, np.array([0.5, 1.0]))
+    assert within.met
+    assert within.share == 1.0
+    refused = Target("x", 1.0, np.array([0.5, 1.0]), refused=2)
+    assert not refused.met
+    assert refused.share == 0.5
+    assert not Target("x", 1.0, np.array([0.5, 1.1])).met
+    assert not Target("x", 1.0, np.zeros(0)).met
+
+
+def test_a_refused_seed_misses_its_sets(results):
+    before = {target.name: target for target in targets_of(results)}
+    fits, sets = results.fits.copy(), results.sets
+    first = (fits["sensor"] == "leg") & (fits["seed"] == 1) & (fits["method"] == "surefoot")
+    fits.loc[first, ["said", "limb_error"]] = ["no", np.nan]
+    fits["clipped"] = False
+    gone = (sets["sensor"] == "leg") & (sets["seed"] == 1) & (sets["method"] == "surefoot")
+    after = {t.name: t for t in targets_of(replace(results, fits=fits, sets=sets[~gone]))}
+    for name, lost in (("semi-axis", 4), ("added mass", 4), ("position", 3), ("weight", 1)):
+        key = next(known for known in before if name in known)
+        assert after[key].refused == lost
+        assert len(after[key].values) == len(before[key].values) - lost
+    rightly = targets_of(replace(results, fits=fits.assign(clipped=first), sets=sets[~gone]))
+    assert not any(target.refused for target in rightly)
+
+
+def test_consistency_is_that_of_chi_square():
+    rng = np.random.default_rng(9)
+    nees = rng.chisquare(46, 400)
+    right = consistency(pd.DataFrame({"nees": nees, "unknowns": 46}))
+    assert right.inside
+    assert right.low < 1.0 < right.high
+    assert not consistency(pd.DataFrame({"nees": 1.2 * nees, "unknowns": 46})).inside
+    assert not consistency(pd.DataFrame({"nees": [np.nan], "unknowns": 46})).inside
+
+
+@pytest.mark.parametrize(
+    ("case", "said"),
+    [
+        ("front-back", "in one plane"),
+        ("two masses", "three are needed"),
+        ("channel 0", "saturated"),
+        ("sign of one", r"Entry [2, 0]"),
+    ],
+)
+def test_spoilt_experiments_are_refused_with_the_reason(case, said):
+    row = refusal_row(case_named(case), 0, 2.0)
+    assert row["refused"]
+    assert said in row["said"]
+
+
+def test_a_sound_experiment_is_answered(results):
+    controls = results.refusals[results.refusals["harmless"]]
+    assert len(controls) == 2
+    assert not controls["refused"].any()
+
+
+def test_options_refuse_what_cannot_be_done():
+    with pytest.raises(ValueError, match="'seeds' must be positive, got 0"):
+        InSituStudyOptions(seeds=0)
+    quick = InSituStudyOptions(seeds=50).quickly()
+    assert quick.seeds == 2
+    assert quick.rate == 10.0
+
+
+@pytest.mark.slow
+def test_ten_seeds_keep_to_loose_targets():
+    seeds = (tuple(range(5)), tuple(range(5, 10)))
+    found = [sweep_piece(batch, 20.0) for batch in seeds]
+    fits = pd.concat([fits for fits, _, _ in found])
+    ours = fits[fits["method"] == "surefoot"]
+    assert (ours["said"] == "").all()
+    assert ours["limb_error"].abs().max() < 0.02
+    assert np.sqrt((ours["limb_error"] ** 2).mean()) < 0.01
+    paper = fits[(fits["method"] == "paper") & (fits["sensor"] == "leg")]
+    assert paper["limb_error"].mean() < -0.03
+    sets = pd.concat([sets for _, sets, _ in found])
+    sets = sets[sets["method"] == "surefoot"]
+    assert sets["ratio"].max() < 1.05
+    assert sets["mass_error"].max() < 0.03
+    assert sets["place_error"].max() < 0.02
+    white = pd.concat([white_piece(batch, "still") for batch in seeds])
+    for _, part in white.groupby("sensor"):
+        assert part["force_square"].sum() < 1.5**2 * part["force_bound"].sum()
+        assert part["torque_square"].sum() < 1.5**2 * part["torque_bound"].sum()
+        assert 0.75 < consistency(part).mean < 1.3
+
+
+def test_sets_that_were_not_fitted_get_offsets_of_their_own(recordings):
+    config = sensor_config("leg")
+    ((counts, truth),) = read_sensors(config, "leg", [recordings], [0])
+    force = np.stack([one.specific_force for one in recordings])
+    sets = static_sets("leg", recordings, counts, force)
+    found = calibrate_by_all(sets, config.nominal_matrix, InSituOptions())["surefoot"]
+    assert isinstance(found, MethodResult)
+    off = (found.offsets - truth.offsets) @ np.linalg.inv(truth.response).T
+    assert off.shape == (8, 6)
+    # Of offsets of hundreds of newtons; gravity tells least of them along the leg.
+    assert np.abs(off[FITTED:, :2]).max() < 0.3
+    assert np.abs(off[FITTED:, 2]).max() < 3.0
