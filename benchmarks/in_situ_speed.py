@@ -1,0 +1,233 @@
+"""Time and memory of in-situ calibration: eight sets of five minutes at 100 Hz, 240,000 samples.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/in_situ_speed.py
+    python benchmarks/in_situ_speed.py --duration 100 --rounds 1 --no-stack
+
+Compared are the fit with the sensor's hysteresis and without, the in-situ paper's least squares in compressed
+form, and the same least squares stacked up as the paper writes it (Traversaro, Pucci and Nori, 2015, Eqs.
+14-17 and 21-24): 1,440,000 rows of 40 columns. They take turns in one process, so that what else the machine
+does hits all of them alike. Memory is measured in a process of its own for each: by how much the peak of what
+it holds (VmHWM of Linux, LAPACK's work space included) rises over what it held with the sets loaded. No test
+asserts these figures.
+"""
+
+import argparse
+import multiprocessing
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from surefoot.calibration.in_situ import calibrate_in_situ
+from surefoot.calibration.in_situ_options import InSituOptions
+from surefoot.calibration.in_situ_paper import estimate_matrix, estimate_offset
+from surefoot.calibration.in_situ_set import InSituSet
+from surefoot.experiments.rig_record import record_rig
+from surefoot.experiments.tables import Table, number
+from surefoot.sensors import StrainGauges, preset, strain_gauges
+from surefoot.sensors.strain_gauges import read_sequence
+
+Floats = NDArray[np.float64]
+Method = Callable[[Sequence[InSituSet]], float]
+
+RATE = 100.0
+ACCELEROMETER_NOISE = 0.01
+"""Standard deviation in m/s^2."""
+
+_WIDE: Mapping[str, Any] = {"misfit_tolerance": 0.5, "mass_tolerance": 0.5, "scale_tolerance": 0.5}
+"""What is timed is the fit: short sets or one without hysteresis might be refused by the defaults."""
+
+
+def simulate(duration: float, seed: int = 0) -> tuple[list[InSituSet], float]:
+    """Record a leg with eight added masses by one FTSens with all its errors; returns its mass in kg too."""
+    recordings = record_rig(duration=duration, rate=RATE, seed=seed)
+    config, rng = preset("icub-ftsens-leg", StrainGauges), np.random.default_rng([seed, 1])
+    state = strain_gauges(config).init((len(recordings), config.channels), rng)
+    # The sets are of one sensor, switched on anew for each.
+    state = state._replace(
+        response=np.broadcast_to(state.response[:1], state.response.shape).copy(),
+        zero=np.broadcast_to(state.zero[:1], state.zero.shape).copy(),
+        tempco=np.broadcast_to(state.tempco[:1], state.tempco.shape).copy(),
+    )
+    wrench = np.stack([recording.wrench_leg for recording in recordings])
+    counts, _, _ = read_sequence(config, wrench, state, rng, 1.0 / RATE)
+    sets = [
+        InSituSet(
+            raw=raw,
+            gravity=-recording.specific_force + ACCELEROMETER_NOISE * rng.normal(size=(len(raw), 3)),
+            added_mass=recording.added_mass,
+            added_com=recording.added_com_leg,
+            time=recording.time,
+            name=recording.name,
+        )
+        for raw, recording in zip(counts, recordings, strict=True)
+    ]
+    return sets, recordings[0].limb_leg.mass
+
+
+def ours(sets: Sequence[InSituSet]) -> float:
+    """Fit all: matrix, limb, drifting offsets, hysteresis; returns the limb's mass in kg."""
+    return calibrate_in_situ(sets, options=InSituOptions(**_WIDE)).limb.mass
+
+
+def without_hysteresis(sets: Sequence[InSituSet]) -> float:
+    """Fit the same without hysteresis."""
+    return calibrate_in_situ(sets, options=InSituOptions(hysteresis=False, **_WIDE)).limb.mass
+
+
+def paper(sets: Sequence[InSituSet]) -> float:
+    """III-B for each set, then III-C, from triangles of nine rows a set."""
+    offsets = [estimate_offset(one.raw, one.gravity).offset for one in sets]
+    return estimate_matrix(sets, np.array(offsets)).limb.mass
+
+
+def stack(sets: Sequence[InSituSet]) -> float:
+    """III-B for each set, then III-C, as written: Kronecker products, permutator, one least squares."""
+    rows, targets = [], []
+    for one in sets:
+        offset = stacked_offset(one.raw, one.gravity)
+        known = _wrench_of_gravity(one.added_mass, one.added_com)
+        of_matrix = np.kron(one.raw - offset, np.eye(6))  # vec(C r) = (r' kron I) vec C
+        of_limb = np.kron(one.gravity, np.eye(6)) @ _permutator()
+        rows.append(np.hstack([of_matrix, -of_limb]))  # (23)
+        targets.append((one.gravity @ known.T).ravel())  # (22)
+    unknown, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)  # (21)
+    return float(unknown[36])
+
+
+def stacked_offset(raw: Floats, gravity: Floats) -> Floats:
+    """Solve for (vec K, lambda), 12 unknowns of 3 N rows; returns the offset, shape (k,)."""
+    mean = raw.mean(axis=0)  # (9)
+    basis = np.linalg.svd((raw - mean).T, full_matrices=False)[0][:, :3]  # (10)
+    coordinates = (raw - mean) @ basis
+    stacked = np.hstack([np.kron(gravity, np.eye(3)), np.kron(np.ones((len(raw), 1)), np.eye(3))])  # (16)
+    unknown, *_ = np.linalg.lstsq(stacked, coordinates.ravel(), rcond=None)  # (14), (15)
+    return np.asarray(mean + basis @ unknown[9:])  # (11)
+
+
+def _wrench_of_gravity(mass: float, com: Floats) -> Floats:
+    """M(m, c), shape (6, 3)."""
+    x, y, z = mass * com
+    return np.vstack([mass * np.eye(3), [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
+
+
+def _permutator() -> Floats:
+    """P of Eq. 23, vec M(m, c) = P (m, m c), shape (18, 4)."""
+    mass = _wrench_of_gravity(1.0, np.zeros(3))
+    moments = [_wrench_of_gravity(1.0, axis) - mass for axis in np.eye(3)]
+    return np.stack([part.ravel(order="F") for part in (mass, *moments)], axis=-1)
+
+
+METHODS: Mapping[str, Method] = {
+    "with hysteresis": ours,
+    "without hysteresis": without_hysteresis,
+    "paper, compressed": paper,
+    "paper, stacked": stack,
+}
+
+
+def seconds(
+    sets: Sequence[InSituSet], names: Sequence[str], rounds: int
+) -> tuple[Mapping[str, list[float]], dict[str, float]]:
+    """Let the methods take turns; returns what each took in s, and the limb's mass by each in kg."""
+    taken: dict[str, list[float]] = {name: [] for name in names}
+    masses = {}
+    for _ in range(rounds):
+        for name in names:
+            start = time.perf_counter()
+            masses[name] = METHODS[name](sets)
+            taken[name].append(time.perf_counter() - start)
+    return taken, masses
+
+
+def save(path: Path, sets: Sequence[InSituSet]) -> None:
+    """Write sets for :func:`load`."""
+    fields = ("raw", "gravity", "added_mass", "added_com", "time")
+    np.savez(path, **{f"{field}_{i}": getattr(one, field) for i, one in enumerate(sets) for field in fields})
+
+
+def load(path: Path) -> list[InSituSet]:
+    """Read sets back."""
+    with np.load(path) as file:
+        count = sum(name.startswith("raw_") for name in file)
+        return [
+            InSituSet(
+                raw=file[f"raw_{i}"],
+                gravity=file[f"gravity_{i}"],
+                added_mass=float(file[f"added_mass_{i}"]),
+                added_com=file[f"added_com_{i}"],
+                time=file[f"time_{i}"],
+                name=f"set {i + 1}",
+            )
+            for i in range(count)
+        ]
+
+
+def megabytes(path: Path, name: str) -> float:
+    """Peak of the memory that a method takes beyond its sets, in MB; NaN where there is no VmHWM."""
+    sets = load(path)
+    before = _peak()
+    METHODS[name](sets)
+    return _peak() - before
+
+
+def _peak() -> float:
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return float("nan")
+    return next(float(line.split()[1]) / 1e3 for line in status.splitlines() if line.startswith("VmHWM"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--duration", type=float, default=300.0, help="length of each of the 8 sets in s, at least 85"
+    )
+    parser.add_argument("--rounds", type=int, default=3, help="how often each method is timed")
+    parser.add_argument("--no-stack", action="store_true", help="leave the stacked least squares out")
+    arguments = parser.parse_args()
+    names = [name for name in METHODS if not (arguments.no_stack and name == "paper, stacked")]
+    sets, mass = simulate(arguments.duration)
+    memory = {}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sets.npz"
+        save(path, sets)
+        for name in names:
+            # A fresh interpreter each: a peak never falls again.
+            with multiprocessing.get_context("spawn").Pool(1) as pool:
+                memory[name] = pool.apply(megabytes, (path, name))
+    taken, masses = seconds(sets, names, arguments.rounds)
+    slowest = float(np.median(taken[names[-1]]))
+    samples = sum(len(one.raw) for one in sets)
+    threads = os.environ.get("OMP_NUM_THREADS", "unset")
+    table = Table(
+        name="in_situ_speed",
+        title=f"{samples:,} samples in {len(sets)} sets, OMP_NUM_THREADS={threads}",
+        columns=("method", "median s", "fastest s", "memory MB", f"times faster than {names[-1]}", "limb kg"),
+        rows=tuple(
+            (
+                name,
+                number(float(np.median(taken[name]))),
+                number(min(taken[name])),
+                number(memory[name]),
+                number(slowest / float(np.median(taken[name]))),
+                number(masses[name], 4),
+            )
+            for name in names
+        ),
+        note=f"Memory is what is taken beyond the sets themselves. The limb weighs {mass:.4g} kg.",
+    )
+    Console().print(table.to_rich())
+
+
+if __name__ == "__main__":
+    main()
