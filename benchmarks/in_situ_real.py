@@ -11,8 +11,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from surefoot.experiments.in_situ_optical import LOADED, load_optical, optical_refusals, optical_sensor
-from surefoot.experiments.in_situ_recordings import gamma_on_arm, icub_foot, sensor_recordings_folder
+from surefoot.experiments.in_situ.optical import LOADED, load_optical, optical_refusals, optical_sensor
+from surefoot.experiments.in_situ.recordings import gamma_on_arm, icub_foot, sensor_recordings_folder
 from surefoot.experiments.tables import Table, number
 
 

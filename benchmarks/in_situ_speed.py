@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from surefoot.calibration.in_situ import calibrate_in_situ
-from surefoot.calibration.in_situ_options import InSituOptions
-from surefoot.calibration.in_situ_paper import estimate_matrix, estimate_offset
-from surefoot.calibration.in_situ_set import InSituSet
-from surefoot.experiments.rig_record import record_rig
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
+from surefoot.experiments.in_situ.rig_record import record_rig
 from surefoot.experiments.tables import Table, number
 from surefoot.sensors import StrainGauges, preset, strain_gauges
 from surefoot.sensors.strain_gauges import read_sequence

@@ -24,30 +24,33 @@ from surefoot.calibration.cop import (
 )
 from surefoot.calibration.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
 from surefoot.calibration.estimate import Estimate, Flag
-from surefoot.calibration.excitation import (
-    ExcitationPlan,
-    ExcitationPrior,
-    MassCandidate,
-    PlannedPose,
-    plan_excitation,
-    prior_from_factory,
-    prior_from_fit,
-)
 from surefoot.calibration.filters import low_pass, zero_phase
 from surefoot.calibration.foot_calibrator import FootCalibrator
 from surefoot.calibration.imu_motion import ImuMotion, gravity_from_imu
-from surefoot.calibration.in_situ import calibrate_in_situ
-from surefoot.calibration.in_situ_fit import InSituFit, Limb
-from surefoot.calibration.in_situ_matrix import PaperMatrixFit, estimate_matrix
-from surefoot.calibration.in_situ_offset import OffsetFit, estimate_offset
-from surefoot.calibration.in_situ_options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ_set import InSituSet
-from surefoot.calibration.in_situ_static import savitzky_golay, static_samples
-from surefoot.calibration.in_situ_tracker import (
+from surefoot.calibration.in_situ import (
+    ExcitationPlan,
+    ExcitationPrior,
     InSituEstimate,
+    InSituFit,
+    InSituOptions,
+    InSituSet,
     InSituTracker,
     InSituTrackerConfig,
+    KnownLimb,
+    Limb,
+    MassCandidate,
+    OffsetFit,
+    PaperMatrixFit,
+    PlannedPose,
+    calibrate_in_situ,
+    estimate_matrix,
+    estimate_offset,
     in_situ_tracker,
+    plan_excitation,
+    prior_from_factory,
+    prior_from_fit,
+    savitzky_golay,
+    static_samples,
 )
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor, nao_shoe_layout
 from surefoot.calibration.moment_filter import MomentFilterConfig

@@ -83,8 +83,8 @@ def bench_in_situ(
     quick: Annotated[bool, typer.Option("--quick", help="Two seeds at 10 samples a second.")] = False,
 ) -> None:
     """Calibrate six-axis sensors on a simulated leg with known masses, as the in-situ paper, and report."""
-    from surefoot.experiments.in_situ_study import InSituStudyOptions, run_in_situ_study
-    from surefoot.experiments.in_situ_study_page import InSituStudyPage
+    from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
+    from surefoot.experiments.in_situ.study_page import InSituStudyPage
 
     try:
         options = InSituStudyOptions(out=out, seeds=seeds, jobs=jobs)

@@ -3,8 +3,8 @@
 import numpy as np
 from _in_situ_stacked import wrench_of_gravity
 
-from surefoot.calibration.in_situ_offset import estimate_offset
-from surefoot.calibration.in_situ_set import InSituSet
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.paper_offset import estimate_offset
 
 # Factory matrices of two FTSens sensors, N and N m per count.
 LEG_MATRIX = np.array(

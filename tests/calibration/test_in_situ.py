@@ -9,9 +9,9 @@ from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from surefoot.calibration.in_situ import calibrate_in_situ
-from surefoot.calibration.in_situ_options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ_set import InSituSet
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 NOISE = np.array([0.1, 0.1, 0.1, 0.0025, 0.0025, 0.0025])

@@ -8,7 +8,7 @@ import pytest
 
 from surefoot.envs.icub_leg import load_icub_leg_spec
 from surefoot.envs.leg_rig import ADDED_MASSES, limb_beyond, sensor_frames
-from surefoot.experiments.rig_record import record_rig
+from surefoot.experiments.in_situ.rig_record import record_rig
 
 
 @pytest.fixture

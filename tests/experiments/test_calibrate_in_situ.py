@@ -11,10 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.calibrate_in_situ import SAMPLE, CalibratedSensor, calibrate_in_situ_log
-from surefoot.experiments.in_situ_export import read_calibration, read_icub_matrix
-from surefoot.experiments.in_situ_log import config_beside
-from surefoot.experiments.in_situ_sample import make_sample, write_sample
+from surefoot.experiments.in_situ.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
+from surefoot.experiments.in_situ.export import read_calibration, read_icub_matrix
+from surefoot.experiments.in_situ.log import config_beside
+from surefoot.experiments.in_situ.sample import make_sample, write_sample
 
 
 @pytest.fixture(scope="module")

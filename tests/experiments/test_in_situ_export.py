@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from surefoot.calibration.in_situ_fit import InSituFit, Limb
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.experiments.in_situ_export import (
+from surefoot.experiments.in_situ.export import (
     offset_wrench,
     read_calibration,
     read_icub_matrix,

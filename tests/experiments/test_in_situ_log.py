@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from surefoot.calibration import GRAVITY
-from surefoot.experiments._in_situ_config import _TABLES, InSituConfig, read_config
-from surefoot.experiments.calibrate_in_situ import SAMPLE
-from surefoot.experiments.in_situ_export import write_icub_matrix
-from surefoot.experiments.in_situ_log import read_in_situ_log
+from surefoot.experiments.in_situ._config import _TABLES, InSituConfig, read_config
+from surefoot.experiments.in_situ.calibrate import SAMPLE
+from surefoot.experiments.in_situ.export import write_icub_matrix
+from surefoot.experiments.in_situ.log import read_in_situ_log
 from surefoot.experiments.log_format import LogError
 
 RAW = [f"raw_{i}_count" for i in range(6)]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import CalibrationRefused
-from surefoot.calibration.in_situ import calibrate_in_situ
-from surefoot.experiments.in_situ_optical import LOADED, load_optical, optical_refusals, optical_sensor
-from surefoot.experiments.in_situ_recordings import gamma_on_arm, icub_foot, sensor_recordings_folder
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.experiments.in_situ.optical import LOADED, load_optical, optical_refusals, optical_sensor
+from surefoot.experiments.in_situ.recordings import gamma_on_arm, icub_foot, sensor_recordings_folder
 
 FOLDER = sensor_recordings_folder()
 pytestmark = pytest.mark.skipif(

@@ -6,9 +6,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ_fit import Limb
-from surefoot.calibration.in_situ_set import InSituSet
-from surefoot.experiments.in_situ_score import (
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
+from surefoot.experiments.in_situ.rig_record import record_rig
+from surefoot.experiments.in_situ.score import (
     added_mass,
     expected_wrench,
     force_ellipsoid,
@@ -17,7 +18,6 @@ from surefoot.experiments.in_situ_score import (
     quadric_ellipsoid,
     semi_axes,
 )
-from surefoot.experiments.rig_record import record_rig
 
 LIMB = Limb(4.7, 4.7 * np.array([0.012, 0.001, 0.19]))
 

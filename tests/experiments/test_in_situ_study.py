@@ -6,13 +6,13 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from surefoot.calibration.in_situ import calibrate_in_situ
-from surefoot.calibration.in_situ_fit import Limb
-from surefoot.calibration.in_situ_options import InSituOptions
-from surefoot.calibration.in_situ_set import InSituSet
-from surefoot.experiments import in_situ_methods, in_situ_study, in_situ_study_pieces
-from surefoot.experiments.in_situ_bound import cramer_rao, normalised_error, offset_bounds
-from surefoot.experiments.in_situ_instruments import (
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
+from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.experiments.in_situ import methods, study, study_pieces
+from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds
+from surefoot.experiments.in_situ.instruments import (
     XSENS_MTX,
     accelerometer_bias,
     read_imus,
@@ -20,15 +20,15 @@ from surefoot.experiments.in_situ_instruments import (
     sensor_config,
     static_sets,
 )
-from surefoot.experiments.in_situ_methods import FITTED, METHODS, MethodResult, calibrate_by_all
-from surefoot.experiments.in_situ_printed import PRINTED
-from surefoot.experiments.in_situ_refusals import CASES, refusal_row
-from surefoot.experiments.in_situ_study import InSituStudyOptions, run_in_situ_study
-from surefoot.experiments.in_situ_study_page import InSituStudyPage
-from surefoot.experiments.in_situ_study_pieces import KINDS, exact_piece, sweep_piece, white_piece
-from surefoot.experiments.in_situ_study_score import fit_row, wrench_error
-from surefoot.experiments.in_situ_targets import Target, consistency, targets_of
-from surefoot.experiments.rig_record import record_rig
+from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult, calibrate_by_all
+from surefoot.experiments.in_situ.printed import PRINTED
+from surefoot.experiments.in_situ.refusals import CASES, refusal_row
+from surefoot.experiments.in_situ.rig_record import record_rig
+from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
+from surefoot.experiments.in_situ.study_page import InSituStudyPage
+from surefoot.experiments.in_situ.study_pieces import KINDS, exact_piece, sweep_piece, white_piece
+from surefoot.experiments.in_situ.study_score import fit_row, wrench_error
+from surefoot.experiments.in_situ.targets import Target, consistency, targets_of
 
 QUIET = Console(quiet=True)
 
@@ -40,9 +40,9 @@ def results(tmp_path_factory):
         out=out, seeds=2, jobs=1, rate=2.0, moving_seeds=1, refused_seeds=1, motions=(0,)
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(in_situ_study_pieces, "WHITE_RATE", 1.0)
-        patch.setattr(in_situ_study, "CASES", CASES[:3])
-        patch.setattr(in_situ_study, "KINDS", {"still": KINDS["still"]})
+        patch.setattr(study_pieces, "WHITE_RATE", 1.0)
+        patch.setattr(study, "CASES", CASES[:3])
+        patch.setattr(study, "KINDS", {"still": KINDS["still"]})
         yield run_in_situ_study(options, console=QUIET)
 
 
@@ -78,9 +78,9 @@ def test_finished_pieces_are_read_and_give_the_same(results, monkeypatch):
         raise AssertionError("a finished piece was done again")
 
     never.__name__ = "sweep_piece"
-    monkeypatch.setattr(in_situ_study, "sweep_piece", never)
-    monkeypatch.setattr(in_situ_study, "CASES", CASES[:3])
-    monkeypatch.setattr(in_situ_study, "KINDS", {"still": KINDS["still"]})
+    monkeypatch.setattr(study, "sweep_piece", never)
+    monkeypatch.setattr(study, "CASES", CASES[:3])
+    monkeypatch.setattr(study, "KINDS", {"still": KINDS["still"]})
     again = run_in_situ_study(results.options, console=QUIET)
     pd.testing.assert_frame_equal(again.fits, results.fits)
     pd.testing.assert_frame_equal(again.white, results.white)
@@ -126,8 +126,8 @@ def test_methods_see_what_a_robot_has(recordings, monkeypatch):
         seen.append((sets, nominal, options))
         return dict.fromkeys(METHODS, "not asked")
 
-    monkeypatch.setattr(in_situ_study_pieces, "calibrate_by_all", spy)
-    monkeypatch.setattr(in_situ_study_pieces, "record_rig", lambda **_: recordings)
+    monkeypatch.setattr(study_pieces, "calibrate_by_all", spy)
+    monkeypatch.setattr(study_pieces, "record_rig", lambda **_: recordings)
     fits, sets_rows, _ = sweep_piece((0,), 5.0)
     assert (fits["said"] == "not asked").all()
     assert sets_rows.empty
@@ -176,11 +176,11 @@ def test_the_paper_filters_three_seconds_whatever_the_rate(recordings, monkeypat
         windows.append(window)
         return signal
 
-    monkeypatch.setattr(in_situ_methods, "savitzky_golay", spy)
+    monkeypatch.setattr(methods, "savitzky_golay", spy)
     for rate in (10.0, 100.0):
         n = 400
         data = InSituSet(np.zeros((n, 6)), np.zeros((n, 3)), time=np.arange(n) / rate)
-        in_situ_methods.filtered(data)
+        methods.filtered(data)
     assert windows == [31, 31, 301, 301]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from surefoot.envs.leg_rig import ADDED_MASSES, HIP_RANGE
 from surefoot.envs.leg_rig_env import LegRigEnv
-from surefoot.experiments.rig_record import RigRecording, record_rig, sweep, swing
+from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig, sweep, swing
 
 SHORT = {"duration": 100.0, "rate": 10.0}
 

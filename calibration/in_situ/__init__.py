@@ -1,0 +1,55 @@
+"""Calibrate six-axis force-torque sensors where they are built in, from gravity and known masses.
+
+* :func:`calibrate_in_situ`: the fit to use; :class:`InSituTracker` keeps its offset up to date.
+* :func:`plan_excitation`: which posture or mass to take next.
+* :mod:`surefoot.calibration.in_situ.paper`: the paper's own method (Traversaro, Pucci and Nori, 2015).
+"""
+
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.excitation import (
+    ExcitationPlan,
+    ExcitationPrior,
+    MassCandidate,
+    PlannedPose,
+    plan_excitation,
+    prior_from_factory,
+    prior_from_fit,
+)
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
+from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
+from surefoot.calibration.in_situ.static import savitzky_golay, static_samples
+from surefoot.calibration.in_situ.tracker import (
+    InSituEstimate,
+    InSituTracker,
+    InSituTrackerConfig,
+    in_situ_tracker,
+)
+
+__all__ = [
+    "ExcitationPlan",
+    "ExcitationPrior",
+    "InSituEstimate",
+    "InSituFit",
+    "InSituOptions",
+    "InSituSet",
+    "InSituTracker",
+    "InSituTrackerConfig",
+    "KnownLimb",
+    "Limb",
+    "MassCandidate",
+    "OffsetFit",
+    "PaperMatrixFit",
+    "PlannedPose",
+    "calibrate_in_situ",
+    "estimate_matrix",
+    "estimate_offset",
+    "in_situ_tracker",
+    "plan_excitation",
+    "prior_from_factory",
+    "prior_from_fit",
+    "savitzky_golay",
+    "static_samples",
+]

@@ -1,0 +1,203 @@
+r"""A set of thousands of samples as one small triangle; private.
+
+The readings of a set follow :math:`r = A T u + \Gamma b(t) + e`: the response A to the wrench T u, an offset
+:math:`\Gamma b(t)` that drifts (see :mod:`surefoot.calibration.in_situ._drift`), and noise. One orthogonal
+triangularisation
+
+.. math::
+    Q' [b \; u \; r] =
+    \begin{bmatrix} R_{bb} & R_{bu} & R_{br} \\ & R_{uu} & R_{ur} \\ & & R_{rr} \end{bmatrix}
+
+keeps all that least squares can ever ask of the set: :math:`R_{uu} T' A' = R_{ur}` are three rows in place of
+thousands (the inertial parameters in T are unknown, but constant), :math:`R_{rr}` is what no A or T explains,
+and :math:`R_{bb}, R_{bu}, R_{br}` give the offset afterwards. Nothing is squared, so no digits are lost.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from surefoot.calibration.in_situ._drift import offset_basis
+from surefoot.calibration.in_situ._model import signals
+from surefoot.calibration.in_situ._samples import averages, outliers
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.options import InSituOptions
+
+__all__ = ["CompressedSet", "compress"]
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CompressedSet:
+    """A set, compressed.
+
+    Attributes:
+        name: The set's.
+        used: Which samples take part, shape (n,).
+        rejected: Which were left out for disagreeing with all others, shape (n,).
+        bb: R_bb, shape (d, d) for d terms of the offset.
+        bu: R_bu, shape (d, s) for s signals.
+        br: R_br, shape (d, k).
+        uu: R_uu, shape (s, s).
+        ur: R_ur, shape (s, k).
+        rr: R_rr, shape (k, k).
+        middle: b at the middle of the set's time, shape (d,).
+        end: b at its end, shape (d,).
+        score: Signals less what is like b, orthonormal, of the m rows, shape (m, s).
+        residual: What of the rows' readings no linear map of the signals explains, (m, k).
+        index: Mean place in the set of the samples that made a row, shape (m,).
+        width: Samples that made a row.
+    """
+
+    name: str
+    used: NDArray[np.bool_]
+    rejected: NDArray[np.bool_]
+    bb: Matrix
+    bu: Matrix
+    br: Matrix
+    uu: Matrix
+    ur: Matrix
+    rr: Matrix
+    middle: NDArray[np.float64]
+    end: NDArray[np.float64]
+    score: Matrix
+    residual: Matrix
+    index: NDArray[np.float64]
+    width: int
+
+    @property
+    def samples(self) -> int:
+        """Samples that take part."""
+        return int(np.sum(self.used))
+
+    @property
+    def rows(self) -> int:
+        """Rows, each the weighted mean of some samples."""
+        return len(self.residual)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the residual in each channel."""
+        return max(self.rows - len(self.bb) - int(np.linalg.matrix_rank(self.uu)), 0)
+
+    @property
+    def affine_residual(self) -> float:
+        """Share of the readings' spread outside the three-space of Lemma 1, by its square root."""
+        singular = np.linalg.svd(np.concatenate([self.ur, self.rr]), compute_uv=False)
+        return float(np.linalg.norm(singular[3:]) / np.linalg.norm(singular))
+
+    @property
+    def response(self) -> Matrix:
+        """B = A T of least squares on this set alone, shape (k, s)."""
+        return np.asarray(np.linalg.lstsq(self.uu, self.ur, rcond=None)[0].T)
+
+    def offset(self, predicted: Matrix, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the offset at a time, shape (k,).
+
+        Args:
+            predicted: A T, shape (k, s).
+            at: b at that time, shape (d,).
+        """
+        return np.asarray(at @ solve_triangular(self.bb, self.br - self.bu @ predicted.T))
+
+
+def compress(
+    sets: Sequence[InSituSet],
+    options: InSituOptions,
+    moving: bool,
+    temperature: bool,
+    *,
+    lags: Sequence[Matrix] | None = None,
+    like: Sequence["CompressedSet"] | None = None,
+) -> tuple[CompressedSet, ...]:
+    """Triangularise sets, without the samples that are missing or disagree with all others.
+
+    Args:
+        sets: The sets.
+        options: Whether to reject, and how offsets may drift.
+        moving: Whether the signals of a moving limb are to be used.
+        temperature: Whether the temperature is to be one more signal.
+        lags: Signals of the hysteresis, shape (n, 6) each, or none.
+        like: The same sets, compressed before: the same samples take part, in the same windows.
+    """
+    parts = []
+    for j, data in enumerate(sets):
+        u = signals(data, moving)
+        if lags is not None:
+            u = np.concatenate([u, lags[j]], axis=1)
+        if temperature and data.temperature is not None:
+            u = np.concatenate([u, data.temperature[:, None]], axis=1)
+        whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
+        width = None if data.time is not None else 1
+        if like is not None:
+            out, width = like[j].rejected, like[j].width
+        else:
+            out = _rejected(u, data.raw, whole) if options.robust else np.zeros_like(whole)
+        parts.append(_triangularise(data, u, whole & ~out, out, options.drift, width))
+    return tuple(parts)
+
+
+def _triangularise(
+    data: InSituSet,
+    u: Matrix,
+    used: NDArray[np.bool_],
+    rejected: NDArray[np.bool_],
+    drift: int,
+    width: int | None,
+) -> CompressedSet:
+    mean = averages(u, data.raw, used, width)
+    basis, middle, end = offset_basis(data, mean.index, drift)
+    weighted = mean.weight[:, None] * np.concatenate([basis, mean.signals, mean.raw], axis=1)
+    R = _triangle(weighted)
+    d = basis.shape[1]
+    first = d + u.shape[1]
+    uu, ur = R[d:first, d:first], R[d:first, first:]
+    slope = np.linalg.lstsq(uu, ur, rcond=None)[0]
+    centred = weighted[:, d:first] - weighted[:, :d] @ solve_triangular(R[:d, :d], R[:d, d:first])
+    residual = weighted[:, first:] - weighted[:, :d] @ solve_triangular(R[:d, :d], R[:d, first:])
+    return CompressedSet(
+        name=data.name,
+        used=used,
+        rejected=rejected,
+        bb=R[:d, :d],
+        bu=R[:d, d:first],
+        br=R[:d, first:],
+        uu=uu,
+        ur=ur,
+        rr=R[first:, first:],
+        middle=middle,
+        end=end,
+        score=centred @ np.linalg.pinv(uu),
+        residual=residual - centred @ slope,
+        index=mean.index,
+        width=mean.width,
+    )
+
+
+def _rejected(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Samples off a linear response and an offset that may bend a little over the set, shape (n,)."""
+    rejected = np.zeros_like(whole)
+    if not whole.any():
+        return rejected
+    varies = np.ptp(u[whole], axis=0) > 0.0
+    span = np.linspace(-1.0, 1.0, len(u))
+    columns = np.column_stack([np.ones(len(u)), span, span**2, _standardised(u[:, varies], whole)])[whole]
+    if len(columns) > 2 * columns.shape[1]:
+        rejected[whole] = outliers(columns, raw[whole])
+    return rejected
+
+
+def _standardised(u: Matrix, whole: NDArray[np.bool_]) -> Matrix:
+    return np.asarray((u - u[whole].mean(axis=0)) / u[whole].std(axis=0))
+
+
+def _triangle(columns: Matrix) -> Matrix:
+    """R of a QR decomposition with as many rows as columns, also when there are fewer samples."""
+    width = columns.shape[1]
+    if len(columns) < width:
+        columns = np.concatenate([columns, np.zeros((width - len(columns), width))])
+    return np.asarray(np.linalg.qr(columns, mode="r"))

@@ -1,0 +1,149 @@
+r"""Hysteresis as signals of a linear fit; private.
+
+The spring element of a sensor lags behind its load, as wide a loop over a large swing as over a small one in
+proportion (Prandtl and Ishlinskii): its reading is the load and a share s of
+
+.. math:: p(x) = \sum_i P_{r_i}(x) - \kappa x, \qquad r_i = X 2^{-i},
+
+with play operators P of half-width :math:`r_i` and the largest amplitude X of the data. The loop gives s
+away, and s tells the rest: such an element gives way by s more for each doubling of the swing, so that a
+small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
+too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x over the data;
+this only says at which swing the matrix holds, at that of the data.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.in_situ._compress import compress
+from surefoot.calibration.in_situ._covariance import pooled_noise
+from surefoot.calibration.in_situ._model import signals
+from surefoot.calibration.in_situ._solve import Problem, Solution, solve, transforms
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.options import InSituOptions
+
+__all__ = ["lag_signals", "with_hysteresis"]
+
+Matrix = NDArray[np.float64]
+
+_PLAYS = 8
+"""The smallest loop that is followed is 2^-8 of the largest swing."""
+
+_SHARE_STD = 0.05
+"""Expected size of the shares; of an axis that no load reaches the share stays at zero."""
+
+_SIGMAS = 5.0
+"""Deviations that the share of some axis must be from zero."""
+
+_STEPS = 3000
+"""Steps in which a set's plays are followed, if its limb turns slowly."""
+
+_ROUNDS = 2
+"""The loads whose loops these are come from the fit itself."""
+
+
+def with_hysteresis(
+    sets: Sequence[InSituSet], problem: Problem, solution: Solution, options: InSituOptions
+) -> tuple[Problem, Solution] | None:
+    """Fit again with loops, if there are any beyond chance.
+
+    Args:
+        sets: In the order of time.
+        problem: The problem without hysteresis.
+        solution: Its solution.
+        options: As for the compression.
+
+    Returns:
+        The problem and its solution, with six more parameters, the shares s, behind the limb's; or None.
+    """
+    plain = problem
+    limb_root = np.zeros((len(plain.limb_root) + 6, plain.parameters + 6))
+    limb_root[:-6, :-6], limb_root[-6:, -6:] = plain.limb_root, np.eye(6) / _SHARE_STD
+    basis = np.zeros((plain.parameters + 6, 6, plain.basis.shape[2] + 6))
+    basis[:-6, :, :-6], basis[-6:, :, -6:] = plain.basis, np.eye(6)[:, :, None] * np.eye(6)[:, None, :]
+    added = np.pad(plain.added, ((0, 0), (0, 6)))
+    start = np.concatenate([solution.limb, np.zeros(6), solution.outer[plain.parameters :]])
+    for _ in range(_ROUNDS):
+        lags = lag_signals(_loads(sets, problem, solution))
+        parts = compress(sets, options, plain.moving, plain.temperature, lags=lags, like=plain.sets)
+        problem = replace(
+            plain,
+            sets=parts,
+            added=added,
+            whitening=np.linalg.inv(np.linalg.cholesky(pooled_noise(parts))),
+            basis=basis,
+            limb=np.pad(plain.limb, (0, 6)),
+            limb_root=limb_root,
+        )
+        solution = solve(problem, [start])
+        start = solution.outer
+    return (problem, solution) if _beyond_chance(problem, solution) else None
+
+
+def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> list[Matrix]:
+    """Wrenches that the limb and what was added exert, (n_j, 6) each; gaps keep the last one."""
+    inputs = signals(sets[0], problem.moving).shape[1]
+    T = transforms(problem, solution.limb, solution.rotation)[:, :6, :inputs]
+    loads = []
+    for data, transform in zip(sets, T, strict=True):
+        u = signals(data, problem.moving)
+        whole = np.isfinite(u).all(axis=1)
+        latest = np.maximum.accumulate(np.where(whole, np.arange(len(u)), -1))
+        latest[latest < 0] = int(np.argmax(whole))
+        loads.append(u[latest] @ transform.T)
+    return loads
+
+
+def _beyond_chance(problem: Problem, solution: Solution) -> bool:
+    """Hold each share against its own deviation."""
+    J = solution.jacobian
+    size = np.linalg.norm(J, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    covariance = np.linalg.pinv((J / size).T @ (J / size), rcond=1e-14, hermitian=True)
+    first = J.shape[1] - problem.outer + problem.parameters - 6
+    deviation = np.sqrt(np.diag(covariance))[first : first + 6] / size[first : first + 6]
+    return bool(np.any(np.abs(solution.limb[-6:]) > _SIGMAS * deviation))
+
+
+def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
+    """Sum the plays of each axis, (n_j, 6) each.
+
+    Between turning points a play only follows, so that few samples of a slow sweep tell the rest.
+    """
+    strides = [max(len(wrench) // _STEPS, 1) for wrench in wrenches]
+    thinned = [wrench[::stride] for wrench, stride in zip(wrenches, strides, strict=True)]
+    longest = max(len(wrench) for wrench in thinned)
+    loads = np.stack([np.pad(w, ((0, longest - len(w)), (0, 0)), mode="edge") for w in thinned], axis=1)
+    plays = np.empty_like(loads)
+    play = loads[0][..., None] * np.ones(slack.shape[1])
+    for i, load in enumerate(loads):
+        np.clip(play, load[..., None] - slack, load[..., None] + slack, out=play)
+        plays[i] = play.sum(axis=-1)
+    sums = []
+    for j, (wrench, stride, few) in enumerate(zip(wrenches, strides, thinned, strict=True)):
+        places, seen = np.arange(len(wrench)), stride * np.arange(len(few))
+        sums.append(np.stack([np.interp(places, seen, plays[: len(few), j, a]) for a in range(6)], axis=1))
+    return sums
+
+
+def lag_signals(wrenches: Sequence[Matrix]) -> list[Matrix]:
+    """Compute p of the wrenches of each set, axis by axis.
+
+    Args:
+        wrenches: In the order of time, without gaps, shape (n_j, 6) each.
+
+    Returns:
+        p in N and N m, shape (n_j, 6) each, of no mean over a set: what is left is the offset's.
+    """
+    amplitude = np.max([np.ptp(wrench, axis=0) / 2.0 for wrench in wrenches], axis=0)
+    slack = amplitude[:, None] * 0.5 ** np.arange(1, _PLAYS + 1)
+    lags = _plays(wrenches, slack)
+    loads = [wrench - wrench.mean(axis=0) for wrench in wrenches]
+    common = sum(np.sum(lag * load, axis=0) for lag, load in zip(lags, loads, strict=True))
+    square = sum(np.sum(load**2, axis=0) for load in loads)
+    kappa = common / np.where(square > 0.0, square, 1.0)
+    signals = [lag - kappa * wrench for lag, wrench in zip(lags, wrenches, strict=True)]
+    return [signal - signal.mean(axis=0) for signal in signals]

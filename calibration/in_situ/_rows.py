@@ -1,0 +1,70 @@
+r"""Rows of a matrix that lean on the factory's where the data leave them open; private.
+
+One limb without added masses moves the readings in three directions only, and any matrix that is right on
+these fits. Among them the factory's is the one to stay close to, but not along directions in which nothing
+but noise is seen. So each axis a has its row from
+
+.. math:: \min_{C_a} \; \sum_i (C_a (r_i - o) - w_{a,i})^2 + \lambda_a n |C_a - C_a^{factory}|^2,
+
+where w follows from gravity and the limb's inertial parameters, and :math:`\lambda_a` from what predicts
+stretches of time that it has not seen (regularisation as by Andrade Chavez et al., 2016, here with a weight
+an axis).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.in_situ._compress import CompressedSet
+from surefoot.calibration.in_situ._factory import FOLDS
+from surefoot.calibration.in_situ._solve import Problem, Solution, transforms
+
+__all__ = ["leaning_matrix"]
+
+Matrix = NDArray[np.float64]
+
+_WEIGHTS = 10.0 ** np.arange(-6.0, 3.0)
+"""To choose from, in units of the readings' mean square."""
+
+
+def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> Matrix:
+    """Compute C, shape (6, k).
+
+    Args:
+        problem: The sets.
+        solution: Whose limb and rotation are taken.
+        factory: The factory matrix, shape (6, k).
+    """
+    rows = [
+        _rows(part, transform, solution.response[:, 6:])
+        for part, transform in zip(
+            problem.sets, transforms(problem, solution.limb, solution.rotation), strict=True
+        )
+    ]
+    level = np.mean(np.concatenate([readings for readings, _ in rows]) ** 2)
+    error = np.zeros((len(_WEIGHTS), 6))
+    for fold in range(FOLDS):
+        fitted, held_out = [], []
+        for readings, wrenches in rows:
+            out = np.arange(len(readings)) * FOLDS // len(readings) == fold
+            # The offset is not known of a stretch that was not seen.
+            X, Y = readings - readings[~out].mean(axis=0), wrenches - wrenches[~out].mean(axis=0)
+            fitted.append((X[~out], Y[~out]))
+            held_out.append((X[out], Y[out]))
+        X, Y = (np.concatenate(part) for part in zip(*held_out, strict=True))
+        for i, weight in enumerate(_WEIGHTS):
+            error[i] += np.sum((X @ _ridge(fitted, weight * level, factory).T - Y) ** 2, axis=0)
+    best = _WEIGHTS[np.argmin(error, axis=0)]
+    return np.stack([_ridge(rows, best[axis] * level, factory)[axis] for axis in range(6)])
+
+
+def _rows(part: CompressedSet, transform: Matrix, temperature: Matrix) -> tuple[Matrix, Matrix]:
+    """Readings and wrenches about their offset, (m, k) and (m, 6)."""
+    signals = part.score @ part.uu
+    heat = signals @ transform[6:].T @ temperature.T
+    return part.score @ part.ur + part.residual - heat, signals @ transform[:6].T
+
+
+def _ridge(rows: list[tuple[Matrix, Matrix]], weight: float, factory: Matrix) -> Matrix:
+    X, Y = (np.concatenate(part) for part in zip(*rows, strict=True))
+    S = X.T @ X / len(X) + weight * np.eye(X.shape[1])
+    return np.asarray(factory + np.linalg.solve(S, X.T @ (Y - X @ factory.T) / len(X)).T)

@@ -1,0 +1,224 @@
+"""Sensors on the rig of in-situ calibration: true wrenches and motion in, what a robot would have out.
+
+Everything random belongs to a seed: the F/T sensor with its response, zeros, noise, creep and hysteresis, and
+the IMU on the beam with its biases and noise. The zeros jump between data sets, as masses are changed. What a
+fit is given are counts, the IMU's readings and the added masses; the truth goes beside it, for scores.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.accelerometer import calibrate_accelerometer
+from surefoot.calibration.imu_motion import gravity_from_imu
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
+from surefoot.experiments.in_situ.rig_record import RigRecording
+from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
+from surefoot.sensors.strain_gauges import StrainGaugeState, read_sequence, shift_zero, true_response
+
+__all__ = [
+    "XSENS_MTX",
+    "SensorTruth",
+    "accelerometer_bias",
+    "moving_sets",
+    "read_imus",
+    "read_sensors",
+    "sensor_config",
+    "static_sets",
+]
+
+XSENS_MTX = Imu(
+    accelerometer_noise=2.0e-3,
+    gyroscope_noise=8.7e-4,
+    accelerometer_bias_std=0.05,
+    gyroscope_bias_std=1.0e-3,
+    accelerometer_walk=5.0e-5,
+    gyroscope_walk=2.0e-5,
+    accelerometer_resolution=50.0 / 2**15,
+    gyroscope_resolution=1.0e-4,
+    accelerometer_range=50.0,
+    gyroscope_range=20.9,
+    averaged=False,
+)
+"""An IMU of the class that the in-situ paper took (XSens MTx): noise densities of 0.002 m/s^2 and 0.05 deg/s
+per root hertz, 50 m/s^2 and 1200 deg/s of range. Its gyroscope was zeroed at rest; its accelerometer was not
+calibrated. The walks are ours: the maker gives none."""
+
+ZERO_SHIFT = (2.0, 0.05)
+"""Standard deviation of what the zeros jump by between sets, in N and N m."""
+
+_STREAM = 0x1F75
+
+
+class SensorTruth(NamedTuple):
+    """What the simulator knows of a sensor.
+
+    Attributes:
+        response: A in counts per N and N m, shape (6, 6).
+        offsets: o of each set in counts, the mean of its beginning and end, shape (J, 6).
+        offset: o at the end of the last set in counts, shape (6,).
+        limb: What hangs beyond the sensor, nothing added.
+    """
+
+    response: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    limb: Limb
+
+
+def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> StrainGauges:
+    """Describe the sensor of the rig's foot or leg.
+
+    Args:
+        sensor: "foot" or "leg".
+        white: Leave the noise as the only error: no hysteresis, creep, drift or converter.
+        exact: Leave the noise out as well.
+    """
+    config = preset(f"icub-ftsens-{sensor}", StrainGauges)
+    if white or exact:
+        config = replace(
+            config,
+            adc_bits=0,
+            hysteresis=0.0,
+            creep_shares=(),
+            creep_time_constants=(),
+            zero_drift_force=0.0,
+            zero_drift_torque=0.0,
+        )
+    return replace(config, noise_force=0.0, noise_torque=0.0) if exact else config
+
+
+def read_sensors(
+    config: StrainGauges, sensor: str, runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int]
+) -> list[tuple[NDArray[np.float64], SensorTruth]]:
+    """Let a sensor of each seed read recordings of one length.
+
+    Args:
+        config: The sensor.
+        sensor: "foot" or "leg".
+        runs: J recordings of n samples at one rate for each seed.
+        seeds: S seeds.
+
+    Returns:
+        Counts, shape (J, n, 6), and the truth, for each seed.
+    """
+    limb: Limb = getattr(runs[0][0], f"limb_{sensor}")
+    wrench = np.array([[getattr(recording, f"wrench_{sensor}") for recording in run] for run in runs])
+    place = ("foot", "leg").index(sensor)
+    rng = np.random.default_rng([_STREAM, place, *seeds])
+    state = strain_gauges(config).init((len(seeds), len(runs[0]), config.channels), rng)
+    for i, seed in enumerate(seeds):
+        # One sensor reads all sets: its zeros jump in between, and nothing else.
+        one = _one_sensor(config, len(runs[0]), np.random.default_rng([_STREAM, place + 2, seed]))
+        state.response[i], state.zero[i], state.tempco[:, i] = one.response, one.zero, one.tempco
+    response, zero = true_response(config, state)
+    dt = float(runs[0][0].time[1] - runs[0][0].time[0])
+    counts, after, _ = read_sequence(config, wrench, state, rng, dt)
+    _, last = true_response(config, after)
+    return [
+        (of_seed, SensorTruth(np.array(A[0]), (first + end) / 2.0, np.array(end[-1]), limb))
+        for of_seed, A, first, end in zip(counts, response, zero, last, strict=True)
+    ]
+
+
+def _one_sensor(config: StrainGauges, sets: int, rng: np.random.Generator) -> StrainGaugeState:
+    """Draw one sensor before each of its sets, as a batch of them."""
+    first = strain_gauges(config).init((config.channels,), rng)
+    zeros = [first.zero]
+    for _ in range(1, sets):
+        zeros.append(shift_zero(config, first._replace(zero=zeros[-1]), rng, *ZERO_SHIFT).zero)
+    return first._replace(zero=np.array(zeros), tempco=np.asarray(first.tempco)[:, None])
+
+
+def read_imus(
+    runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int], config: Imu = XSENS_MTX
+) -> NDArray[np.float64]:
+    """Let an IMU of each seed read its recordings: force and angular velocity, shape (S, J, n, 6)."""
+    device = imu(config)
+    felt = np.array([[np.hstack([r.specific_force, r.angular_velocity]) for r in run] for run in runs])
+    rng = np.random.default_rng([_STREAM, 4, *seeds])
+    bias = np.stack([device.init((6,), np.random.default_rng([_STREAM, 5, seed])).bias for seed in seeds])
+    state = device.init((*felt.shape[:2], 6), rng)
+    state = state._replace(bias=np.repeat(bias[:, None], felt.shape[1], axis=1))
+    dt = float(runs[0][0].time[1] - runs[0][0].time[0])
+    for i in range(felt.shape[2]):
+        felt[:, :, i], state = device.apply(felt[:, :, i], state, rng, dt)
+    return felt
+
+
+def static_sets(
+    sensor: str,
+    recordings: Sequence[RigRecording],
+    counts: NDArray[np.float64],
+    specific_force: NDArray[np.float64],
+) -> tuple[InSituSet, ...]:
+    """Hand out sets of a limb that is taken to be at rest.
+
+    Args:
+        sensor: "foot" or "leg".
+        recordings: Of which the names, times and added masses are told.
+        counts: Shape (J, n, 6).
+        specific_force: Of the accelerometer without its bias, shape (J, n, 3).
+    """
+    return tuple(
+        InSituSet(
+            raw,
+            -force,
+            recording.added_mass,
+            getattr(recording, f"added_com_{sensor}"),
+            time=recording.time,
+            name=recording.name,
+        )
+        for recording, raw, force in zip(recordings, counts, specific_force, strict=True)
+    )
+
+
+def moving_sets(
+    sensor: str,
+    recordings: Sequence[RigRecording],
+    counts: NDArray[np.float64],
+    readings: NDArray[np.float64],
+    bias: NDArray[np.float64],
+    window: int = 15,
+) -> tuple[InSituSet, ...]:
+    """Hand out sets of a limb in motion, carried from the IMU to the sensor.
+
+    Args:
+        sensor: "foot" or "leg".
+        recordings: Of which the names, times, added masses and the IMU's place are told.
+        counts: Shape (J, n, 6).
+        readings: Of the IMU, shape (J, n, 6).
+        bias: Of its accelerometer in m/s^2, shape (3,).
+        window: Of the angular acceleration in samples, odd.
+    """
+    found = []
+    for recording, raw, read in zip(recordings, counts, readings, strict=True):
+        motion = gravity_from_imu(
+            read[:, :3] - bias,
+            read[:, 3:],
+            dt=float(recording.time[1] - recording.time[0]),
+            position_imu=getattr(recording, f"position_imu_{sensor}"),
+            window=window,
+        )
+        found.append(
+            InSituSet(
+                raw,
+                motion.gravity,
+                recording.added_mass,
+                getattr(recording, f"added_com_{sensor}"),
+                angular_velocity=motion.angular_velocity,
+                angular_acceleration=motion.angular_acceleration,
+                time=recording.time,
+                name=recording.name,
+            )
+        )
+    return tuple(found)
+
+
+def accelerometer_bias(specific_force: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Calibrate the accelerometer's bias from readings of any shape (..., 3), as a robot would."""
+    return calibrate_accelerometer(specific_force.reshape(-1, 3), model="bias").bias

@@ -1,0 +1,183 @@
+"""Experiments that must not be answered with a number: what a fit says to each, and what that spares."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.in_situ.instruments import (
+    SensorTruth,
+    accelerometer_bias,
+    read_imus,
+    read_sensors,
+    sensor_config,
+    static_sets,
+)
+from surefoot.experiments.in_situ.methods import paper_calibration
+from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig
+from surefoot.experiments.in_situ.study_score import wrench_error
+
+__all__ = ["CASES", "Case", "refusal_row"]
+
+Sets = Sequence[InSituSet]
+
+SENSOR = "leg"
+"""Whose sensor the cases are tried on: the knee and the floor matter to it most."""
+
+UNCHECKED = InSituOptions(misfit_tolerance=1e9, mass_tolerance=1e9, scale_tolerance=1e9)
+"""Options under which a fit answers as much as it can."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One experiment that went wrong.
+
+    Attributes:
+        name: What tables call it.
+        rig: Options of the rig.
+        configurations: Sets that are recorded.
+        spoil: What happens to the sets.
+        factory: How the maker's matrix was spoilt that the fit leans on; ``None`` for a fit without one.
+        harmless: Whether it is a control, which must be answered.
+        clips: Whether the range of the converter is told.
+    """
+
+    name: str
+    rig: dict[str, Any] = field(default_factory=dict)
+    configurations: tuple[int, ...] = (1, 2, 3, 4)
+    spoil: Callable[[Sets], list[InSituSet]] = list
+    factory: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+    harmless: bool = False
+    clips: bool = False
+
+
+def _two_orientations(sets: Sets) -> list[InSituSet]:
+    """Keep what each set showed within a degree of two orientations."""
+    found = []
+    for data in sets:
+        unit = data.gravity / np.linalg.norm(data.gravity, axis=1, keepdims=True)
+        other = unit[np.argmin(unit @ unit[0])]
+        near = np.maximum(unit @ unit[0], unit @ other) > np.cos(np.radians(1.0))
+        assert data.time is not None
+        found.append(replace(data, raw=data.raw[near], gravity=data.gravity[near], time=data.time[near]))
+    return found
+
+
+def _mass_off(share: float) -> Callable[[Sets], list[InSituSet]]:
+    def spoil(sets: Sets) -> list[InSituSet]:
+        return [
+            replace(data, added_mass=(1.0 + share) * data.added_mass) if j == 2 else data
+            for j, data in enumerate(sets)
+        ]
+
+    return spoil
+
+
+def _saturated(sets: Sets) -> list[InSituSet]:
+    """Let channel 0 of one set end where a twentieth of its readings lie beyond."""
+    low, high = sensor_config(SENSOR).code_range
+    found = list(sets)
+    raw = found[1].raw.copy()
+    raw[:, 0] += high - np.quantile(raw[:, 0], 0.95)
+    found[1] = replace(found[1], raw=np.clip(raw, low, high))
+    return found
+
+
+def _flipped(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lose the sign of one entry."""
+    spoilt = matrix.copy()
+    spoilt[2, 0] *= -1.0
+    return spoilt
+
+
+CASES = (
+    Case("nothing wrong", harmless=True),
+    Case("nothing wrong, factory matrix given", factory=np.copy, harmless=True),
+    Case("front-back motion only", {"range_deg": (70.0, 0.0)}),
+    Case("two orientations", spoil=_two_orientations),
+    Case("two masses", configurations=(1, 2)),
+    Case("one mass at three places, no bare limb", configurations=(5, 6, 8)),
+    Case("knee gives by 0.005 rad per N m", {"knee_slack": 0.005}),
+    Case("knee gives by 0.02 rad per N m", {"knee_slack": 0.02}),
+    Case("knee gives by 0.06 rad per N m", {"knee_slack": 0.06}),
+    Case("foot touches the floor", {"floor": True}),
+    Case("channel 0 saturated", spoil=_saturated, clips=True),
+    Case("sign of one factory entry lost", factory=_flipped),
+    Case("one mass given 5 % too heavy", spoil=_mass_off(0.05)),
+    Case("one mass given 20 % too heavy", spoil=_mass_off(0.2)),
+)
+"""What is tried."""
+
+
+def refusal_row(index: int, seed: int, rate: float) -> dict[str, Any]:
+    """Try one case with one sensor.
+
+    Args:
+        index: Of the case in :data:`CASES`.
+        seed: Of the sensor.
+        rate: Samples per s.
+
+    Returns:
+        ``case``, ``harmless``, ``seed``, ``refused``, ``said`` (the reason), and the errors of the forces and
+        torques: of the answer or, where it was refused, of a fit whose thresholds were taken away
+        (``force_error``, ``torque_error``; NaN where it still could not answer), and of III-C
+        (``paper_force``, ``paper_torque``).
+    """
+    case = CASES[index]
+    recordings = record_rig(case.configurations, rate=rate, seed=seed, **case.rig)
+    config = sensor_config(SENSOR)
+    counts, truth = read_sensors(config, SENSOR, [recordings], [seed])[0]
+    force = read_imus([recordings], [seed])[0, ..., :3]
+    # A plane is refused by the accelerometer's calibration as well: the robot goes on with what it has.
+    with suppress(CalibrationRefused):
+        force = force - accelerometer_bias(force)
+    sets = case.spoil(static_sets(SENSOR, recordings, counts, force))
+    factory = None if case.factory is None else case.factory(config.nominal_matrix)
+    options = InSituOptions(code_range=config.code_range if case.clips else None)
+    fit = calibrate_in_situ(sets, factory_matrix=factory, options=options, refuse=False)
+    answer: InSituFit | None = fit
+    if fit.refusals:
+        # A spoilt matrix of the maker's is what is left of a fit that does not look at it.
+        answer = None if case.factory else calibrate_in_situ(sets, options=UNCHECKED, refuse=False)
+    wrench = _loads(rate)
+    matrix = factory if answer is None else answer.matrix
+    found = _errors(matrix, truth, wrench)
+    paper: NDArray[np.float64] | None
+    try:
+        paper = paper_calibration(sets).matrix
+    except (ValueError, AssertionError):
+        paper = None
+    by_paper = _errors(paper, truth, wrench)
+    return {
+        "case": case.name,
+        "harmless": case.harmless,
+        "seed": seed,
+        "refused": bool(fit.refusals),
+        "said": fit.refusals[0].reason if fit.refusals else "",
+        "force_error": found[0],
+        "torque_error": found[1],
+        "paper_force": by_paper[0],
+        "paper_torque": by_paper[1],
+    }
+
+
+def _errors(
+    matrix: NDArray[np.float64] | None, truth: SensorTruth, wrench: NDArray[np.float64]
+) -> tuple[float, float]:
+    if matrix is None or not np.isfinite(matrix).all():
+        return float("nan"), float("nan")
+    return wrench_error(matrix, truth.response, wrench)
+
+
+def _loads(rate: float) -> NDArray[np.float64]:
+    """True wrenches of a sound rig under the validation sets, shape (n, 6)."""
+    recordings: list[RigRecording] = record_rig(range(5, 9), rate=min(rate, 10.0))
+    return np.concatenate([recording.wrench_leg for recording in recordings])

@@ -1,0 +1,146 @@
+"""The sample log of in-situ calibration that ships with the package: the iCub's leg on its stand, simulated.
+
+``python -m surefoot.experiments.in_situ.sample`` makes it anew. Its sensor is the leg's FTSens with all its
+errors, whose maker's matrix, long outdated, goes with the log as the factory matrix; its IMU is that of a
+small robot after its zeros were taken. What the simulator knew is in neither file.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from surefoot.experiments._files import atomic_path, write_text
+from surefoot.experiments.in_situ.calibrate import SAMPLE
+from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig
+from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
+
+__all__ = ["SampleTruth", "make_sample", "write_sample"]
+
+RATE = 10.0
+DURATION = 60.0
+SEED = 2
+"""An ordinary sensor: its maker's matrix shows the leg's weight as an ellipsoid whose longest axis is
+1.9 times the shortest, the median of :class:`~surefoot.sensors.StrainGauges`."""
+
+PAUSE = 60.0
+"""Time in s between two sets, in which masses are changed."""
+
+SPEED_DEG = 12.0
+"""Highest speed of the hip in deg/s, so that a minute covers its ranges."""
+
+
+class SampleTruth:
+    """What the simulator knows of the sample's sensor.
+
+    Attributes:
+        response: A in counts per N and N m, shape (6, 6).
+        limb_mass: What hangs beyond the sensor in kg, nothing added.
+    """
+
+    def __init__(self, response: NDArray[np.float64], limb_mass: float) -> None:
+        self.response, self.limb_mass = response, limb_mass
+
+
+def make_sample(seed: int = SEED) -> tuple[dict[str, NDArray[np.float64]], list[RigRecording], SampleTruth]:
+    """Record eight sets of a minute each with one sensor, switched on once.
+
+    Args:
+        seed: Of everything random.
+
+    Returns:
+        The columns of the log, the recordings behind them, and the truth.
+    """
+    config = preset("icub-ftsens-leg", StrainGauges)
+    sensor, motion = strain_gauges(config), imu(Imu(accelerometer_bias_std=0.005, averaged=True))
+    rng = np.random.default_rng([seed, 1])
+    state, motion_state = sensor.init((config.channels,), rng), motion.init((6,), rng)
+    response = np.array(state.response)
+    recordings = record_rig(duration=DURATION, rate=RATE, speed_deg=SPEED_DEG, seed=seed)
+    rows: dict[str, list[NDArray[np.float64]]] = {"time_s": [], "set": [], "raw": [], "imu": []}
+    for begun, recording in enumerate(recordings):
+        raw = np.empty((len(recording.time), config.channels))
+        felt = np.concatenate([recording.specific_force, recording.angular_velocity], axis=1)
+        for i, wrench in enumerate(recording.wrench_leg):
+            # The first sample of a set comes after a pause in which the new mass came to hang there.
+            dt = 1.0 / RATE if i else PAUSE
+            raw[i], state = sensor.apply(wrench, state, rng, dt)
+            felt[i], motion_state = motion.apply(felt[i], motion_state, rng, dt)
+        rows["time_s"].append(recording.time + begun * (DURATION + PAUSE))
+        rows["set"].append(np.full(len(raw), float(recording.configuration)))
+        rows["raw"].append(raw)
+        rows["imu"].append(felt)
+    raw, felt = np.concatenate(rows["raw"]), np.concatenate(rows["imu"])
+    columns = {"time_s": np.concatenate(rows["time_s"]), "set": np.concatenate(rows["set"])}
+    columns |= {f"raw_{i}_count": column for i, column in enumerate(raw.T)}
+    columns |= {f"specific_force_{axis}_m_s2": felt[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"angular_velocity_{axis}_rad_s": felt[:, 3 + i] for i, axis in enumerate("xyz")}
+    return columns, recordings, SampleTruth(response, recordings[0].limb_leg.mass)
+
+
+def write_sample(path: Path = SAMPLE, seed: int = SEED) -> Path:
+    """Write the log and the TOML file beside it.
+
+    Args:
+        path: Where, ending in ``.parquet``.
+        seed: Of everything random.
+
+    Returns:
+        The log's path.
+    """
+    columns, recordings, truth = make_sample(seed)
+    kinds = {"set": pa.int8(), "time_s": pa.float64()}
+    table = pa.table(
+        {
+            name: pa.array(values).cast(kinds.get(name, pa.int32() if "raw" in name else pa.float32()))
+            for name, values in columns.items()
+        }
+    )
+    write_text(path.with_suffix(".toml"), _toml(recordings, truth))
+    with atomic_path(path) as part:
+        pq.write_table(table, part, compression="zstd")
+    return path
+
+
+def _toml(recordings: list[RigRecording], truth: SampleTruth) -> str:
+    config = preset("icub-ftsens-leg", StrainGauges)
+    low, high = config.code_range
+    lines = [
+        "# A simulated leg of the iCub with eight added masses. docs/in-situ-log.md lists all keys.",
+        "",
+        "[sensor]",
+        'name = "FTSens in a leg (simulated)"',
+        f"range_count = [{low:.0f}, {high:.0f}]",
+        "full_scale = [1500, 1500, 2000, 35, 35, 25]  # N and N m, of its data sheet",
+        "",
+        "[accelerometer]",
+        f"position_m = {_listed(recordings[0].position_imu_leg)}  # in the sensor's frame",
+        "",
+        "[factory]",
+        "matrix = [  # N and N m per count, of the maker's certificate",
+        *(f"  {_listed(np.array(row))}," for row in config.matrix),
+        "]",
+        "",
+        "[fit]",
+        'sets = ["1", "2", "3", "4"]  # as the in-situ paper does; the others prove the fit',
+        "",
+        "[limb]",
+        f"mass_kg = {truth.limb_mass:.3f}  # of a pair of scales: what hangs beyond the sensor, nothing "
+        "added",
+    ]
+    for recording in recordings:
+        lines += ["", "[[sets]]", f'name = "{recording.configuration}"']
+        lines += [f"added_mass_kg = {recording.added_mass:.5g}"]
+        if recording.added_mass > 0.0:
+            lines += [f"added_com_m = {_listed(recording.added_com_leg)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _listed(values: NDArray[np.float64]) -> str:
+    return "[" + ", ".join(f"{value:.9g}" for value in np.asarray(values).tolist()) + "]"
+
+
+if __name__ == "__main__":
+    print(write_sample())

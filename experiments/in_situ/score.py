@@ -1,0 +1,285 @@
+r"""How good a calibrated six-axis sensor is: spheres, added masses and their places (in-situ paper, IV).
+
+Turned about, a limb of weight m |g| draws the force f = m g, a sphere. A sensor that is off by a matrix draws
+an ellipsoid instead, whose semi-axes say by how much and in how many directions (Table I). With the bare limb
+taken off, what is left is the added mass (Table II) and its place (Table III).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
+
+__all__ = [
+    "AddedMassEstimate",
+    "Ellipsoid",
+    "added_mass",
+    "expected_wrench",
+    "force_ellipsoid",
+    "motion_wrench",
+    "offset_of_set",
+    "quadric_ellipsoid",
+    "semi_axes",
+]
+
+_LEAST = 1e-3
+"""Least singular value of the directions of gravity, against the largest, that still spans space."""
+
+
+class Ellipsoid(NamedTuple):
+    """The ellipsoid {centre + axes u : |u| = 1}.
+
+    Attributes:
+        centre: Shape (3,).
+        axes: A semi-axis a column, the longest first, shape (3, 3).
+    """
+
+    centre: NDArray[np.float64]
+    axes: NDArray[np.float64]
+
+    @property
+    def semi_axes(self) -> NDArray[np.float64]:
+        """Lengths of the semi-axes, the longest first, shape (3,)."""
+        return np.asarray(np.linalg.norm(self.axes, axis=0))
+
+    @property
+    def ratio(self) -> float:
+        """Longest over shortest semi-axis: one for a sphere."""
+        return float(self.semi_axes[0] / self.semi_axes[2])
+
+
+class AddedMassEstimate(NamedTuple):
+    """What hangs on a limb besides itself.
+
+    Attributes:
+        mass: In kg; may come out negative where nothing hangs.
+        position: Of its centre of mass in the sensor's frame in m, shape (3,); NaN without mass.
+    """
+
+    mass: float
+    position: NDArray[np.float64]
+
+
+def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
+    """Fit the ellipsoid that points draw while gravity turns, points = K g + centre.
+
+    Gravity tells where on the ellipsoid each point belongs, so that a part of it suffices; its semi-axes are
+    |g| times the singular values of K (in-situ paper, Lemma 1).
+
+    Args:
+        points: Forces in N, or counts along three directions, shape (n, 3).
+        gravity: g in the same frame's axes in m/s^2, shape (n, 3).
+
+    Raises:
+        ValueError: If shapes do not agree, fewer than four rows are finite, or gravity stays in a plane.
+
+    >>> turned = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]) * 9.81
+    >>> force_ellipsoid(2.0 * turned + 5.0, turned).semi_axes
+    array([19.62, 19.62, 19.62])
+    """
+    points, gravity = _pair(np.asarray(points, dtype=np.float64), np.asarray(gravity, dtype=np.float64))
+    pull = gravity - gravity.mean(axis=0)
+    spread = np.linalg.svd(pull, compute_uv=False)
+    if spread[2] < _LEAST * spread[0]:
+        raise ValueError(
+            "Gravity stays in a plane of the sensor's frame, and its ellipsoid has three axes; turn the "
+            "limb about a second axis."
+        )
+    K = np.linalg.lstsq(pull, points - points.mean(axis=0), rcond=None)[0].T
+    size = float(np.sqrt(np.mean(np.sum(gravity**2, axis=1))))
+    directions, lengths, _ = np.linalg.svd(K)
+    return Ellipsoid(points.mean(axis=0) - K @ gravity.mean(axis=0), size * directions * lengths)
+
+
+def semi_axes(force: ArrayLike, gravity: ArrayLike) -> NDArray[np.float64]:
+    """Measure the semi-axes of the force ellipsoid of a set (in-situ paper, Table I).
+
+    Args:
+        force: C (r - o) of one set in N, its first three rows, shape (n, 3).
+        gravity: g in the sensor's frame in m/s^2, shape (n, 3).
+
+    Returns:
+        In N, the longest first, shape (3,).
+
+    Raises:
+        ValueError: As :func:`force_ellipsoid`.
+    """
+    return force_ellipsoid(force, gravity).semi_axes
+
+
+def quadric_ellipsoid(points: ArrayLike) -> Ellipsoid:
+    """Fit an ellipsoid to points alone, by least squares on the coefficients of a quadric.
+
+    It needs no gravity, but points all around: from a part of an ellipsoid with noise it makes a smaller one.
+
+    Args:
+        points: Shape (n, 3).
+
+    Raises:
+        ValueError: If fewer than nine rows are finite, or the points lie on no ellipsoid.
+    """
+    given = np.asarray(points, dtype=np.float64)
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise ValueError(f"'points' must have shape (n, 3), got {given.shape}.")
+    there = given[np.isfinite(given).all(axis=1)]
+    if len(there) < 9:
+        raise ValueError(f"An ellipsoid has nine unknowns, got {len(there)} points; give more.")
+    middle, size = there.mean(axis=0), float(there.std())
+    if size == 0.0:
+        raise ValueError("All points are the same; turn the limb.")
+    x, y, z = ((there - middle) / size).T
+    design = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
+    a, b, c, d, e, f, p, q, r = np.linalg.lstsq(design, np.ones(len(there)), rcond=None)[0]
+    Q, slope = np.array([[a, d, e], [d, b, f], [e, f, c]]), np.array([p, q, r])
+    values, directions = np.linalg.eigh(Q)
+    if values[0] * values[2] <= 0.0:
+        raise ValueError("The points lie on no ellipsoid; turn the limb further around.")
+    centre = -np.linalg.solve(Q, slope)
+    level = 1.0 + centre @ Q @ centre
+    if level / values[0] <= 0.0:
+        raise ValueError("The points lie on no ellipsoid; turn the limb further around.")
+    # Ascending eigenvalues are descending axes, or the other way round where all are negative.
+    lengths = np.sqrt(level / values)
+    order = np.argsort(-lengths)
+    return Ellipsoid(middle + size * centre, size * (directions * lengths)[:, order])
+
+
+def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEstimate:
+    """Weigh and locate what hangs on a limb at rest (in-situ paper, Tables II and III).
+
+    Least squares of w - M(limb) g = M(m, c) g in m, and of its torques in m c; a limb in motion is brought to
+    rest by :func:`motion_wrench` first.
+
+    Args:
+        wrench: C (r - o) of one set in N and N m, shape (n, 6).
+        gravity: g in the sensor's frame in m/s^2, shape (n, 3).
+        limb: What hangs there without the added mass.
+
+    Raises:
+        ValueError: If shapes do not agree, fewer than four rows are finite, or gravity has one direction
+            only.
+    """
+    wrench, gravity = np.asarray(wrench, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
+    if wrench.ndim != 2 or wrench.shape[1] != 6:
+        raise ValueError(f"'wrench' must have shape (n, 6), got {wrench.shape}.")
+    wrench, gravity = _pair(wrench, gravity)
+    force = wrench[:, :3] - limb.mass * gravity
+    torque = wrench[:, 3:] - np.cross(limb.mass_com, gravity)
+    mass = float(np.sum(force * gravity) / np.sum(gravity**2))
+    # The torque (m c) x g is linear in m c: normal equations of -[g]x, summed over the rows.
+    squares = gravity.T @ gravity
+    normal = np.trace(squares) * np.eye(3) - squares
+    if np.linalg.eigvalsh(normal)[0] < _LEAST**2 * np.trace(squares):
+        raise ValueError("Gravity has one direction only; turn the limb to tell where the mass hangs.")
+    first_moment = np.linalg.solve(normal, np.cross(gravity, torque).sum(axis=0))
+    position = first_moment / mass if mass != 0.0 else np.full(3, np.nan)
+    return AddedMassEstimate(mass, np.asarray(position))
+
+
+def offset_of_set(
+    raw: ArrayLike, gravity: ArrayLike, response: ArrayLike, noise: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Estimate a sensor's offset from a set that took no part in its calibration.
+
+    Least squares of r = A M(m, c) g + o in o, m and m c: A is known, and neither what hangs there nor how
+    heavy the limb is.
+
+    Args:
+        raw: Counts of one set at rest, shape (n, k).
+        gravity: g in the sensor's frame in m/s^2, shape (n, 3).
+        response: A in counts per N and N m, shape (k, 6).
+        noise: Covariance of a sample's noise in counts^2, shape (k, k); channels weigh alike by default.
+
+    Returns:
+        o in counts, shape (k,).
+
+    Raises:
+        ValueError: If shapes do not agree or fewer than four rows are finite.
+    """
+    raw, gravity = np.asarray(raw, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
+    A = np.asarray(response, dtype=np.float64)
+    if raw.ndim != 2 or gravity.shape != (len(raw), 3) or A.shape != (raw.shape[1], 6):
+        raise ValueError(
+            f"'raw', 'gravity' and 'response' must have shapes (n, k), (n, 3) and (k, 6), got {raw.shape}, "
+            f"{gravity.shape} and {A.shape}."
+        )
+    there = np.isfinite(raw).all(axis=1) & np.isfinite(gravity).all(axis=1)
+    if there.sum() < 4:
+        raise ValueError(f"Only {there.sum()} rows are finite, and an offset needs at least four.")
+    r, g = raw[there], gravity[there]
+    # Each of m and m c by itself: what one kg, or one kg m along an axis, would read.
+    parts = [g @ A[:, :3].T, *(np.cross(axis, g) @ A[:, 3:].T for axis in np.eye(3))]
+    covariance = np.eye(len(A)) if noise is None else np.asarray(noise, dtype=np.float64)
+    white = np.linalg.inv(np.linalg.cholesky(covariance)).T
+    columns = [((part - part.mean(axis=0)) @ white).ravel() for part in parts]
+    found = np.linalg.lstsq(np.stack(columns, axis=1), ((r - r.mean(axis=0)) @ white).ravel(), rcond=None)[0]
+    return np.asarray(
+        r.mean(axis=0) - sum(value * part.mean(axis=0) for value, part in zip(found, parts, strict=True))
+    )
+
+
+def motion_wrench(data: InSituSet, limb: Limb, *, added: bool = True) -> NDArray[np.float64]:
+    """Compute the part of a set's wrench that comes of turning: zero at rest.
+
+    With g - a in place of g, what is left of a moving body's wrench is -(dw x m c + w x (w x m c)) and
+    -(I dw + w x I w) about the sensor's origin.
+
+    Args:
+        data: The set.
+        limb: The bare limb; where its inertia is unknown it counts as a point at its centre of mass.
+        added: Whether to count the set's added mass, as a point.
+
+    Returns:
+        N and N m, shape (n, 6).
+    """
+    found = np.zeros((len(data.raw), 6))
+    if data.angular_velocity is None or data.angular_acceleration is None:
+        return found
+    spin, rate = data.angular_velocity, data.angular_acceleration
+    first = np.asarray(limb.mass_com, dtype=np.float64)
+    inertia = _point(limb.mass, limb.com) if limb.inertia is None else np.asarray(limb.inertia)
+    if added:
+        first = first + data.added_mass * data.added_com
+        inertia = inertia + _point(data.added_mass, data.added_com)
+    found[:, :3] = -np.cross(rate, first) - np.cross(spin, np.cross(spin, first))
+    found[:, 3:] = -rate @ inertia.T - np.cross(spin, spin @ inertia.T)
+    return found
+
+
+def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
+    """Compute what limb and added mass exert through the sensor, at rest or moving (in-situ paper, Eq. 4).
+
+    Args:
+        data: The set.
+        limb: The bare limb.
+
+    Returns:
+        N and N m, shape (n, 6).
+    """
+    mass = limb.mass + data.added_mass
+    first = np.asarray(limb.mass_com) + data.added_mass * data.added_com
+    still = np.concatenate([mass * data.gravity, np.cross(first, data.gravity)], axis=1)
+    return np.asarray(still + motion_wrench(data, limb))
+
+
+def _point(mass: float, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the inertia of a point mass about the origin in kg m^2."""
+    place = np.asarray(position, dtype=np.float64)
+    return np.asarray(mass * (place @ place * np.eye(3) - np.outer(place, place)))
+
+
+def _pair(
+    values: NDArray[np.float64], gravity: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Take the rows in which both are finite."""
+    if values.ndim != 2 or values.shape[1] % 3 or gravity.shape != (len(values), 3):
+        raise ValueError(
+            f"Forces and gravity must have shapes (n, 3) of one n, got {values.shape} and {gravity.shape}."
+        )
+    there = np.isfinite(values).all(axis=1) & np.isfinite(gravity).all(axis=1)
+    if there.sum() < 4:
+        raise ValueError(f"Only {there.sum()} rows are finite, and an ellipsoid needs at least four.")
+    return values[there], gravity[there]

@@ -1,0 +1,266 @@
+"""Tables of one in-situ calibration: semi-axes, added masses and their places, the limb, offsets, sets."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.paper_offset import estimate_offset
+from surefoot.experiments.in_situ.log import InSituLog
+from surefoot.experiments.in_situ.score import (
+    AddedMassEstimate,
+    added_mass,
+    expected_wrench,
+    force_ellipsoid,
+    motion_wrench,
+    offset_of_set,
+)
+from surefoot.experiments.tables import Table, number
+
+__all__ = [
+    "Calibrated",
+    "limb_table",
+    "matrix_table",
+    "offset_table",
+    "semi_axes_table",
+    "set_table",
+    "weighing_tables",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A log and the calibration that was made of it.
+
+    Attributes:
+        log: The log.
+        fit: The calibration.
+    """
+
+    log: InSituLog
+    fit: InSituFit
+
+    @cached_property
+    def sets(self) -> tuple[InSituSet, ...]:
+        """The sets with gravity in the sensor's frame, and with what the temperature does taken off."""
+        fit, R = self.fit, self.fit.rotation
+        found = []
+        for data in self.log.sets:
+            raw = data.raw
+            if fit.temperature_coefficient is not None and data.temperature is not None:
+                raw = raw - data.temperature[:, None] * fit.temperature_coefficient
+            found.append(replace(data, raw=raw, gravity=data.gravity @ R.T))
+        return tuple(found)
+
+    @cached_property
+    def numbers(self) -> tuple[int | None, ...]:
+        """Number of each set in the fit; ``None`` for those that are kept aside."""
+        order = {name: i for i, name in enumerate(self.fit.set_names)}
+        return tuple(order.get(data.name) for data in self.log.sets)
+
+    @cached_property
+    def offsets(self) -> NDArray[np.float64]:
+        """Offset of each set in counts that its forces are shown with, shape (J, k).
+
+        Fitted to each set alike, made it the fit or not, with the calibrated response and whatever hangs
+        there: the fit's own follow drift and hysteresis within the set.
+        """
+        fit = self.fit
+        still = (data.raw - motion_wrench(data, fit.limb) @ fit.response.T for data in self.sets)
+        return np.array(
+            [
+                offset_of_set(raw, data.gravity, fit.response, fit.noise)
+                for raw, data in zip(still, self.sets, strict=True)
+            ]
+        )
+
+    @cached_property
+    def affine_residual(self) -> NDArray[np.float64]:
+        """Share of each set's spread that leaves the three-space of Lemma 1, shape (J,)."""
+        return np.array(
+            [
+                estimate_offset(data.raw, data.gravity).affine_residual
+                if place is None
+                else self.fit.affine_residual[place]
+                for data, place in zip(self.sets, self.numbers, strict=True)
+            ]
+        )
+
+    def label(self, index: int) -> str:
+        """What tables call a set."""
+        name = self.log.sets[index].name
+        return name if self.numbers[index] is not None else f"{name} (kept aside)"
+
+    @property
+    def factory(self) -> NDArray[np.float64] | None:
+        """The factory's matrix, shape (6, k), if the log came with one."""
+        return self.log.config.factory_matrix
+
+    def wrench(self, index: int, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute what a set's counts are by a matrix, less the set's offset and brought to rest.
+
+        Args:
+            index: Number of the set.
+            matrix: C in N and N m per count, shape (6, k).
+
+        Returns:
+            N and N m, NaN where a reading is missing, shape (n, 6).
+        """
+        data = self.sets[index]
+        wrench = (data.raw - self.offsets[index]) @ matrix.T
+        return np.asarray(wrench - motion_wrench(data, self.fit.limb))
+
+    def residual(self, index: int) -> NDArray[np.float64]:
+        """Compute what a set's counts leave of the fit with a constant offset, shape (n, k)."""
+        data = self.sets[index]
+        told = expected_wrench(data, self.fit.limb) @ self.fit.response.T
+        return np.asarray(data.raw - self.offsets[index] - told)
+
+    def weighed(self, index: int, matrix: NDArray[np.float64]) -> AddedMassEstimate:
+        """Weigh a set's added mass by a matrix, with the fitted limb taken off."""
+        return added_mass(self.wrench(index, matrix), self.sets[index].gravity, self.fit.limb)
+
+    def matrices(self) -> list[NDArray[np.float64]]:
+        """List the calibrated matrix and, where there is one, the factory's."""
+        return [self.fit.matrix] if self.factory is None else [self.fit.matrix, self.factory]
+
+
+def semi_axes_table(found: Calibrated) -> Table:
+    """Lay out the semi-axes of each set's force ellipsoid beside the weight (in-situ paper, Table I)."""
+    rows = []
+    for i, data in enumerate(found.sets):
+        weight = (found.fit.limb.mass + data.added_mass) * GRAVITY
+        cells = [found.label(i), f"{data.added_mass:.3f}", number(weight)]
+        for matrix in found.matrices():
+            ellipsoid = force_ellipsoid(found.wrench(i, matrix)[:, :3], data.gravity)
+            cells += [*(number(length) for length in ellipsoid.semi_axes), f"{ellipsoid.ratio:.3f}"]
+        rows.append(tuple(cells))
+    names = ("calibrated", "factory")[: len(found.matrices())]
+    columns = ["set", "added mass (kg)", "weight (N)"]
+    for name in names:
+        columns += [f"{name}, longest (N)", "middle", "shortest", "longest / shortest"]
+    return Table(
+        "semi_axes",
+        "Semi-axes of the force ellipsoid",
+        tuple(columns),
+        tuple(rows),
+        "A sensor that measures true forces draws a sphere whose radius is the weight. "
+        + (
+            "Sets that made the fit prove no more than that it holds together; keep some aside (fit.sets)."
+            if None not in found.numbers
+            else "Sets kept aside took no part in the fit of matrix and limb."
+        ),
+    )
+
+
+def weighing_tables(found: Calibrated) -> tuple[Table, ...]:
+    """Lay out the added masses and their places as the sensor weighs them (in-situ paper, Tables II, III)."""
+    sets, matrices = found.sets, found.matrices()
+    if not any(data.added_mass > 0.0 for data in sets):
+        return ()
+    names = ("calibrated", "factory")[: len(matrices)]
+    weighed = [[found.weighed(i, matrix) for matrix in matrices] for i in range(len(sets))]
+    masses = Table(
+        "added_mass",
+        "Added mass (kg)",
+        ("set", "given", *names, "error, calibrated"),
+        tuple(
+            (
+                found.label(i),
+                f"{data.added_mass:.3f}",
+                *(f"{one.mass:.3f}" for one in ones),
+                f"{ones[0].mass - data.added_mass:+.3f}",
+            )
+            for i, (data, ones) in enumerate(zip(sets, weighed, strict=True))
+        ),
+        "What the sensor weighs less the calibrated limb, with an offset that is fitted to each set.",
+    )
+    places = Table(
+        "added_com",
+        "Place of the added mass (cm, in the sensor's frame)",
+        ("set", "axis", "given", *names, "error, calibrated"),
+        tuple(
+            (
+                found.label(i),
+                axis,
+                f"{100 * data.added_com[a]:.2f}",
+                *(f"{100 * one.position[a]:.2f}" for one in ones),
+                f"{100 * (ones[0].position[a] - data.added_com[a]):+.2f}",
+            )
+            for i, (data, ones) in enumerate(zip(sets, weighed, strict=True))
+            if data.added_mass > 0.0
+            for a, axis in enumerate("xyz")
+        ),
+    )
+    return masses, places
+
+
+def limb_table(found: Calibrated) -> Table:
+    """Lay out the limb, and its mass against the known one where the log tells it."""
+    fit, known = found.fit, found.log.config.limb_mass
+    rows = [
+        ("mass (kg)", f"{fit.limb.mass:.4f}", f"{fit.limb_mass_std:.2g}"),
+        *(
+            (f"centre of mass, {axis} (cm)", f"{100 * fit.limb.com[a]:.2f}", "–")
+            for a, axis in enumerate("xyz")
+        ),
+    ]
+    note = "No known mass of the limb (limb.mass_kg) was given to hold the scale against."
+    if known is not None:
+        rows.insert(1, ("known mass (kg)", f"{known:.4f}", number(found.log.config.limb_mass_std or np.nan)))
+        rows.insert(2, ("fitted / known - 1 (%)", f"{100 * (fit.limb.mass / known - 1.0):+.2f}", "–"))
+        note = (
+            "The known mass did not enter the fit: it is a check of the absolute scale."
+            if found.log.config.limb_mass_std is None
+            else "The known mass entered the fit (limb.mass_std_kg): it is no independent check of the scale."
+        )
+    return Table("limb", "The limb beyond the sensor", ("what", "value", "± (one sigma)"), tuple(rows), note)
+
+
+def matrix_table(found: Calibrated) -> Table:
+    """Lay out C with its standard deviations."""
+    fit, std = found.fit, found.fit.matrix_std
+    rows = tuple(
+        (axis, *(f"{1e3 * c:.4f} ± {1e3 * s:.1g}" for c, s in zip(fit.matrix[i], std[i], strict=True)))
+        for i, axis in enumerate(("fx (mN)", "fy (mN)", "fz (mN)", "tx (mN m)", "ty (mN m)", "tz (mN m)"))
+    )
+    return Table("matrix", "The matrix, per count", ("", *found.log.channels), rows)
+
+
+def offset_table(found: Calibrated) -> Table:
+    """Lay out the offset of each channel, by set."""
+    fit = found.fit
+    rows = [
+        (name, *(f"{value:.1f}" for value in fit.offsets[:, i]), f"{fit.offset[i]:.1f}", f"{std:.2g}")
+        for i, (name, std) in enumerate(zip(found.log.channels, fit.offset_std, strict=True))
+    ]
+    columns = ("channel", *(f"set {name}" for name in fit.set_names), "at the end", "± (one sigma)")
+    return Table("offset", "Offsets (counts)", columns, tuple(rows))
+
+
+def set_table(found: Calibrated) -> Table:
+    """Lay out what each set gave."""
+    rows = []
+    for i, data in enumerate(found.sets):
+        place = found.numbers[i]
+        used, left, rms = "–", "–", "–"
+        if place is not None:
+            stats = found.fit.set_stats[place]
+            used, left, rms = str(stats.samples), str(stats.dropped + stats.gated), number(stats.residual_rms)
+        length = "–" if data.time is None else f"{data.time[-1] - data.time[0]:.1f}"
+        whole = number(float(np.sqrt(np.nanmean(found.residual(i) ** 2))))
+        off = f"{100 * found.affine_residual[i]:.2f}"
+        rows.append((found.label(i), f"{data.added_mass:.3f}", length, used, left, rms, whole, off))
+    columns = (
+        "set", "added mass (kg)", "duration (s)", "samples used", "left out", "residual of the fit (counts)",
+        "residual with one offset (counts)", "off the three-space of Lemma 1 (%)",
+    )  # fmt: skip
+    note = (
+        "Root mean squares. What the fit leaves is less what it ascribes to drift and hysteresis; a reading "
+        "of the calibrated sensor has both, as with one offset for the whole set."
+    )
+    return Table("sets", "What was calibrated", columns, tuple(rows), note)
