@@ -32,7 +32,10 @@ _SATURATED = 0.002
 """Share of samples at an end of the converter that is taken for saturation."""
 
 _REJECTED = 0.05
-"""Share of samples that may disagree with all others."""
+"""Share of samples that may disagree with all others ..."""
+
+_REJECTED_MOVING = 0.1
+"""... and where the limb moves, as the error of a differentiated gyroscope has long tails."""
 
 _STRAINED = 3.0
 """Sets that differ by less than this multiple of what noise does agree with each other."""
@@ -70,7 +73,7 @@ _CHANCE = 1e-4
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Rotations closer than this are one."""
 
-_BENDING = 0.33
+_BENDING = 0.35
 """Share of the tolerated misfit that may go with gravity's squares."""
 
 
@@ -147,7 +150,7 @@ def check_within(
     warnings = []
     for data, part in zip(sets, parts, strict=True):
         share = float(np.mean(part.rejected))
-        if share > _REJECTED:
+        if share > (_REJECTED_MOVING if data.moves else _REJECTED):
             raise CalibrationRefused(
                 f"'{data.name}': {share:.0%} of the samples disagree with all others"
                 f"{_when(data, part.rejected)}.",

@@ -3,7 +3,8 @@ r"""How sure an in-situ calibration is; private.
 The curvature of the fit, :math:`(J' J)^{-1}` in whitened readings, is the covariance if the noise is white.
 Hysteresis, drift and a limb that is not quite rigid are not, so it is raised by the largest of three ratios:
 one; how much more the scores of long stretches scatter than white noise would let them; and how much more the
-sets disagree with each other than their samples' noise lets them (Birge, 1932).
+sets disagree with each other than their samples' noise lets them (Birge, 1932). A sensor with hysteresis has
+no one slope; what that leaves open of its matrix comes on top.
 """
 
 from collections.abc import Sequence
@@ -121,7 +122,26 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     leverage = solve_triangular(last.bb, last.end, trans=1)
     first = 6 * channels
     covariance[first : first + channels, first : first + channels] += noise * (leverage @ leverage)
-    return np.asarray(factor * covariance)
+    covariance = factor * covariance
+    if problem.hysteresis:
+        covariance[: first + channels, : first + channels] += _slope_doubt(problem, solution, noise)
+    return np.asarray(covariance)
+
+
+def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
+    """Covariance of (C, o) for want of one slope: an axis gives way by s more for a swing twice as large."""
+    A = solution.response[:, :6]
+    C = weighted_inverse(A, noise)
+    channels = len(A)
+    doubt = np.zeros((7 * channels, 7 * channels))
+    last = problem.sets[-1]
+    lever = last.bu.T @ solve_triangular(last.bb, last.end, trans=1)
+    load = (transforms(problem, solution.limb, solution.rotation)[-1] @ lever)[:6]
+    for axis, share in enumerate(solution.limb[-6:]):
+        row = slice(axis * channels, (axis + 1) * channels)
+        doubt[row, row] = share**2 * np.outer(C[axis], C[axis])
+        doubt[6 * channels :, 6 * channels :] += (share * load[axis]) ** 2 * np.outer(A[:, axis], A[:, axis])
+    return doubt
 
 
 def _derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:

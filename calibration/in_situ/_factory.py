@@ -31,8 +31,8 @@ def information(response: Matrix, whitening: Matrix, shares: NDArray[np.float64]
 def choose_shares(problem: Problem, start: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cross-validate how far each axis may be from the factory matrix, shape (6,).
 
-    With three sets and more each fold is a set, so that what is predicted is another load; else it is a
-    stretch of time. One share for all axes is found first, then each axis's in turn.
+    Each fold is a stretch of time of all sets: without a whole set the others would lean more than all do
+    together. One share for all axes is found first, then each axis's in turn.
 
     Args:
         problem: With the factory matrix.
@@ -56,21 +56,12 @@ def choose_shares(problem: Problem, start: NDArray[np.float64]) -> NDArray[np.fl
 
 def _folds(problem: Problem) -> list[tuple[Problem, Problem]]:
     """Pairs of (what is fitted, what is predicted)."""
-    count = len(problem.sets)
-    if count >= 3:
-        keep = [np.arange(count) != held_out for held_out in range(count)]
-        return [(_subset(problem, fitted), _subset(problem, ~fitted)) for fitted in keep]
     pieces = [stretches(part) for part in problem.sets]
     folds = []
     for fold in range(FOLDS):
         rest = tuple(stacked([part for i, part in enumerate(of) if i != fold]) for of in pieces)
         folds.append((replace(problem, sets=rest), replace(problem, sets=tuple(of[fold] for of in pieces))))
     return folds
-
-
-def _subset(problem: Problem, chosen: NDArray[np.bool_]) -> Problem:
-    sets = tuple(part for part, take in zip(problem.sets, chosen, strict=True) if take)
-    return replace(problem, sets=sets, added=problem.added[chosen])
 
 
 def stretches(part: CompressedSet) -> list[CompressedSet]:
