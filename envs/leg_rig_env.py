@@ -20,7 +20,7 @@ from surefoot.envs.leg_rig import (
     sensor_frames,
 )
 from surefoot.envs.leg_rig_drive import HipDrive
-from surefoot.envs.options import positive
+from surefoot.envs.options import check_render_mode, positive
 from surefoot.envs.rendering import Marker, SceneRenderer
 
 CONTROL_STEP = 0.1
@@ -139,11 +139,7 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         height: int = 480,
         camera: str = "side",
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(
-                f"There is no render mode '{render_mode}'; choose one of {self.metadata['render_modes']} "
-                "or None."
-            )
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self._top_speed = float(np.radians(positive("speed_deg", speed_deg)))
         self.model = load_leg_rig_spec(configuration, knee_slack=knee_slack, floor=floor).compile()
         self.data = mujoco.MjData(self.model)
@@ -282,9 +278,6 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the rig and the markers: a frame (height, width, 3), or a window in "human" mode."""
-        if self.render_mode is None:
-            gym.logger.warn("render() draws nothing without a render mode, such as 'rgb_array'.")
-            return None
         return self._renderer.render(self.render_mode, self.markers)
 
     def close(self) -> None:

@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.nao_observation import NaoObserver, Observation
-from surefoot.envs.options import checked_range, checked_stiffness, checked_time_constant, positive
+from surefoot.envs.options import (
+    check_render_mode,
+    checked_range,
+    checked_stiffness,
+    checked_time_constant,
+    positive,
+)
 from surefoot.envs.payload import Payload
 from surefoot.envs.pushes import Pushes
 from surefoot.envs.rendering import Marker, SceneRenderer
@@ -190,11 +196,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
         self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
         self._steps = None if duration is None else round(positive("duration", duration) / CONTROL_STEP)
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(
-                f"There is no render mode '{render_mode}'; choose one of {self.metadata['render_modes']} "
-                "or None."
-            )
+        check_render_mode(render_mode, self.metadata["render_modes"])
 
         self.model = load_nao_spec().compile()
         self.data = mujoco.MjData(self.model)
@@ -352,9 +354,6 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the robot and the markers: a frame (height, width, 3), or a window in "human" mode."""
-        if self.render_mode is None:
-            gym.logger.warn("render() draws nothing without a render mode, such as 'rgb_array'.")
-            return None
         return self._renderer.render(self.render_mode, self.markers)
 
     def close(self) -> None:

@@ -44,6 +44,12 @@ def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
     return numbers
 
 
+def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
+    """Refuse a render mode that an environment does not have."""
+    if mode not in (None, *modes):
+        raise ValueError(f"There is no render mode '{mode}'; choose one of {modes} or None.")
+
+
 def _number(value: Any) -> float:
     try:
         return float(value)

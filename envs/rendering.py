@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import glfw
+import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
@@ -44,19 +45,22 @@ class SceneRenderer:
         self._camera, self._width, self._height = camera, width, height
         self._renderer: MujocoRenderer | None = None
 
-    def render(self, mode: str, markers: Iterable[Marker]) -> NDArray[np.uint8] | None:
+    def render(self, mode: str | None, markers: Iterable[Marker]) -> NDArray[np.uint8] | None:
         """Draw the scene.
 
         Args:
-            mode: ``"rgb_array"`` or ``"human"``.
+            mode: ``"rgb_array"``, ``"human"`` or ``None``, which draws nothing.
             markers: Spheres to add to this frame.
 
         Returns:
-            A frame of shape (height, width, 3), or nothing for a window.
+            A frame of shape (height, width, 3), or nothing for a window and without a mode.
 
         Raises:
             RuntimeError: If there is no screen for a window, or nothing that could draw a frame.
         """
+        if mode is None:
+            gym.logger.warn("render() draws nothing without a render mode, such as 'rgb_array'.")
+            return None
         if self._renderer is None:
             if mode == "human":
                 _require_screen()

@@ -10,7 +10,7 @@ from surefoot.experiments._files import atomic_path
 from surefoot.experiments.arena import ArenaResults
 from surefoot.experiments.arena_findings import scenario_findings, summary_findings
 from surefoot.experiments.arena_scenarios import Scenario
-from surefoot.experiments.report import ReportFigure, Section, render_report
+from surefoot.experiments.report import ReportFigure, Section, flat, render_report
 from surefoot.experiments.tables import Table
 from surefoot.experiments.walkers import STAND_TIME
 
@@ -80,7 +80,7 @@ class ArenaPage:
         if self.results.skipped:
             sections = (*sections, _skipped_section(self.results.skipped))
         sections = (*sections, *(() if faulty is None else (faulty,)), self._repeat_section())
-        introduction = (_flat(_INTRODUCTION), _flat(amount))
+        introduction = (flat(_INTRODUCTION), flat(amount))
         title = "surefoot arena: calibrators on the same streams"
         return render_report(self.folder / "report.html", title, made, introduction, sections)
 
@@ -173,7 +173,3 @@ def _skipped_section(skipped: tuple[Scenario, ...]) -> Section:
         "SUREFOOT_DATA to the folder that holds them and run again."
     )
     return Section("skipped", "Real recordings", (text,))
-
-
-def _flat(text: str) -> str:
-    return " ".join(text.split())

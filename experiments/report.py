@@ -10,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from surefoot.experiments._files import write_text
 from surefoot.experiments.tables import Table
 
-__all__ = ["ReportFigure", "Section", "render_report"]
+__all__ = ["ReportFigure", "Section", "flat", "render_report"]
 
 
 @dataclass(frozen=True)
@@ -94,3 +94,8 @@ def render_report(
     )
     write_text(path, page)
     return path
+
+
+def flat(text: str) -> str:
+    """Make one line of a text that the source wraps and indents."""
+    return " ".join(text.split())

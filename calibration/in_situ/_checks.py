@@ -18,7 +18,15 @@ from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["check_factory", "check_masses", "check_rotation", "check_scale", "check_sets", "check_within"]
+__all__ = [
+    "check_bending",
+    "check_factory",
+    "check_masses",
+    "check_rotation",
+    "check_scale",
+    "check_sets",
+    "check_within",
+]
 
 Matrix = NDArray[np.float64]
 
@@ -73,8 +81,11 @@ _CHANCE = 1e-4
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Rotations closer than this are one."""
 
-_BENDING = 0.35
-"""Share of the tolerated misfit that may go with gravity's squares."""
+_BENDING_WITH_LOOPS = 0.5
+"""Share of the tolerated misfit that may go with gravity's squares while hysteresis may be part of it ..."""
+
+_BENDING = 0.1
+"""... and once it is not."""
 
 
 def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool) -> tuple[str, ...]:
@@ -163,15 +174,27 @@ def check_within(
                 f"{_when(data, part.rejected)}."
             )
         misfit, bending = _misfit(data, part), _bending(data, part)
-        if bending > _BENDING * options.misfit_tolerance and bending > 0.5 * misfit:
-            raise CalibrationRefused(
-                f"'{data.name}': {bending:.1%} of the readings' spread goes with gravity's squares: the limb "
-                "bends as it turns, or the sensor is not linear.",
-                "Hold the joints beyond the sensor fast, or lighten what is added.",
-            )
+        if bending > _BENDING_WITH_LOOPS * options.misfit_tolerance and bending > 0.5 * misfit:
+            raise _bends(data, bending)
         if misfit > options.misfit_tolerance:
             raise _unexplained(data, part, misfit)
     return tuple(warnings)
+
+
+def check_bending(sets: Sequence[InSituSet], parts: Sequence[CompressedSet], options: InSituOptions) -> None:
+    """Refuse limbs that bend a little, once what looks like it for a while, hysteresis, was taken off."""
+    for data, part in zip(sets, parts, strict=True):
+        bending = _bending(data, part)
+        if bending > _BENDING * options.misfit_tolerance and bending > 0.2 * _misfit(data, part):
+            raise _bends(data, bending)
+
+
+def _bends(data: InSituSet, share: float) -> CalibrationRefused:
+    return CalibrationRefused(
+        f"'{data.name}': {share:.1%} of the readings' spread goes with gravity's squares: the limb bends as "
+        "it turns, or the sensor is not linear.",
+        "Hold the joints beyond the sensor fast, or lighten what is added.",
+    )
 
 
 def _misfit(data: InSituSet, part: CompressedSet) -> float:

@@ -21,7 +21,7 @@ from surefoot.calibration.in_situ._model import STATIC, sensitivity
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.results import FitResult
 
-__all__ = ["AXES", "GAINS", "LinearSensor", "fit_covariance", "refuse_refused"]
+__all__ = ["AXES", "GAINS", "LinearSensor", "fit_covariance", "offset_covariance", "refuse_refused"]
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -100,6 +100,21 @@ def fit_covariance(fit: InSituFit) -> Matrix:
     turn[channels : channels + GAINS, :first] = -np.kron(np.eye(AXES), fit.response.T)
     turn[channels + GAINS :, first + channels :] = np.eye(STATIC)
     return np.asarray(turn @ fit.covariance @ turn.T)
+
+
+def offset_covariance(response: Matrix, force: float, torque: float) -> Matrix:
+    """Covariance in counts^2 of an offset that shows as a force and a torque on each axis, shape (k, k).
+
+    Args:
+        response: A in counts per N and N m, shape (k, 6).
+        force: Standard deviation along each axis in N.
+        torque: The same for torques in N m.
+    """
+    image = response * np.repeat([force, torque], 3)
+    inside = image @ image.T
+    # What redundant channels read beyond any wrench moves as much as the rest, on average.
+    beyond = np.linalg.svd(response, full_matrices=True)[0][:, AXES:]
+    return np.asarray(inside + beyond @ beyond.T * np.trace(inside) / AXES)
 
 
 def refuse_refused(fit: InSituFit, what: str) -> None:

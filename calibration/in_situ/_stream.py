@@ -13,25 +13,29 @@ from surefoot.calibration._arrays import check_tail, constant_like
 from surefoot.calibration._constants import Constants, namespace_of
 from surefoot.calibration._kalman import kalman_step
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.in_situ._linear import AXES, GAINS, LinearSensor, fit_covariance, refuse_refused
+from surefoot.calibration.in_situ._linear import (
+    AXES,
+    GAINS,
+    LinearSensor,
+    fit_covariance,
+    offset_covariance,
+    refuse_refused,
+)
 from surefoot.calibration.in_situ._model import STATIC, inertial_parameters, sensitivity
+from surefoot.calibration.in_situ._reading import flags_of, signals_of
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.tracker import InSituEstimate
 
 if TYPE_CHECKING:
     from surefoot.calibration.in_situ.tracker import InSituTrackerConfig
 
+__all__ = ["InSituState", "InSituStream"]
+
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
 
 _GRAVITY = 9.81
 """Size in m/s^2 by which loads are told."""
-
-_LIGHTEST, _HEAVIEST = 1.0, 100.0
-"""Size of g - a in m/s^2 below and above which it is not that of a limb."""
-
-_FASTEST = 1e3
-"""Angular velocity in rad/s, and acceleration in 10 rad/s^2, that no limb reaches."""
 
 _STEP = 0.1
 """Share of ``lag_angle`` by which gravity must have turned to count as turning: a noisy IMU does not."""
@@ -105,12 +109,7 @@ class InSituStream:
         )
 
     def _jump(self, force: float, torque: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Covariance in counts^2 of what shows as that force and torque on each axis, shape (k, k)."""
-        image = self.sensor.response * np.repeat([force, torque], 3)
-        jump = image @ image.T
-        # What redundant channels read beyond any wrench moves as much as the rest, on average.
-        beyond = np.linalg.svd(self.sensor.response, full_matrices=True)[0][:, AXES:]
-        return np.asarray(jump + beyond @ beyond.T * np.trace(jump) / AXES)
+        return offset_covariance(self.sensor.response, force, torque)
 
     def init(self, raw: Array) -> InSituState:
         """Begin from the calibration; see :class:`~surefoot.calibration.in_situ.tracker.InSituMethod`."""
@@ -142,8 +141,10 @@ class InSituStream:
     ) -> tuple[InSituState, InSituEstimate]:
         """Take in one sample; see :class:`~surefoot.calibration.in_situ.tracker.InSituTracker`."""
         xp = namespace_of(raw)
-        signals = self._signals(state, raw, gravity, angular_velocity, angular_acceleration)
-        flags, ready, physical, passed = self._flags(raw, signals, dt)
+        signals = signals_of(
+            raw, gravity, angular_velocity, angular_acceleration, like=state.raw, inertia=self.sensor.inertia
+        )
+        flags, ready, physical, passed = flags_of(raw, signals, dt, self.config.code_range)
         signals = xp.where(physical[..., None], signals, 0.0)
         state = state._replace(raw=xp.where(xp.isfinite(raw), raw, state.raw))
         aloft = xp.asarray(in_air, dtype=xp.bool, device=device_of(raw)) & xp.ones_like(ready)
@@ -197,57 +198,6 @@ class InSituStream:
         *_, unwhiten, floor = self._constants.like(e)
         shares = xp.abs((unwhiten @ e[..., None])[..., 0]) / floor
         return ~xp.all(shares <= 1.0, axis=-1)
-
-    def _signals(
-        self, state: InSituState, raw: Array, gravity: Array, velocity: Array | None, turn: Array | None
-    ) -> Array:
-        """Check the sample, and build u: gravity, and in motion what its turning adds."""
-        xp = namespace_of(raw)
-        given = {"raw": (raw, self.channels), "gravity": (gravity, 3)}
-        if (velocity is None) != (turn is None):
-            raise ValueError("Give 'angular_velocity' and 'angular_acceleration' together, or neither.")
-        if velocity is not None and turn is not None:
-            given |= {"angular_velocity": (velocity, 3), "angular_acceleration": (turn, 3)}
-        batch = tuple(state.mean.shape[:-1])
-        for name, (value, last) in given.items():
-            check_tail(value, (last,), name)
-            if tuple(value.shape) != (*batch, last) or value.dtype != state.mean.dtype:
-                raise ValueError(
-                    f"'{name}' must have shape {(*batch, last)} and dtype {state.mean.dtype} like the first "
-                    f"reading, got {tuple(value.shape)} and {value.dtype}."
-                )
-        if velocity is None or turn is None:
-            return gravity
-        if not self.sensor.inertia:
-            raise ValueError(
-                "This calibration does not know the limb's inertia: calibrate with the motion, or leave the "
-                "angular velocity out."
-            )
-        x, y, z = velocity[..., 0], velocity[..., 1], velocity[..., 2]
-        products = xp.stack([x * x, y * y, z * z, x * y, x * z, y * z], axis=-1)
-        return xp.concat([gravity, turn, products], axis=-1)
-
-    def _flags(self, raw: Array, signals: Array, dt: float) -> tuple[Array, Array, Array, bool]:
-        """Flags of the channels; which readings are whole, and which signals; whether time has passed."""
-        xp, limits = namespace_of(raw), self.config.code_range
-        missing = xp.isnan(raw)
-        endless = xp.isinf(raw)
-        saturated = xp.zeros_like(missing)
-        if limits is not None:
-            saturated = ((raw <= limits[0]) | (raw >= limits[1])) & ~endless
-        g = xp.sqrt(xp.sum(signals[..., :3] ** 2, axis=-1))
-        turning = xp.all(xp.abs(signals[..., 3:]) < _FASTEST**2, axis=-1)
-        physical = (g >= _LIGHTEST) & (g <= _HEAVIEST) & turning
-        passed = bool(0.0 < dt < float("inf"))
-        flags = (
-            int(Flag.MISSING) * missing
-            + int(Flag.OUT_OF_RANGE) * endless
-            + int(Flag.SATURATED) * saturated
-            + int(Flag.REFERENCE) * (~physical)[..., None]
-        )
-        flags = xp.asarray(flags, dtype=xp.int64) + (0 if passed else int(Flag.GAP))
-        ready = physical & ~xp.any(missing | endless | saturated, axis=-1)
-        return flags, ready, physical, passed
 
     def _predict(
         self, state: InSituState, gravity: Array, physical: Array, aloft: Array, dt: float

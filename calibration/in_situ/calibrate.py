@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.in_situ._checks import (
+    check_bending,
     check_factory,
     check_masses,
     check_rotation,
@@ -135,6 +136,7 @@ def _fit(
     solution = found[0]
     if options.hysteresis and not rank.missing and all(data.time is not None for data in sets):
         problem, solution = with_hysteresis(sets, problem, solution, options) or (problem, solution)
+        check_bending(sets, problem.sets, options)
     noise = pooled_noise(problem.sets)
     if factory is not None:
         check_factory(factory, problem, solution)

@@ -44,7 +44,7 @@ class KnownLimb:
 class InSituOptions:
     """How an in-situ calibration is to be made."""
 
-    drift: int = 2
+    drift: int = 1
     """Number of cosines over a set's time along which its offset may drift; 0 for none. Sets without times
     have none, and each cosine takes 8 s of a set."""
 

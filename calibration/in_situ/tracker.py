@@ -12,7 +12,7 @@ in (:mod:`surefoot.calibration._kalman`, the step of the walking estimator), fro
 
 * **What one hanging limb cannot tell is considered, not estimated** (Schmidt, 1966): the limb always, and of
   D all that ``learn`` does not name. Their uncertainty enters every gain, so the claimed deviations hold.
-  (Estimating the limb along was tried: hysteresis then went into it.)
+  (If the limb were estimated along, it would take hysteresis in.)
 * **Observability first.** A limb that does not turn cannot tell gains from offset, and the covariance knows
   that. Hysteresis h changes with the way the load has turned and not with time: while the limb stands still
   it cannot be told from the offset either, however many samples say the same.

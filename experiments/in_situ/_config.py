@@ -13,60 +13,14 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import GRAVITY
 from surefoot.calibration.accelerometer import AccelerometerModel
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.experiments._log_checks import LogError
+from surefoot.experiments.in_situ._columns import Columns, check_column_names
 from surefoot.experiments.in_situ._matrix import read_matrix
+from surefoot.experiments.in_situ._units import UNITS, Units
 
-__all__ = ["AddedMass", "Columns", "InSituConfig", "Units", "read_config"]
-
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_ACCELERATION = {"m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY}
-_ANGULAR_VELOCITY = {"rad/s": 1.0, "deg/s": float(np.pi / 180.0)}
-_TEMPERATURE = {"degC": 0.0, "K": -273.15}
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Names of the table's columns; ``None`` where the default name, or a pattern, finds them."""
-
-    time: str | None = None
-    """Empty for samples without an order in time."""
-    set: str | None = None
-    raw: tuple[str, ...] | None = None
-    specific_force: tuple[str, ...] | None = None
-    gravity: tuple[str, ...] | None = None
-    angular_velocity: tuple[str, ...] | None = None
-    temperature: str | None = None
-    added_mass: str | None = None
-    added_com: tuple[str, ...] | None = None
-
-
-@dataclass(frozen=True)
-class Units:
-    """What one unit of a column is worth in SI."""
-
-    time: str = "s"
-    acceleration: str = "m/s^2"
-    angular_velocity: str = "rad/s"
-    temperature: str = "degC"
-
-    @property
-    def second(self) -> float:
-        return _TIME[self.time]
-
-    @property
-    def metre_per_second_squared(self) -> float:
-        return _ACCELERATION[self.acceleration]
-
-    @property
-    def radian_per_second(self) -> float:
-        return _ANGULAR_VELOCITY[self.angular_velocity]
-
-    @property
-    def zero_celsius(self) -> float:
-        return _TEMPERATURE[self.temperature]
+__all__ = ["AddedMass", "InSituConfig", "read_config"]
 
 
 @dataclass(frozen=True)
@@ -114,7 +68,7 @@ class InSituConfig:
             given["gravity"] = None
         for key, value in given.items():
             if value is not None:
-                _check_columns(key, value, "the command line")
+                check_column_names(key, value, "the command line")
         return replace(self, columns=replace(self.columns, **given)) if given else self
 
 
@@ -143,12 +97,6 @@ _TABLES = {
     "limb": ("mass_kg", "mass_std_kg"),
     "fit": ("sets", "drift", "robust", "hysteresis", "estimate_rotation", "factory_std"),
     "sets": ("name", "added_mass_kg", "added_com_m"),
-}
-_CHOICES = {
-    "time": _TIME,
-    "acceleration": _ACCELERATION,
-    "angular_velocity": _ANGULAR_VELOCITY,
-    "temperature": _TEMPERATURE,
 }
 
 
@@ -218,14 +166,14 @@ class _Reader:
     def _columns(self, table: Mapping[str, Any]) -> Columns:
         found: dict[str, Any] = {}
         for key, value in table.items():
-            _check_columns(key, value, self.path.name)
+            check_column_names(key, value, self.path.name)
             found[key] = tuple(value) if isinstance(value, list) else value
         return Columns(**found)
 
     def _units(self, table: Mapping[str, Any]) -> Units:
         for key, value in table.items():
-            if value not in _CHOICES[key]:
-                raise self._error(f"'units.{key}' must be one of {', '.join(_CHOICES[key])}, got {value!r}")
+            if value not in UNITS[key]:
+                raise self._error(f"'units.{key}' must be one of {', '.join(UNITS[key])}, got {value!r}")
         return Units(**table)
 
     def _options(self, table: Mapping[str, Any], code_range: tuple[float, float] | None) -> InSituOptions:
@@ -314,23 +262,3 @@ class _Reader:
 
     def _error(self, text: str) -> LogError:
         return LogError(f"{self.path.name}: {text}; see docs/in-situ-log.md.")
-
-
-_VECTORS = ("specific_force", "gravity", "angular_velocity", "added_com")
-
-
-def _check_columns(key: str, value: Any, file: str) -> None:
-    if key in ("raw", *_VECTORS):
-        if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
-            raise LogError(f"{file}: columns of '{key}' must be a list of names, got {value!r}.")
-        if key == "raw" and len(value) < 6:
-            raise LogError(
-                f"{file}: columns of 'raw' name {len(value)} channels ({', '.join(value)}), and a six-axis "
-                "sensor has at least 6; name them all."
-            )
-        if key != "raw" and len(value) != 3:
-            raise LogError(
-                f"{file}: columns of '{key}' must be three (x, y, z), got {len(value)}: {', '.join(value)}."
-            )
-    elif not isinstance(value, str):
-        raise LogError(f"{file}: the column of '{key}' must be a name, got {value!r}.")

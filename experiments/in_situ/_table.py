@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from surefoot.experiments._log_checks import LogError
-from surefoot.experiments.in_situ._config import Columns, InSituConfig
+from surefoot.experiments.in_situ._columns import Columns
+from surefoot.experiments.in_situ._config import InSituConfig
 
 __all__ = ["Names", "Samples", "read_samples"]
 

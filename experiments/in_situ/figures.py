@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from surefoot.experiments._canvas import figure_at, grid_of
-from surefoot.experiments.in_situ.score import Ellipsoid, force_ellipsoid
+from surefoot.experiments.in_situ._space import draw_shell, few_ticks
+from surefoot.experiments.in_situ.score import force_ellipsoid
 from surefoot.experiments.in_situ.tables import Calibrated
 from surefoot.experiments.style import Look, look_of
 
@@ -34,7 +35,7 @@ def raw_ellipsoids(path: Path, found: Calibrated) -> Path:
             centred = data.raw[whole] - data.raw[whole].mean(axis=0)
             points = centred @ np.linalg.svd(centred, full_matrices=False)[2][:3].T
             _cloud(axes, points, raw_look)
-            _shell(axes, force_ellipsoid(points, data.gravity[whole]), "#7f7f7f")
+            draw_shell(axes, force_ellipsoid(points, data.gravity[whole]), "#7f7f7f")
             share = 100.0 * found.affine_residual[i]
             _finish(axes, f"set {found.label(i)}: {share:.2f} % off", "counts")
     return path
@@ -53,7 +54,7 @@ def force_ellipsoids(path: Path, found: Calibrated) -> Path:
             for matrix, look in zip(found.matrices(), looks, strict=False):
                 force = found.wrench(i, matrix)[:, :3]
                 _cloud(axes, force, look)
-                _shell(axes, force_ellipsoid(force, data.gravity), look.colour)
+                draw_shell(axes, force_ellipsoid(force, data.gravity), look.colour)
             _finish(axes, f"set {found.label(i)}: {data.added_mass:.3f} kg", "N")
         handles, labels = figure.axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=4.0)
@@ -115,13 +116,6 @@ def _cloud(axes: Any, points: NDArray[np.float64], look: Look) -> None:
     axes.scatter(*shown.T, s=2.0, color=look.colour, alpha=0.7, depthshade=False, label=look.label)
 
 
-def _shell(axes: Any, ellipsoid: Ellipsoid, colour: str) -> None:
-    u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
-    unit = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
-    x, y, z = np.tensordot(ellipsoid.axes, unit, axes=1) + ellipsoid.centre[:, None, None]
-    axes.plot_wireframe(x, y, z, color=colour, linewidth=0.35, alpha=0.55)
-
-
 def _finish(axes: Any, title: str, unit: str) -> None:
     axes.set_title(title)
     # Counts of three mixed directions may differ in size by tens, so that only forces share one scale.
@@ -131,11 +125,4 @@ def _finish(axes: Any, title: str, unit: str) -> None:
         axes.set_box_aspect((1.0, 1.0, 1.0))
     for axis in "xyz":
         getattr(axes, f"set_{axis}label")(axis if unit == "N" else "", fontsize=8, labelpad=-9)
-        getattr(axes, f"{axis}axis").set_major_locator(_ticks())
-    axes.tick_params(labelsize=7, pad=-2)
-
-
-def _ticks() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(4)
+    few_ticks(axes)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.leg_rig import HIP_RANGE
+from surefoot.envs.options import positive
 
 __all__ = ["RIG_SPEED_DEG", "HipMotion", "sweep", "swing"]
 
@@ -64,7 +65,8 @@ def sweep(
     Raises:
         ValueError: If numbers are not positive, or the time is too short for two swings at that speed.
     """
-    _check_positive(duration=duration, rate=rate, speed_deg=speed_deg)
+    for name, value in {"duration": duration, "rate": rate, "speed_deg": speed_deg}.items():
+        positive(name, value)
     amplitude, top_speed = _half_ranges(range_deg), np.radians(speed_deg)
     # Duration of one swing of each joint at that speed.
     period = 2.0 * np.pi * amplitude * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / top_speed
@@ -102,7 +104,8 @@ def swing(
     Raises:
         ValueError: If numbers are not positive or the swings do not fit into the ranges.
     """
-    _check_positive(duration=duration, rate=rate, swing_deg=swing_deg)
+    for name, value in {"duration": duration, "rate": rate, "swing_deg": swing_deg}.items():
+        positive(name, value)
     rest = _half_ranges(range_deg) - np.radians(swing_deg)
     if np.any(rest < 0.0):
         raise ValueError(
@@ -130,12 +133,6 @@ def _half_ranges(range_deg: tuple[float, float] | None) -> NDArray[np.float64]:
             f"0, got {range_deg!r}."
         )
     return half
-
-
-def _check_positive(**numbers: float) -> None:
-    for name, value in numbers.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"'{name}' must be finite and positive, got {value!r}.")
 
 
 def _samples(duration: float, rate: float) -> NDArray[np.float64]:

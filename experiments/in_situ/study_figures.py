@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.paper_offset import estimate_offset
 from surefoot.experiments._canvas import figure_at, grid_of
 from surefoot.experiments._frames import Frame
+from surefoot.experiments.in_situ._space import draw_shell, few_ticks
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult
-from surefoot.experiments.in_situ.score import Ellipsoid, force_ellipsoid
+from surefoot.experiments.in_situ.score import force_ellipsoid
 from surefoot.experiments.in_situ.study_pieces import Shown
 from surefoot.experiments.style import Look, look_of
 
@@ -39,11 +38,11 @@ def raw_figure(path: Path, shown: Sequence[Shown]) -> Path:
             fit = estimate_offset(one.raw[j], one.gravity[j])
             points = fit.coordinates(one.raw[j])
             axes.scatter(*points.T, s=2.0, color=look_of("none").colour, alpha=0.7, depthshade=False)
-            _shell(axes, force_ellipsoid(points, one.gravity[j]), "#7f7f7f")
+            draw_shell(axes, force_ellipsoid(points, one.gravity[j]), "#7f7f7f")
             axes.scatter(*fit.coordinates(fit.offset), s=18.0, color="#000000", marker="+")
             axes.set_title(f"{one.sensor}, set {j + 1}: {100.0 * fit.affine_residual:.2f} % off")
             axes.set_box_aspect((1.0, 1.0, 1.0))
-            _ticks(axes)
+            few_ticks(axes)
     return path
 
 
@@ -66,10 +65,10 @@ def force_figure(path: Path, shown: Sequence[Shown], methods: Sequence[str]) -> 
                 axes.scatter(
                     *force.T, s=2.0, color=look.colour, alpha=0.7, depthshade=False, label=look.label
                 )
-                _shell(axes, force_ellipsoid(force, one.gravity[j]), look.colour)
+                draw_shell(axes, force_ellipsoid(force, one.gravity[j]), look.colour)
             axes.set_title(f"{one.sensor}, set {j + 1} (N)")
             axes.set_aspect("equal")
-            _ticks(axes)
+            few_ticks(axes)
         if figure.axes:
             handles, labels = figure.axes[0].get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside lower center", ncols=3, markerscale=4.0)
@@ -112,16 +111,3 @@ def _spaces(figure: Figure, shown: Sequence[Shown]) -> list[tuple[Shown, int, An
         (one, j, figure.add_subplot(len(shown), columns, i + 1, projection="3d"))
         for i, (one, j) in enumerate(places)
     ]
-
-
-def _shell(axes: Any, ellipsoid: Ellipsoid, colour: str) -> None:
-    u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
-    unit: NDArray[np.float64] = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
-    x, y, z = np.tensordot(ellipsoid.axes, unit, axes=1) + ellipsoid.centre[:, None, None]
-    axes.plot_wireframe(x, y, z, color=colour, linewidth=0.35, alpha=0.55)
-
-
-def _ticks(axes: Any) -> None:
-    for axis in "xyz":
-        getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(4))
-    axes.tick_params(labelsize=7, pad=-2)

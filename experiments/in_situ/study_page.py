@@ -14,7 +14,7 @@ from surefoot.experiments.in_situ.study_findings import (
     refusal_findings,
     summary_findings,
 )
-from surefoot.experiments.report import ReportFigure, Section, render_report
+from surefoot.experiments.report import ReportFigure, Section, flat, render_report
 from surefoot.experiments.tables import Table
 
 __all__ = ["InSituStudyPage"]
@@ -60,7 +60,7 @@ class InSituStudyPage:
         )
         made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {results.machine}."
         title = "In-situ calibration of six-axis sensors, simulated"
-        introduction = (_flat(_INTRODUCTION), _flat(amount))
+        introduction = (flat(_INTRODUCTION), flat(amount))
         return render_report(self.folder / "report.html", title, made, introduction, self._sections())
 
     def _sections(self) -> tuple[Section, ...]:
@@ -70,14 +70,14 @@ class InSituStudyPage:
             Section(
                 "spheres",
                 "Spheres, masses, places",
-                (_flat(_SPHERES),),
+                (flat(_SPHERES),),
                 tables=self.spheres,
                 figures=self._ellipsoids(),
             ),
             Section(
                 "limb",
                 "Weight of the limb",
-                (_flat(_LIMB),),
+                (flat(_LIMB),),
                 findings=limb_findings(results),
                 tables=(self.limb,),
                 figures=(
@@ -91,14 +91,14 @@ class InSituStudyPage:
             Section(
                 "bound",
                 "As sure as right",
-                (_flat(_BOUND),),
+                (flat(_BOUND),),
                 findings=bound_findings(results),
                 tables=(self.bound,),
             ),
             Section(
                 "motion",
                 "Without waiting for rest",
-                (_flat(_MOTION),),
+                (flat(_MOTION),),
                 findings=motion_findings(results),
                 tables=(self.motion,),
             ),
@@ -151,10 +151,6 @@ class InSituStudyPage:
                 f"--out {options.out}",
             ),
         )
-
-
-def _flat(text: str) -> str:
-    return " ".join(text.split())
 
 
 _INTRODUCTION = """

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from _in_situ import ADDED_COM_LEG, LEG_MATRIX, OFFSET_WRENCH, SENSORS
+from _in_situ import LEG_MATRIX, OFFSET_WRENCH, SENSORS
 
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.results import FitResult, FitStats
@@ -76,7 +76,3 @@ def draw_truth(fit, rng, runs, since_force=0.0, since_torque=0.0):
     jump = rng.standard_normal((runs, 6)) * np.repeat([since_force, since_torque], 3)
     limb = np.concatenate([[fit.limb.mass], fit.limb.mass_com]) + errors[:, 42:]
     return Truth(np.linalg.inv(matrix), fit.offset + errors[:, 36:42] + jump @ RESPONSE.T, limb)
-
-
-PLACES = ADDED_COM_LEG
-"""Where the paper's sets hang their masses, in m, shape (4, 3)."""

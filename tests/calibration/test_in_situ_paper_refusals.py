@@ -20,11 +20,6 @@ from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
 from surefoot.calibration.results import CalibrationRefused
 
 
-@pytest.fixture(params=sorted(SENSORS))
-def sensor(request):
-    return request.param
-
-
 @pytest.mark.parametrize(
     ("gravity", "seen"),
     [

@@ -1,0 +1,193 @@
+"""A calibrated six-axis sensor whole: JSON, which reads back to the last digit, and YAML of the same."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+import surefoot
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.experiments._files import write_text
+from surefoot.experiments._log_checks import LogError
+
+__all__ = ["calibration_facts", "read_calibration", "write_json", "write_yaml"]
+
+FORMAT = "surefoot-in-situ-calibration"
+VERSION = 1
+
+_CONVENTIONS = (
+    "wrench = matrix (raw - offset), raw in counts as the converter gave them",
+    "wrench = (fx, fy, fz, tx, ty, tz) in N and N m, exerted by the limb on the robot through the sensor, "
+    "at and in the sensor's frame: at rest f = m g with g pointing down",
+    "response is counts per N and N m: raw = response wrench + offset",
+    "offset is that of the last set at its end, offset_of_each_set_count those in the middle of each set; "
+    "with a temperature coefficient, raw = response wrench + offset + coefficient temperature_degC",
+    "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
+)
+_NAMES = {
+    "matrix": "matrix_N_Nm_per_count",
+    "offset": "offset_count",
+    "offsets": "offset_of_each_set_count",
+    "response": "response_count_per_N_Nm",
+    "noise": "noise_covariance_count2",
+    "temperature_coefficient": "temperature_coefficient_count_per_K",
+    "rotation": "R_sensor_accelerometer",
+    "affine_residual": "affine_residual_of_each_set",
+    "covariance": "covariance",
+}
+
+
+def calibration_facts(
+    fit: InSituFit, *, channels: tuple[str, ...] = (), sensor: str = "", notices: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Gather a calibration as values that JSON can hold; NaN becomes null.
+
+    Args:
+        fit: The calibration.
+        channels: Names of the raw columns.
+        sensor: The sensor's name.
+        notices: What the log lacked.
+    """
+    told: dict[str, Any] = {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "made_with": f"surefoot {surefoot.__version__}",
+        "sensor": sensor,
+        "channels": list(channels),
+        "conventions": list(_CONVENTIONS),
+        "result": fit.result.value,
+        "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
+        "warnings": list(fit.warnings),
+        "notices": list(notices),
+    }
+    for field, name in _NAMES.items():
+        told[name] = _plain(getattr(fit, field))
+    told["matrix_std_N_Nm_per_count"] = _plain(_deviations(fit)[: fit.matrix.size].reshape(fit.matrix.shape))
+    told["offset_std_count"] = _plain(_deviations(fit)[fit.matrix.size : fit.matrix.size + len(fit.offset)])
+    told["limb"] = {
+        "mass_kg": _plain(fit.limb.mass),
+        "mass_std_kg": _plain(_deviations(fit)[-4]),
+        "mass_com_kg_m": _plain(fit.limb.mass_com),
+        "inertia_kg_m2": _plain(fit.limb.inertia),
+    }
+    told["sets"] = [
+        {"name": name, **_stats(stats)} for name, stats in zip(fit.set_names, fit.set_stats, strict=True)
+    ]
+    told["all_sets"] = _stats(fit.stats)
+    return told
+
+
+def write_json(fit: InSituFit, path: Path, **facts: Any) -> Path:
+    """Write a calibration whole, to be read back by :func:`read_calibration`.
+
+    Args:
+        fit: The calibration.
+        path: Where.
+        facts: As :func:`calibration_facts` takes them.
+    """
+    write_text(path, json.dumps(calibration_facts(fit, **facts), indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def write_yaml(fit: InSituFit, path: Path, **facts: Any) -> Path:
+    """Write the same as YAML.
+
+    Args:
+        fit: The calibration.
+        path: Where.
+        facts: As :func:`calibration_facts` takes them.
+    """
+    text = yaml.safe_dump(
+        calibration_facts(fit, **facts),
+        default_flow_style=None,
+        sort_keys=False,
+        allow_unicode=True,
+        width=160,
+    )
+    write_text(path, text)
+    return path
+
+
+def read_calibration(path: Path) -> InSituFit:
+    """Read what :func:`write_json` wrote, to the last digit.
+
+    Raises:
+        LogError: If the file is not there, is no calibration, or one of another version.
+    """
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; 'surefoot calibrate in-situ' writes one.")
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LogError(f"{path.name}: not JSON: {error}.") from None
+    if not isinstance(told, dict) or told.get("format") != FORMAT:
+        raise LogError(f"{path.name}: no in-situ calibration (its 'format' is not '{FORMAT}').")
+    if told.get("format_version") != VERSION:
+        raise LogError(
+            f"{path.name}: format_version {told.get('format_version')!r}, and this surefoot reads {VERSION}; "
+            "calibrate again."
+        )
+    try:
+        return _fit_of(told)
+    except KeyError as error:
+        raise LogError(f"{path.name}: key {error} is missing; calibrate again.") from None
+    except (TypeError, ValueError) as error:
+        raise LogError(f"{path.name}: holds what a calibration cannot: {error}; calibrate again.") from None
+
+
+def _deviations(fit: InSituFit) -> NDArray[np.float64]:
+    return np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+
+
+def _plain(value: Any) -> Any:
+    """Turn arrays into lists and what is not finite into null."""
+    if value is None:
+        return None
+    if isinstance(value, np.ndarray):
+        return [_plain(part) for part in value] if value.ndim else _plain(value.item())
+    return float(value) if np.isfinite(value) else None
+
+
+def _stats(stats: FitStats) -> dict[str, Any]:
+    return {
+        key: _plain(value) if isinstance(value, float) else value
+        for key, value in dataclasses.asdict(stats).items()
+    }
+
+
+def _fit_of(told: dict[str, Any]) -> InSituFit:
+    values: dict[str, Any] = {
+        field: _array(told[name]) for field, name in _NAMES.items() if told[name] is not None
+    }
+    limb = told["limb"]
+    mass = limb["mass_kg"]
+    return InSituFit(
+        limb=Limb(
+            np.nan if mass is None else float(mass),
+            _array(limb["mass_com_kg_m"]),
+            None if limb["inertia_kg_m2"] is None else _array(limb["inertia_kg_m2"]),
+        ),
+        result=FitResult(told["result"]),
+        refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in told["refusals"]),
+        warnings=tuple(told["warnings"]),
+        stats=_stats_of(told["all_sets"]),
+        set_stats=tuple(_stats_of(one) for one in told["sets"]),
+        set_names=tuple(one["name"] for one in told["sets"]),
+        **{"temperature_coefficient": None, **values},
+    )
+
+
+def _array(value: Any) -> NDArray[np.float64]:
+    return np.array(value, dtype=object).astype(np.float64)
+
+
+def _stats_of(told: dict[str, Any]) -> FitStats:
+    given = {key: value for key, value in told.items() if key != "name"}
+    for key, absent in (("residual_rms", np.nan), ("condition", np.inf)):
+        given[key] = absent if given[key] is None else given[key]
+    return FitStats(**given)
