@@ -1,37 +1,24 @@
-"""What an in-situ calibration refuses, and why; private."""
+"""Recordings that no calibration can come from; private."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from surefoot.calibration.in_situ._compress import CompressedSet
-from surefoot.calibration.in_situ._covariance import weighted_inverse
-from surefoot.calibration.in_situ._model import STATIC
-from surefoot.calibration.in_situ._rank import data_rank
-from surefoot.calibration.in_situ._solve import Problem, Solution, solve, transforms
-from surefoot.calibration.in_situ._start import hanging
 from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = [
-    "check_bending",
-    "check_factory",
-    "check_masses",
-    "check_rotation",
-    "check_scale",
-    "check_sets",
-    "check_within",
-]
-
-Matrix = NDArray[np.float64]
+__all__ = ["check_bending", "check_sets", "check_within"]
 
 _GRAVITY = (8.8, 10.8)
 """Between these the length of gravity must lie in m/s^2, with the bias that an accelerometer may have."""
+
+_SIZE = 0.01
+"""Share by which gravity's length may be off or spread without a word."""
 
 _TILT = 0.02
 """Gravity's direction must spread by this share of its length in all three directions."""
@@ -45,43 +32,13 @@ _REJECTED = 0.05
 _REJECTED_MOVING = 0.1
 """... and where the limb moves, as the error of a differentiated gyroscope has long tails."""
 
-_STRAINED = 3.0
-"""Sets that differ by less than this multiple of what noise does agree with each other."""
-
-_CULPRIT = 0.2
-"""A set is to blame if the others fit together at less than this share of the cost of all ..."""
-
-_SLIGHT = 0.15
-"""Share of the tolerance up to which no set is looked at by itself."""
-
-_WEIGHED = 0.3
-"""... and see it off by more than this share of the tolerance."""
-
-_NO_MASS = 0.02
-"""A mass in kg so small that its place means nothing."""
-
-_REACH = 0.1
-"""Lever in m by which moments of masses that all hang at one place are judged."""
-
-_CORRUPT = 0.3
-"""A row of the factory matrix is looked at if its share of unexplained wrench is above this ..."""
-
-_CORRUPT_RATIO = 3.0
-"""... and above this multiple of the other rows'."""
-
-_ALONE = 0.95
-"""Share of a row's misfit that one entry alone must explain to be to blame."""
-
-_MISPRINT = 0.7
-"""... and share of the row's largest entry by which it must change: sensors age by less."""
-
 _CHANCE = 1e-4
 """Probability at which noise alone may seem to bend a limb."""
 
-_ONE_TURN = float(np.cos(np.radians(5.0)))
-"""Rotations closer than this are one."""
+_FEW = 30
+"""Rows below which nothing can be said of a limb that bends."""
 
-_BENDING_WITH_LOOPS = 0.5
+_BENDING_WITH_LOOPS = 0.35
 """Share of the tolerated misfit that may go with gravity's squares while hysteresis may be part of it ..."""
 
 _BENDING = 0.1
@@ -100,35 +57,45 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
         Warnings.
     """
     scatter = np.zeros((3, 3))
-    samples, lengths = 0, []
+    samples, lengths, warnings = 0, [], []
     for data in sets:
-        whole = np.isfinite(data.raw).all(axis=1) & np.isfinite(data.gravity).all(axis=1)
-        _check_channels(data, options)
+        whole = np.asarray(np.isfinite(data.raw).all(axis=1))
+        for one in (data.gravity, data.angular_velocity, data.angular_acceleration, data.temperature):
+            if one is not None:
+                whole &= np.isfinite(one.reshape(len(whole), -1)).all(axis=1)
         if np.sum(whole) < 4:
             raise CalibrationRefused(
                 f"'{data.name}': {np.sum(whole)} of {whole.size} samples are whole, and four are the least.",
-                "Check which channels hold no number, and record for longer.",
+                "Check which columns hold no number, and record for longer.",
             )
+        _check_channels(data, options)
         gravity = data.gravity[whole]
-        lengths.append(float(np.median(np.linalg.norm(gravity, axis=1))))
+        sizes = np.linalg.norm(gravity, axis=1)
+        lengths.append(float(np.median(sizes)))
         if not data.moves and not _GRAVITY[0] < lengths[-1] < _GRAVITY[1]:
             raise CalibrationRefused(
                 f"'{data.name}': gravity is {lengths[-1]:.3g} m/s^2 long, where 9.81 is expected.",
                 "Give it in m/s^2 (1 g = 9.80665 m/s^2), and calibrate the accelerometer first.",
+            )
+        off = max(abs(lengths[-1] / GRAVITY - 1.0), float(np.std(sizes)) / GRAVITY)
+        if not data.moves and off > _SIZE:
+            warnings.append(
+                f"'{data.name}': gravity is {lengths[-1]:.2f} m/s^2 long and spreads by {np.std(sizes):.2f}; "
+                "calibrate the accelerometer first, or forces and offsets will be off by as much."
             )
         centred = gravity - gravity.mean(axis=0)
         scatter += centred.T @ centred
         samples += len(gravity)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(scatter / samples)[::-1], 0.0)) / np.mean(lengths)
     if spread[2] >= _TILT:
-        return ()
+        return tuple(warnings)
     seen = "along one line" if spread[1] < _TILT else "in one plane"
     reason = (
         f"Gravity was seen to turn {seen} only: its direction spreads by {spread[0]:.3f}, "
         f"{spread[1]:.3f} and {spread[2]:.4f} along its three axes, and {_TILT} is needed along each."
     )
     if leaning:
-        return (f"{reason} What it does not show leans on the factory matrix.",)
+        return (*warnings, f"{reason} What it does not show leans on the factory matrix.")
     raise CalibrationRefused(
         reason, "Tilt the limb about a second axis as well, such as front-back and sideways."
     )
@@ -174,18 +141,26 @@ def check_within(
                 f"{_when(data, part.rejected)}."
             )
         misfit, bending = _misfit(data, part), _bending(data, part)
-        if bending > _BENDING_WITH_LOOPS * options.misfit_tolerance and bending > 0.5 * misfit:
-            raise _bends(data, bending)
         if misfit > options.misfit_tolerance:
-            raise _unexplained(data, part, misfit)
+            raise _bends(data, bending) if bending > 0.7 * misfit else _unexplained(data, part, misfit)
     return tuple(warnings)
 
 
-def check_bending(sets: Sequence[InSituSet], parts: Sequence[CompressedSet], options: InSituOptions) -> None:
-    """Refuse limbs that bend a little, once what looks like it for a while, hysteresis, was taken off."""
+def check_bending(
+    sets: Sequence[InSituSet], parts: Sequence[CompressedSet], options: InSituOptions, loops: bool
+) -> None:
+    """Refuse limbs that bend a little.
+
+    Args:
+        sets: The sets.
+        parts: Compressed.
+        options: What is tolerated.
+        loops: Whether hysteresis, which looks like it for a while, may still be in the readings.
+    """
+    limit = (_BENDING_WITH_LOOPS if loops else _BENDING) * options.misfit_tolerance
     for data, part in zip(sets, parts, strict=True):
         bending = _bending(data, part)
-        if bending > _BENDING * options.misfit_tolerance and bending > 0.2 * _misfit(data, part):
+        if bending > limit and bending > 0.2 * _misfit(data, part):
             raise _bends(data, bending)
 
 
@@ -208,7 +183,9 @@ def _misfit(data: InSituSet, part: CompressedSet) -> float:
 
 def _bending(data: InSituSet, part: CompressedSet) -> float:
     """Share of the spread that goes with the squares of gravity's components, beyond what noise would."""
-    g = data.gravity[part.index.astype(int)] / 9.81
+    if part.rows < _FEW:
+        return 0.0
+    g = data.gravity[part.index.astype(int)] / GRAVITY
     # The sixth square follows from the length of gravity.
     squares = np.stack([g[:, i] * g[:, j] for i, j in ((0, 0), (1, 1), (0, 1), (0, 2), (1, 2))], axis=1)
     basis = np.linalg.qr(np.column_stack([np.ones(len(g)), g, squares]))[0]
@@ -241,125 +218,3 @@ def _when(data: InSituSet, marked: NDArray[np.bool_]) -> str:
     if data.time is None:
         return f", most of them between samples {first} and {last}"
     return f", most of them between {data.time[first]:.1f} s and {data.time[last]:.1f} s"
-
-
-def check_masses(problem: Problem, solution: Solution, noise: Matrix, options: InSituOptions) -> None:
-    """Refuse added masses that the readings contradict; name the set without which the others agree."""
-    freedom = solution.residual.size - solution.jacobian.shape[1]
-    if problem.moving or freedom <= 0 or np.sum(solution.residual**2) < _STRAINED * freedom:
-        return
-    seen = _seen_masses(problem, solution, noise)
-    off = _disagreement(problem, seen)
-    if np.max(off) <= _SLIGHT * options.mass_tolerance:
-        return
-    names = [part.name for part in problem.sets]
-    cure = "Weigh what was added and measure where it hung, or leave the set out."
-    blamed = {}
-    for j in range(len(names)):
-        others = _without(problem, solution, j)
-        if others is not None and others.cost < _CULPRIT * solution.cost:
-            by_others = _seen_masses(problem, others, noise)
-            blamed[j] = _disagreement(problem, by_others)[j], by_others[j]
-    if blamed:
-        # Of several sets without which the others agree, the one that would need the smallest change.
-        j = min(blamed, key=lambda j: blamed[j][0])
-        amount, follows = blamed[j]
-        if amount > _WEIGHED * options.mass_tolerance:
-            raise CalibrationRefused(
-                f"The added mass of '{names[j]}' contradicts the other sets: {_place(problem.added[j])} was "
-                f"given, and {_place(follows)} follows from the others.",
-                cure,
-            )
-    if np.max(off) > options.mass_tolerance:
-        j = int(np.argmax(off))
-        raise CalibrationRefused(
-            f"The added masses contradict each other, most of all that of '{names[j]}': "
-            f"{_place(problem.added[j])} was given, and {_place(seen[j])} follows from all sets together.",
-            cure,
-        )
-
-
-def _seen_masses(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
-    """What was added to each set by the readings: (m, m c) in kg and kg m, shape (J, 4)."""
-    matrix = weighted_inverse(solution.response[:, :6], noise)
-    beside = (solution.response @ transforms(problem, solution.limb, solution.rotation))[..., 3:]
-    total = [
-        hanging(matrix, part, solution.rotation, rest)
-        for part, rest in zip(problem.sets, beside, strict=True)
-    ]
-    return np.asarray(np.array(total) - solution.limb[:STATIC])
-
-
-def _disagreement(problem: Problem, seen: Matrix) -> NDArray[np.float64]:
-    """How far each set's mass and first moment are off, as shares of the largest mass and its reach, (J,)."""
-    added = problem.added[:, :STATIC]
-    off = np.abs(seen - added)
-    mass = np.max(added[:, 0])
-    moments = added[:, 1:] - np.mean(added[added[:, 0] > 0.0, 1:], axis=0) * (added[:, :1] > 0.0)
-    reach = max(float(np.max(np.linalg.norm(moments, axis=1))), _REACH * mass)
-    return np.asarray(np.maximum(off[:, 0] / mass, np.max(off[:, 1:], axis=1) / reach))
-
-
-def _place(parameters: NDArray[np.float64]) -> str:
-    mass = parameters[0]
-    if abs(mass) < _NO_MASS:
-        return f"{mass:.3f} kg"
-    x, y, z = parameters[1:STATIC] / mass
-    return f"{mass:.3f} kg at ({x:.3f}, {y:.3f}, {z:.3f}) m"
-
-
-def _without(problem: Problem, solution: Solution, left_out: int) -> Solution | None:
-    """Fit the other sets, if they determine all."""
-    sets = tuple(part for i, part in enumerate(problem.sets) if i != left_out)
-    others = replace(problem, sets=sets, added=np.delete(problem.added, left_out, axis=0))
-    if not sets or (problem.prior_response is None and data_rank(others, solution.limb).missing):
-        return None
-    return solve(others, [solution.outer])
-
-
-def check_rotation(found: Sequence[Solution]) -> None:
-    """Refuse an accelerometer whose turn is not told, as by masses that all hang in one plane."""
-    best = found[0].rotation
-    for other in found[1:]:
-        cosine = (np.trace(best.T @ other.rotation) - 1.0) / 2.0
-        if cosine < _ONE_TURN:
-            raise CalibrationRefused(
-                "Two rotations of the accelerometer, "
-                f"{np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees apart, fit the readings "
-                "equally well: added masses in one plane do not tell a sensor from its mirror image.",
-                "Hang a mass off the plane of the others, or give a factory matrix.",
-            )
-
-
-def check_scale(fit: InSituFit, options: InSituOptions) -> None:
-    """Refuse a fit that does not know how strong anything is."""
-    mass, deviation = fit.limb.mass, fit.limb_mass_std
-    if not (mass > 0.0 and deviation <= options.scale_tolerance * mass):
-        raise CalibrationRefused(
-            f"The limb's mass comes out as {mass:.3g} kg with a standard deviation of {deviation:.2g} kg, so "
-            "the scale of all forces is as unsure.",
-            "Add larger masses or at places further apart, record for longer, or say what the limb weighs.",
-        )
-
-
-def check_factory(factory: Matrix, problem: Problem, solution: Solution) -> None:
-    """Refuse a factory matrix in which one entry alone contradicts the readings."""
-    T = transforms(problem, solution.limb, solution.rotation)[:, :6]
-    measured = np.concatenate([part.response[:, : T.shape[2]] for part in problem.sets], axis=1)
-    expected = np.concatenate(list(T), axis=1)
-    wrong = expected - factory @ measured
-    size = np.linalg.norm(wrong, axis=1) / np.linalg.norm(expected, axis=1)
-    row = int(np.argmax(size))
-    if size[row] < _CORRUPT or size[row] < _CORRUPT_RATIO * np.median(np.delete(size, row)):
-        return
-    share = (measured @ wrong[row]) ** 2 / (np.sum(measured**2, axis=1) * np.sum(wrong[row] ** 2))
-    column = int(np.argmax(share))
-    step = float(measured[column] @ wrong[row] / np.sum(measured[column] ** 2))
-    if share[column] < _ALONE or abs(step) < _MISPRINT * np.max(np.abs(factory[row])):
-        return
-    raise CalibrationRefused(
-        f"Entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, contradicts the "
-        f"readings: with {factory[row, column] + step:.4g} in its place row {row} leaves "
-        f"{1.0 - share[column]:.1%} of what it leaves now, and the other rows fit as they are.",
-        "Compare the matrix with the maker's sheet, its signs and exponents first.",
-    )

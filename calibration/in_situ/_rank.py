@@ -18,6 +18,18 @@ _TAKES_PART = 1e-3
 """An unknown takes part in the unseen directions if its share of their square is above this."""
 
 
+_CURES = {
+    "its inertia": "Swing the limb faster about all axes, or leave the angular velocities out.",
+    "the temperature's coefficients": "Leave the temperature out, or let it change within a set.",
+}
+"""For what masses at other places would not help."""
+
+_PLACES = (
+    "Put the masses at places that do not lie on one line, and change how much is added; or give a factory "
+    "matrix to lean on."
+)
+
+
 @dataclass(frozen=True)
 class DataRank:
     """What the data, and what is known of the limb, determine without a factory matrix.
@@ -42,11 +54,11 @@ class DataRank:
                 f"{self.found} of {unknowns} unknowns follow from {len(problem.sets)} set(s).",
                 "Add sets with other masses at other places, or give a factory matrix to lean on.",
             )
+        cures = [cure for name, cure in _CURES.items() if name in self.open_unknowns]
         return CalibrationRefused(
-            f"The {masses} different added masses determine {self.found} of {unknowns} unknowns; "
-            f"what stays open: {', '.join(self.open_unknowns)}.",
-            "Put the masses at places that do not lie on one line, and change how much is added; "
-            "or give a factory matrix to lean on.",
+            f"The {masses} different added masses determine {self.found} of {unknowns} unknowns; what stays "
+            f"open: {', '.join(self.open_unknowns)}.",
+            (cures or [_PLACES])[0],
         )
 
     def warning(self) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ._compress import CompressedSet
+from surefoot.calibration.in_situ._covariance import persistence
 from surefoot.calibration.in_situ._factory import FOLDS
 from surefoot.calibration.in_situ._solve import Problem, Solution, transforms
 
@@ -26,8 +27,8 @@ _WEIGHTS = 10.0 ** np.arange(-6.0, 3.0)
 """To choose from, in units of the readings' mean square."""
 
 
-def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> Matrix:
-    """Compute C, shape (6, k).
+def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tuple[Matrix, Matrix]:
+    """Compute C, shape (6, k), and the covariance of each of its rows, shape (6, k, k).
 
     Args:
         problem: The sets.
@@ -53,8 +54,13 @@ def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> Mat
         X, Y = (np.concatenate(part) for part in zip(*held_out, strict=True))
         for i, weight in enumerate(_WEIGHTS):
             error[i] += np.sum((X @ _ridge(fitted, weight * level, factory).T - Y) ** 2, axis=0)
-    best = _WEIGHTS[np.argmin(error, axis=0)]
-    return np.stack([_ridge(rows, best[axis] * level, factory)[axis] for axis in range(6)])
+    best = _WEIGHTS[np.argmin(error, axis=0)] * level
+    matrix = np.stack([_ridge(rows, best[axis], factory)[axis] for axis in range(6)])
+    X = np.concatenate([readings for readings, _ in rows])
+    # With weight lambda the factory's row counts as known to s^2 / (n lambda), s^2 being what is left.
+    left = np.min(error, axis=0) / len(X) * persistence(problem.sets, problem.whitening)
+    inverse = [np.linalg.inv(X.T @ X / len(X) + weight * np.eye(X.shape[1])) for weight in best]
+    return matrix, left[:, None, None] / len(X) * np.array(inverse)
 
 
 def _rows(part: CompressedSet, transform: Matrix, temperature: Matrix) -> tuple[Matrix, Matrix]:

@@ -12,15 +12,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.in_situ._checks import (
-    check_bending,
+from surefoot.calibration.in_situ._answer_checks import (
+    check_axes,
     check_factory,
-    check_masses,
     check_rotation,
     check_scale,
-    check_sets,
-    check_within,
+    doubts_of_limb,
+    with_doubt_of_scale,
 )
+from surefoot.calibration.in_situ._checks import check_bending, check_sets, check_within
 from surefoot.calibration.in_situ._compress import CompressedSet, compress
 from surefoot.calibration.in_situ._covariance import (
     fit_covariance,
@@ -31,11 +31,13 @@ from surefoot.calibration.in_situ._covariance import (
 )
 from surefoot.calibration.in_situ._factory import choose_shares, information
 from surefoot.calibration.in_situ._hysteresis import with_hysteresis
+from surefoot.calibration.in_situ._mass_checks import check_masses
 from surefoot.calibration.in_situ._model import STATIC, inertia_matrix, inertial_parameters, sensitivity
 from surefoot.calibration.in_situ._rank import DataRank, data_rank
 from surefoot.calibration.in_situ._rows import leaning_matrix
-from surefoot.calibration.in_situ._solve import Problem, Solution, minima, transforms
+from surefoot.calibration.in_situ._solve import Problem, Solution, minima, solve, transforms
 from surefoot.calibration.in_situ._start import starts
+from surefoot.calibration.in_situ._temperature import about_one_temperature
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
@@ -113,12 +115,13 @@ def _fit(
     sets: tuple[InSituSet, ...], factory: Matrix | None, known: KnownLimb | None, options: InSituOptions
 ) -> InSituFit:
     moving = any(data.moves for data in sets)
-    temperature = all(data.temperature is not None for data in sets)
     if options.estimate_rotation and moving:
         raise ValueError("'estimate_rotation' needs a limb at rest: leave the angular velocities out.")
     warnings = check_sets(sets, options, leaning=factory is not None)
-    parts = compress(sets, options, moving, temperature)
-    problem = _problem(sets, parts, factory, known, options, moving, temperature)
+    sets, reference, said = about_one_temperature(sets)
+    warnings += said
+    parts = compress(sets, options, moving, reference is not None)
+    problem = _problem(sets, parts, factory, known, options, moving, reference is not None)
     first = starts(problem, factory, problem.limb if known is not None else None)
     rank = data_rank(problem, first[0])
     if rank.missing and factory is None:
@@ -128,27 +131,54 @@ def _fit(
         return _fit(sets, factory, known, replace(options, drift=0))
     warnings += check_within(sets, parts, options)
     if rank.missing:
-        warnings = (*warnings, rank.warning())
+        warnings += (rank.warning(),)
     if factory is not None:
         problem, first = _leaning(problem, first, options)
     found = minima(problem, first)
     check_rotation(found)
     solution = found[0]
-    if options.hysteresis and not rank.missing and all(data.time is not None for data in sets):
+    loops = options.hysteresis and not rank.missing and all(data.time is not None for data in sets)
+    if loops:
         problem, solution = with_hysteresis(sets, problem, solution, options) or (problem, solution)
-        check_bending(sets, problem.sets, options)
+    check_bending(sets, problem.sets, options, loops=not loops)
     noise = pooled_noise(problem.sets)
     if factory is not None:
         check_factory(factory, problem, solution)
     check_masses(problem, solution, noise, options)
+    rows = sum(part.uu.shape[0] for part in problem.sets) * len(noise)
+    factor = inflation(problem, solution, rows - rank.found)
+    covariance = fit_covariance(problem, solution, noise, factor)
     matrix = None
     if factory is not None and rank.missing:
-        matrix = leaning_matrix(problem, solution, factory)
-    rows = sum(part.uu.shape[0] for part in problem.sets) * len(noise)
-    covariance = fit_covariance(problem, solution, noise, inflation(problem, solution, rows - rank.found))
+        matrix, of_rows = leaning_matrix(problem, solution, factory)
+        for axis, of_row in enumerate(of_rows):
+            place = slice(axis * len(noise), (axis + 1) * len(noise))
+            covariance[place] = covariance[:, place] = 0.0
+            covariance[place, place] = of_row
     fit = _assemble(problem, solution, noise, covariance, rank, matrix, sets, warnings)
+    fit = replace(fit, temperature_reference=0.0 if reference is None else reference)
     check_scale(fit, options)
-    return fit
+    if not rank.missing:
+        check_axes(fit, problem, solution)
+    if known is not None:
+        fit = replace(
+            fit, warnings=fit.warnings + doubts_of_limb(known, fit, _limb_alone(problem, solution, factor))
+        )
+    return with_doubt_of_scale(fit) if rank.missing and known is None else fit
+
+
+def _limb_alone(problem: Problem, solution: Solution, factor: float) -> tuple[float, float] | None:
+    """The limb's mass and its deviation in kg by the readings alone; None if they do not tell."""
+    of_hysteresis = problem.limb_root[-6:] if problem.hysteresis else problem.limb_root[:0]
+    free = replace(problem, limb_root=of_hysteresis, prior_response=None)
+    if data_rank(free, solution.limb).missing:
+        return None
+    alone = solve(free, [solution.outer])
+    place = alone.jacobian.shape[1] - free.outer
+    size = np.linalg.norm(alone.jacobian, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    covariance = np.linalg.pinv((alone.jacobian / size).T @ (alone.jacobian / size), hermitian=True)
+    return float(alone.limb[0]), float(np.sqrt(factor * covariance[place, place]) / size[place])
 
 
 def _problem(

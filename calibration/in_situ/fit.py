@@ -47,7 +47,7 @@ class InSituFit:
         covariance: Of (C row by row, the last set's offset, the limb's mass and first moment), shape
             (7 k + 4, 7 k + 4).
         noise: Covariance of a sample's noise in counts^2, shape (k, k).
-        temperature_coefficient: Counts per K, shape (k,); None if no temperature was given.
+        temperature_coefficient: Counts per K, shape (k,); None if no temperature was given, or it stayed.
         rotation: R_sensor_accelerometer, shape (3, 3); the identity unless it was estimated.
         result: How much the data determined.
         refusals: Why it was refused, empty if it was not.
@@ -56,6 +56,7 @@ class InSituFit:
         set_stats: One a set.
         affine_residual: Share of a set's spread that leaves the three-space of Lemma 1, shape (J,).
         set_names: What messages call the sets.
+        temperature_reference: Temperature at which the offsets hold.
         hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if none
             was seen.
     """
@@ -76,6 +77,7 @@ class InSituFit:
     set_stats: tuple[FitStats, ...]
     affine_residual: NDArray[np.float64]
     set_names: tuple[str, ...]
+    temperature_reference: float = 0.0
     hysteresis: NDArray[np.float64] | None = None
 
     @property
@@ -96,16 +98,24 @@ class InSituFit:
         return float(np.sqrt(self.covariance[-4, -4]))
 
     def wrench(
-        self, raw: NDArray[np.float64], offset: NDArray[np.float64] | None = None
+        self,
+        raw: NDArray[np.float64],
+        offset: NDArray[np.float64] | None = None,
+        temperature: float | NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """Compute w = C (r - o) in N and N m (in-situ paper, Eq. 2).
 
         Args:
             raw: Counts, shape (..., k).
             offset: o in counts, shape (..., k); the last set's by default.
+            temperature: Of the sensor, shape (...); where the fit knows its effect, that at which the offsets
+                hold by default.
 
         Returns:
             What the limb exerts on the robot, at and in the sensor's frame, shape (..., 6).
         """
-        zero = self.offset if offset is None else offset
+        zero = self.offset if offset is None else np.asarray(offset)
+        if temperature is not None and self.temperature_coefficient is not None:
+            warmer = np.asarray(temperature, dtype=np.float64) - self.temperature_reference
+            zero = zero + warmer[..., None] * self.temperature_coefficient
         return np.asarray((np.asarray(raw, dtype=np.float64) - zero) @ self.matrix.T)

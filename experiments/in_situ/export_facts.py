@@ -26,7 +26,8 @@ _CONVENTIONS = (
     "at and in the sensor's frame: at rest f = m g with g pointing down",
     "response is counts per N and N m: raw = response wrench + offset",
     "offset is that of the last set at its end, offset_of_each_set_count those in the middle of each set; "
-    "with a temperature coefficient, raw = response wrench + offset + coefficient temperature_degC",
+    "with a temperature coefficient, raw = response wrench + offset + coefficient (temperature_degC - "
+    "temperature_reference_degC)",
     "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
 )
 _NAMES = {
@@ -36,6 +37,7 @@ _NAMES = {
     "response": "response_count_per_N_Nm",
     "noise": "noise_covariance_count2",
     "temperature_coefficient": "temperature_coefficient_count_per_K",
+    "hysteresis": "hysteresis_share_of_swing",
     "rotation": "R_sensor_accelerometer",
     "affine_residual": "affine_residual_of_each_set",
     "covariance": "covariance",
@@ -69,6 +71,7 @@ def calibration_facts(
         told[name] = _plain(getattr(fit, field))
     told["matrix_std_N_Nm_per_count"] = _plain(_deviations(fit)[: fit.matrix.size].reshape(fit.matrix.shape))
     told["offset_std_count"] = _plain(_deviations(fit)[fit.matrix.size : fit.matrix.size + len(fit.offset)])
+    told["temperature_reference_degC"] = fit.temperature_reference
     told["limb"] = {
         "mass_kg": _plain(fit.limb.mass),
         "mass_std_kg": _plain(_deviations(fit)[-4]),
@@ -178,6 +181,7 @@ def _fit_of(told: dict[str, Any]) -> InSituFit:
         stats=_stats_of(told["all_sets"]),
         set_stats=tuple(_stats_of(one) for one in told["sets"]),
         set_names=tuple(one["name"] for one in told["sets"]),
+        temperature_reference=float(told["temperature_reference_degC"]),
         **{"temperature_coefficient": None, **values},
     )
 

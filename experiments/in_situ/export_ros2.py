@@ -27,7 +27,9 @@ def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[n
         return np.asarray(-fit.matrix @ fit.offset)
     if temperature is None:
         raise ValueError("The offset follows the temperature; give the one at which it shall hold.")
-    return np.asarray(-fit.matrix @ (fit.offset + temperature * fit.temperature_coefficient))
+    return np.asarray(
+        -fit.matrix @ (fit.offset + (temperature - fit.temperature_reference) * fit.temperature_coefficient)
+    )
 
 
 def write_ros2_parameters(

@@ -52,7 +52,8 @@ class Calibrated:
         for data in self.log.sets:
             raw = data.raw
             if fit.temperature_coefficient is not None and data.temperature is not None:
-                raw = raw - data.temperature[:, None] * fit.temperature_coefficient
+                warmer = data.temperature[:, None] - fit.temperature_reference
+                raw = raw - warmer * fit.temperature_coefficient
             found.append(replace(data, raw=raw, gravity=data.gravity @ R.T))
         return tuple(found)
 

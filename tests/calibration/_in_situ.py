@@ -2,9 +2,13 @@
 
 import numpy as np
 from _in_situ_stacked import wrench_of_gravity
+from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.paper_offset import estimate_offset
+
+NOISE = np.array([0.1, 0.1, 0.1, 0.0025, 0.0025, 0.0025])
+"""White noise in N and N m."""
 
 # Factory matrices of two FTSens sensors, N and N m per count.
 LEG_MATRIX = np.array(
@@ -97,3 +101,30 @@ def offsets_of(sets):
 def with_arrays(one, raw, gravity, added_com=None):
     place = one.added_com if added_com is None else added_com
     return InSituSet(raw, gravity, added_mass=one.added_mass, added_com=place, name=one.name)
+
+
+def moving_sets(rng, noise):
+    """A leg that swings at about 1 Hz, its motion known."""
+    matrix, mass, com, places = SENSORS["leg"]
+    inertia = np.diag([0.3, 0.28, 0.02]) + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    gain, time = np.linalg.inv(matrix), np.arange(1500) / 100.0
+    sets = []
+    for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
+        phase = rng.uniform(0.0, 2.0 * np.pi, (2, 3))
+
+        def turn(t, phase=phase):
+            swing = 0.5 * np.sin(2.0 * np.pi * np.array([0.7, 0.9, 1.1]) * t[:, None] + phase[0])
+            return Rotation.from_euler("xyz", swing + 0.2 * np.sin(2.0 * np.pi * 1.7 * t[:, None] + phase[1]))
+
+        def rate(t, turn=turn):
+            return (turn(t - 1e-4).inv() * turn(t + 1e-4)).as_rotvec() / 2e-4
+
+        omega, alpha = rate(time), (rate(time + 1e-3) - rate(time - 1e-3)) / 2e-3
+        gravity = turn(time).inv().apply([0.0, 0.0, 9.81])
+        moment = mass * com + added * place
+        total = inertia + added * (place @ place * np.eye(3) - np.outer(place, place))
+        force = (mass + added) * gravity - np.cross(alpha, moment) - np.cross(omega, np.cross(omega, moment))
+        torque = np.cross(moment, gravity) - alpha @ total - np.cross(omega, omega @ total)
+        wrench = np.concatenate([force, torque], axis=1) + noise * NOISE * rng.standard_normal((1500, 6))
+        sets.append(InSituSet(wrench @ gain.T + 500.0, gravity, added, place, omega, alpha, time=time))
+    return sets, inertia

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import SENSORS, make_set, paper_sets, swept_gravity
+from _in_situ import NOISE, SENSORS, make_set, moving_sets, paper_sets, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -13,9 +13,6 @@ from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
 from surefoot.calibration.results import CalibrationRefused, FitResult
-
-NOISE = np.array([0.1, 0.1, 0.1, 0.0025, 0.0025, 0.0025])
-"""White noise in N and N m."""
 
 
 def noisy_sets(sensor, rng, n=600, noise=1.0, count=4):
@@ -170,8 +167,13 @@ def test_finds_the_temperature_coefficient():
         warmed.append(replace(one, raw=one.raw + np.outer(kelvin, coefficient), temperature=kelvin))
     fit = calibrate_in_situ(warmed, options=InSituOptions(drift=0))
     np.testing.assert_allclose(fit.temperature_coefficient, coefficient, atol=0.6)
-    # The offset is that of temperature zero.
-    np.testing.assert_allclose(fit.offsets, np.tile(offset, (4, 1)), atol=25.0)
+    # Offsets are those of the mean temperature.
+    reference = np.mean([one.temperature for one in warmed])
+    assert fit.temperature_reference == pytest.approx(reference)
+    there = offset + reference * coefficient
+    np.testing.assert_allclose(fit.offsets, np.tile(there, (4, 1)), atol=8.0)
+    hot = fit.wrench(fit.offset + 20.0 * coefficient, temperature=reference + 20.0)
+    np.testing.assert_allclose(hot, 0.0, atol=0.5)
 
 
 def test_spikes_and_gaps_are_left_out():
@@ -204,33 +206,6 @@ def test_a_drifting_offset_does_not_hurt():
     assert np.linalg.norm(fit.matrix - steady.matrix) < 0.2 * np.linalg.norm(plain.matrix - steady.matrix)
     # The last set's offset is that at its end.
     np.testing.assert_allclose(fit.offset, offset + ramp[-1], atol=8.0 * fit.offset_std.max())
-
-
-def moving_sets(rng, noise):
-    """A leg that swings at about 1 Hz, its motion known."""
-    matrix, mass, com, places = SENSORS["leg"]
-    inertia = np.diag([0.3, 0.28, 0.02]) + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    gain, time = np.linalg.inv(matrix), np.arange(1500) / 100.0
-    sets = []
-    for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
-        phase = rng.uniform(0.0, 2.0 * np.pi, (2, 3))
-
-        def turn(t, phase=phase):
-            swing = 0.5 * np.sin(2.0 * np.pi * np.array([0.7, 0.9, 1.1]) * t[:, None] + phase[0])
-            return Rotation.from_euler("xyz", swing + 0.2 * np.sin(2.0 * np.pi * 1.7 * t[:, None] + phase[1]))
-
-        def rate(t, turn=turn):
-            return (turn(t - 1e-4).inv() * turn(t + 1e-4)).as_rotvec() / 2e-4
-
-        omega, alpha = rate(time), (rate(time + 1e-3) - rate(time - 1e-3)) / 2e-3
-        gravity = turn(time).inv().apply([0.0, 0.0, 9.81])
-        moment = mass * com + added * place
-        total = inertia + added * (place @ place * np.eye(3) - np.outer(place, place))
-        force = (mass + added) * gravity - np.cross(alpha, moment) - np.cross(omega, np.cross(omega, moment))
-        torque = np.cross(moment, gravity) - alpha @ total - np.cross(omega, omega @ total)
-        wrench = np.concatenate([force, torque], axis=1) + noise * NOISE * rng.standard_normal((1500, 6))
-        sets.append(InSituSet(wrench @ gain.T + 500.0, gravity, added, place, omega, alpha, time=time))
-    return sets, inertia
 
 
 def test_a_moving_limb_shows_its_inertia_and_needs_no_rest():

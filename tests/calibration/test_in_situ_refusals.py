@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, paper_sets, swept_gravity
+from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, moving_sets, paper_sets, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
@@ -264,3 +264,69 @@ def test_a_rotation_needs_a_limb_at_rest():
     moving = [replace(one, angular_velocity=still, angular_acceleration=still) for one in sets]
     with pytest.raises(ValueError, match="'estimate_rotation' needs a limb at rest"):
         calibrate_in_situ(moving, options=InSituOptions(estimate_rotation=True))
+
+
+def noise_channel(sets):
+    rng = np.random.default_rng(3)
+    return [replace(one, raw=np.column_stack([one.raw[:, :5], rng.standard_normal(600)])) for one in sets]
+
+
+def twin_channels(sets):
+    rng = np.random.default_rng(4)
+    return [
+        replace(one, raw=np.column_stack([one.raw[:, :5], one.raw[:, 0] + rng.standard_normal(600)]))
+        for one in sets
+    ]
+
+
+@pytest.mark.parametrize("spoil", [noise_channel, twin_channels])
+def test_an_axis_that_nobody_saw_is_refused(spoil):
+    with pytest.raises(CalibrationRefused):
+        calibrate_in_situ(spoil(leg_sets()))
+
+
+@pytest.mark.parametrize(
+    "spoil", [heavier, lambda s: [s[0], replace(s[1], added_com=s[2].added_com), *s[2:]]]
+)
+def test_masses_are_checked_while_the_limb_moves(spoil):
+    sets, _ = moving_sets(np.random.default_rng(5), noise=1.0)
+    calibrate_in_situ(sets)
+    with pytest.raises(CalibrationRefused, match="added mass"):
+        calibrate_in_situ(spoil(sets))
+
+
+def test_a_temperature_that_stays_is_left_out():
+    plain = calibrate_in_situ(leg_sets())
+    fit = calibrate_in_situ([replace(one, temperature=np.full(600, 25.0)) for one in leg_sets()])
+    assert "too little to tell its effect" in fit.warnings[0]
+    np.testing.assert_allclose(fit.offset, plain.offset)
+    some = [replace(one, temperature=np.linspace(20, 30, 600)) for one in leg_sets()[:3]]
+    fit = calibrate_in_situ([*some, leg_sets()[3]])
+    assert "'data set 4' has no temperature" in fit.warnings[0]
+
+
+def test_a_limb_that_is_not_as_said_is_told():
+    sound = calibrate_in_situ(leg_sets(), limb=KnownLimb(MASS, 0.05))
+    assert not any("deviations apart" in warning for warning in sound.warnings)
+    fit = calibrate_in_situ(leg_sets(), limb=KnownLimb(1.2 * MASS, 0.01))
+    assert any("5.880 kg were said" in warning for warning in fit.warnings)
+
+
+def test_gravity_of_the_wrong_sign_contradicts_a_factory_matrix():
+    up = [replace(one, gravity=-one.gravity) for one in leg_sets()]
+    for sets, limb in ((up, None), (up[:1], KnownLimb(MASS, 0.02, COM, 0.002))):
+        with pytest.raises(CalibrationRefused, match=r"times the forces that hang there\. Check the sign"):
+            calibrate_in_situ(sets, factory_matrix=MATRIX, limb=limb)
+
+
+def test_an_uncalibrated_accelerometer_is_told():
+    biased = [replace(one, gravity=np.add(one.gravity, [0.0, 0.0, 0.3])) for one in leg_sets()]
+    assert "calibrate the accelerometer first" in calibrate_in_situ(biased).warnings[0]
+
+
+def test_a_scale_that_is_the_makers_is_as_unsure_as_makers_are():
+    fit = calibrate_in_situ(
+        leg_sets()[:1], factory_matrix=1.15 * MATRIX, options=InSituOptions(scale_tolerance=0.5)
+    )
+    assert fit.warnings[-1].startswith("The scale of all forces is the factory matrix's")
+    assert abs(fit.limb.mass - MASS) < 2.5 * fit.limb_mass_std
