@@ -46,9 +46,6 @@ _GAIN = (0.5, 2.0)
 _FACTORY_STD = 0.1
 """Deviation of a factory matrix's scale, as a share."""
 
-_AXIS = 0.5
-"""Deviation of an axis, as a share of its load, beyond which it counts as unseen."""
-
 _SIGMAS = 4.0
 """Deviations between what the readings say of the limb and what was said of it that are worth a warning."""
 
@@ -78,7 +75,7 @@ def check_scale(fit: InSituFit, options: InSituOptions) -> None:
         )
 
 
-def check_axes(fit: InSituFit, problem: Problem, solution: Solution) -> None:
+def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: InSituOptions) -> None:
     """Refuse a matrix of which some axis was never seen, however well the limb's mass is known."""
     T = transforms(problem, solution.limb, solution.rotation)[:, :6]
     load = np.sqrt(
@@ -91,7 +88,7 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution) -> None:
         row = slice(axis * channels, (axis + 1) * channels)
         spread = fit.response.T @ fit.covariance[row, row] @ fit.response
         doubt = float(np.sqrt(np.sum(np.diag(spread) * load**2))) / max(float(load[axis]), 1e-300)
-        if not doubt < _AXIS:
+        if not doubt < options.axis_tolerance:
             raise CalibrationRefused(
                 f"The axis {name} is known to {doubt:.0%} of its load only.",
                 f"Hang masses where they load {name} differently, check that all {channels} channels are "
@@ -110,14 +107,13 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution) -> None
     row = int(np.argmax(size))
     if size[row] >= max(_CORRUPT, _CORRUPT_RATIO * float(np.median(np.delete(size, row)))):
         _check_entry(factory, measured, wrong[row], row)
-    for name, rows in (("forces", slice(0, 3)), ("torques", slice(3, 6))):
-        gain = float(np.sum(shown[rows] * expected[rows]) / np.sum(expected[rows] ** 2))
-        if not _GAIN[0] < gain < _GAIN[1]:
-            raise CalibrationRefused(
-                f"By the factory matrix the readings show {gain:.3g} times the {name} that hang there.",
-                "Check the sign of gravity (down; an accelerometer reads up), the units of the matrix (N and "
-                "N m per count), of the masses (kg) and of their places (m).",
-            )
+    gain = float(np.sum(shown[:3] * expected[:3]) / np.sum(expected[:3] ** 2))
+    if not _GAIN[0] < gain < _GAIN[1]:
+        raise CalibrationRefused(
+            f"By the factory matrix the readings show {gain:.3g} times the forces that hang there.",
+            "Check the sign of gravity (down; an accelerometer reads up), the units of the matrix (N and N m "
+            "per count) and of the masses (kg).",
+        )
 
 
 def _check_entry(factory: Matrix, measured: Matrix, wrong: NDArray[np.float64], row: int) -> None:

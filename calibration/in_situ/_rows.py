@@ -42,7 +42,7 @@ def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tup
         )
     ]
     level = np.mean(np.concatenate([readings for readings, _ in rows]) ** 2)
-    error = np.zeros((len(_WEIGHTS), 6))
+    error = np.zeros((FOLDS, len(_WEIGHTS), 6))
     for fold in range(FOLDS):
         fitted, held_out = [], []
         for readings, wrenches in rows:
@@ -53,14 +53,28 @@ def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tup
             held_out.append((X[out], Y[out]))
         X, Y = (np.concatenate(part) for part in zip(*held_out, strict=True))
         for i, weight in enumerate(_WEIGHTS):
-            error[i] += np.sum((X @ _ridge(fitted, weight * level, factory).T - Y) ** 2, axis=0)
-    best = _WEIGHTS[np.argmin(error, axis=0)] * level
+            error[fold, i] = np.sum((X @ _ridge(fitted, weight * level, factory).T - Y) ** 2, axis=0)
+    best = _WEIGHTS[_cautious(error)] * level
     matrix = np.stack([_ridge(rows, best[axis], factory)[axis] for axis in range(6)])
     X = np.concatenate([readings for readings, _ in rows])
     # With weight lambda the factory's row counts as known to s^2 / (n lambda), s^2 being what is left.
-    left = np.min(error, axis=0) / len(X) * persistence(problem.sets, problem.whitening)
+    left = np.min(np.sum(error, axis=0), axis=0) / len(X) * persistence(problem.sets, problem.whitening)
     inverse = [np.linalg.inv(X.T @ X / len(X) + weight * np.eye(X.shape[1])) for weight in best]
     return matrix, left[:, None, None] / len(X) * np.array(inverse)
+
+
+def _cautious(error: NDArray[np.float64]) -> NDArray[np.int_]:
+    """Choose the heaviest weight within a standard error of the best (Breiman et al., 1984), shape (6,).
+
+    Args:
+        error: Squares of what is left of the folds, shape (folds, weights, 6).
+    """
+    mean = error.mean(axis=0)
+    best = np.argmin(mean, axis=0)
+    axes = np.arange(error.shape[2])
+    deviation = error[:, best, axes].std(axis=0, ddof=1) / np.sqrt(len(error))
+    allowed = mean <= mean[best, axes] + deviation
+    return np.asarray(len(mean) - 1 - np.argmax(allowed[::-1], axis=0))
 
 
 def _rows(part: CompressedSet, transform: Matrix, temperature: Matrix) -> tuple[Matrix, Matrix]:

@@ -33,8 +33,8 @@ def starts(
         known: What is known of the limb, shape (p,), or None.
     """
     found = [known] if known is not None else []
-    if factory is not None:
-        found.append(_by_matrix(problem, factory))
+    if factory is not None and not problem.rotation:
+        found.append(_by_matrix(problem, factory, np.eye(3)))
     largest = float(np.max(problem.added[:, 0]))
     if largest > 0.0:
         # Few and noisy samples shrink the paper's mass, but not its first moment, and a search that begins at
@@ -49,7 +49,12 @@ def starts(
         return found
     # The identity and the turns by right angles: the true one is near one of them.
     turns = [turn.as_rotvec() for turn in Rotation.create_group("O")]
-    return [np.concatenate([start, turn]) for start in found for turn in turns]
+    turned = [np.concatenate([start, turn]) for start in found for turn in turns]
+    if factory is not None:
+        matrices = [Rotation.from_rotvec(turn).as_matrix() for turn in turns]
+        by_matrix = [_by_matrix(problem, factory, matrix) for matrix in matrices]
+        turned = [np.concatenate(pair) for pair in zip(by_matrix, turns, strict=True)] + turned
+    return turned
 
 
 def hanging(
@@ -72,8 +77,8 @@ def hanging(
     return np.asarray(np.linalg.lstsq(D.reshape(STATIC, -1).T, measured.ravel(), rcond=None)[0])
 
 
-def _by_matrix(problem: Problem, matrix: Matrix) -> NDArray[np.float64]:
-    seen = [hanging(matrix, part, np.eye(3)) for part in problem.sets]
+def _by_matrix(problem: Problem, matrix: Matrix, rotation: Matrix) -> NDArray[np.float64]:
+    seen = [hanging(matrix, part, rotation) for part in problem.sets]
     return _padded(problem, np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
 
 

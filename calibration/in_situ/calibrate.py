@@ -159,7 +159,7 @@ def _fit(
     fit = replace(fit, temperature_reference=0.0 if reference is None else reference)
     check_scale(fit, options)
     if not rank.missing:
-        check_axes(fit, problem, solution)
+        check_axes(fit, problem, solution, options)
     if known is not None:
         fit = replace(
             fit, warnings=fit.warnings + doubts_of_limb(known, fit, _limb_alone(problem, solution, factor))

@@ -74,9 +74,12 @@ class InSituOptions:
     scale_tolerance: float = 0.1
     """Standard deviation of the limb's mass, as a share of it, beyond which the scale counts as unknown."""
 
+    axis_tolerance: float = 0.5
+    """Standard deviation of an axis, as a share of its load, beyond which it counts as unseen."""
+
     def __post_init__(self) -> None:
         """Check."""
-        for name in ("misfit_tolerance", "mass_tolerance", "scale_tolerance"):
+        for name in ("misfit_tolerance", "mass_tolerance", "scale_tolerance", "axis_tolerance"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"'{name}' must be positive and finite, got {value!r}.")

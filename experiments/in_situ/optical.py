@@ -31,7 +31,12 @@ _NAMES = ("bare", "mass at (+, +)", "mass at (-, +)", "mass at (-, -)")
 LOADED = _NAMES[1:]
 """Loads that can be left out: without the bare one all masses are alike, and only a known base tells more."""
 
-_WIDE: Mapping[str, Any] = {"misfit_tolerance": 1.0, "mass_tolerance": 10.0, "scale_tolerance": 10.0}
+_WIDE: Mapping[str, Any] = {
+    "misfit_tolerance": 1.0,
+    "mass_tolerance": 10.0,
+    "scale_tolerance": 10.0,
+    "axis_tolerance": 1e9,
+}
 """Tolerances under which nothing is refused for being wrong; what is open is refused all the same."""
 
 _RIDGE = 0.1

