@@ -290,3 +290,30 @@ def test_arguments_are_left_alone():
     for one, raw in zip(sets, before, strict=True):
         np.testing.assert_array_equal(one.raw, raw)
     np.testing.assert_array_equal(first.matrix, second.matrix)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.1])
+def test_a_matrix_that_leans_says_how_sure_its_rows_are(scale):
+    matrix, mass, com, _ = SENSORS["foot"]
+    limb = KnownLimb(mass, 0.005 * mass, com, 0.001)
+    scores = []
+    for seed in range(5):
+        sets, _ = noisy_sets("foot", np.random.default_rng([20, seed]), n=1000, count=1)
+        fit = calibrate_in_situ(sets, factory_matrix=scale * matrix, limb=limb)
+        # Along what was seen: the limb's own wrench.
+        seen = wrench_of_gravity(mass, com)
+        error = (fit.matrix - matrix) @ np.linalg.solve(matrix, seen)
+        spread = [
+            np.diag(B.T @ fit.covariance[6 * a : 6 * a + 6, 6 * a : 6 * a + 6] @ B)
+            for a, B in enumerate([np.linalg.solve(matrix, seen)] * 6)
+        ]
+        scores.append(np.abs(error[:3]) / np.sqrt(np.array(spread)[:3] + (0.005 * mass) ** 2))
+    assert np.median(scores) < 3.0
+
+
+def test_few_samples_show_no_hysteresis():
+    rng = np.random.default_rng(21)
+    for _ in range(5):
+        sets, _ = noisy_sets("leg", rng, n=12)
+        fit = calibrate_in_situ(sets, options=InSituOptions(scale_tolerance=10.0, axis_tolerance=10.0))
+        assert fit.hysteresis is None
