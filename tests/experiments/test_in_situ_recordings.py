@@ -83,7 +83,7 @@ def test_a_printed_sensor_is_refused_for_not_being_linear(optical):
         calibrate_in_situ(optical.sets)
     refusals = optical_refusals(optical)
     assert len(refusals) > 1
-    assert "standard deviation" in refusals[-1]
+    assert any("standard deviation" in refusal for refusal in refusals)
 
 
 def test_regressing_on_readings_loses_the_printed_sensors_base(predicted):

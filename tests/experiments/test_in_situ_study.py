@@ -329,25 +329,24 @@ def test_options_refuse_what_cannot_be_done():
 
 
 @pytest.mark.slow
-def test_ten_seeds_keep_to_loose_targets():
+def test_ten_seeds_reach_the_targets():
     seeds = (tuple(range(5)), tuple(range(5, 10)))
     found = [sweep_piece(batch, 20.0) for batch in seeds]
     fits = pd.concat([fits for fits, _, _ in found])
     ours = fits[fits["method"] == "surefoot"]
     assert (ours["said"] == "").all()
-    assert ours["limb_error"].abs().max() < 0.02
-    assert np.sqrt((ours["limb_error"] ** 2).mean()) < 0.01
+    assert ours["limb_error"].abs().max() < 0.01
     paper = fits[(fits["method"] == "paper") & (fits["sensor"] == "leg")]
     assert paper["limb_error"].mean() < -0.03
     sets = pd.concat([sets for _, sets, _ in found])
     sets = sets[sets["method"] == "surefoot"]
-    assert sets["ratio"].max() < 1.05
-    assert sets["mass_error"].max() < 0.03
-    assert sets["place_error"].max() < 0.02
+    assert sets["ratio"].max() < 1.03
+    assert sets["mass_error"].max() < 0.01
+    assert sets["place_error"].max() < 0.01
     white = pd.concat([white_piece(batch, "still") for batch in seeds])
     for _, part in white.groupby("sensor"):
-        assert part["force_square"].sum() < 1.5**2 * part["force_bound"].sum()
-        assert part["torque_square"].sum() < 1.5**2 * part["torque_bound"].sum()
+        assert part["force_square"].sum() < 1.3**2 * part["force_bound"].sum()
+        assert part["torque_square"].sum() < 1.3**2 * part["torque_bound"].sum()
         assert 0.75 < consistency(part).mean < 1.3
 
 
