@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from surefoot.calibration.in_situ._solve import Problem, Solution, transforms
 from surefoot.calibration.in_situ.fit import InSituFit
@@ -78,11 +79,11 @@ def check_scale(fit: InSituFit, options: InSituOptions) -> None:
 def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: InSituOptions) -> None:
     """Refuse a matrix of which some axis was never seen, however well the limb's mass is known."""
     T = transforms(problem, solution.limb, solution.rotation)[:, :6]
-    load = np.sqrt(
-        np.mean(
-            [np.sum((part.uu @ t.T) ** 2, axis=0) for part, t in zip(problem.sets, T, strict=True)], axis=0
-        )
-    )
+    load = np.zeros(6)
+    for part, t in zip(problem.sets, T, strict=True):
+        mean = solve_triangular(part.bb, part.bu)[0] @ t.T
+        load += np.sum((part.uu @ t.T) ** 2, axis=0) + part.samples * mean**2
+    load = np.sqrt(load)
     channels = fit.matrix.shape[1]
     for axis, name in enumerate(AXES):
         row = slice(axis * channels, (axis + 1) * channels)

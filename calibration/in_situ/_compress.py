@@ -112,6 +112,7 @@ def compress(
     temperature: bool,
     *,
     lags: Sequence[Matrix] | None = None,
+    channel_lags: Sequence[Matrix] | None = None,
     like: Sequence["CompressedSet"] | None = None,
 ) -> tuple[CompressedSet, ...]:
     """Triangularise sets, without the samples that are missing or disagree with all others.
@@ -121,7 +122,8 @@ def compress(
         options: Whether to reject, and how offsets may drift.
         moving: Whether the signals of a moving limb are to be used.
         temperature: Whether the temperature is to be one more signal.
-        lags: Signals of the hysteresis, shape (n, 6) each, or none.
+        lags: Signals of the hysteresis of loads, shape (n, 6) each, or none.
+        channel_lags: Those of the hysteresis of channels, shape (n, k) each, or none.
         like: The same sets, compressed before: the same samples take part, in the same windows.
     """
     parts = []
@@ -131,6 +133,8 @@ def compress(
             u = np.concatenate([u, lags[j]], axis=1)
         if temperature and data.temperature is not None:
             u = np.concatenate([u, data.temperature[:, None]], axis=1)
+        if channel_lags is not None:
+            u = np.concatenate([u, channel_lags[j]], axis=1)
         whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
         width = None if data.time is not None else 1
         if like is not None:

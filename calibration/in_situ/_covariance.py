@@ -123,7 +123,7 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     first = 6 * channels
     covariance[first : first + channels, first : first + channels] += noise * (leverage @ leverage)
     covariance = factor * covariance
-    if problem.hysteresis:
+    if problem.hysteresis or problem.channel_lags:
         covariance[: first + channels, : first + channels] += _slope_doubt(problem, solution, noise)
     return np.asarray(covariance)
 
@@ -137,10 +137,15 @@ def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     last = problem.sets[-1]
     lever = last.bu.T @ solve_triangular(last.bb, last.end, trans=1)
     load = (transforms(problem, solution.limb, solution.rotation)[-1] @ lever)[:6]
-    for axis, share in enumerate(solution.limb[-6:]):
-        row = slice(axis * channels, (axis + 1) * channels)
-        doubt[row, row] = share**2 * np.outer(C[axis], C[axis])
-        doubt[6 * channels :, 6 * channels :] += (share * load[axis]) ** 2 * np.outer(A[:, axis], A[:, axis])
+    if problem.hysteresis:
+        changes = [(share * np.outer(A[:, a], np.eye(6)[a])) for a, share in enumerate(solution.limb[-6:])]
+    else:
+        shares = np.diag(solution.response[:, -problem.channel_lags :])
+        changes = [share * np.outer(np.eye(channels)[c], A[c]) for c, share in enumerate(shares)]
+    for dA in changes:
+        of_matrix = (C @ dA @ C).ravel()
+        doubt[: 6 * channels, : 6 * channels] += np.outer(of_matrix, of_matrix)
+        doubt[6 * channels :, 6 * channels :] += np.outer(dA @ load, dA @ load)
     return doubt
 
 

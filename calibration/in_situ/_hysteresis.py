@@ -10,6 +10,9 @@ away, and s tells the rest: such an element gives way by s more for each doublin
 small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
 too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x over the data;
 this only says at which swing the matrix holds, at that of the data.
+
+Loads may lag, axis by axis, as a spring body does, or the readings of gauges, channel by channel, as glue
+does: then p is that of each channel's own load A_c w, and acts on the readings directly.
 """
 
 from collections.abc import Sequence
@@ -18,14 +21,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ._compress import compress
+from surefoot.calibration.in_situ._compress import CompressedSet, compress
 from surefoot.calibration.in_situ._covariance import pooled_noise
 from surefoot.calibration.in_situ._model import signals
 from surefoot.calibration.in_situ._solve import Problem, Solution, solve, transforms
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
 
-__all__ = ["lag_signals", "with_hysteresis"]
+__all__ = ["lag_signals", "loop_shares", "with_hysteresis"]
 
 Matrix = NDArray[np.float64]
 
@@ -35,8 +38,8 @@ _PLAYS = 8
 _SHARE_STD = 0.05
 """Expected size of the shares; of an axis that no load reaches the share stays at zero."""
 
-_SIGMAS = 5.0
-"""Deviations that the share of some axis must be from zero."""
+_LEADS = 0.3
+"""A share this far below zero, as a part of the largest, is no hysteresis."""
 
 _STEPS = 3000
 """Steps in which a set's plays are followed, if its limb turns slowly."""
@@ -51,7 +54,7 @@ _ROUNDS = 2
 def with_hysteresis(
     sets: Sequence[InSituSet], problem: Problem, solution: Solution, options: InSituOptions
 ) -> tuple[Problem, Solution] | None:
-    """Fit again with loops, if there are any beyond chance.
+    """Fit again with loops of loads or of channels, whichever the readings make likelier, if any.
 
     Args:
         sets: In the order of time.
@@ -60,14 +63,51 @@ def with_hysteresis(
         options: As for the compression.
 
     Returns:
-        The problem and its solution, with six more parameters, the shares s, behind the limb's; or None.
+        The problem and its solution: with six more parameters, the shares s of the loads' axes, behind the
+        limb's; or with a signal for each channel that acts on the readings directly. None if loops explain
+        too little.
     """
-    plain = problem
+    if sum(part.rows for part in problem.sets) < _ROWS_EACH * problem.inputs * len(problem.sets):
+        return None
+    plain = _criterion(problem, solution)
+    kinds = (_of_loads(sets, problem, solution, options), _of_channels(sets, problem, solution, options))
+    # What leads the load is no hysteresis but two clocks that disagree.
+    lagging = [fitted for fitted in kinds if _lags(loop_shares(*fitted))]
+    best = min(lagging, key=lambda fitted: _criterion(*fitted), default=None)
+    return best if best is not None and _criterion(*best) < plain else None
+
+
+def loop_shares(problem: Problem, solution: Solution) -> NDArray[np.float64]:
+    """Shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops."""
+    if problem.channel_lags:
+        return np.diag(solution.response[:, -problem.channel_lags :])
+    return solution.limb[-6:]
+
+
+def _lags(shares: NDArray[np.float64]) -> bool:
+    return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
+
+
+def _criterion(problem: Problem, solution: Solution) -> float:
+    """Minus twice the logarithm of the likelihood, with Schwarz's penalty for what was free to fit (1978)."""
+    rows = sum(part.rows for part in problem.sets)
+    unwhiten = np.linalg.inv(problem.whitening).T
+    left = solution.residual @ unwhiten
+    scatter = sum(part.rr.T @ part.rr for part in problem.sets) + np.einsum("jsi,jsk->ik", left, left)
+    size = np.sqrt(np.diag(scatter))
+    _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
+    free = len(size) * sum(part.uu.shape[1] for part in problem.sets) + solution.jacobian.shape[1]
+    return float(rows * (logdet + 2.0 * np.sum(np.log(size))) + free * np.log(rows))
+
+
+def _of_loads(
+    sets: Sequence[InSituSet], plain: Problem, solution: Solution, options: InSituOptions
+) -> tuple[Problem, Solution]:
     limb_root = np.zeros((len(plain.limb_root) + 6, plain.parameters + 6))
     limb_root[:-6, :-6], limb_root[-6:, -6:] = plain.limb_root, np.eye(6) / _SHARE_STD
     basis = np.zeros((plain.parameters + 6, 6, plain.basis.shape[2] + 6))
     basis[:-6, :, :-6], basis[-6:, :, -6:] = plain.basis, np.eye(6)[:, :, None] * np.eye(6)[:, None, :]
-    added = np.pad(plain.added, ((0, 0), (0, 6)))
+    problem = plain
     start = np.concatenate([solution.limb, np.zeros(6), solution.outer[plain.parameters :]])
     for _ in range(_ROUNDS):
         lags = lag_signals(_loads(sets, problem, solution))
@@ -75,16 +115,33 @@ def with_hysteresis(
         problem = replace(
             plain,
             sets=parts,
-            added=added,
-            whitening=np.linalg.inv(np.linalg.cholesky(pooled_noise(parts))),
+            added=np.pad(plain.added, ((0, 0), (0, 6))),
+            whitening=_whitening(parts),
             basis=basis,
             limb=np.pad(plain.limb, (0, 6)),
             limb_root=limb_root,
         )
         solution = solve(problem, [start])
         start = solution.outer
-    enough = sum(part.rows for part in problem.sets) >= _ROWS_EACH * problem.inputs * len(problem.sets)
-    return (problem, solution) if enough and _beyond_chance(problem, solution) else None
+    return problem, solution
+
+
+def _of_channels(
+    sets: Sequence[InSituSet], plain: Problem, solution: Solution, options: InSituOptions
+) -> tuple[Problem, Solution]:
+    problem = plain
+    for _ in range(_ROUNDS):
+        loads = _loads(sets, problem, solution)
+        lags = lag_signals([load @ solution.response[:, :6].T for load in loads])
+        parts = compress(sets, options, plain.moving, plain.temperature, channel_lags=lags, like=plain.sets)
+        channels = lags[0].shape[1]
+        problem = replace(plain, sets=parts, channel_lags=channels, whitening=_whitening(parts))
+        solution = solve(problem, [solution.outer])
+    return problem, solution
+
+
+def _whitening(parts: tuple[CompressedSet, ...]) -> Matrix:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(parts))))
 
 
 def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> list[Matrix]:
@@ -101,21 +158,8 @@ def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> l
     return loads
 
 
-def _beyond_chance(problem: Problem, solution: Solution) -> bool:
-    """Hold each share against its own deviation."""
-    J = solution.jacobian
-    size = np.linalg.norm(J, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    covariance = np.linalg.pinv((J / size).T @ (J / size), rcond=1e-14, hermitian=True)
-    first = J.shape[1] - problem.outer + problem.parameters - 6
-    deviation = np.sqrt(np.diag(covariance))[first : first + 6] / size[first : first + 6]
-    shares = solution.limb[-6:] / deviation
-    # What leads the load is no hysteresis but two clocks that disagree.
-    return bool(np.max(shares) > _SIGMAS and np.min(shares) > -_SIGMAS)
-
-
 def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
-    """Sum the plays of each axis, (n_j, 6) each.
+    """Sum the plays of each axis or channel, (n_j, a) each.
 
     Between turning points a play only follows, so that few samples of a slow sweep tell the rest.
     """
@@ -131,18 +175,20 @@ def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
     sums = []
     for j, (wrench, stride, few) in enumerate(zip(wrenches, strides, thinned, strict=True)):
         places, seen = np.arange(len(wrench)), stride * np.arange(len(few))
-        sums.append(np.stack([np.interp(places, seen, plays[: len(few), j, a]) for a in range(6)], axis=1))
+        sums.append(
+            np.stack([np.interp(places, seen, plays[: len(few), j, a]) for a in range(few.shape[1])], axis=1)
+        )
     return sums
 
 
 def lag_signals(wrenches: Sequence[Matrix]) -> list[Matrix]:
-    """Compute p of the wrenches of each set, axis by axis.
+    """Compute p of the loads of each set, axis by axis or channel by channel.
 
     Args:
-        wrenches: In the order of time, without gaps, shape (n_j, 6) each.
+        wrenches: In the order of time, without gaps, shape (n_j, a) each.
 
     Returns:
-        p in N and N m, shape (n_j, 6) each, of no mean over a set: what is left is the offset's.
+        p in the unit of the loads, shape (n_j, a) each, of no mean over a set: what is left is the offset's.
     """
     amplitude = np.max([np.ptp(wrench, axis=0) / 2.0 for wrench in wrenches], axis=0)
     slack = amplitude[:, None] * 0.5 ** np.arange(1, _PLAYS + 1)

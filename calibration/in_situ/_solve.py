@@ -46,7 +46,8 @@ class Problem:
         whitening: W, shape (k, k): W Sigma W' = 1.
         basis: D, shape (p, 6, s) for s signals: w = sum_p phi_p D_p u.
         moving: Whether the signals are those of a moving limb.
-        temperature: Whether the last signal is the temperature.
+        temperature: Whether the temperature is a signal that acts on the readings directly.
+        channel_lags: Number of such signals behind it, the lags of channels.
         rotation: Whether the accelerometer's rotation is unknown.
         prior_response: A of the factory in counts per N and N m, shape (k, 6), or None.
         prior_information: One over the variance of an entry of each column of W A by the factory, shape (6,).
@@ -60,6 +61,7 @@ class Problem:
     basis: Matrix
     moving: bool
     temperature: bool
+    channel_lags: int
     rotation: bool
     prior_response: Matrix | None
     prior_information: NDArray[np.float64]
@@ -78,8 +80,8 @@ class Problem:
 
     @property
     def inputs(self) -> int:
-        """Columns of the response: six, and one more for the temperature."""
-        return 6 + self.temperature
+        """Columns of the response: six, and one more for each signal that acts on the readings directly."""
+        return 6 + self.temperature + self.channel_lags
 
     @property
     def outer(self) -> int:
@@ -92,7 +94,7 @@ class Solution:
     """What came out.
 
     Attributes:
-        response: A, and the temperature's coefficient beside it, shape (k, 6 or 7).
+        response: A, and the coefficients of what acts on the readings directly beside it, (k, inputs).
         limb: phi_b, shape (p,).
         rotation: R_sensor_accelerometer, shape (3, 3).
         jacobian: Of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame).
@@ -115,8 +117,8 @@ def transforms(problem: Problem, limb: NDArray[np.float64], rotation: Matrix) ->
     T = np.einsum("jp,pws->jws", limb + problem.added, problem.basis)
     if problem.rotation:
         T[..., :3] = T[..., :3] @ rotation
-    if problem.temperature:
-        T = np.stack([block_diag(part, 1.0) for part in T])
+    if problem.inputs > 6:
+        T = np.stack([block_diag(part, np.eye(problem.inputs - 6)) for part in T])
     return np.asarray(T)
 
 

@@ -30,7 +30,7 @@ from surefoot.calibration.in_situ._covariance import (
     weighted_inverse,
 )
 from surefoot.calibration.in_situ._factory import choose_shares, information
-from surefoot.calibration.in_situ._hysteresis import with_hysteresis
+from surefoot.calibration.in_situ._hysteresis import loop_shares, with_hysteresis
 from surefoot.calibration.in_situ._mass_checks import check_masses
 from surefoot.calibration.in_situ._model import STATIC, inertia_matrix, inertial_parameters, sensitivity
 from surefoot.calibration.in_situ._rank import DataRank, data_rank
@@ -202,6 +202,7 @@ def _problem(
         basis=sensitivity(moving),
         moving=moving,
         temperature=temperature,
+        channel_lags=0,
         rotation=options.estimate_rotation,
         prior_response=None if factory is None else np.asarray(np.linalg.pinv(factory), dtype=np.float64),
         prior_information=np.zeros(6),
@@ -304,7 +305,8 @@ def _assemble(
         set_stats=set_stats,
         affine_residual=np.array([part.affine_residual for part in parts]),
         set_names=tuple(data.name for data in sets),
-        hysteresis=solution.limb[-6:] if problem.hysteresis else None,
+        hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
+        channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
     )
 
 

@@ -57,8 +57,9 @@ class InSituFit:
         affine_residual: Share of a set's spread that leaves the three-space of Lemma 1, shape (J,).
         set_names: What messages call the sets.
         temperature_reference: Temperature at which the offsets hold.
-        hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if none
-            was seen.
+        hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if loads
+            were not seen to lag.
+        channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
     """
 
     matrix: NDArray[np.float64]
@@ -79,6 +80,7 @@ class InSituFit:
     set_names: tuple[str, ...]
     temperature_reference: float = 0.0
     hysteresis: NDArray[np.float64] | None = None
+    channel_hysteresis: NDArray[np.float64] | None = None
 
     @property
     def matrix_std(self) -> NDArray[np.float64]:

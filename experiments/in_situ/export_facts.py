@@ -38,6 +38,7 @@ _NAMES = {
     "noise": "noise_covariance_count2",
     "temperature_coefficient": "temperature_coefficient_count_per_K",
     "hysteresis": "hysteresis_share_of_swing",
+    "channel_hysteresis": "hysteresis_share_of_swing_of_each_channel",
     "rotation": "R_sensor_accelerometer",
     "affine_residual": "affine_residual_of_each_set",
     "covariance": "covariance",

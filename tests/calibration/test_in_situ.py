@@ -278,6 +278,23 @@ def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
     assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
 
 
+def test_channels_that_lag_are_told_from_loads_that_do():
+    matrix, mass, com, places = SENSORS["leg"]
+    gain = np.linalg.inv(matrix)
+    rng, gravity, sets = np.random.default_rng(22), swept_gravity(3000), []
+    for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
+        wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T
+        raw = lagging(wrench @ gain.T, 0.015, np.full(6, 20000.0)) + rng.standard_normal((3000, 6))
+        sets.append(InSituSet(raw, gravity, added, place, time=np.arange(3000) / 10.0, name="set"))
+    tolerant = InSituOptions(mass_tolerance=0.2)
+    fit = calibrate_in_situ(sets, options=tolerant)
+    plain = calibrate_in_situ(sets, options=replace(tolerant, hysteresis=False))
+    assert fit.hysteresis is None
+    assert (fit.channel_hysteresis > 0.005).all()
+    assert fit.limb.mass == pytest.approx(mass, rel=0.015)
+    assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
+
+
 def test_no_hysteresis_is_seen_where_there_is_none():
     sets, _ = noisy_sets("leg", np.random.default_rng(18), n=3000)
     assert calibrate_in_situ(sets).hysteresis is None
