@@ -1,0 +1,266 @@
+r"""What of a foot meets the ground: the sole's frame, its support polygon, and where four cells would lie.
+
+The geoms that can touch are reduced to the points that can bear on a flat floor: the corners of boxes, the
+vertices of meshes, the rims of cylinders, and the lowest points of what is round. The sole is the largest
+face of their convex hull among those that look down, to within 30 degrees, in the pose in which the robot
+stands. Its frame has z up out of the ground and x to the toes; its origin lies in that face, straight below
+the ankle.
+
+One sphere touches at a point and one capsule along a line. Their force has a line of action, too, but the
+point where it meets the floor tells nothing about a sole, and four cells cannot be told apart under it: such
+a foot has a flaw instead of a polygon.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
+
+FACE_SLOPE: Final = float(np.cos(np.radians(30.0)))
+"""Cosine of the largest angle between a sole and the ground in the pose in which the robot stands."""
+
+FACE_DEPTH: Final = 0.002
+"""Height in m above a sole's lowest point up to which a point still belongs to it."""
+
+NARROWEST: Final = 0.001
+"""Least distance in m of a cell from the middle of its rectangle."""
+
+THINNEST: Final = 0.005
+"""Spread in m below which the points of a foot lie on one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class FootGeometry:
+    """One foot, measured.
+
+    Attributes:
+        body: Its body's name.
+        position_ankle_foot: Where the ankle's joint sits in the body's frame in m, shape (3,).
+        position_sole_foot: Origin of the sole's frame in the body's in m, shape (3,).
+        R_foot_sole: Rotation from the sole's frame to the body's, shape (3, 3).
+        polygon: Corners of the support polygon in the sole's frame in m, counter-clockwise, shape (n, 2);
+            n = 0 for a foot with a flaw.
+        flaw: Why the foot has no polygon, or empty.
+    """
+
+    body: str
+    position_ankle_foot: NDArray[np.float64]
+    position_sole_foot: NDArray[np.float64]
+    R_foot_sole: NDArray[np.float64]
+    polygon: NDArray[np.float64]
+    flaw: str = ""
+
+    def layout(self, margin: float) -> NDArray[np.float64]:
+        """Place four cells in the corners of the largest rectangle inside the polygon, drawn in by a margin.
+
+        Args:
+            margin: Distance from the rectangle's edges in m.
+
+        Returns:
+            Places in the sole's frame in m, front-left, front-right, rear-left, rear-right, shape (4, 2).
+
+        Raises:
+            ValueError: If the foot has a flaw, or the margin is negative or leaves nothing.
+        """
+        if self.flaw:
+            raise ValueError(self.flaw)
+        rear, front, right, left = _largest_rectangle(self.polygon)
+        room = min(front - rear, left - right) / 2.0
+        if not 0.0 <= margin <= room - NARROWEST:
+            raise ValueError(
+                f"'margin' must be at least 0 and leave {NARROWEST} m of {room:.4f} m, half the width of the "
+                f"sole of '{self.body}'; got {margin!r}."
+            )
+        x, y = (front - margin, rear + margin), (left - margin, right + margin)
+        return np.array(list(product(x, y)))
+
+
+def measure_foot(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> FootGeometry:
+    """Measure a foot in the pose of ``data``, in which its sole looks down and the robot's x axis forward.
+
+    Args:
+        model: The robot.
+        data: Its state, of which the kinematics were evaluated.
+        body: Number of the foot's body.
+
+    Raises:
+        ValueError: If nothing of the foot can touch.
+    """
+    name = model.body(body).name
+    geoms = np.flatnonzero(colliding(model) & below(model, body)[model.geom_bodyid])
+    if not len(geoms):
+        raise ValueError(
+            f"No geom of the foot '{name}' or of what hangs on it can touch anything (contype, conaffinity "
+            f"and contact pairs); bodies whose geoms can are {bodies_that_touch(model)}."
+        )
+    R_world_foot = data.xmat[body].reshape(3, 3)
+    up, flaw = np.array([0.0, 0.0, 1.0]), ""
+    # What is round bears elsewhere once the normal is known, hence twice.
+    for _ in range(2):
+        points = np.concatenate([_bearing_points(model, data, int(geom), up) for geom in geoms])
+        normal = _sole_normal(points, up)
+        if normal is None:
+            flaw = _flaw(model, name, geoms)
+            break
+        up = normal
+    forward = data.xmat[model.body_rootid[body]].reshape(3, 3)[:, 0]
+    # A foot that toes out keeps its own axis.
+    axes = np.concatenate([R_world_foot.T, -R_world_foot.T])
+    nearest = axes[np.argmax(axes @ forward)]
+    forward = nearest if nearest @ forward > np.cos(np.pi / 4) else forward
+    x = forward - (forward @ up) * up
+    x /= np.linalg.norm(x)
+    R_world_sole = np.stack([x, np.cross(up, x), up], axis=1)
+
+    jointed = model.body_jntnum[body] > 0
+    ankle = model.jnt_pos[model.body_jntadr[body]] if jointed else np.zeros(3)
+    above = data.xpos[body] + R_world_foot @ ankle
+    height = (points - above) @ up
+    origin = above + height.min() * up
+    low = ((points - origin) @ R_world_sole)[height < height.min() + FACE_DEPTH, :2]
+    if not flaw and _spread(low) < THINNEST:
+        flaw = _flaw(model, name, geoms)
+    return FootGeometry(
+        body=name,
+        position_ankle_foot=ankle.copy(),
+        position_sole_foot=R_world_foot.T @ (origin - data.xpos[body]),
+        R_foot_sole=R_world_foot.T @ R_world_sole,
+        polygon=np.zeros((0, 2)) if flaw else low[ConvexHull(low).vertices],
+        flaw=flaw,
+    )
+
+
+def colliding(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Tell which geoms can touch anything: by their bits or in a pair of contacts, shape (ngeom,)."""
+    can: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) != 0
+    can[model.pair_geom1] = True
+    can[model.pair_geom2] = True
+    return can
+
+
+def bodies_that_touch(model: mujoco.MjModel) -> list[str]:
+    """Name the moving bodies of which a geom can touch anything, in model order."""
+    bodies = sorted(set(model.geom_bodyid[colliding(model)].tolist()) - {0})
+    return [model.body(body).name for body in bodies]
+
+
+def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
+    """Tell which bodies are a body or hang on it, shape (nbody,)."""
+    hangs: NDArray[np.bool_] = np.arange(model.nbody) == body
+    # A parent's number is less than its children's.
+    for other in range(body + 1, model.nbody):
+        hangs[other] = hangs[model.body_parentid[other]]
+    return hangs
+
+
+def checked_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
+    """Refuse what are not four places of cells; :class:`~surefoot.envs.SolePlate` refuses a line of them."""
+    places = np.asarray(cells, dtype=np.float64)
+    if places.shape != (4, 2) or not np.isfinite(places).all():
+        raise ValueError(
+            f"The cells of '{body}' must be four finite places (x, y) in its sole's frame in m, front-left, "
+            f"front-right, rear-left, rear-right, got shape {places.shape}: {places.tolist()}."
+        )
+    return places
+
+
+def _bearing_points(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """List the points of a geom in the world that can bear on a floor of a normal, shape (n, 3)."""
+    kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
+    R = data.geom_xmat[geom].reshape(3, 3)
+    drop = np.zeros(3)
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        local = np.array(list(product((-1.0, 1.0), repeat=3))) * size
+    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first = int(model.mesh_vertadr[mesh])
+        local = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(np.float64)
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+        rim = size[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        local = np.concatenate([np.insert(rim, 2, z, axis=1) for z in (-size[1], size[1])])
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        local = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])
+        drop = size[0] * up
+    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        local = np.zeros((1, 3))
+        drop = R @ (size**2 * (R.T @ up)) / np.linalg.norm(size * (R.T @ up))
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        local = np.zeros((1, 3))
+        drop = size[0] * up
+    else:
+        body = model.body(int(model.geom_bodyid[geom])).name
+        raise ValueError(
+            f"Geom {geom} of the foot '{body}' is a {kind.name[7:].lower()}, of which no sole can be "
+            "measured; a foot is made of boxes, meshes, capsules, cylinders, "
+            "ellipsoids or spheres."
+        )
+    points: NDArray[np.float64] = data.geom_xpos[geom] + local @ R.T - drop
+    return points
+
+
+def _sole_normal(points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Find the upward normal of the largest face that looks down; None if there is no area."""
+    across = points - np.outer(points @ up, up)
+    if _spread(across) < THINNEST:
+        return None
+    # Points in one plane have no hull: an apex gives them one, whose other faces do not look down.
+    hull = ConvexHull(np.vstack([points, points.mean(axis=0) + np.ptp(points, axis=0).max() * up]))
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    corners = hull.points[hull.simplices]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    down = -(normals @ up)
+    areas = np.where(down > FACE_SLOPE, areas, 0.0)
+    if not areas.any():
+        return None
+    alike = (normals @ normals.T > np.cos(np.radians(2.0))) & (
+        np.abs(offsets[:, None] - offsets) < FACE_DEPTH
+    )
+    normal = -(areas * alike[np.argmax(alike @ areas)]) @ normals
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def _spread(points: NDArray[np.float64]) -> float:
+    """Tell how far points reach across their longest direction, in m."""
+    centred = points - points.mean(axis=0)
+    across = centred @ np.linalg.svd(centred)[2][1]
+    return float(np.ptp(across))
+
+
+def _largest_rectangle(polygon: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Find the largest rectangle along the axes in a convex polygon: rear, front, right, left in m."""
+    x = np.unique(np.concatenate([polygon[:, 0], np.linspace(polygon[:, 0].min(), polygon[:, 0].max(), 101)]))
+    following = np.roll(polygon, -1, axis=0)
+    low, high = np.full(len(x), np.inf), np.full(len(x), -np.inf)
+    for (x0, y0), (x1, y1) in zip(polygon, following, strict=True):
+        if x0 == x1:
+            ends, y = x == x0, np.array([y0, y1])
+            low[ends] = np.minimum(low[ends], y.min())
+            high[ends] = np.maximum(high[ends], y.max())
+            continue
+        inside = (x >= min(x0, x1)) & (x <= max(x0, x1))
+        edge = y0 + (y1 - y0) / (x1 - x0) * (x[inside] - x0)
+        low[inside] = np.minimum(low[inside], edge)
+        high[inside] = np.maximum(high[inside], edge)
+    # A convex polygon is narrowest at an end of any interval.
+    right = np.maximum(low[:, None], low)
+    left = np.minimum(high[:, None], high)
+    area = np.maximum(x - x[:, None], 0.0) * np.maximum(left - right, 0.0)
+    i, j = np.unravel_index(np.argmax(area), area.shape)
+    return float(x[i]), float(x[j]), float(right[i, j]), float(left[i, j])
+
+
+def _flaw(model: mujoco.MjModel, name: str, geoms: NDArray[np.intp]) -> str:
+    """Say why a foot has no area."""
+    kinds = [mujoco.mjtGeom(int(model.geom_type[geom])).name[7:].lower() for geom in geoms]
+    return (
+        f"The foot '{name}' has no area: it touches the ground with {' and '.join(kinds)} only, at one point "
+        "or along one line, so that it has no centre of pressure of its own and no four cells. Its total "
+        "force and torque are told; give it a flat geom for the rest."
+    )
