@@ -1,5 +1,6 @@
 """Honest models of foot sensors, IMUs and encoders: arrays in, arrays out, on a robot or a GPU."""
 
+from surefoot.sensors.burst_gaps import GapState, burst_gaps
 from surefoot.sensors.clock import ClockState, sample_and_hold
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.corruption import Corruption, chain
@@ -20,7 +21,11 @@ from surefoot.sensors.load_cells import (
     static_counts,
     true_map,
 )
+from surefoot.sensors.mounting import MountingState, mounting
+from surefoot.sensors.moving_average import MovingAverageState, moving_average
 from surefoot.sensors.noise import noise_density, white_noise
+from surefoot.sensors.nonlinearity import nonlinearity
+from surefoot.sensors.overload import OverloadState, overload
 from surefoot.sensors.presets import (
     HX711_LOAD_CELLS,
     ICUB_FORCE_TORQUE,
@@ -34,6 +39,9 @@ from surefoot.sensors.presets import (
     resolve,
 )
 from surefoot.sensors.quantize import quantize, saturate
+from surefoot.sensors.severity import scaled
+from surefoot.sensors.spikes import spikes
+from surefoot.sensors.stale_repeats import RepeatState, stale_repeats
 from surefoot.sensors.strain_gauge_config import FTSENS_SN039, FTSENS_SN142, StrainGauges
 from surefoot.sensors.strain_gauges import (
     StrainGaugeState,
@@ -43,6 +51,7 @@ from surefoot.sensors.strain_gauges import (
     true_response,
 )
 from surefoot.sensors.temperature import ThermalState, thermal_drift
+from surefoot.sensors.wrong_words import wrong_words
 
 __all__ = [
     "FTSENS_SN039",
@@ -64,17 +73,23 @@ __all__ = [
     "FaultState",
     "ForceTorque",
     "ForceTorqueState",
+    "GapState",
     "HysteresisState",
     "Imu",
     "ImuState",
     "Link",
     "LoadCellState",
     "LoadCells",
+    "MountingState",
+    "MovingAverageState",
+    "OverloadState",
     "Packet",
+    "RepeatState",
     "StrainGaugeState",
     "StrainGauges",
     "ThermalState",
     "apply_faults",
+    "burst_gaps",
     "chain",
     "channel_faults",
     "creep",
@@ -89,8 +104,12 @@ __all__ = [
     "latency",
     "load_cell_chain",
     "load_cells",
+    "mounting",
+    "moving_average",
     "noise_density",
+    "nonlinearity",
     "offset",
+    "overload",
     "preset",
     "quantize",
     "read_sequence",
@@ -98,8 +117,11 @@ __all__ = [
     "resolve",
     "sample_and_hold",
     "saturate",
+    "scaled",
     "send",
     "shift_zero",
+    "spikes",
+    "stale_repeats",
     "static_counts",
     "strain_gauges",
     "thermal_drift",
@@ -107,4 +129,5 @@ __all__ = [
     "true_matrix",
     "true_response",
     "white_noise",
+    "wrong_words",
 ]

@@ -1,0 +1,64 @@
+r"""Nonlinearity: a reading that is right without a load and at the full scale, and bends in between.
+
+With the load in shares of the full scale, :math:`u = x / x_{FS}`, the reading is a polynomial through zero
+and the full scale, the two ends that a terminal-based straight line joins (ISA-51.1),
+
+.. math:: y = x + x_{FS} \Big( 4 a\, u (1 - u) + \tfrac{3 \sqrt 3}{2} b\, u (1 - u^2) \Big).
+
+The factors make :math:`a` and :math:`b` what a data sheet says: the largest departure of each term from the
+line, as a share of the full scale, at :math:`u = 1/2` and :math:`u = 1/\sqrt 3`. The quadratic term is that
+of a bridge of unequal arms and tells pressing from pulling: at :math:`u = -1` it is off by :math:`-8 a`.
+The cubic one is odd and so right at both full scales. Data sheets give :math:`2 \cdot 10^{-4}` for a bar
+cell of class C3, :math:`5 \cdot 10^{-4}` for a cheap one, :math:`2 \cdot 10^{-3}` for a ring.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.sensors._arrays import Table, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
+
+CUBIC_PEAK = 1.5 * 3.0**0.5
+"""One over the largest value of u (1 - u^2) between 0 and 1."""
+
+
+def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) -> Corruption[tuple[()]]:
+    """Bend the characteristic of a channel between its ends.
+
+    Loads beyond the full scale keep the error that they have there.
+
+    Args:
+        quadratic: Departure at half of the full scale in shares of the full scale, reported more than true;
+            a number or shape (K,), either sign.
+        cubic: The same for the cubic term, at 0.577 of the full scale.
+        full_scale: Full scale in the unit of the readings, a number or shape (K,).
+
+    Raises:
+        ValueError: If a share is not finite, a full scale is not positive, or the terms are so large that
+            readings would fall while the load grows.
+
+    >>> import numpy as np
+    >>> cell, rng = nonlinearity(0.002, 0.0, 100.0), np.random.default_rng(0)
+    >>> cell.apply(np.array([0.0, 50.0, 100.0]), (), rng, 0.0125)[0]
+    array([  0. ,  50.2, 100. ])
+    """
+    a, b, scale = (np.asarray(values, dtype=np.float64) for values in (quadratic, cubic, full_scale))
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError(f"'quadratic' and 'cubic' must be finite, got {quadratic!r} and {cubic!r}.")
+    if not np.all((scale > 0.0) & np.isfinite(scale)):
+        raise ValueError(f"'full_scale' must be finite and positive, got {full_scale!r}.")
+    a, b = np.broadcast_arrays(4.0 * a, CUBIC_PEAK * b)
+    # The slope is a parabola in u: it is least at an end or at its vertex.
+    vertex = np.clip(-a / np.where(b == 0.0, 1.0, 3.0 * b), -1.0, 1.0)
+    if not all(np.all(1.0 + a * (1.0 - 2.0 * u) + b * (1.0 - 3.0 * u**2) > 0.0) for u in (-1.0, 1.0, vertex)):
+        raise ValueError(
+            "'quadratic' and 'cubic' must leave readings that grow with the load from minus to plus the full "
+            f"scale, got {quadratic!r} and {cubic!r}; one alone may be below 0.083 or 0.19."
+        )
+    first, second, scales = Table(a * scale), Table(b * scale), Table(scale)
+
+    def bend(reading: Array, rng: Rng) -> Array:
+        u = limit(reading / scales.like(reading), -1.0, 1.0)
+        return reading + u * (1.0 - u) * (first.like(reading) + second.like(reading) * (1.0 + u))
+
+    return stateless(bend)

@@ -1,0 +1,74 @@
+r"""Overload: a spring element that was bent too far does not come all the way back.
+
+Up to its safe overload, 150 % of the rated load for most cells (ring cells FRB, for instance; beyond 200 %
+they break), a cell keeps its zero. What goes beyond is partly set: with the largest excesses so far to
+either side, :math:`e_+ = \max(x - x_s, 0)` and :math:`e_- = \min(x + x_s, 0)`, the zero lies at
+
+.. math:: z = s\, (e_+ + e_-)
+
+with the share :math:`s`, as an elastic-plastic element with linear hardening does, each side on its own. A
+second overload as large as the first changes nothing. Data sheets say where the safe range ends, not what
+happens beyond: the share is the user's to choose.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.sensors._arrays import Table, cast_like, limit, namespace
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.randomness import filled
+
+
+class OverloadState(NamedTuple):
+    """How far spring elements were bent.
+
+    Attributes:
+        excess: Largest excess so far of pressing (positive) and of pulling (negative) loads over the safe
+            ones in the unit of the readings, shape (2, ..., K).
+    """
+
+    excess: Array
+
+
+def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
+    """Shift the zero for good after a load beyond the safe overload, towards that load.
+
+    The shift shows from the reading on that is too large.
+
+    Args:
+        share: How much of the excess stays; from 0, which changes nothing, to 1.
+        safe: Largest load to either side that leaves no trace, in the unit of the readings, a number or
+            shape (K,).
+
+    Raises:
+        ValueError: If the share does not lie in 0 to 1 or a safe load is not positive.
+
+    >>> import numpy as np
+    >>> cell, rng = overload(0.02, 150.0), np.random.default_rng(0)
+    >>> state = cell.init((1,), rng)
+    >>> _, state = cell.apply(np.array([200.0]), state, rng, 0.0125)
+    >>> cell.apply(np.array([0.0]), state, rng, 0.0125)[0]
+    array([1.])
+    """
+    check_not_negative(share=share)
+    limits = np.asarray(safe, dtype=np.float64)
+    if share > 1.0:
+        raise ValueError(f"'share' must be at most 1, got {share}.")
+    if not np.all((limits > 0.0) & np.isfinite(limits)):
+        raise ValueError(f"'safe' must be finite and positive, got {safe!r}.")
+    table = Table(limits)
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> OverloadState:
+        return OverloadState(filled(rng, 0.0, (2, *shape), dtype))
+
+    def apply(reading: Array, state: OverloadState, rng: Rng, dt: float) -> tuple[Array, OverloadState]:
+        xp = namespace(reading)
+        highest, lowest = cast_like(state.excess, reading)
+        most = table.like(reading)
+        excess = xp.where(xp.isnan(reading), 0.0 * highest, reading - limit(reading, -most, most))
+        highest, lowest = xp.maximum(highest, excess), xp.minimum(lowest, excess)
+        return reading + share * (highest + lowest), OverloadState(xp.stack([highest, lowest]))
+
+    return Corruption(init, apply)

@@ -1,0 +1,154 @@
+"""One number for how bad an instrument is, for sweeps: 0 is perfect, 1 its configuration, 2 twice as bad.
+
+What scales are the *errors*: spreads, noises, walks, coefficients, shares, delays. What does not is what
+the instrument *is*: how many channels it has, their ranges, resolution, rate and coding, the law by which
+it warms up. An instrument of severity 0 therefore still rounds, clips and has a clock of its own.
+:data:`ERRORS` and :data:`IDENTITY` say which is which, field by field.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from surefoot.sensors.encoders import Encoders
+from surefoot.sensors.force_torque import ForceTorque
+from surefoot.sensors.imu import Imu
+from surefoot.sensors.link import Link
+from surefoot.sensors.load_cell_config import LoadCells
+from surefoot.sensors.strain_gauge_config import StrainGauges
+
+Config = TypeVar("Config")
+
+ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
+    {
+        LoadCells: (
+            "input_noise",
+            "initial_gain_std",
+            "initial_zero_std",
+            "gain_drift",
+            "zero_drift",
+            "span_tempco",
+            "zero_tempco",
+        ),
+        ForceTorque: (
+            "noise_force",
+            "noise_torque",
+            "initial_gain_std",
+            "cross_talk_std",
+            "initial_zero_force_std",
+            "initial_zero_torque_std",
+            "gain_drift",
+            "zero_drift_force",
+            "zero_drift_torque",
+        ),
+        StrainGauges: (
+            "gain_error_std",
+            "cross_talk_std",
+            "offset_force",
+            "offset_torque",
+            "noise_force",
+            "noise_torque",
+            "hysteresis",
+            "creep_shares",
+            "zero_drift_force",
+            "zero_drift_torque",
+            "zero_tempco_force",
+            "zero_tempco_torque",
+            "span_tempco",
+        ),
+        Imu: (
+            "accelerometer_noise",
+            "gyroscope_noise",
+            "accelerometer_bias_std",
+            "gyroscope_bias_std",
+            "accelerometer_walk",
+            "gyroscope_walk",
+        ),
+        Encoders: ("bias_std", "noise_std"),
+        Link: ("delay", "jitter"),
+    }
+)
+"""Fields that are errors, by the configuration's class: they scale. Zero stands for none of each."""
+
+IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
+    {
+        LoadCells: (
+            "channels",
+            "capacity",
+            "rated_output",
+            "excitation",
+            "adc_gain",
+            "adc_bits",
+            "coding",
+            "polarity",
+            "rate",
+            "temperature_ramp",
+            "temperature_rise",
+        ),
+        ForceTorque: (
+            "sensors",
+            "full_scale_force",
+            "full_scale_torque",
+            "resolution_force",
+            "resolution_torque",
+        ),
+        StrainGauges: (
+            "matrix",
+            "full_scale_force",
+            "full_scale_torque",
+            "adc_bits",
+            "hysteresis_of",
+            "hysteresis_true_force",
+            "hysteresis_true_torque",
+            "creep_time_constants",
+            "temperature_ramp",
+            "temperature_rise",
+        ),
+        Imu: (
+            "accelerometer_resolution",
+            "gyroscope_resolution",
+            "accelerometer_range",
+            "gyroscope_range",
+            "averaged",
+        ),
+        Encoders: ("bits",),
+        Link: ("rate",),
+    }
+)
+"""Fields that are what the instrument is: they stay. Each field stands in one of the two tables."""
+
+
+def scaled(config: Config, severity: float) -> Config:
+    """Make an instrument better or worse by scaling all of its errors alike.
+
+    Args:
+        config: The configuration of severity 1; it is not changed.
+        severity: Factor of every error: 0 leaves none, 1 the configuration as it is, 2 doubles them.
+
+    Raises:
+        ValueError: If the severity is negative, or so large that an error is refused.
+        TypeError: If the class has no table.
+
+    >>> from surefoot.sensors import LoadCells
+    >>> worse = scaled(LoadCells(), 2.0)
+    >>> worse.initial_zero_std, worse.adc_bits
+    (3.0, 24)
+    """
+    if not 0.0 <= severity < float("inf"):
+        raise ValueError(f"'severity' must be finite and not negative, got {severity}.")
+    kind = type(config)
+    if kind not in ERRORS:
+        raise TypeError(f"{kind.__name__} has no severity; {[known.__name__ for known in ERRORS]} have.")
+    errors = {name: _times(getattr(config, name), severity) for name in ERRORS[kind]}
+    try:
+        worse: Config = replace(config, **errors)  # type: ignore[type-var]
+    except ValueError as refused:
+        raise ValueError(
+            f"A severity of {severity} is more than this device can have: {refused}"
+        ) from refused
+    return worse
+
+
+def _times(value: Any, factor: float) -> Any:
+    return tuple(factor * part for part in value) if isinstance(value, tuple) else factor * value
