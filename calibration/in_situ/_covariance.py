@@ -19,7 +19,7 @@ from surefoot.calibration.in_situ._compress import CompressedSet
 from surefoot.calibration.in_situ._model import STATIC, skew
 from surefoot.calibration.in_situ._solve import Problem, Solution, transforms
 
-__all__ = ["fit_covariance", "inflation", "persistence", "pooled_noise", "weighted_inverse"]
+__all__ = ["fit_covariance", "inflation", "persistence", "pooled_noise", "weighted_inverse", "with_rows"]
 
 Matrix = NDArray[np.float64]
 
@@ -126,6 +126,16 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     if problem.hysteresis or problem.channel_lags:
         covariance[: first + channels, : first + channels] += _slope_doubt(problem, solution, noise)
     return np.asarray(covariance)
+
+
+def with_rows(covariance: Matrix, rows: Matrix) -> Matrix:
+    """Put covariances of the matrix's rows, shape (6, k, k), in the place of those that a fit had."""
+    changed, k = covariance.copy(), rows.shape[1]
+    for axis, row in enumerate(rows):
+        place = slice(axis * k, (axis + 1) * k)
+        changed[place] = changed[:, place] = 0.0
+        changed[place, place] = row
+    return changed
 
 
 def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:

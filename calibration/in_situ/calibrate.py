@@ -27,21 +27,22 @@ from surefoot.calibration.in_situ._covariance import (
     inflation,
     persistence,
     pooled_noise,
-    weighted_inverse,
+    with_rows,
 )
 from surefoot.calibration.in_situ._factory import choose_shares, information
-from surefoot.calibration.in_situ._hysteresis import loop_shares, with_hysteresis
+from surefoot.calibration.in_situ._hysteresis import with_hysteresis
 from surefoot.calibration.in_situ._mass_checks import check_masses
-from surefoot.calibration.in_situ._model import STATIC, inertia_matrix, inertial_parameters, sensitivity
-from surefoot.calibration.in_situ._rank import DataRank, data_rank
+from surefoot.calibration.in_situ._model import STATIC, inertial_parameters, sensitivity
+from surefoot.calibration.in_situ._outcome import outcome, refused
+from surefoot.calibration.in_situ._rank import data_rank
 from surefoot.calibration.in_situ._rows import leaning_matrix
-from surefoot.calibration.in_situ._solve import Problem, Solution, minima, solve, transforms
+from surefoot.calibration.in_situ._solve import Problem, Solution, minima, solve
 from surefoot.calibration.in_situ._start import starts
 from surefoot.calibration.in_situ._temperature import about_one_temperature
 from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.calibration.results import CalibrationRefused
 
 __all__ = ["calibrate_in_situ"]
 
@@ -92,7 +93,7 @@ def calibrate_in_situ(
         refusal = reason
     if refuse:
         raise refusal
-    return _refused(sets, refusal)
+    return refused(sets, refusal)
 
 
 def _checked_factory(sets: Sequence[InSituSet], factory_matrix: ArrayLike | None) -> Matrix | None:
@@ -118,7 +119,8 @@ def _fit(
     if options.estimate_rotation and moving:
         raise ValueError("'estimate_rotation' needs a limb at rest: leave the angular velocities out.")
     warnings = check_sets(sets, options, leaning=factory is not None)
-    sets, reference, said = about_one_temperature(sets)
+    given = sets
+    sets, reference, said = about_one_temperature(given)
     warnings += said
     parts = compress(sets, options, moving, reference is not None)
     problem = _problem(sets, parts, factory, known, options, moving, reference is not None)
@@ -128,7 +130,7 @@ def _fit(
         raise rank.refusal(problem)
     if rank.missing and options.drift:
         # Too few sets to tell a drift from the load.
-        return _fit(sets, factory, known, replace(options, drift=0))
+        return _fit(given, factory, known, replace(options, drift=0))
     warnings += check_within(sets, parts, options)
     if rank.missing:
         warnings += (rank.warning(),)
@@ -151,12 +153,10 @@ def _fit(
     matrix = None
     if factory is not None and rank.missing:
         matrix, of_rows = leaning_matrix(problem, solution, factory)
-        for axis, of_row in enumerate(of_rows):
-            place = slice(axis * len(noise), (axis + 1) * len(noise))
-            covariance[place] = covariance[:, place] = 0.0
-            covariance[place, place] = of_row
-    fit = _assemble(problem, solution, noise, covariance, rank, matrix, sets, warnings)
-    fit = replace(fit, temperature_reference=0.0 if reference is None else reference)
+        covariance = with_rows(covariance, of_rows)
+    fit = outcome(problem, solution, noise, covariance, rank, matrix, sets, warnings)
+    if reference is not None:
+        fit = replace(fit, temperature_reference=reference)
     check_scale(fit, options)
     if not rank.missing:
         check_axes(fit, problem, solution, options)
@@ -239,100 +239,3 @@ def _leaning(
     start = found[0].outer
     shares = choose_shares(problem, start) if options.factory_std is None else np.array(options.factory_std)
     return replace(problem, prior_information=information(response, whitening, shares)), [start]
-
-
-def _assemble(
-    problem: Problem,
-    solution: Solution,
-    noise: Matrix,
-    covariance: Matrix,
-    rank: DataRank,
-    matrix: Matrix | None,
-    sets: tuple[InSituSet, ...],
-    warnings: tuple[str, ...],
-) -> InSituFit:
-    if matrix is None:
-        matrix = weighted_inverse(solution.response[:, :6], noise)
-    else:
-        response = np.concatenate([np.linalg.pinv(matrix), solution.response[:, 6:]], axis=1)
-        solution = replace(solution, response=response)
-    parts = problem.sets
-    predicted = solution.response @ transforms(problem, solution.limb, solution.rotation)
-    offsets = [part.offset(B, part.middle) for part, B in zip(parts, predicted, strict=True)]
-    size = np.linalg.norm(solution.jacobian, axis=0)
-    singular = np.linalg.svd(solution.jacobian / np.where(size > 0.0, size, 1.0), compute_uv=False)
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
-    unknowns = rank.found + rank.missing
-    set_stats = tuple(
-        FitStats(
-            samples=part.samples,
-            dropped=int(np.sum(~part.used & ~part.rejected)),
-            gated=int(np.sum(part.rejected)),
-            residual_rms=float(np.sqrt(np.mean((part.residual - part.score @ left) ** 2))),
-            rank=rank.found,
-            unknowns=unknowns,
-            condition=condition,
-        )
-        for part, left in zip(parts, _left_in_counts(problem, solution), strict=True)
-    )
-    samples = sum(stats.samples for stats in set_stats)
-    return InSituFit(
-        matrix=matrix,
-        offset=parts[-1].offset(predicted[-1], parts[-1].end),
-        offsets=np.array(offsets),
-        response=solution.response[:, :6],
-        limb=Limb(
-            mass=float(solution.limb[0]),
-            mass_com=solution.limb[1:STATIC],
-            inertia=inertia_matrix(solution.limb[:10]) if problem.moving else None,
-        ),
-        covariance=covariance,
-        noise=noise,
-        temperature_coefficient=solution.response[:, 6] if problem.temperature else None,
-        rotation=solution.rotation,
-        result=FitResult.PARTLY_DETERMINED if rank.missing else FitResult.DETERMINED,
-        refusals=(),
-        warnings=warnings,
-        stats=FitStats(
-            samples=samples,
-            dropped=sum(stats.dropped for stats in set_stats),
-            gated=sum(stats.gated for stats in set_stats),
-            residual_rms=float(np.sqrt(sum(s.samples * s.residual_rms**2 for s in set_stats) / samples)),
-            rank=rank.found,
-            unknowns=unknowns,
-            condition=condition,
-        ),
-        set_stats=set_stats,
-        affine_residual=np.array([part.affine_residual for part in parts]),
-        set_names=tuple(data.name for data in sets),
-        hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
-        channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
-    )
-
-
-def _left_in_counts(problem: Problem, solution: Solution) -> Matrix:
-    """What each set's response leaves of the common one, by its orthonormal signals, shape (J, s, k)."""
-    return np.asarray(solution.residual @ np.linalg.inv(problem.whitening).T)
-
-
-def _refused(sets: Sequence[InSituSet], refusal: CalibrationRefused) -> InSituFit:
-    k, count = sets[0].channels, len(sets)
-    nothing = FitStats(0, 0, 0, np.nan, 0, 6 * k + STATIC, np.inf)
-    return InSituFit(
-        matrix=np.full((6, k), np.nan),
-        offset=np.full(k, np.nan),
-        offsets=np.full((count, k), np.nan),
-        response=np.full((k, 6), np.nan),
-        limb=Limb(np.nan, np.full(3, np.nan)),
-        covariance=np.full((7 * k + STATIC, 7 * k + STATIC), np.nan),
-        noise=np.full((k, k), np.nan),
-        temperature_coefficient=None,
-        rotation=np.eye(3),
-        result=FitResult.REFUSED,
-        refusals=(refusal,),
-        warnings=(),
-        stats=nothing,
-        set_stats=(nothing,) * count,
-        affine_residual=np.full(count, np.nan),
-        set_names=tuple(data.name for data in sets),
-    )

@@ -176,6 +176,16 @@ def test_finds_the_temperature_coefficient():
     np.testing.assert_allclose(hot, 0.0, atol=0.5)
 
 
+def test_the_temperature_of_a_leaning_fit_is_its_own():
+    matrix, mass, com, _ = SENSORS["foot"]
+    sets, _ = noisy_sets("foot", np.random.default_rng(23), n=1000, count=1)
+    kelvin = 25.0 + 5.0 * np.sin(np.linspace(0.0, 9.0, 1000))
+    warm = replace(sets[0], temperature=kelvin, raw=sets[0].raw + np.outer(kelvin, np.full(6, 4.0)))
+    fit = calibrate_in_situ([warm], factory_matrix=matrix, limb=KnownLimb(mass, 0.005, com, 0.001))
+    assert fit.temperature_reference == pytest.approx(kelvin.mean())
+    np.testing.assert_allclose(fit.temperature_coefficient, 4.0, atol=0.8)
+
+
 def test_spikes_and_gaps_are_left_out():
     rng = np.random.default_rng(10)
     sets, _ = noisy_sets("leg", rng)
