@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["MINIMUM_SPREAD", "refuse_narrow_gravity"]
+__all__ = ["MINIMUM_SPREAD", "gravity_spread", "refuse_narrow_gravity"]
 
 MINIMUM_SPREAD = 0.01
 """Standard deviation of gravity along its least seen direction over gravity's size, dimensionless.
@@ -21,14 +21,27 @@ _SEEN = (
 )
 
 
+def gravity_spread(centred: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    """Compute by how much of its size gravity spreads along its principal directions, the widest first, (3,).
+
+    Args:
+        centred: Gravity less its mean, shape (n, 3); any unit. Their triangular factor does as well.
+        size: Root mean square of gravity's length times the root of the number of samples, in the same unit.
+    """
+    singular = np.linalg.svd(centred, compute_uv=False)
+    spread = np.zeros(3)
+    spread[: len(singular)] = singular / size if size > 0.0 else 0.0
+    return spread
+
+
 def refuse_narrow_gravity(
     centred: NDArray[np.float64], size: float, minimum: float, sought: str, cure: str
 ) -> None:
     """Refuse vectors of gravity that do not spread in three dimensions.
 
     Args:
-        centred: Gravity less its mean, shape (n, 3); any unit. Their triangular factor does as well.
-        size: Root mean square of gravity's length times the root of the number of samples, in the same unit.
+        centred: As for :func:`gravity_spread`.
+        size: As for :func:`gravity_spread`.
         minimum: Share of gravity's size by which it must have spread along its least seen direction.
         sought: What is to be found, for the message.
         cure: What to do.
@@ -36,9 +49,7 @@ def refuse_narrow_gravity(
     Raises:
         CalibrationRefused: If it did not spread that far.
     """
-    singular = np.linalg.svd(centred, compute_uv=False)
-    spread = np.zeros(3)
-    spread[: len(singular)] = singular / size if size > 0.0 else 0.0
+    spread = gravity_spread(centred, size)
     rank = int(np.sum(spread >= minimum))
     if rank < 3:
         raise CalibrationRefused(

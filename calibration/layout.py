@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.calibration._vectors import skew
+
 __all__ = ["FeetLayout", "FootLayout", "FootSensor"]
 
 LOAD_CELL_NAMES = ("front-left", "front-right", "rear-left", "rear-right")
@@ -180,9 +182,7 @@ class FootLayout:
         R = np.eye(3) if R_sole_sensor is None else np.asarray(R_sole_sensor, dtype=np.float64)
         if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
             raise ValueError(f"'R_sole_sensor' of foot '{name}' must be a rotation of shape (3, 3), got {R}.")
-        x, y, z = position
-        lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        wrench_map = np.block([[R, np.zeros((3, 3))], [lever @ R, R]])
+        wrench_map = np.block([[R, np.zeros((3, 3))], [skew(position) @ R, R]])
         below = _check_below(name, mass_below, com_below_sole)
         sensor = FootSensor(slice(0, 6), wrench_map, True, np.ones(6), *below)
         return cls(name, wrench_map, FORCE_TORQUE_NAMES, None, (sensor,))

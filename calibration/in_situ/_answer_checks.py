@@ -10,6 +10,7 @@ from scipy.linalg import solve_triangular
 from surefoot.calibration.in_situ._solve import Problem, Solution, transforms
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused
 
 __all__ = [
@@ -22,9 +23,6 @@ __all__ = [
 ]
 
 Matrix = NDArray[np.float64]
-
-AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
-"""Of a wrench."""
 
 _CORRUPT = 0.3
 """A row of the factory matrix is looked at if its share of unexplained wrench is above this ..."""
@@ -85,7 +83,7 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
         load += np.sum((part.uu @ t.T) ** 2, axis=0) + part.samples * mean**2
     load = np.sqrt(load)
     channels = fit.matrix.shape[1]
-    for axis, name in enumerate(AXES):
+    for axis, name in enumerate(FORCE_TORQUE_NAMES):
         row = slice(axis * channels, (axis + 1) * channels)
         spread = fit.response.T @ fit.covariance[row, row] @ fit.response
         doubt = float(np.sqrt(np.sum(np.diag(spread) * load**2))) / max(float(load[axis]), 1e-300)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from surefoot.calibration._gravity_spread import gravity_spread
 from surefoot.calibration.in_situ._compress import CompressedSet
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
@@ -56,8 +57,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
     Returns:
         Warnings.
     """
-    scatter = np.zeros((3, 3))
-    samples, lengths, warnings = 0, [], []
+    factors, samples, lengths, warnings = [], 0, [], []
     for data in sets:
         whole = np.asarray(np.isfinite(data.raw).all(axis=1))
         for one in (data.gravity, data.angular_velocity, data.angular_acceleration, data.temperature):
@@ -83,10 +83,9 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
                 f"'{data.name}': gravity is {lengths[-1]:.2f} m/s^2 long and spreads by {np.std(sizes):.2f}; "
                 "calibrate the accelerometer first, or forces and offsets will be off by as much."
             )
-        centred = gravity - gravity.mean(axis=0)
-        scatter += centred.T @ centred
+        factors.append(np.linalg.qr(gravity - gravity.mean(axis=0), mode="r"))
         samples += len(gravity)
-    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(scatter / samples)[::-1], 0.0)) / np.mean(lengths)
+    spread = gravity_spread(np.concatenate(factors), float(np.mean(lengths) * np.sqrt(samples)))
     if spread[2] >= _TILT:
         return tuple(warnings)
     seen = "along one line" if spread[1] < _TILT else "in one plane"
@@ -140,8 +139,9 @@ def check_within(
                 f"'{data.name}': {np.sum(part.rejected)} samples that disagree with all others were left out"
                 f"{_when(data, part.rejected)}."
             )
-        misfit, bending = _misfit(data, part), _bending(data, part)
+        misfit = _misfit(data, part)
         if misfit > options.misfit_tolerance:
+            bending = _bending(data, part)
             raise _bends(data, bending) if bending > 0.7 * misfit else _unexplained(data, part, misfit)
     return tuple(warnings)
 

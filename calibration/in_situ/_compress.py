@@ -26,7 +26,7 @@ from surefoot.calibration.in_situ._samples import averages, outliers
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
 
-__all__ = ["CompressedSet", "compress"]
+__all__ = ["CompressedSet", "compress", "triangle"]
 
 Matrix = NDArray[np.float64]
 
@@ -95,6 +95,22 @@ class CompressedSet:
         """B = A T of least squares on this set alone, shape (k, s)."""
         return np.asarray(np.linalg.lstsq(self.uu, self.ur, rcond=None)[0].T)
 
+    def leverage(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute R_bb'^-1 b, shape (d,), at a time: what an offset there takes from the rows.
+
+        Args:
+            at: b at that time, shape (d,).
+        """
+        return np.asarray(solve_triangular(self.bb, at, trans=1))
+
+    def lever(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the signals, shape (s,), by which an error of the response moves the offset at a time.
+
+        Args:
+            at: b at that time, shape (d,).
+        """
+        return np.asarray(self.bu.T @ self.leverage(at))
+
     def offset(self, predicted: Matrix, at: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute the offset at a time, shape (k,).
 
@@ -156,7 +172,7 @@ def _triangularise(
     mean = averages(u, data.raw, used, width)
     basis, middle, end = offset_basis(data, mean.index, drift)
     weighted = mean.weight[:, None] * np.concatenate([basis, mean.signals, mean.raw], axis=1)
-    R = _triangle(weighted)
+    R = triangle(weighted)
     d = basis.shape[1]
     first = d + u.shape[1]
     uu, ur = R[d:first, d:first], R[d:first, first:]
@@ -199,8 +215,8 @@ def _standardised(u: Matrix, whole: NDArray[np.bool_]) -> Matrix:
     return np.asarray((u - u[whole].mean(axis=0)) / u[whole].std(axis=0))
 
 
-def _triangle(columns: Matrix) -> Matrix:
-    """R of a QR decomposition with as many rows as columns, also when there are fewer samples."""
+def triangle(columns: Matrix) -> Matrix:
+    """Compute R of a QR decomposition with as many rows as columns, also when there are fewer samples."""
     width = columns.shape[1]
     if len(columns) < width:
         columns = np.concatenate([columns, np.zeros((width - len(columns), width))])

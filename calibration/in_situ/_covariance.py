@@ -12,14 +12,22 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.stats import chi2
 
+from surefoot.calibration._vectors import skew
 from surefoot.calibration.in_situ._compress import CompressedSet
-from surefoot.calibration.in_situ._model import STATIC, skew
-from surefoot.calibration.in_situ._solve import Problem, Solution, transforms
+from surefoot.calibration.in_situ._model import STATIC
+from surefoot.calibration.in_situ._solve import Problem, Solution, loop_shares, of_unit_length, transforms
 
-__all__ = ["fit_covariance", "inflation", "persistence", "pooled_noise", "weighted_inverse", "with_rows"]
+__all__ = [
+    "fit_covariance",
+    "inflation",
+    "persistence",
+    "pooled_noise",
+    "weighted_inverse",
+    "whitening",
+    "with_rows",
+]
 
 Matrix = NDArray[np.float64]
 
@@ -42,6 +50,11 @@ def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
     spread = np.sum([part.ur.T @ part.ur for part in sets], axis=0) / sum(part.samples for part in sets)
     diagonal = np.diag(np.diag(S))
     return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(np.diag(spread)))
+
+
+def whitening(sets: Sequence[CompressedSet]) -> Matrix:
+    """Compute W of the pooled noise, shape (k, k): W Sigma W' = 1."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
 
 def inflation(problem: Problem, solution: Solution, freedom: int) -> float:
@@ -107,9 +120,8 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
         factor: The inflation.
     """
     channels, inputs = solution.response.shape
-    size = np.linalg.norm(solution.jacobian, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    _, singular, right = np.linalg.svd(solution.jacobian / size, full_matrices=False)
+    unit, size = of_unit_length(solution.jacobian)
+    _, singular, right = np.linalg.svd(unit, full_matrices=False)
     root = right.T / np.maximum(singular, 1e-13 * singular[0]) / size[:, None]
     linear = channels * inputs
     # From W A to A, row by row.
@@ -119,7 +131,7 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     root = to_output @ root
     covariance = root @ root.T
     last = problem.sets[-1]
-    leverage = solve_triangular(last.bb, last.end, trans=1)
+    leverage = last.leverage(last.end)
     first = 6 * channels
     covariance[first : first + channels, first : first + channels] += noise * (leverage @ leverage)
     covariance = factor * covariance
@@ -145,12 +157,12 @@ def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     channels = len(A)
     doubt = np.zeros((7 * channels, 7 * channels))
     last = problem.sets[-1]
-    lever = last.bu.T @ solve_triangular(last.bb, last.end, trans=1)
+    lever = last.lever(last.end)
     load = (transforms(problem, solution.limb, solution.rotation)[-1] @ lever)[:6]
+    shares = loop_shares(problem, solution)
     if problem.hysteresis:
-        changes = [(share * np.outer(A[:, a], np.eye(6)[a])) for a, share in enumerate(solution.limb[-6:])]
+        changes = [share * np.outer(A[:, a], np.eye(6)[a]) for a, share in enumerate(shares)]
     else:
-        shares = np.diag(solution.response[:, -problem.channel_lags :])
         changes = [share * np.outer(np.eye(channels)[c], A[c]) for c, share in enumerate(shares)]
     for dA in changes:
         of_matrix = (C @ dA @ C).ravel()
@@ -169,7 +181,7 @@ def _derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     beyond = np.linalg.solve(noise, np.eye(channels) - A @ C)
     D = np.zeros((7 * channels + STATIC, channels * inputs + outer))
     last = problem.sets[-1]
-    lever = last.bu.T @ solve_triangular(last.bb, last.end, trans=1)
+    lever = last.lever(last.end)
     T = transforms(problem, solution.limb, solution.rotation)[-1]
     first = 6 * channels
     for i in range(channels):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ._compress import CompressedSet
+from surefoot.calibration.in_situ._compress import CompressedSet, triangle
 from surefoot.calibration.in_situ._solve import Problem, solve, transforms
 
 __all__ = ["FOLDS", "choose_shares", "information", "stacked", "stretches"]
@@ -79,9 +79,7 @@ def stacked(parts: list[CompressedSet]) -> CompressedSet:
 
 
 def _triangle(part: CompressedSet, columns: Matrix) -> CompressedSet:
-    short = max(columns.shape[1] - len(columns), 0)
-    R = np.asarray(np.linalg.qr(np.pad(columns, ((0, short), (0, 0))), mode="r"))
-    first = len(part.uu)
+    R, first = triangle(columns), len(part.uu)
     return replace(part, uu=R[:first, :first], ur=R[:first, first:], rr=R[first:, first:])
 
 

@@ -21,14 +21,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ._compress import CompressedSet, compress
-from surefoot.calibration.in_situ._covariance import pooled_noise
+from surefoot.calibration.in_situ._compress import compress
+from surefoot.calibration.in_situ._covariance import whitening
 from surefoot.calibration.in_situ._model import signals
-from surefoot.calibration.in_situ._solve import Problem, Solution, solve, transforms
+from surefoot.calibration.in_situ._solve import Problem, Solution, loop_shares, solve, transforms
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
 
-__all__ = ["lag_signals", "loop_shares", "with_hysteresis"]
+__all__ = ["lag_signals", "with_hysteresis"]
 
 Matrix = NDArray[np.float64]
 
@@ -77,13 +77,6 @@ def with_hysteresis(
     return best if best is not None and _criterion(*best) < plain else None
 
 
-def loop_shares(problem: Problem, solution: Solution) -> NDArray[np.float64]:
-    """Shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops."""
-    if problem.channel_lags:
-        return np.diag(solution.response[:, -problem.channel_lags :])
-    return solution.limb[-6:]
-
-
 def _lags(shares: NDArray[np.float64]) -> bool:
     return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
 
@@ -116,7 +109,7 @@ def _of_loads(
             plain,
             sets=parts,
             added=np.pad(plain.added, ((0, 0), (0, 6))),
-            whitening=_whitening(parts),
+            whitening=whitening(parts),
             basis=basis,
             limb=np.pad(plain.limb, (0, 6)),
             limb_root=limb_root,
@@ -135,13 +128,9 @@ def _of_channels(
         lags = lag_signals([load @ solution.response[:, :6].T for load in loads])
         parts = compress(sets, options, plain.moving, plain.temperature, channel_lags=lags, like=plain.sets)
         channels = lags[0].shape[1]
-        problem = replace(plain, sets=parts, channel_lags=channels, whitening=_whitening(parts))
+        problem = replace(plain, sets=parts, channel_lags=channels, whitening=whitening(parts))
         solution = solve(problem, [solution.outer])
     return problem, solution
-
-
-def _whitening(parts: tuple[CompressedSet, ...]) -> Matrix:
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(parts))))
 
 
 def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> list[Matrix]:

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from surefoot.calibration._constants import Constants, namespace_of
 from surefoot.calibration.in_situ._model import STATIC, sensitivity
 from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import FitResult
 
-__all__ = ["AXES", "GAINS", "LinearSensor", "fit_covariance", "offset_covariance", "refuse_refused"]
+__all__ = ["AXES", "GAINS", "LinearSensor", "error_covariance", "offset_covariance", "refuse_refused"]
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -56,7 +57,7 @@ class LinearSensor:
     def __init__(self, response: Matrix, noise: Matrix, parameters: NDArray[np.float64]) -> None:
         self.response = response
         self.inertia = len(parameters) > STATIC
-        weight = np.einsum("p,pws->ws", parameters[:STATIC], sensitivity(False)) * 9.81
+        weight = np.einsum("p,pws->ws", parameters[:STATIC], sensitivity(False)) * GRAVITY
         floor = _NOISE_FLOOR * np.linalg.norm(response @ weight, axis=1)
         self.whitening = np.linalg.inv(np.linalg.cholesky(noise + np.diag(floor**2)))
         self._maps = [
@@ -88,7 +89,7 @@ class LinearSensor:
         return self._maps[int(signals.shape[-1] > 3)].like(signals)
 
 
-def fit_covariance(fit: InSituFit) -> Matrix:
+def error_covariance(fit: InSituFit) -> Matrix:
     r"""Covariance of (offset, D row by row, m, m c) by a fit, shape (k + 40, k + 40).
 
     From that of the matrix: :math:`C' = (1 + D)^{-1} C` gives :math:`D = -\delta C A`.

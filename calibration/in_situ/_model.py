@@ -19,23 +19,18 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration._vectors import skew
 from surefoot.calibration.in_situ.dataset import InSituSet
 
-__all__ = ["STATIC", "inertial_parameters", "sensitivity", "signals", "skew"]
+__all__ = ["PAIRS", "STATIC", "inertial_parameters", "sensitivity", "signals"]
 
 Matrix = NDArray[np.float64]
 
 STATIC = 4
 """Inertial parameters that show at rest: (m, m c)."""
 
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Order of the products of angular velocities, and of the inertia's entries."""
-
-
-def skew(vector: NDArray[np.float64]) -> Matrix:
-    """[v]x, shape (3, 3): [v]x a = v x a."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def signals(data: InSituSet, moving: bool) -> Matrix:
@@ -45,7 +40,7 @@ def signals(data: InSituSet, moving: bool) -> Matrix:
     rate, acceleration = data.angular_velocity, data.angular_acceleration
     if rate is None or acceleration is None:
         return np.concatenate([data.gravity, np.zeros((len(data.gravity), 9))], axis=1)
-    products = np.stack([rate[:, i] * rate[:, j] for i, j in _PAIRS], axis=1)
+    products = np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=1)
     return np.concatenate([data.gravity, acceleration, products], axis=1)
 
 
@@ -59,16 +54,16 @@ def sensitivity(moving: bool) -> Matrix:
         D[1 + axis, 3:, :3] = skew(first_moment)
         D[1 + axis, :3, 3:6] = skew(first_moment)
         # w x (w x c) = w (w . c) - c |w|^2
-        for signal, (i, j) in enumerate(_PAIRS):
+        for signal, (i, j) in enumerate(PAIRS):
             outer = np.zeros((3, 3))
             outer[i, j] = outer[j, i] = 1.0
             D[1 + axis, :3, 6 + signal] = -(outer @ first_moment - np.trace(outer) * first_moment)
-    for entry, (i, j) in enumerate(_PAIRS):
+    for entry, (i, j) in enumerate(PAIRS):
         inertia = np.zeros((3, 3))
         inertia[i, j] = inertia[j, i] = 1.0
         D[4 + entry, 3:, 3:6] = -inertia
         # w x I w = sum of w_a w_b e_a x I e_b
-        for signal, (a, b) in enumerate(_PAIRS):
+        for signal, (a, b) in enumerate(PAIRS):
             turned = np.cross(np.eye(3)[a], inertia[:, b])
             if a != b:
                 turned = turned + np.cross(np.eye(3)[b], inertia[:, a])
@@ -84,12 +79,12 @@ def inertial_parameters(mass: float, com: NDArray[np.float64], moving: bool) -> 
     if not moving:
         return static
     inertia = mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return np.concatenate([static, [inertia[i, j] for i, j in _PAIRS]])
+    return np.concatenate([static, [inertia[i, j] for i, j in PAIRS]])
 
 
 def inertia_matrix(parameters: NDArray[np.float64]) -> Matrix:
     """Build I of phi's last six entries, shape (3, 3)."""
     inertia = np.zeros((3, 3))
-    for value, (i, j) in zip(parameters[STATIC:], _PAIRS, strict=True):
+    for value, (i, j) in zip(parameters[STATIC:], PAIRS, strict=True):
         inertia[i, j] = inertia[j, i] = value
     return inertia

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ._covariance import weighted_inverse
-from surefoot.calibration.in_situ._hysteresis import loop_shares
 from surefoot.calibration.in_situ._model import STATIC, inertia_matrix
 from surefoot.calibration.in_situ._rank import DataRank
-from surefoot.calibration.in_situ._solve import Problem, Solution, transforms
+from surefoot.calibration.in_situ._solve import Problem, Solution, loop_shares, of_unit_length, transforms
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
@@ -30,6 +29,18 @@ def outcome(
     sets: tuple[InSituSet, ...],
     warnings: tuple[str, ...],
 ) -> InSituFit:
+    """Put a fit together.
+
+    Args:
+        problem: What was solved.
+        solution: What came out.
+        noise: Covariance of a sample, shape (k, k).
+        covariance: As the fit's.
+        rank: What the data determine.
+        matrix: C where it leans on a factory matrix, shape (6, k); None for the inverse of the response.
+        sets: What was fitted.
+        warnings: What to know.
+    """
     if matrix is None:
         matrix = weighted_inverse(solution.response[:, :6], noise)
     else:
@@ -38,8 +49,7 @@ def outcome(
     parts = problem.sets
     predicted = solution.response @ transforms(problem, solution.limb, solution.rotation)
     offsets = [part.offset(B, part.middle) for part, B in zip(parts, predicted, strict=True)]
-    size = np.linalg.norm(solution.jacobian, axis=0)
-    singular = np.linalg.svd(solution.jacobian / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    singular = np.linalg.svd(of_unit_length(solution.jacobian)[0], compute_uv=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
     unknowns = rank.found + rank.missing
     set_stats = tuple(
@@ -95,6 +105,7 @@ def _left_in_counts(problem: Problem, solution: Solution) -> Matrix:
 
 
 def refused(sets: Sequence[InSituSet], refusal: CalibrationRefused) -> InSituFit:
+    """Say no: a fit whose values are NaN, with the reason."""
     k, count = sets[0].channels, len(sets)
     nothing = FitStats(0, 0, 0, np.nan, 0, 6 * k + STATIC, np.inf)
     return InSituFit(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ._model import STATIC
-from surefoot.calibration.in_situ._solve import Problem, expand
+from surefoot.calibration.in_situ._solve import Problem, expand, of_unit_length
 from surefoot.calibration.results import CalibrationRefused
 
 __all__ = ["DataRank", "data_rank"]
@@ -16,7 +16,6 @@ _RELATIVE = 1e-7
 
 _TAKES_PART = 1e-3
 """An unknown takes part in the unseen directions if its share of their square is above this."""
-
 
 _CURES = {
     "its inertia": "Swing the limb faster about all axes, or leave the angular velocities out.",
@@ -73,8 +72,7 @@ def data_rank(problem: Problem, limb: NDArray[np.float64]) -> DataRank:
     """Find the rank of the fit's Jacobian at a limb, without the factory matrix."""
     outer = np.concatenate([limb[: problem.parameters], np.full(3 * problem.rotation, 0.1)])
     J = expand(replace(problem, prior_response=None), outer).jacobian
-    size = np.linalg.norm(J, axis=0)
-    _, singular, right = np.linalg.svd(J / np.where(size > 0.0, size, 1.0), full_matrices=True)
+    _, singular, right = np.linalg.svd(of_unit_length(J)[0], full_matrices=True)
     found = int(np.sum(singular > _RELATIVE * singular[0]))
     share = np.sum(right[found:] ** 2, axis=0)
     part = share > _TAKES_PART

@@ -5,6 +5,7 @@ from typing import Any
 from surefoot.calibration._arrays import check_tail
 from surefoot.calibration._constants import namespace_of
 from surefoot.calibration.estimate import Flag
+from surefoot.calibration.in_situ._model import PAIRS
 
 __all__ = ["flags_of", "signals_of"]
 
@@ -65,8 +66,7 @@ def signals_of(
             "This calibration does not know the limb's inertia: calibrate with the motion, or leave the "
             "angular velocity out."
         )
-    x, y, z = angular_velocity[..., 0], angular_velocity[..., 1], angular_velocity[..., 2]
-    products = xp.stack([x * x, y * y, z * z, x * y, x * z, y * z], axis=-1)
+    products = xp.stack([angular_velocity[..., i] * angular_velocity[..., j] for i, j in PAIRS], axis=-1)
     return xp.concat([gravity, angular_acceleration, products], axis=-1)
 
 

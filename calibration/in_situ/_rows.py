@@ -42,6 +42,7 @@ def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tup
         )
     ]
     level = np.mean(np.concatenate([readings for readings, _ in rows]) ** 2)
+    eye = np.eye(factory.shape[1])
     error = np.zeros((FOLDS, len(_WEIGHTS), 6))
     for fold in range(FOLDS):
         fitted, held_out = [], []
@@ -52,15 +53,18 @@ def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tup
             fitted.append((X[~out], Y[~out]))
             held_out.append((X[out], Y[out]))
         X, Y = (np.concatenate(part) for part in zip(*held_out, strict=True))
+        square, product = _normal_equations(fitted, factory)
         for i, weight in enumerate(_WEIGHTS):
-            error[fold, i] = np.sum((X @ _ridge(fitted, weight * level, factory).T - Y) ** 2, axis=0)
+            matrix = factory + np.linalg.solve(square + weight * level * eye, product).T
+            error[fold, i] = np.sum((X @ matrix.T - Y) ** 2, axis=0)
     best = _WEIGHTS[_cautious(error)] * level
-    matrix = np.stack([_ridge(rows, best[axis], factory)[axis] for axis in range(6)])
-    X = np.concatenate([readings for readings, _ in rows])
+    square, product = _normal_equations(rows, factory)
+    heavier = [square + weight * eye for weight in best]
+    matrix = factory + np.stack([np.linalg.solve(S, product)[:, axis] for axis, S in enumerate(heavier)])
+    samples = sum(len(readings) for readings, _ in rows)
     # With weight lambda the factory's row counts as known to s^2 / (n lambda), s^2 being what is left.
-    left = np.min(np.sum(error, axis=0), axis=0) / len(X) * persistence(problem.sets, problem.whitening)
-    inverse = [np.linalg.inv(X.T @ X / len(X) + weight * np.eye(X.shape[1])) for weight in best]
-    return matrix, left[:, None, None] / len(X) * np.array(inverse)
+    left = np.min(np.sum(error, axis=0), axis=0) / samples * persistence(problem.sets, problem.whitening)
+    return matrix, left[:, None, None] / samples * np.linalg.inv(heavier)
 
 
 def _cautious(error: NDArray[np.float64]) -> NDArray[np.int_]:
@@ -84,7 +88,7 @@ def _rows(part: CompressedSet, transform: Matrix, temperature: Matrix) -> tuple[
     return part.score @ part.ur + part.residual - heat, signals @ transform[:6].T
 
 
-def _ridge(rows: list[tuple[Matrix, Matrix]], weight: float, factory: Matrix) -> Matrix:
+def _normal_equations(rows: list[tuple[Matrix, Matrix]], factory: Matrix) -> tuple[Matrix, Matrix]:
+    """Mean square of the readings, (k, k), and of the readings by what the factory matrix leaves, (k, 6)."""
     X, Y = (np.concatenate(part) for part in zip(*rows, strict=True))
-    S = X.T @ X / len(X) + weight * np.eye(X.shape[1])
-    return np.asarray(factory + np.linalg.solve(S, X.T @ (Y - X @ factory.T) / len(X)).T)
+    return X.T @ X / len(X), X.T @ (Y - X @ factory.T) / len(X)

@@ -19,10 +19,19 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from surefoot.calibration._vectors import skew
 from surefoot.calibration.in_situ._compress import CompressedSet
-from surefoot.calibration.in_situ._model import skew
 
-__all__ = ["Problem", "Solution", "expand", "minima", "solve", "transforms"]
+__all__ = [
+    "Problem",
+    "Solution",
+    "expand",
+    "loop_shares",
+    "minima",
+    "of_unit_length",
+    "solve",
+    "transforms",
+]
 
 Matrix = NDArray[np.float64]
 
@@ -122,6 +131,20 @@ def transforms(problem: Problem, limb: NDArray[np.float64], rotation: Matrix) ->
     return np.asarray(T)
 
 
+def of_unit_length(columns: Matrix) -> tuple[Matrix, NDArray[np.float64]]:
+    """Divide columns by their lengths, which come along; a column of zeros by one."""
+    size = np.linalg.norm(columns, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    return columns / size, size
+
+
+def loop_shares(problem: Problem, solution: Solution) -> NDArray[np.float64]:
+    """Shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops."""
+    if problem.channel_lags:
+        return np.diag(solution.response[:, -problem.channel_lags :])
+    return solution.limb[-6:]
+
+
 def solve(problem: Problem, starts: Sequence[NDArray[np.float64]]) -> Solution:
     """Search the outer unknowns from each start and keep the best.
 
@@ -185,9 +208,8 @@ def _design(problem: Problem, x: NDArray[np.float64]) -> tuple[Matrix, Matrix]:
 
 def _inner(X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix]:
     """(W A)' of least squares, and an orthonormal basis of the columns of X."""
-    size = np.linalg.norm(X, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    left, singular, right = np.linalg.svd(X / size, full_matrices=False)
+    unit, size = of_unit_length(X)
+    left, singular, right = np.linalg.svd(unit, full_matrices=False)
     kept = singular > 1e-13 * singular[0]
     left = left[:, kept]
     return (right[kept].T / singular[kept]) @ (left.T @ Y) / size[:, None], left

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ._compress import CompressedSet
 from surefoot.calibration.in_situ._model import STATIC, sensitivity
-from surefoot.calibration.in_situ._solve import Problem
+from surefoot.calibration.in_situ._solve import Problem, of_unit_length
 
 __all__ = ["hanging", "starts"]
 
@@ -16,7 +16,6 @@ Matrix = NDArray[np.float64]
 
 _MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """Masses to try, in units of the largest added mass."""
-
 
 _TURNED_MULTIPLES = (1.0, 10.0)
 """The same where each is tried with all turns by right angles."""
@@ -94,10 +93,8 @@ def _by_paper(problem: Problem) -> NDArray[np.float64]:
         matrix = np.kron(np.eye(6), (left.T @ reading).T)
         rows.append(np.hstack([matrix, -moved.reshape(len(D), -1).T]))
         right.append(np.einsum("p,pws->ws", added, moved).ravel())
-    X = np.concatenate(rows)
-    size = np.linalg.norm(X, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    solution = np.linalg.lstsq(X / size, np.concatenate(right), rcond=1e-10)[0] / size
+    unit, size = of_unit_length(np.concatenate(rows))
+    solution = np.linalg.lstsq(unit, np.concatenate(right), rcond=1e-10)[0] / size
     return np.asarray(solution[-len(D) :])
 
 

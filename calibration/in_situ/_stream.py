@@ -17,7 +17,7 @@ from surefoot.calibration.in_situ._linear import (
     AXES,
     GAINS,
     LinearSensor,
-    fit_covariance,
+    error_covariance,
     offset_covariance,
     refuse_refused,
 )
@@ -81,7 +81,7 @@ class InSituStream:
         self._walks = channels + GAINS
         self._size = size = self._walks + STATIC + AXES
         covariance = np.zeros((size, size))
-        covariance[:-AXES, :-AXES] = fit_covariance(fit)
+        covariance[:-AXES, :-AXES] = error_covariance(fit)
         covariance[:channels, :channels] += self._jump(config.since_fit_force, config.since_fit_torque)
         covariance[-AXES:, -AXES:] = np.diag(lag**2)
         walk = np.zeros((size, size))

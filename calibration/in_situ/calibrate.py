@@ -27,6 +27,7 @@ from surefoot.calibration.in_situ._covariance import (
     inflation,
     persistence,
     pooled_noise,
+    whitening,
     with_rows,
 )
 from surefoot.calibration.in_situ._factory import choose_shares, information
@@ -36,7 +37,7 @@ from surefoot.calibration.in_situ._model import STATIC, inertial_parameters, sen
 from surefoot.calibration.in_situ._outcome import outcome, refused
 from surefoot.calibration.in_situ._rank import data_rank
 from surefoot.calibration.in_situ._rows import leaning_matrix
-from surefoot.calibration.in_situ._solve import Problem, Solution, minima, solve
+from surefoot.calibration.in_situ._solve import Problem, Solution, minima, of_unit_length, solve
 from surefoot.calibration.in_situ._start import starts
 from surefoot.calibration.in_situ._temperature import about_one_temperature
 from surefoot.calibration.in_situ.dataset import InSituSet
@@ -175,9 +176,8 @@ def _limb_alone(problem: Problem, solution: Solution, factor: float) -> tuple[fl
         return None
     alone = solve(free, [solution.outer])
     place = alone.jacobian.shape[1] - free.outer
-    size = np.linalg.norm(alone.jacobian, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    covariance = np.linalg.pinv((alone.jacobian / size).T @ (alone.jacobian / size), hermitian=True)
+    unit, size = of_unit_length(alone.jacobian)
+    covariance = np.linalg.pinv(unit.T @ unit, hermitian=True)
     return float(alone.limb[0]), float(np.sqrt(factor * covariance[place, place]) / size[place])
 
 
@@ -190,15 +190,15 @@ def _problem(
     moving: bool,
     temperature: bool,
 ) -> Problem:
-    whitening = np.linalg.inv(np.linalg.cholesky(pooled_noise(parts)))
+    W = whitening(parts)
     if factory is not None or known is not None:
         # What hangs together in time must not overrule what is known beforehand.
-        whitening = whitening / np.sqrt(persistence(parts, whitening))
+        W = W / np.sqrt(persistence(parts, W))
     limb, root = _limb_rows(known, moving)
     return Problem(
         sets=parts,
         added=np.array([inertial_parameters(data.added_mass, data.added_com, moving) for data in sets]),
-        whitening=whitening,
+        whitening=W,
         basis=sensitivity(moving),
         moving=moving,
         temperature=temperature,
@@ -232,10 +232,10 @@ def _leaning(
 ) -> tuple[Problem, list[NDArray[np.float64]]]:
     """Choose how much to lean on the factory matrix, and where to start from."""
     assert problem.prior_response is not None
-    response, whitening = problem.prior_response, problem.whitening
-    even = replace(problem, prior_information=information(response, whitening, np.full(6, _EVEN_SHARE)))
+    response, W = problem.prior_response, problem.whitening
+    even = replace(problem, prior_information=information(response, W, np.full(6, _EVEN_SHARE)))
     found = minima(even, first)
     check_rotation(found)
     start = found[0].outer
     shares = choose_shares(problem, start) if options.factory_std is None else np.array(options.factory_std)
-    return replace(problem, prior_information=information(response, whitening, shares)), [start]
+    return replace(problem, prior_information=information(response, W, shares)), [start]

@@ -10,7 +10,7 @@ from surefoot.calibration._setup import check_value
 from surefoot.calibration.in_situ._linear import (
     AXES,
     GAINS,
-    fit_covariance,
+    error_covariance,
     offset_covariance,
     refuse_refused,
 )
@@ -74,7 +74,7 @@ def prior_from_fit(
         ValueError: If the fit was refused or a deviation is not positive.
     """
     refuse_refused(fit, "A plan")
-    shared = fit_covariance(fit)[len(fit.offset) :, len(fit.offset) :]
+    shared = error_covariance(fit)[len(fit.offset) :, len(fit.offset) :]
     new = _checked_covariance(fit.response, offset_force, offset_torque)
     return ExcitationPrior(fit.response, fit.noise, fit.limb, shared, new)
 
