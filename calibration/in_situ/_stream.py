@@ -21,10 +21,11 @@ from surefoot.calibration.in_situ._linear import (
     offset_covariance,
     refuse_refused,
 )
-from surefoot.calibration.in_situ._model import STATIC, inertial_parameters, sensitivity
+from surefoot.calibration.in_situ._model import PAIRS, STATIC, inertial_parameters, sensitivity
 from surefoot.calibration.in_situ._reading import flags_of, signals_of
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.tracker import InSituEstimate
+from surefoot.calibration.reference import GRAVITY
 
 if TYPE_CHECKING:
     from surefoot.calibration.in_situ.tracker import InSituTrackerConfig
@@ -33,9 +34,6 @@ __all__ = ["InSituState", "InSituStream"]
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
-
-_GRAVITY = 9.81
-"""Size in m/s^2 by which loads are told."""
 
 _STEP = 0.1
 """Share of ``lag_angle`` by which gravity must have turned to count as turning: a noisy IMU does not."""
@@ -70,11 +68,10 @@ class InSituStream:
         parameters = np.concatenate([[fit.limb.mass], fit.limb.mass_com])
         added_com = np.asarray(config.added_com, dtype=np.float64)
         if fit.limb.inertia is not None:
-            entries = fit.limb.inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-            parameters = np.concatenate([parameters, entries])
+            parameters = np.concatenate([parameters, [fit.limb.inertia[i, j] for i, j in PAIRS]])
         parameters = parameters + inertial_parameters(config.added_mass, added_com, len(parameters) > STATIC)
         self.sensor = sensor = LinearSensor(fit.response, fit.noise, parameters)
-        weight = np.einsum("p,pws->ws", parameters[:STATIC], sensitivity(False)) * _GRAVITY
+        weight = np.einsum("p,pws->ws", parameters[:STATIC], sensitivity(False)) * GRAVITY
         share = np.zeros(AXES) if fit.hysteresis is None else fit.hysteresis
         share = share if config.lag is None else np.full(AXES, config.lag)
         lag = 0.5 * share * np.linalg.norm(weight, axis=1)
@@ -209,7 +206,7 @@ class InSituStream:
         xp = namespace_of(gravity)
         _, walk, _, _, lag, *_ = self._constants.like(gravity)
         covariance = state.covariance + dt * walk
-        angle = xp.sqrt(xp.sum((gravity - state.anchor) ** 2, axis=-1)) / _GRAVITY
+        angle = xp.sqrt(xp.sum((gravity - state.anchor) ** 2, axis=-1)) / GRAVITY
         turned = physical & (angle > _STEP * self.config.lag_angle)
         kept = xp.where(turned, xp.exp(-angle / self.config.lag_angle), xp.ones_like(angle))
         kept = xp.where(aloft, kept, xp.zeros_like(kept))
