@@ -14,7 +14,7 @@ STANDING: Final = ("home", "stand", "standing")
 """Names of keyframes in which a robot stands; the first that a model has is taken, else its zero pose."""
 
 SAME_HEIGHT: Final = 0.1
-"""Two leaves are both feet if their lowest points differ by less than this share of the trunk's height."""
+"""Two leaves are both feet if their lowest points differ by less than this share of the torso's height."""
 
 
 def standing_pose(model: mujoco.MjModel) -> mujoco.MjData:
@@ -93,9 +93,9 @@ def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
     leaves = sorted(set(leaves))
     if leaves:
         height = np.array([_lowest(model, data, body, can_touch) for body in leaves])
-        trunk = data.xpos[model.body_rootid[leaves[int(np.argmin(height))]]][2]
+        torso = data.xpos[model.body_rootid[leaves[int(np.argmin(height))]]][2]
         # A leaf that is the whole robot, such as a ball, is no foot.
-        low = height < height.min() + SAME_HEIGHT * max(float(trunk - height.min()), 1e-3)
+        low = height < height.min() + SAME_HEIGHT * max(float(torso - height.min()), 1e-3)
         pair = [
             body for body, is_low in zip(leaves, low, strict=True) if is_low and model.body_parentid[body]
         ]

@@ -262,5 +262,6 @@ def _flaw(model: mujoco.MjModel, name: str, geoms: NDArray[np.intp]) -> str:
     return (
         f"The foot '{name}' has no area: it touches the ground with {' and '.join(kinds)} only, at one point "
         "or along one line, so that it has no centre of pressure of its own and no four cells. Its total "
-        "force and torque are told; give it a flat geom for the rest."
+        "force and torque are told; give it a flat geom for the rest, as InstrumentedEnv(env, soles=True) "
+        "does."
     )

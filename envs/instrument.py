@@ -1,4 +1,4 @@
-"""Puts sensors into the feet and the trunk of any robot, in memory.
+"""Puts sensors into the feet and the torso of any robot, in memory.
 
 Sites and sensors only: nothing that has mass, touches or moves, so that the instrumented robot's trajectory
 is the bare one's, bit for bit.
@@ -11,9 +11,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.envs.feet import find_feet, standing_pose
-from surefoot.envs.feet_truth import FOOT_WIDTH, TRUNK_WIDTH, FeetTruth
-from surefoot.envs.foot_geometry import FootGeometry, checked_layout, measure_foot
+from surefoot.envs.drawing import RobotDrawing, draw_robot
+from surefoot.envs.feet import standing_pose
+from surefoot.envs.feet_layout import FeetLayout, joint_name, measure_feet
+from surefoot.envs.feet_truth import FeetTruth
+from surefoot.envs.foot_geometry import FootGeometry
 from surefoot.envs.plate import SolePlate
 
 _CONTACT_DATA = 0b10110
@@ -29,21 +31,40 @@ class Instrumentation:
 
     Attributes:
         spec: The instrumented robot: ``spec.compile()``.
-        feet: Geometry of its F feet.
-        cells: Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area.
-        plates: How these cells share a load.
-        trunk: Name of the body that carries the robot.
-        imu: Name of the site of the IMU.
+        layout: What was measured of it.
+        drawing: What its maker hands out.
         first_sensor: Name of the first sensor that was added; the others follow it.
     """
 
     spec: mujoco.MjSpec
-    feet: tuple[FootGeometry, ...]
-    cells: tuple[NDArray[np.float64] | None, ...]
-    plates: tuple[SolePlate | None, ...]
-    trunk: str
-    imu: str
+    layout: FeetLayout
+    drawing: RobotDrawing
     first_sensor: str
+
+    @property
+    def feet(self) -> tuple[FootGeometry, ...]:
+        """Geometry of the F feet."""
+        return self.layout.feet
+
+    @property
+    def cells(self) -> tuple[NDArray[np.float64] | None, ...]:
+        """Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area."""
+        return self.layout.cells
+
+    @property
+    def plates(self) -> tuple[SolePlate | None, ...]:
+        """How these cells share a load."""
+        return self.layout.plates
+
+    @property
+    def torso(self) -> str:
+        """Name of the body that carries the robot."""
+        return self.layout.torso
+
+    @property
+    def imu(self) -> str:
+        """Name of the site of the IMU."""
+        return self.drawing.imu
 
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> FeetTruth:
         """Read all sensors: what was at the beginning of the last step, or at ``mj_forward``.
@@ -59,14 +80,21 @@ class Instrumentation:
 
     def read_rows(self, model: mujoco.MjModel, sensordata: NDArray[np.float64]) -> FeetTruth:
         """Read sensor data that was recorded, shape (..., nsensordata)."""
+        return FeetTruth(sensordata[..., self.columns(model)], self.layout)
+
+    def columns(self, model: mujoco.MjModel) -> slice:
+        """Find where the sensors that were added lie in the sensor data of a model.
+
+        Raises:
+            ValueError: If the model lacks them.
+        """
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, self.first_sensor)
         if number < 0:
             raise ValueError(
                 f"The model has no sensor '{self.first_sensor}': compile the instrumented spec and read that."
             )
         start = int(model.sensor_adr[number])
-        width = FOOT_WIDTH * len(self.feet) + TRUNK_WIDTH
-        return FeetTruth(sensordata[..., start : start + width], self.feet, self.plates)
+        return slice(start, start + self.layout.size)
 
 
 def instrument(
@@ -77,11 +105,13 @@ def instrument(
     margin: float = 0.005,
     prefix: str = "surefoot/",
 ) -> Instrumentation:
-    """Put force and torque sensors into a robot's ankles, and into its trunk what tells how it moves.
+    """Put force and torque sensors into a robot's ankles, and into its torso what tells how it moves.
 
     The feet are measured in the keyframe "home", "stand" or "standing" or else in the zero pose, in which the
     robot has to stand upright. The ankle's sensor sits at the foot's first joint in the axes of the foot. An
-    IMU that the robot has (an accelerometer and a gyro at one site, best on the trunk) says where to read.
+    IMU of the robot's own (an accelerometer and a gyro at one named site) is read if it sits on the torso,
+    the body that floats, in the torso's axes; otherwise another one is put at the torso's origin, so that
+    what it measures is always told in the torso's axes.
 
     Args:
         spec: The robot, which is not changed.
@@ -105,68 +135,65 @@ def instrument(
             "instrument() needs a mujoco.MjSpec, which sensors can be added to (MjSpec.from_file, "
             f"MjSpec.from_string); got a {type(spec).__name__}, which is compiled already."
         )
-    model = spec.copy().compile()
-    data = standing_pose(model)
-    bodies = find_feet(model, data, feet)
-    geometry = tuple(measure_foot(model, data, body) for body in bodies)
-    trunk = model.body(model.body_rootid[bodies[0]]).name
-    unnamed = [body for body, foot in zip(bodies, geometry, strict=True) if not foot.body]
-    if unnamed or not trunk:
-        raise ValueError(
-            f"The trunk and the feet need names: give the bodies {unnamed or ['trunk']} one each."
-        )
-    places = _places(geometry, cells or {}, margin)
+    checked = spec.copy()
+    model = checked.compile()
     own = spec.copy()
-    taken = {sensor.name for sensor in own.sensors} | {site.name for site in own.sites}
-    clash = sorted(name for name in taken if name.startswith(prefix))
+    for joint, compiled in zip(own.joints, checked.joints, strict=True):
+        joint.name = joint_name(model, compiled.id)
+    return instrument_as(own, model, feet, cells=cells, margin=margin, prefix=prefix)
+
+
+def instrument_as(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    feet: Sequence[str] | None,
+    *,
+    cells: Mapping[str, ArrayLike] | None,
+    margin: float,
+    prefix: str,
+) -> Instrumentation:
+    """Put sensors into a specification, which is changed, of a robot that is measured in compiled form."""
+    data = standing_pose(model)
+    layout = measure_feet(model, data, feet, cells, margin)
+    refuse_taken({sensor.name for sensor in spec.sensors} | {site.name for site in spec.sites}, prefix)
+    own_imu = find_imu(model, layout.torso)
+    drawing = draw_robot(model, data, layout, imu=own_imu, prefix=prefix)
+    if not own_imu:
+        spec.body(layout.torso).add_site(name=drawing.imu)
+    for foot in layout.feet:
+        _add_foot(spec, foot, f"{prefix}{foot.body}")
+    _add_torso(spec, layout.torso, drawing.imu, f"{prefix}torso")
+    for joint in layout.joint_names:
+        spec.add_sensor(
+            name=f"{prefix}{joint}_position",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=joint,
+        )
+    spec.add_sensor(name=f"{prefix}time", type=mujoco.mjtSensor.mjSENS_CLOCK)
+    return Instrumentation(spec, layout, drawing, f"{prefix}{layout.feet[0].body}_ankle_force")
+
+
+def refuse_taken(names: set[str], prefix: str) -> None:
+    """Refuse a prefix with which names of sensors or sites begin already."""
+    clash = sorted(name for name in names if name.startswith(prefix))
     if clash:
         raise ValueError(
             f"The model has sensors or sites that begin with '{prefix}' already: {clash}; it may be "
             "instrumented already, else give another 'prefix'."
         )
-    imu = _imu_site(own, trunk) or f"{prefix}imu"
-    if imu == f"{prefix}imu":
-        own.body(trunk).add_site(name=imu)
-    for foot in geometry:
-        _add_foot(own, foot, f"{prefix}{foot.body}")
-    _add_trunk(own, trunk, imu, f"{prefix}trunk")
-    return Instrumentation(
-        spec=own,
-        feet=geometry,
-        cells=places,
-        plates=tuple(None if place is None else SolePlate(place, np.ones(4)) for place in places),
-        trunk=trunk,
-        imu=imu,
-        first_sensor=f"{prefix}{geometry[0].body}_ankle_force",
-    )
 
 
-def _places(
-    feet: tuple[FootGeometry, ...], cells: Mapping[str, ArrayLike], margin: float
-) -> tuple[NDArray[np.float64] | None, ...]:
-    """Settle where the cells lie."""
-    names = [foot.body for foot in feet]
-    unknown = sorted(set(cells) - set(names))
-    if unknown:
-        raise ValueError(f"'cells' names {unknown}, which are no feet here; the feet are {names}.")
-    places: list[NDArray[np.float64] | None] = []
-    for foot in feet:
-        if foot.body in cells and foot.flaw:
-            raise ValueError(foot.flaw)
-        if foot.body in cells:
-            places.append(checked_layout(foot.body, cells[foot.body]))
-        else:
-            places.append(None if foot.flaw else foot.layout(margin))
-    return tuple(places)
-
-
-def _imu_site(spec: mujoco.MjSpec, trunk: str) -> str:
-    """Find the site of an IMU, best on the trunk; empty if there is none."""
+def find_imu(model: mujoco.MjModel, torso: str) -> str:
+    """Name the site on a torso that has an accelerometer, a gyro and the torso's axes; empty without."""
+    site, body = mujoco.mjtObj.mjOBJ_SITE, model.body(torso).id
     kinds = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
-    sites = [[s.objname for s in spec.sensors if s.type == kind] for kind in kinds]
-    both = [name for name in sites[0] if name in sites[1]]
-    on_trunk = [name for name in both if spec.site(name).parent.name == trunk]
-    return str((on_trunk or both or [""])[0])
+    measured = [set(model.sensor_objid[model.sensor_type == kind].tolist()) for kind in kinds]
+    for number in sorted(measured[0] & measured[1]):
+        turned = abs(model.site_quat[number, 0]) < 1.0 - 1e-12
+        if model.site_bodyid[number] == body and not turned:
+            return str(mujoco.mj_id2name(model, site, number) or "")
+    return ""
 
 
 def _add_foot(spec: mujoco.MjSpec, foot: FootGeometry, name: str) -> None:
@@ -190,14 +217,14 @@ def _add_foot(spec: mujoco.MjSpec, foot: FootGeometry, name: str) -> None:
     _add_frame(spec, sole, site, sole)
 
 
-def _add_trunk(spec: mujoco.MjSpec, trunk: str, imu: str, name: str) -> None:
-    """Add the 27 channels of the trunk."""
+def _add_torso(spec: mujoco.MjSpec, torso: str, imu: str, name: str) -> None:
+    """Add the 27 channels of the torso."""
     body, site = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_SITE
-    _add_frame(spec, name, mujoco.mjtObj.mjOBJ_XBODY, trunk)
+    _add_frame(spec, name, mujoco.mjtObj.mjOBJ_XBODY, torso)
     for what, kind, objtype, objname in (
-        ("com", mujoco.mjtSensor.mjSENS_SUBTREECOM, body, trunk),
-        ("com_velocity", mujoco.mjtSensor.mjSENS_SUBTREELINVEL, body, trunk),
-        ("angular_momentum", mujoco.mjtSensor.mjSENS_SUBTREEANGMOM, body, trunk),
+        ("com", mujoco.mjtSensor.mjSENS_SUBTREECOM, body, torso),
+        ("com_velocity", mujoco.mjtSensor.mjSENS_SUBTREELINVEL, body, torso),
+        ("angular_momentum", mujoco.mjtSensor.mjSENS_SUBTREEANGMOM, body, torso),
         ("accelerometer", mujoco.mjtSensor.mjSENS_ACCELEROMETER, site, imu),
         ("gyroscope", mujoco.mjtSensor.mjSENS_GYRO, site, imu),
     ):

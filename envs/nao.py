@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
+from surefoot.envs.drawing import RobotDrawing, draw_nao
 from surefoot.envs.nao_observation import NaoObserver, Observation
 from surefoot.envs.options import (
     check_render_mode,
@@ -233,6 +234,11 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
     def dt(self) -> float:
         """Duration of a step in s."""
         return CONTROL_STEP
+
+    @property
+    def drawing(self) -> RobotDrawing:
+        """What the robot's maker hands out: nao.xml without what an episode changes."""
+        return draw_nao()
 
     def _command(self, tick: int) -> Command:
         """Say what the robot commands itself at control tick ``tick`` of this episode, 0 at the reset.

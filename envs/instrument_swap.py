@@ -1,0 +1,232 @@
+"""How an instrumented model takes the place of the one that an environment made."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+_STRUCTURE: Final = (
+    "body_parentid",
+    "body_jntnum",
+    "body_mocapid",
+    "jnt_type",
+    "jnt_bodyid",
+    "jnt_qposadr",
+    "geom_type",
+    "geom_bodyid",
+    "site_bodyid",
+    "actuator_trntype",
+    "eq_type",
+    "tendon_num",
+)
+"""Arrays in which the same robots agree."""
+
+_FLAGS: Final = (
+    "body_contype",
+    "body_conaffinity",
+    "geom_contype",
+    "geom_conaffinity",
+    "geom_condim",
+    "geom_priority",
+    "geom_group",
+    "geom_matid",
+    "site_group",
+    "jnt_limited",
+    "jnt_actfrclimited",
+    "actuator_ctrllimited",
+    "actuator_forcelimited",
+    "actuator_actlimited",
+    "actuator_dyntype",
+    "actuator_gaintype",
+    "actuator_biastype",
+    "tendon_limited",
+    "eq_active0",
+)
+"""Whole numbers that an environment may change on its compiled model; all other numbers are carried over."""
+
+_DERIVED: Final = ("sensor_", "bvh_", "oct_", "key_", "mesh_", "hfield_", "skin_", "tex_", "flex")
+"""Beginnings of the names of arrays that are another model's own, or that no environment changes."""
+
+_NAMED: Final = {
+    "bodies": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
+    "joints": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
+    "actuators": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nu"),
+}
+
+_VIEWS: Final = ("MjOption", "MjVisual", "MjStatistic", "_MjContactList", "MjContact")
+"""MuJoCo's types that point into a model or its data, besides those whose name ends in Views."""
+
+
+def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> mujoco.MjSpec | None:
+    """Read the description of an environment's robot, if it has one.
+
+    Args:
+        spec: What the user gave: a file, a specification, or None.
+        env: The innermost environment.
+
+    Returns:
+        A specification of one's own; None if there is none.
+    """
+    if isinstance(spec, mujoco.MjSpec):
+        return spec.copy()
+    path = spec if spec is not None else getattr(env, "fullpath", None)
+    if spec is None and (not isinstance(path, str | Path) or not Path(path).is_file()):
+        return None
+    return mujoco.MjSpec.from_file(str(path))
+
+
+def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> str:
+    """Tell how a model differs from another in more than numbers and what was added; empty if it does not."""
+    for name, (kind, number) in _NAMED.items():
+        ours, theirs = (
+            [mujoco.mj_id2name(m, kind, i) for i in range(getattr(m, number))] for m in (old, new)
+        )
+        # Added descriptions name what had no name.
+        if len(ours) != len(theirs) or any(a not in (None, b) for a, b in zip(ours, theirs, strict=True)):
+            return f"its {name} are {theirs}, the environment's {ours}"
+    kept = _kept(new, prefix)
+    for name in _STRUCTURE:
+        own, other = getattr(old, name), _rows(new, name, kept)
+        if not np.array_equal(own, other):
+            return f"its {name} is {other.tolist()}, the environment's {own.tolist()}"
+    if (old.nq, old.nv, old.na, old.nkey) != (new.nq, new.nv, new.na, new.nkey):
+        return "it has other sizes (nq, nv, na, nkey)"
+    return ""
+
+
+def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
+    """Give a model all numbers of another: options, masses, frictions and whatever an environment changed.
+
+    Args:
+        old: The environment's model.
+        new: The same robot, in which sites, sensors and geoms may have been added.
+        prefix: What the names of these begin with.
+    """
+    kept = _kept(new, prefix)
+    for name in dir(old):
+        value = getattr(old, name) if name[0] != "_" else None
+        if not isinstance(value, np.ndarray) or name.startswith(_DERIVED):
+            continue
+        if value.dtype.kind == "f" or name in _FLAGS:
+            target = getattr(new, name)
+            rows = kept.get(name.split("_")[0])
+            if rows is not None and len(value) == len(rows):
+                target[rows] = value
+            elif target.shape == value.shape:
+                target[...] = value
+    if old.nkey:
+        new.key_qpos[:], new.key_qvel[:], new.key_ctrl[:] = old.key_qpos, old.key_qvel, old.key_ctrl
+    pairs: list[tuple[Any, Any]] = [(old.opt, new.opt), (old.stat, new.stat)]
+    parts = ("global_", "quality", "headlight", "map", "scale", "rgba")
+    pairs += [(getattr(old.vis, part), getattr(new.vis, part)) for part in parts]
+    for ours, theirs in pairs:
+        for name in dir(ours):
+            value = getattr(ours, name) if name[0] != "_" else None
+            if isinstance(value, np.ndarray):
+                getattr(theirs, name)[...] = value
+            elif isinstance(value, int | float):
+                setattr(theirs, name, value)
+
+
+def why_not_in_place(env: gym.Env[Any, Any], new: mujoco.MjModel, prefix: str) -> str:
+    """Say what an environment may look up by number that would change; empty if nothing does."""
+    old = env.unwrapped.model  # type: ignore[attr-defined]
+    if old.nsensor:
+        return "the model has sensors of its own, and the environment may read all sensor data at once"
+    if not np.array_equal(_kept(new, prefix)["site"], np.arange(old.nsite)):
+        return "added sites would change the numbers of the model's own, by which the environment may ask"
+    return ""
+
+
+def find_holder(env: gym.Env[Any, Any]) -> str:
+    """Name an attribute, besides the usual ones, that points into the model or its data; empty without."""
+    base: Any = env.unwrapped
+    old = (base.model, base.data)
+    below: Any = env
+    layers = [below]
+    while below is not base:
+        below = below.env
+        layers.append(below)
+    usual = {"model", "data", "mujoco_renderer"}
+    seen = {id(layer) for layer in layers} | {id(getattr(base, name, None)) for name in usual}
+    for layer in layers:
+        for name, value in vars(layer).items():
+            if not (layer is base and name in usual) and _points(value, old, seen, depth=3):
+                return f"{type(layer).__name__}.{name}"
+    return ""
+
+
+def swap_in(env: Any, new: mujoco.MjModel) -> None:
+    """Let an environment go on with another model of its robot, in the state in which it is.
+
+    Args:
+        env: The innermost environment.
+        new: The instrumented robot with the environment's own numbers.
+    """
+    old, before = env.model, env.data
+    data = mujoco.MjData(new)
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(old, kind))
+    mujoco.mj_getState(old, before, state, kind)
+    mujoco.mj_setState(new, data, state, kind)
+    # What was derived from the state goes along: some environments look at it before they step.
+    for name in dir(before):
+        value = getattr(before, name) if name[0] != "_" else None
+        if isinstance(value, np.ndarray) and value.size:
+            target = getattr(data, name)
+            if target.shape == value.shape:
+                target[...] = value
+    env.model, env.data = new, data
+    renderer = getattr(env, "mujoco_renderer", None)
+    if renderer is not None:
+        for holder in (renderer, *getattr(renderer, "_viewers", {}).values()):
+            holder.model, holder.data = new, data
+
+
+def _kept(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:
+    """Number the geoms and sites that were not added."""
+    kinds = {"geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom), "site": (mujoco.mjtObj.mjOBJ_SITE, model.nsite)}
+    return {
+        name: np.array(
+            [i for i in range(n) if not (mujoco.mj_id2name(model, kind, i) or "").startswith(prefix)],
+            dtype=np.intp,
+        )
+        for name, (kind, n) in kinds.items()
+    }
+
+
+def _rows(model: mujoco.MjModel, name: str, kept: dict[str, NDArray[np.intp]]) -> NDArray[Any]:
+    value: NDArray[Any] = getattr(model, name)
+    rows = kept.get(name.split("_")[0])
+    return value if rows is None else value[rows]
+
+
+def _points(value: Any, old: tuple[Any, Any], seen: set[int], depth: int) -> bool:
+    """Tell whether an object is, or holds, a view of a model or its data."""
+    if any(value is part for part in old):
+        return True
+    if isinstance(value, np.ndarray):
+        root: Any = value
+        while isinstance(root, np.ndarray) and root.base is not None:
+            root = root.base
+        return type(root).__name__ == "PyCapsule"
+    kind = type(value).__name__
+    if type(value).__module__.startswith("mujoco"):
+        return kind.endswith("Views") or kind in _VIEWS
+    if depth == 0 or id(value) in seen or isinstance(value, type | gym.Space):
+        return False
+    seen.add(id(value))
+    return any(_points(part, old, seen, depth - 1) for part in _parts(value))
+
+
+def _parts(value: Any) -> Iterator[Any]:
+    if isinstance(value, dict):
+        yield from value.values()
+    elif isinstance(value, list | tuple | set):
+        yield from value
+    else:
+        yield from getattr(value, "__dict__", {}).values()

@@ -1,0 +1,321 @@
+"""Sensors around any MuJoCo environment: its episodes stay what they are, and the truth is told."""
+
+import pickle
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+from surefoot.envs import FeetTruth, InstrumentedEnv, instrument, load_robot_spec
+
+LEGS = "".join(
+    f'<body name="foot_{side}" pos="0 {y} -0.5"><joint name="{side}" axis="0 1 0" pos="0 0 0.1" '
+    'stiffness="300" damping="20" armature="0.02"/>'
+    '<geom type="box" size="0.1 0.04 0.02" pos="0.03 0 0"/></body>'
+    for side, y in (("l", 0.1), ("r", -0.1))
+)
+TOY = (
+    '<mujoco><worldbody><geom type="plane" size="5 5 1"/><body name="trunk" pos="0 0 0.52"><freejoint/>'
+    '<geom size="0.1" mass="5"/>{site}{legs}</body></worldbody>{end}</mujoco>'
+)
+
+
+class Toy(gym.Env):
+    """Two rigid legs, which keep whatever a test wants kept."""
+
+    observation_space = gym.spaces.Box(-np.inf, np.inf, (9,))
+    action_space = gym.spaces.Box(-1.0, 1.0, (1,))
+    frame_skip = 5
+
+    def __init__(self, site="", end="", fullpath=None):
+        self.xml = TOY.format(site=site, legs=LEGS, end=end)
+        if fullpath is not None:
+            self.fullpath = fullpath
+            self.fullpath.write_text(self.xml)
+        self.make()
+
+    def make(self):
+        self.model = mujoco.MjModel.from_xml_string(self.xml)
+        self.data = mujoco.MjData(self.model)
+
+    def reset(self, *, seed=None, options=None):
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_forward(self.model, self.data)
+        return self.data.qpos.copy(), {}
+
+    def step(self, action):
+        mujoco.mj_step(self.model, self.data, self.frame_skip)
+        return self.data.qpos.copy(), 0.0, False, False, {}
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A place for a toy's description."""
+    return tmp_path / "toy.xml"
+
+
+def change(env):
+    """Change a robot's numbers as an environment may do on its compiled model."""
+    model = env.unwrapped.model
+    model.body_mass[2:] *= 1.3
+    model.geom_friction[:, 0] = 0.4
+    model.dof_damping[:] *= 0.7
+    model.actuator_gear[0, 0] *= 1.1
+    model.opt.gravity[2] = -8.0
+    model.opt.iterations = 30
+    model.stat.meaninertia *= 1.01
+
+
+@pytest.mark.parametrize(
+    ("in_place", "changed"),
+    [(None, False), (None, True), (False, False)],
+    ids=["sensors", "changed model", "beside"],
+)
+@pytest.mark.parametrize("name", ["Humanoid-v5", "Walker2d-v5"])
+def test_an_environments_episodes_stay_bit_for_bit_what_they_are(name, in_place, changed):
+    bare, base = gym.make(name), gym.make(name)
+    if changed:
+        change(bare)
+        change(base)
+    env = InstrumentedEnv(base, in_place=in_place)
+    assert bool(env.untouched) == (in_place is False)
+    rng = np.random.default_rng(7)
+    seed, resets = 3, 0
+    for _ in range(1000):
+        if seed is not None:
+            ours, _ = bare.reset(seed=seed if resets == 0 else None)
+            theirs, info = env.reset(seed=seed if resets == 0 else None)
+            np.testing.assert_array_equal(ours, theirs)
+            assert info["surefoot"]["truth"]["vgrf"].shape == (2,)
+            seed, resets = None, resets + 1
+        action = rng.uniform(-0.4, 0.4, env.action_space.shape).astype(np.float32)
+        ours, theirs = bare.step(action), env.step(action)
+        np.testing.assert_array_equal(ours[0], theirs[0])
+        assert ours[1:4] == theirs[1:4]
+        assert {**ours[4], "surefoot": 0}.keys() == theirs[4].keys()
+        if ours[2] or ours[3]:
+            seed = 0
+    assert resets > 5
+
+
+def test_an_episode_that_is_wrapped_on_its_way_goes_on():
+    bare, base = gym.make("Humanoid-v5"), gym.make("Humanoid-v5")
+    for env in (bare, base):
+        env.reset(seed=1)
+        env.step(np.zeros(17))
+    env = InstrumentedEnv(base)
+    for _ in range(5):
+        ours, theirs = bare.step(np.full(17, 0.1)), env.step(np.full(17, 0.1))
+        np.testing.assert_array_equal(ours[0], theirs[0])
+        assert ours[1] == theirs[1]
+
+
+@pytest.mark.parametrize("in_place", [None, False])
+def test_truth_tells_the_instant_that_it_says(in_place):
+    env = InstrumentedEnv(gym.make("Walker2d-v5"), in_place=in_place)
+    env.reset(seed=0)
+    instrumentation = instrument(load_robot_spec("walker2d"))
+    model = instrumentation.spec.compile()
+    data = mujoco.MjData(model)
+    for step in range(60):
+        at_start = env.truth
+        assert env.truth.time == pytest.approx([env.data.time - (step > 0 and in_place is None) * 0.002])
+        for joint, angle in zip(env.joint_names, env.truth.joint_position[0], strict=True):
+            if step == 0 or in_place is False:
+                assert angle == env.data.joint(joint).qpos[0]
+        data.qpos[:], data.qvel[:], data.ctrl[:] = env.data.qpos, env.data.qvel, 0.5
+        data.qacc_warmstart[:] = env.data.qacc_warmstart
+        data.time = env.data.time
+        mujoco.mj_step(model, data, env.unwrapped.frame_skip)
+        if in_place is False:
+            mujoco.mj_forward(model, data)
+        env.step(np.full(6, 0.5))
+        expected = instrumentation.read(model, data)
+        np.testing.assert_allclose(env.truth.wrench_sole[0], expected.wrench_sole, rtol=1e-9, atol=1e-7)
+        np.testing.assert_allclose(env.truth.accelerometer[0], expected.accelerometer, rtol=1e-7, atol=1e-7)
+        assert env.truth is not at_start
+    assert env.truth.wrench_sole.shape == (1, 2, 6)
+    assert expected.vgrf().max() > 10.0
+    assert env.dt == pytest.approx(0.008)
+    assert env.joint_names == env.drawing.joint_names
+    assert (env.model, env.data) == (env.unwrapped.model, env.unwrapped.data)
+    renderer = env.unwrapped.mujoco_renderer
+    assert (renderer.model, renderer.data) == (env.model, env.data)
+
+
+def test_info_tells_the_truth_when_asked_and_travels_as_a_dict(path):
+    env = InstrumentedEnv(Toy(fullpath=path))
+    assert not env.untouched
+    env.reset()
+    for _ in range(200):
+        info = env.step(None)[4]
+    told = info["surefoot"]["truth"]
+    assert list(told) == ["force_cell", "vgrf", "cop_world", "cop_foot", "com", "wrench_sole"]
+    weight = 9.81 * env.model.body_subtreemass[0]
+    assert told["vgrf"].sum() == pytest.approx(weight, rel=1e-3)
+    np.testing.assert_array_equal(told["force_cell"], env.truth.force_cell[0])
+    np.testing.assert_allclose(told["cop_foot"], env.truth.cop_sole[0])
+    np.testing.assert_array_equal(told["cop_world"], env.truth.cop_world())
+    sent = pickle.loads(pickle.dumps(told))
+    assert type(sent) is dict
+    assert told == sent
+    env.step(None)
+    assert told == sent
+    assert told != env.reset()[1]["surefoot"]["truth"]
+    with pytest.raises(KeyError, match="cop"):
+        told["cop"]
+
+
+@pytest.mark.parametrize(
+    ("keep", "reason"),
+    [
+        (lambda env: setattr(env, "angles", env.data.qpos[7:]), r"^Toy.angles holds a view of it"),
+        (lambda env: setattr(env, "robot", [{"trunk": env.data.body("trunk")}]), r"^Toy.robot holds a view"),
+        (lambda env: setattr(env, "sim", (env.model, 3)), r"^Toy.sim holds a view"),
+        (lambda env: None, ""),
+    ],
+    ids=["array", "body", "model", "nothing"],
+)
+def test_a_model_that_an_environment_holds_on_to_is_left_alone(path, keep, reason):
+    base = Toy(fullpath=path)
+    keep(base)
+    model = base.model
+    env = InstrumentedEnv(base)
+    assert bool(env.untouched) == bool(reason) == (base.model is model)
+    env.reset()
+    env.step(None)
+    assert env.truth.vgrf().sum() > 10.0
+    if reason:
+        with pytest.raises(ValueError, match=f"cannot be replaced: {reason[1:]}"):
+            InstrumentedEnv(base, in_place=True)
+        match = reason
+    else:
+        match = ""
+    assert env.untouched.startswith(match[1:])
+
+
+def test_what_is_looked_up_by_number_is_left_alone_unless_asked(path):
+    site = '<site name="imu"/>'
+    sensor = '<sensor><gyro site="imu"/></sensor>'
+    foot_site = LEGS.replace("</body>", '<site name="tip"/></body>', 1)
+    assert "sensors of its own" in InstrumentedEnv(Toy(site, sensor, path)).untouched
+    forced = InstrumentedEnv(Toy(site, sensor, path), in_place=True)
+    assert not forced.untouched
+    env = Toy()
+    env.xml = env.xml.replace(LEGS, foot_site)
+    env.make()
+    path.write_text(env.xml)
+    env.fullpath = path
+    assert "change the numbers of the model's own" in InstrumentedEnv(env).untouched
+
+
+def test_without_a_description_the_model_is_read_from_beside(path):
+    env = InstrumentedEnv(Toy())
+    assert env.untouched.startswith("there is no description of it")
+    assert env.instrumentation is None
+    beside = Toy()
+    given = InstrumentedEnv(beside, spec=mujoco.MjSpec.from_string(beside.xml))
+    assert not given.untouched
+    assert given.drawing.xml == env.drawing.xml
+    for option in ("soles", "in_place"):
+        with pytest.raises(ValueError, match=f"'{option}' changes the model, for which its description"):
+            InstrumentedEnv(Toy(), **{option: True})
+    with pytest.raises(ValueError, match="'soles' changes the model: leave 'in_place' alone"):
+        InstrumentedEnv(Toy(fullpath=path), soles=True, in_place=False)
+    with pytest.raises(ValueError, match=r"not that of the environment's robot: its bodies are"):
+        InstrumentedEnv(Toy(), spec=load_robot_spec("humanoid"))
+    other = mujoco.MjSpec.from_string(beside.xml)
+    other.body("foot_l").geoms[0].type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    with pytest.raises(ValueError, match=r"its geom_type is \[0, 2, 3, 6\], the environment's"):
+        InstrumentedEnv(Toy(), spec=other)
+    # A file that the environment changed before it compiled is no reason to refuse.
+    base = Toy(fullpath=path)
+    path.write_text(base.xml.replace("foot_l", "paw_l"))
+    assert InstrumentedEnv(base).untouched.startswith("its file is of another robot: its bodies are")
+
+
+def test_a_model_made_anew_at_a_reset_is_refused(path):
+    class Fickle(Toy):
+        def reset(self, **given):
+            self.make()
+            return super().reset(**given)
+
+    env = InstrumentedEnv(Fickle(fullpath=path))
+    with pytest.raises(RuntimeError, match="Fickle made itself another model or data at a reset"):
+        env.reset()
+
+
+def test_soles_give_round_feet_an_area():
+    env = InstrumentedEnv(gym.make("Humanoid-v5", terminate_when_unhealthy=False), soles=True)
+    assert env.drawing.flaw == ""
+    env.reset(seed=0)
+    for _ in range(150):
+        info = env.step(np.zeros(17))[4]
+        if env.truth.vgrf().min() > 50.0:
+            break
+    told = info["surefoot"]["truth"]
+    assert told["force_cell"].reshape(2, 4).sum(axis=1) == pytest.approx(told["wrench_sole"][:, 2])
+    bare = gym.make("Humanoid-v5").unwrapped.model
+    np.testing.assert_array_equal(env.model.body_mass, bare.body_mass)
+    box = env.model.geom("surefoot/left_foot_sole")
+    up = np.zeros(3)
+    mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), box.quat)
+    top = box.pos + box.size[2] * up
+    sphere = bare.geom("left_foot")
+    np.testing.assert_allclose((sphere.pos - top) @ up, sphere.size[0], atol=1e-9)
+    own = InstrumentedEnv(gym.make("Humanoid-v5"), soles={"left_foot": (0.25, 0.1, 0.02)})
+    np.testing.assert_allclose(own.model.geom("surefoot/left_foot_sole").size, (0.125, 0.05, 0.01))
+    assert own.drawing.position_cell_sole is None
+    assert np.isnan(own.reset(seed=0)[1]["surefoot"]["truth"]["force_cell"]).all()
+    for soles, match in (
+        ({"hand": (0.2, 0.1, 0.01)}, r"\['hand'\], which are no feet here; the feet are \['left_foot', 'ri"),
+        ({"left_foot": (0.2, -0.1, 0.01)}, r"'left_foot' needs a positive \(length, width, thickness\)"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            InstrumentedEnv(gym.make("Humanoid-v5"), soles=soles)
+
+
+def test_bad_input_is_refused_before_the_first_step(path):
+    with pytest.raises(TypeError, match=r"on MuJoCo, .* CartPoleEnv has NoneType and NoneType"):
+        InstrumentedEnv(gym.make("CartPole-v1"))
+    with pytest.raises(ValueError, match="No left and right foot could be told"):
+        InstrumentedEnv(gym.make("Ant-v5"))
+    for in_place in (None, False):
+        with pytest.raises(ValueError, match=r"each once, got \['paw'\]; the model's bodies are \['torso'"):
+            InstrumentedEnv(gym.make("Humanoid-v5"), ["paw"], in_place=in_place)
+        with pytest.raises(ValueError, match=r"no area: .* as InstrumentedEnv\(env, soles=True\) does"):
+            InstrumentedEnv(gym.make("Humanoid-v5"), cells={"left_foot": np.zeros((4, 2))}, in_place=in_place)
+    with pytest.raises(TypeError, match="got a string"):
+        InstrumentedEnv(gym.make("Humanoid-v5"), "left_foot")
+    once = InstrumentedEnv(Toy(fullpath=path))
+    with pytest.raises(ValueError, match="is instrumented already: use it as it is"):
+        InstrumentedEnv(once)
+    with pytest.raises(ValueError, match="begin with 'surefoot/' already"):
+        InstrumentedEnv(once.env)
+
+
+def test_a_wrapped_environment_is_made_again_from_its_spec():
+    cells = {"left_foot": np.array([(0.1, 0.03), (0.1, -0.03), (-0.05, 0.03), (-0.05, -0.03)])}
+    soles = {"left_foot": (0.25, 0.1, 0.01), "right_foot": (0.25, 0.1, 0.01)}
+    env = InstrumentedEnv(gym.make("Humanoid-v5"), ("left_foot", "right_foot"), cells=cells, soles=soles)
+    for spec in (pickle.loads(pickle.dumps(env.spec)), EnvSpec.from_json(env.spec.to_json())):
+        again = gym.make(spec)
+        np.testing.assert_array_equal(
+            again.get_wrapper_attr("drawing").position_cell_sole, env.drawing.position_cell_sole
+        )
+        np.testing.assert_array_equal(again.reset(seed=4)[0], env.reset(seed=4)[0])
+
+
+def test_a_single_row_reads_as_many_do():
+    env = InstrumentedEnv(gym.make("Walker2d-v5"))
+    env.reset(seed=0)
+    rows = []
+    for _ in range(40):
+        env.step(np.zeros(6))
+        rows.append(env.truth)
+    batch = FeetTruth(np.concatenate([truth.rows for truth in rows]), env.truth.layout)
+    single = np.concatenate([truth.wrench_sole for truth in rows])
+    assert np.abs(single).max() > 10.0
+    np.testing.assert_allclose(batch.wrench_sole, single, rtol=1e-12, atol=1e-9)
