@@ -82,8 +82,12 @@ class FootCalibrator:
 
     @property
     def state(self) -> Any:
-        """The state, a value that can be kept; ``None`` before the first sample."""
+        """The state, a value that can be kept and given back; ``None`` before the first sample."""
         return self._state
+
+    @state.setter
+    def state(self, kept: Any) -> None:
+        self._state = kept
 
     def update(self, raw: ArrayLike | Array, reference: Reference, dt: float | None = None) -> Estimate:
         """Take in one sample of one robot or of a batch.

@@ -1,6 +1,6 @@
 """Keeping the state of an online method: to a file and back without losing a bit.
 
-A state is a tree of ``NamedTuple`` with arrays and whole numbers at its leaves. The file is a plain
+A state is a tree of tuples, mostly named, with arrays and whole numbers at its leaves. The file is a plain
 ``.npz`` with one entry a leaf, named by its path such as ``"front.raw"``, and no pickles.
 """
 
@@ -94,25 +94,35 @@ def _read(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
         ) from error
 
 
+def _branches(state: Any) -> dict[str, Any] | None:
+    """Name what a tuple or a ``NamedTuple`` holds; ``None`` for a leaf."""
+    if not isinstance(state, tuple):
+        return None
+    names = getattr(state, "_fields", range(len(state)))
+    return {str(name): part for name, part in zip(names, state, strict=True)}
+
+
 def _leaves(state: Any, path: str = "") -> dict[str, Any]:
-    """List the leaves of a state by their paths."""
-    if isinstance(state, tuple) and hasattr(state, "_fields"):
-        result: dict[str, Any] = {}
-        for field in state._fields:
-            result |= _leaves(getattr(state, field), f"{path}.{field}" if path else field)
-        return result
-    return {path: state}
+    """List the leaves of a state by their paths; what is ``None`` is none."""
+    branches = _branches(state)
+    if branches is None:
+        return {} if state is None else {path: state}
+    result: dict[str, Any] = {}
+    for name, part in branches.items():
+        result |= _leaves(part, f"{path}.{name}" if path else name)
+    return result
 
 
 def _rebuild(like: Any, leaves: dict[str, NDArray[Any]], path: str) -> Any:
     """Put leaves back into a tree of the same form."""
-    if isinstance(like, tuple) and hasattr(like, "_fields"):
-        return type(like)(
-            *(
-                _rebuild(getattr(like, field), leaves, f"{path}.{field}" if path else field)
-                for field in like._fields
-            )
+    branches = _branches(like)
+    if branches is not None:
+        parts = (
+            _rebuild(part, leaves, f"{path}.{name}" if path else name) for name, part in branches.items()
         )
+        return type(like)(*parts) if hasattr(like, "_fields") else tuple(parts)
+    if like is None:
+        return None
     value = leaves[path]
     if not is_array_api_obj(like):
         return type(like)(value)

@@ -155,8 +155,7 @@ class Beliefs:
             swing: Feet that are sure to be in the air then, shape (2,).
         """
         if self._run < 3:
-            nothing, soles = np.full(3, np.nan), np.full((2, 3, 3), np.nan)
-            return Reference(nothing, nothing, nothing, soles[..., 0], soles, stance, swing, nothing, nothing)
+            return nothing(2)._replace(stance=stance, swing=swing)
         rows = self._at(time)
         R_level_odometry, origin = _level(rows)
         level = rows[: _MOMENTUM_RATE + 1] @ R_level_odometry.T
@@ -217,6 +216,22 @@ class Beliefs:
         part = index - number
         rows: NDArray[np.float64] = row + part * (self._ring[(number + 1) % HISTORY] - row)
         return rows
+
+
+def nothing(feet: int) -> Reference:
+    """Say what a robot believes that knows nothing: NaN, and of no foot whether it stands or swings."""
+    unknown, soles, unsure = np.full((5, 3), np.nan), np.full((feet, 4, 3), np.nan), np.zeros((2, feet), bool)
+    return Reference(
+        com=unknown[0],
+        com_acceleration=unknown[1],
+        angular_momentum_rate=unknown[2],
+        position_sole=soles[:, 3],
+        R_level_sole=soles[:, :3],
+        stance=unsure[0],
+        swing=unsure[1],
+        accelerometer=unknown[3],
+        gyroscope=unknown[4],
+    )
 
 
 def _level(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

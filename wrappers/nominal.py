@@ -1,8 +1,24 @@
 """The model that a robot has of itself: the designer's drawing with masses that are a little off."""
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+
+class Masses(NamedTuple):
+    """What a robot believes of its bodies.
+
+    Attributes:
+        mass: Masses in kg, shape (B,).
+        inertia: Principal moments of inertia in kg m^2, shape (B, 3).
+        com_torso: Centre of mass of the torso's own body in its frame in m, shape (3,).
+    """
+
+    mass: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+    com_torso: NDArray[np.float64]
 
 
 class NominalModel:
@@ -46,17 +62,20 @@ class NominalModel:
         hinges = [joint for joint in joints if joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE]
         self.joint_names = tuple(joint.name for joint in hinges)
         if self._model.nq != len(hinges) + 7 or self._model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
-            raise ValueError("The robot must hang on one free joint and have hinge joints otherwise.")
-        if [self._model.site(name).id for name in sites] != [0, 1, 2]:
-            raise ValueError(f"The sites {sites} must be ordered (IMU, left, right) in the drawing.")
+            raise ValueError(
+                "A nominal model needs a robot that floats on one free joint and has hinge joints otherwise, "
+                f"got the joints {[joint.name for joint in joints]}; a planar robot, for instance, has no "
+                "tilt that an IMU could tell."
+            )
         # Views of MuJoCo's own arrays: making one anew costs as much as the kinematics.
         data = self._data
         self._qpos, self._qvel = data.qpos[7:], data.qvel[6:]
         self._spin = data.qvel[3:6]
         self._com, self._momentum = data.subtree_com[self._torso], data.subtree_angmom[self._torso]
-        # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
+        self._sites = np.array([self._model.site(name).id for name in sites])
         self._site_position = data.site_xpos
-        self._sole_axes = data.site_xmat.reshape(3, 3, 3)[1:].swapaxes(1, 2)
+        # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
+        self._site_axes = data.site_xmat.reshape(3, 3, 3).swapaxes(1, 2)
         data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
     @property
@@ -66,16 +85,26 @@ class NominalModel:
 
     def draw(self, rng: np.random.Generator) -> None:
         """Draw the errors of the masses and of the centre of mass anew, from the drawing's own values."""
-        model = self._model
         factor = 1.0 + self._mass_error * rng.standard_normal(len(self._mass))
         total = 1.0 + self._mass_error * rng.choice([-1.0, 1.0])
         factor *= total * self._mass.sum() / (self._mass @ factor)
-        model.body_mass[:] = self._mass * factor
-        model.body_inertia[:] = self._inertia * factor[:, None]
+        mass = self._mass * factor
         direction = rng.standard_normal(3)
         direction *= self._com_offset / np.linalg.norm(direction)
-        share = model.body_mass[self._torso] / model.body_mass.sum()
-        model.body_ipos[self._torso] = self._torso_com + direction / share
+        share = mass[self._torso] / mass.sum()
+        self.masses = Masses(mass, self._inertia * factor[:, None], self._torso_com + direction / share)
+
+    @property
+    def masses(self) -> Masses:
+        """The masses that it believes, as a copy."""
+        model = self._model
+        torso = model.body_ipos[self._torso]
+        return Masses(model.body_mass.copy(), model.body_inertia.copy(), torso.copy())
+
+    @masses.setter
+    def masses(self, believed: Masses) -> None:
+        model = self._model
+        model.body_mass[:], model.body_inertia[:], model.body_ipos[self._torso] = believed
         mujoco.mj_setConst(model, self._data)
         self._data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         self._data.qvel[:] = 0.0
@@ -103,7 +132,9 @@ class NominalModel:
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
-        return self._com, self._momentum, self._site_position, self._sole_axes.reshape(6, 3)
+        sites = self._sites
+        axes = self._site_axes[sites[1:]].reshape(6, 3)
+        return self._com, self._momentum, self._site_position[sites], axes
 
 
 def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> mujoco.MjSpec:

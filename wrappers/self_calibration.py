@@ -1,58 +1,89 @@
 """Lets a robot calibrate its feet while it walks, with what it knows of itself."""
 
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import ceil
-from typing import Any
+from os import PathLike
+from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, Parameters, Reference
+from surefoot.calibration import FootCalibrator, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
-from surefoot.envs import below_cells, load_nao_spec
-from surefoot.wrappers.beliefs import HISTORY, Beliefs
-from surefoot.wrappers.foot_sensors import FootSensors, check_stream
-from surefoot.wrappers.nominal import NominalModel
+from surefoot.calibration.state import load_state, save_state
+from surefoot.wrappers.beliefs import HISTORY, Beliefs, nothing
+from surefoot.wrappers.contacts import CONTACT_MARGIN, Kinematics, Plan
+from surefoot.wrappers.foot_sensors import FootSensors
+from surefoot.wrappers.foot_view import CERTAINTY, DEFAULT, FootView
+from surefoot.wrappers.nominal import Masses, NominalModel
+from surefoot.wrappers.source import check_stream, split_options, wants_fresh
+from surefoot.wrappers.telemetry import Telemetry
 
 BELIEF_STREAM = 0x5F01
 """Number of the random stream that the errors of the robot's beliefs are drawn from."""
 
-CONTACT_MARGIN = 4
-"""Samples by which a planned stance or swing must hold before and after one to be sure of it: joints follow
-their targets late, and feet land when the ground comes."""
+CERTAIN_METHODS = ("surefoot",)
+"""Methods that claim a covariance."""
 
-FORCE_BOUND, COP_BOUND = 1000.0, 1.0
+USUAL_LENGTH = 0.2
+"""Length in m of a foot that has none, such as a sphere: errors of moments are stated in its terms."""
+
+class Learnt(NamedTuple):
+    """What a robot takes with it from episode to episode.
+
+    Attributes:
+        state: State of the calibrator.
+        initial: The map that it began from.
+        masses: What the robot believes of its bodies.
+    """
+
+    state: Any
+    initial: Parameters
+    masses: Masses
 
 
 class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Calibrate the counts of :class:`FootSensors` as the robot goes, and observe what they say.
 
-    The observation keeps ``"foot_raw"`` and gains, from the counts alone,
+    The observation keeps ``"foot_raw"`` and gains, from the counts alone, what ``show`` names:
 
     | Key | Observation | Min | Max | Unit |
     |-----|-------------|-----|-----|------|
-    | ``"foot_force"`` (8) | calibrated forces of the cells, as ``"foot_raw"`` | -1000 | 1000 | N |
+    | ``"foot_force"`` (K) | calibrated channels, as ``"foot_raw"`` | -1000 | 1000 | N (N m) |
     | ``"cop_foot"`` (2, 2) | centre of pressure of each foot (left, right), sole frame | -1 | 1 | m |
     | ``"cop"`` (2) | centre of pressure of both feet, level frame | -1 | 1 | m |
     | ``"cop_valid"`` (3) | whether the total, left and right one are defined | 0 | 1 | 1 |
+    | ``"wrench"`` (2, 6) | wrench of the ground on each sole, sole frame | -1000 | 1000 | N, N m |
+    | ``"vgrf"`` (2) | vertical force on each foot, level frame | -1000 | 1000 | N |
+    | ``"foot_force_std"`` (K) | standard deviation of ``"foot_force"`` | 0 | 1000 | N (N m) |
+    | ``"cop_std"`` (2) | standard deviation of ``"cop"`` | 0 | 1 | m |
+    | ``"foot_flags"`` (K) | :class:`~surefoot.calibration.estimate.Flag` bits | 0 | 2^31 - 1 | 1 |
 
-    A centre of pressure is defined above 5 N; below, the last one is held and flagged. The reference that
-    the calibrator holds the counts against is made of the robot's beliefs (telemetry and a nominal model with
-    wrong masses, see :mod:`surefoot.wrappers.beliefs`), never of truth.
+    The first four are shown by default. A robot of more than 20 kg has wider bounds, five times its weight. A
+    centre of pressure is defined above 5 N; below, the last one is held and flagged, as all are for feet
+    without area. The reference that the calibrator holds the counts against is made of the robot's beliefs
+    (telemetry and a nominal model with wrong masses, see :mod:`surefoot.wrappers.beliefs`), never of truth.
+    Which feet stand and swing is what the environment's ``command`` plans, or else told by kinematics
+    (:mod:`surefoot.wrappers.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (:class:`~surefoot.calibration.Parameters`), ``"covariance"``
-    (or ``None``), ``"flags"`` (8), ``"vgrf"`` (2) N, ``"reference"``
+    (or ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, ``"reference"``
     (:class:`~surefoot.calibration.Reference`) and ``"lag"``, by how many samples the reference is late.
+
+    What was learnt is kept over resets, as the sensors are: a reset with a seed, or one that draws sensors
+    anew, forgets it. ``fresh=True`` forgets at each reset; ``options={"surefoot": {"calibration": choice}}``
+    with ``"fresh"`` or ``"keep"`` decides for one.
 
     Args:
         env: An environment with :class:`FootSensors` around it.
         method: A key of :data:`surefoot.calibration.METHODS`.
         initial: The map to start from: ``"nominal"``, the data sheet's; ``"bench"``, what a bench would have
             found just before the episode; or :class:`~surefoot.calibration.Parameters` (also as a mapping).
+        show: What is observed.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
+        fresh: Whether each reset forgets what was learnt.
         mass_error: Relative error of the mass that the robot believes it has.
         com_offset: Distance in m by which its believed centre of mass is off.
         bench_scale_error: Relative standard deviation of a scale from the bench.
@@ -61,16 +92,18 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         options: Options of the method.
 
     Attributes:
-        calibrator: The calibrator of this episode.
+        calibrator: The calibrator.
         beliefs: The robot's beliefs.
         reference: What the calibrator was last told.
         reference_time: The moment that it describes, in s of the host's clock since the reset.
         estimate: What it last said.
+        frozen: Whether nothing is learnt for now.
 
     Raises:
         TypeError: If there is no :class:`FootSensors` below, or another wrapper of this kind, or if the
             observation is no ``Dict`` any more.
-        ValueError: If the method or an option does not exist, or a value has no meaning.
+        ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
+            that a nominal model can be made of: one free body, hinge joints, two feet.
     """
 
     def __init__(
@@ -79,7 +112,9 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         method: str = "surefoot",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
+        show: Sequence[str] = DEFAULT,
         lag: int | None = None,
+        fresh: bool = False,
         mass_error: float = 0.005,
         com_offset: float = 0.003,
         bench_scale_error: float = 0.001,
@@ -88,14 +123,16 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         **options: Any,
     ) -> None:
         sensors = _foot_sensors(env)
-        start = _initial(initial, sensors.config.channels)
+        start = _initial(initial, sensors.instruments.channels)
         gym.utils.RecordConstructorArgs.__init__(
             self,
             method=method,
             initial=start
             if isinstance(start, str)
             else {"scale": start.scale.tolist(), "offset": start.offset.tolist()},
+            show=list(show),
             lag=lag,
+            fresh=fresh,
             mass_error=mass_error,
             com_offset=com_offset,
             bench_scale_error=bench_scale_error,
@@ -112,16 +149,35 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         }.items():
             if not 0.0 <= value < float("inf"):
                 raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
-        self._method, self._initial, self._options = method, start, options
+        self._method, self._initial = method, start
+        self._options = _sized(sensors) | options
         self._bench_error = (bench_scale_error, bench_offset_error)
         self._stream = stream
         self._rng = np.random.default_rng()
-        self._model = NominalModel(load_nao_spec(), mass_error=mass_error, com_offset=com_offset)
-        self.layout = _layout(self.unwrapped)
-        self._lag = lag
-        # A calibrator is made at each reset; one now refuses bad options before the first step.
+        drawing = sensors.source.drawing
+        if len(drawing.feet) != 2:
+            raise ValueError(
+                f"SelfCalibration needs a robot on two feet, got the feet {drawing.feet}; name two of them."
+            )
+        self._model = NominalModel(
+            drawing.spec(),
+            mass_error=mass_error,
+            com_offset=com_offset,
+            sites=(drawing.imu, drawing.soles[0], drawing.soles[1]),
+            torso=drawing.torso,
+        )
+        self.layout = sensors.instruments.layout
+        self._lag, self._fresh = lag, fresh
+        # A calibrator is made at a reset; one now refuses bad options before the first step.
         trial = self._nominal() if isinstance(start, str) else start
         self._calibrator(trial, 1.0 / 80.0, lag or 0)
+        self._view = FootView(show, self.layout, self._model.mass, drawing.flaw)
+        unknown = [part for part in show if part in CERTAINTY and method not in CERTAIN_METHODS]
+        if unknown:
+            raise ValueError(
+                f"Method {method!r} claims no covariance, so that {unknown} cannot be shown; "
+                f"{CERTAIN_METHODS} do."
+            )
         space = env.observation_space
         if not isinstance(space, spaces.Dict):
             raise TypeError(
@@ -129,42 +185,40 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
                 f"{type(space).__name__}; wrap in this order, and whatever changes observations around both: "
                 f"SelfCalibration(FootSensors(env)). Got {env}."
             )
-        self.observation_space = spaces.Dict(
-            dict(space.spaces)
-            | {
-                "foot_force": spaces.Box(-FORCE_BOUND, FORCE_BOUND, (self.layout.channels,), np.float32),
-                "cop_foot": spaces.Box(-COP_BOUND, COP_BOUND, (2, 2), np.float32),
-                "cop": spaces.Box(-COP_BOUND, COP_BOUND, (2,), np.float32),
-                "cop_valid": spaces.MultiBinary(3),
-            }
-        )
+        sensors.listen()
+        self.observation_space = spaces.Dict(dict(space.spaces) | self._view.spaces)
         self.calibrator: FootCalibrator
         self.beliefs: Beliefs
         self.reference: Reference
         self.reference_time = 0.0
         self.estimate: Estimate
+        self.frozen = False
+        self._made = False
+        self._held = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment, and forget what was learnt.
+        """Reset the environment, and forget what was learnt or keep it.
 
         Args:
-            seed: Seeds the environment, the sensors and the errors of the beliefs.
-            options: Handed to the environment.
+            seed: Seeds the environment, the sensors and the errors of the beliefs, and forgets.
+            options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``; handed on.
+
+        Raises:
+            ValueError: If a choice does not exist, or the lag needs more telemetry than is kept.
         """
+        _, asked = split_options(options, "sensors", "calibration")
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._rng = np.random.default_rng([self._stream, seed])
-        sensors, rng = self._sensors, self._rng
+        sensors, always = self._sensors, self._fresh or self._sensors.drawn_anew
         telemetry = sensors.telemetry
-        self._model.draw(rng)
-        initial = self._start(rng)
-        self._age = sensors.config.nominal_age
-        needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * telemetry.period - self._age
-        self._late = max(ceil(needed / telemetry.dt), CONTACT_MARGIN) if self._lag is None else self._lag
-        self._check_history()
-        self.calibrator = self._calibrator(initial, telemetry.dt, self._late)
+        if wants_fresh(asked.get("calibration"), seed, always, self._made):
+            self._forget(telemetry)
+        else:
+            # What lies before the reset belongs to another episode.
+            self._held = self._late + 1
         self.beliefs = Beliefs(
             self._model,
             telemetry.layout,
@@ -173,61 +227,105 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             telemetry.averaged,
         )
         self.beliefs.update(sensors.packets)
-        self._plan = Plan(self._late)
-        self._cop = [0.0, 0.0]
-        self._cop_foot = [[0.0, 0.0], [0.0, 0.0]]
+        self._plan, self._kinematics = Plan(self._late), Kinematics()
+        self._view.restart()
         return self._calibrate(observation, info), info
 
-    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and calibrate by one sample."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self.beliefs.update(self._sensors.packets)
-        return self._calibrate(observation, info), float(reward), terminated, truncated, info
+        return self._calibrate(observation, info), reward, terminated, truncated, info
+
+    def freeze(self, frozen: bool = True) -> None:
+        """Learn nothing from now on, or learn again: readings are corrected by what was learnt so far.
+
+        What was measured by now still counts, so that estimates may move for another fraction of a second.
+        """
+        self.frozen = frozen
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write what was learnt, and the masses that it rests on, to an ``.npz`` without pickles.
+
+        Raises:
+            RuntimeError: If the environment has not been reset.
+        """
+        save_state(path, self._learnt(), **self._notes())
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with what a file of :meth:`save` has learnt; a reset without a seed keeps it.
+
+        Raises:
+            RuntimeError: If the environment has not been reset.
+            ValueError: If the file is of another robot, other sensors, another method or another lag.
+        """
+        learnt: Learnt = load_state(path, self._learnt(), **self._notes())
+        self._model.masses = learnt.masses
+        self.calibrator = self._calibrator(learnt.initial, self.calibrator.setup.dt, self._late)
+        self.calibrator.state = learnt.state
+        # Its last samples are not those before the next one.
+        self._held = self._late + 1
+
+    def _learnt(self) -> Learnt:
+        if not self._made:
+            raise RuntimeError("There is no calibrator before the first reset(), which makes it.")
+        initial = Parameters(*(np.asarray(part, dtype=np.float64) for part in self.calibrator.setup.initial))
+        return Learnt(self.calibrator.state, initial, self._model.masses)
+
+    def _notes(self) -> dict[str, str]:
+        source, setup = self._sensors.source, self.calibrator.setup
+        return {
+            "method": f"{self._method} {self._options}",
+            "robot": f"{source.drawing.torso} with {', '.join(source.joint_names)}",
+            "channels": " ".join(self.layout.channel_names),
+            "timing": f"{setup.dt:.9g} s a sample, {setup.lag} samples late",
+        }
+
+    def _forget(self, telemetry: Telemetry) -> None:
+        """Draw what the robot is wrong about, and begin from the starting map."""
+        rng = self._rng
+        self._model.draw(rng)
+        initial = self._start(rng)
+        self._age = self._sensors.instruments.age
+        needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * telemetry.period - self._age
+        self._late = max(ceil(needed / telemetry.dt), CONTACT_MARGIN) if self._lag is None else self._lag
+        self._check_history()
+        self.calibrator = self._calibrator(initial, telemetry.dt, self._late)
+        self._made, self._held = True, 0
 
     def _calibrate(self, observation: dict[str, Any], info: dict[str, Any]) -> dict[str, Any]:
-        sensors, beliefs = self._sensors, self.beliefs
-        command: Any = self.unwrapped.command  # type: ignore[attr-defined]
-        stance, swing = self._plan.at(command.stance, command.swing)
+        sensors = self._sensors
         self.reference_time = sensors.time - self._late * sensors.telemetry.dt - self._age
-        self.reference = reference = beliefs.reference(self.reference_time, stance, swing)
+        self.reference = reference = self._believed()
         self.estimate = estimate = self.calibrator.update(sensors.raw, reference)
         info.setdefault("surefoot", {}).update(
-            parameters=Parameters(estimate.scale, estimate.offset),
-            covariance=estimate.covariance,
-            flags=estimate.flags,
-            vgrf=estimate.vgrf,
+            # Copies, as an estimate may hold arrays of the one before.
+            parameters=Parameters(estimate.scale.copy(), estimate.offset.copy()),
+            covariance=None if estimate.covariance is None else estimate.covariance.copy(),
+            flags=estimate.flags.copy(),
+            vgrf=estimate.vgrf.copy(),
             reference=reference,
             lag=self._late,
         )
-        return self._observe(observation, estimate)
+        return observation | self._view.show(estimate, self.beliefs.soles(sensors.time))
 
-    def _observe(self, observation: dict[str, Any], estimate: Estimate) -> dict[str, Any]:
-        """Put the calibrated feet into an observation; the level frame is that of now."""
-        wrench, cop_foot = estimate.wrench.tolist(), estimate.cop_foot.tolist()
-        valid = [bool(estimate.cop_valid), *estimate.cop_foot_valid.tolist()]
-        for foot in (0, 1):
-            if valid[1 + foot]:
-                self._cop_foot[foot] = [_bounded(part) for part in cop_foot[foot]]
-        if valid[0]:
-            load = x = y = 0.0
-            soles = self.beliefs.soles(self._sensors.time)
-            for sole, (_, _, fz, tx, ty, _) in zip(soles, wrench, strict=True):
-                u, v = sole.forward_x, sole.forward_y
-                load += fz
-                x += sole.x * fz - u * ty - v * tx
-                y += sole.y * fz - v * ty + u * tx
-            self._cop = [_bounded(x / load), _bounded(y / load)]
-        seen = dict(observation)
-        force = np.minimum(np.maximum(estimate.force, -FORCE_BOUND), FORCE_BOUND)
-        seen["foot_force"] = force.astype(np.float32)
-        seen["cop_foot"] = np.array(self._cop_foot, dtype=np.float32)
-        seen["cop"] = np.array(self._cop, dtype=np.float32)
-        seen["cop_valid"] = np.array(valid, dtype=np.int8)
-        return seen
+    def _believed(self) -> Reference:
+        """Say what the calibrator is told: nothing while it is frozen, or its samples are of two episodes."""
+        command: Any = getattr(self._sensors.source, "command", None)
+        if command is not None:
+            contacts = self._plan.at(command.stance, command.swing)
+        if self.frozen or self._held:
+            self._held = max(self._held - 1, 0)
+            return nothing(2)
+        if command is not None:
+            return self.beliefs.reference(self.reference_time, *contacts)
+        unsure = np.zeros(2, dtype=bool)
+        reference = self.beliefs.reference(self.reference_time, unsure, unsure)
+        stance, swing = self._kinematics.at(reference)
+        return reference._replace(stance=stance, swing=swing)
 
     def _nominal(self) -> Parameters:
-        config = self._sensors.config
-        return Parameters(config.nominal_scale, config.nominal_offset)
+        return self._sensors.instruments.nominal
 
     def _start(self, rng: np.random.Generator) -> Parameters:
         """Find the map to start from."""
@@ -264,37 +362,12 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         )
 
 
-class Plan:
-    """Tells which feet surely stood, or surely swung, some samples ago.
-
-    Args:
-        lag: How many samples ago.
-    """
-
-    def __init__(self, lag: int) -> None:
-        self._needed = CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag)
-        self._runs = deque([[0, 0, 0, 0]], maxlen=max(lag - CONTACT_MARGIN, 0) + 1)
-
-    def at(
-        self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in what is planned now, and tell of then.
-
-        Args:
-            stance: Feet planned to stand, shape (2,).
-            swing: Feet planned to swing, shape (2,).
-
-        Returns:
-            Feet that surely stood and feet that surely swung ``lag`` samples ago, shape (2,) each.
-        """
-        planned = [*stance.tolist(), *swing.tolist()]
-        self._runs.append([run + 1 if held else 0 for run, held in zip(self._runs[-1], planned, strict=True)])
-        sure = [run >= self._needed for run in self._runs[0]]
-        return np.array(sure[:2]), np.array(sure[2:])
-
-
-def _bounded(place: float) -> float:
-    return min(max(place, -COP_BOUND), COP_BOUND)
+def _sized(sensors: FootSensors) -> dict[str, float]:
+    """Tell how long a foot is where the channels have no places of their own."""
+    if all(foot.position_cell_sole is not None for foot in sensors.instruments.layout.feet):
+        return {}
+    places = sensors.source.drawing.position_cell_sole
+    return {"foot_length": USUAL_LENGTH if places is None else float(np.ptp(places[..., 0], axis=1).max())}
 
 
 def _foot_sensors(env: gym.Env[Any, Any]) -> FootSensors:
@@ -347,16 +420,3 @@ def _channels(name: str, given: Any, channels: int) -> NDArray[np.float64]:
             f"got {given!r}."
         )
     return part
-
-
-def _layout(env: Any) -> FeetLayout:
-    """Lay out the cells where the drawing has them, over the sole plates that it has."""
-    plates = below_cells(env.model)
-    return FeetLayout(
-        tuple(
-            FootLayout.load_cells(name, position, mass_below=float(mass), com_below_sole=com)
-            for name, position, mass, com in zip(
-                ("left", "right"), env.position_cell_sole, plates.mass, plates.com_sole, strict=True
-            )
-        )
-    )

@@ -59,6 +59,18 @@ class Computer(NamedTuple):
     velocity: NDArray[np.float64]
 
 
+class Hardware(NamedTuple):
+    """What an IMU and encoders are, whatever the robot does.
+
+    Attributes:
+        imu: State of the IMU.
+        encoders: State of the encoders.
+    """
+
+    imu: ImuState
+    encoders: Any
+
+
 class TelemetryState(NamedTuple):
     """The robot's side of the link.
 
@@ -124,7 +136,11 @@ class Telemetry:
             self._smoothing = 1.0
 
     def init(
-        self, position: NDArray[np.float64], inertial: NDArray[np.float64], rng: np.random.Generator
+        self,
+        position: NDArray[np.float64],
+        inertial: NDArray[np.float64],
+        rng: np.random.Generator,
+        hardware: Hardware | None = None,
     ) -> tuple[Packets, TelemetryState]:
         """Switch the robot on at rest, some packets before time 0.
 
@@ -132,11 +148,14 @@ class Telemetry:
             position: Joint positions in rad, shape (J,).
             inertial: Specific force in m/s^2 and angular velocity in rad/s at the IMU, shape (6,).
             rng: Where errors and noise come from.
+            hardware: The IMU and the encoders; ``None`` draws new ones.
 
         Returns:
             The packets that have arrived by time 0, at least one, and the state.
         """
-        imu_state, encoder_state = self._imu.init((6,), rng), self._encoders.init(position.shape, rng)
+        if hardware is None:
+            hardware = Hardware(self._imu.init((6,), rng), self._encoders.init(position.shape, rng))
+        imu_state, encoder_state = hardware
         reading, encoder_state = self._encoders.apply(position, encoder_state, rng, self.period)
         computer = Computer(imu_state, encoder_state, UPRIGHT, reading, np.zeros_like(reading))
         under_way: Packets = ()

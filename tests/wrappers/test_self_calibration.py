@@ -10,7 +10,7 @@ import pytest
 from surefoot.calibration import FootCalibrator, Parameters
 from surefoot.sensors import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.self_calibration import CONTACT_MARGIN, Plan
+from surefoot.wrappers.contacts import CONTACT_MARGIN, Plan
 
 STILL = np.zeros(11, dtype=np.float32)
 
@@ -135,7 +135,7 @@ def test_a_foot_in_the_air_keeps_its_last_centre_of_pressure(make_bare) -> None:
     assert lifted > 20
 
 
-def test_resets_forget_what_was_learnt(make_bare) -> None:
+def test_resets_with_a_seed_forget_what_was_learnt(make_bare) -> None:
     env = SelfCalibration(FootSensors(make_bare()), "window")
     first = walk(env, 100, seed=5)
     second = walk(env, 100, seed=5)

@@ -1,0 +1,218 @@
+"""Two lines around any biped: its episodes stay its own, bit for bit, and its feet are felt."""
+
+import pickle
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.env_match import check_environments_match
+
+from surefoot.envs import InstrumentedEnv
+from surefoot.sensors import PERFECT_FORCE_TORQUE
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+ANKLES = "icub-force-torque"
+NAO = {"speed": 0.04, "duration": 12.0}
+
+
+class AsItWas(gym.ObservationWrapper):
+    """Shows what the environment itself showed, after it went through sensors."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.observation_space = env.observation_space["state"]
+
+    def observation(self, observation: dict[str, Any]) -> Any:
+        return observation["state"]
+
+
+def bare(name: str) -> gym.Env[Any, Any]:
+    env = gym.make(name, **(NAO if "Walk-" in name else {}))
+    return AsItWas(env) if name.startswith("surefoot/") else env
+
+
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("Humanoid-v5", PERFECT_FORCE_TORQUE),
+        ("Walker2d-v5", PERFECT_FORCE_TORQUE),
+        ("surefoot/NaoStand-v0", "perfect"),
+        ("surefoot/NaoWalk-v0", "perfect"),
+    ],
+)
+def test_a_null_sensor_changes_nothing_in_a_thousand_steps(name: str, config: Any) -> None:
+    env = gym.make(name, **(NAO if "Walk-" in name else {}))
+    sensed = AsItWas(FootSensors(env, config, measure_state=False))
+    comparison = "skip" if name.startswith("surefoot/") else "superset"
+    check_environments_match(bare(name), sensed, num_steps=1000, seed=3, info_comparison=comparison)
+
+
+def test_a_null_sensor_tells_the_truth_about_the_ankles() -> None:
+    env = FootSensors(gym.make("Humanoid-v5"), PERFECT_FORCE_TORQUE)
+    observation, _ = env.reset(seed=0)
+    for _ in range(20):
+        truth = env.source.truth.wrench_ankle[-1].ravel().astype(np.float32)
+        np.testing.assert_array_equal(observation["foot_raw"], truth)
+        observation, *_ = env.step(env.action_space.sample())
+
+
+STACKS = {
+    "ankles": lambda: FootSensors(gym.make("Humanoid-v5"), ANKLES),
+    "planar": lambda: SelfCalibration(FootSensors(gym.make("Walker2d-v5"), ANKLES)),
+    "calibrated": lambda: SelfCalibration(FootSensors(gym.make("Humanoid-v5"), ANKLES)),
+    "soles": lambda: SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True)),
+}
+
+
+def steps(env: gym.Env[Any, Any], count: int = 10) -> list[dict[str, Any]]:
+    seen = [env.reset(seed=3)[0]]
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        action = rng.uniform(-0.1, 0.1, env.action_space.shape).astype(np.float32)
+        seen.append(env.step(action)[0])
+    return seen
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_specs_survive_pickle_and_json_and_make_the_same_environment(name: str) -> None:
+    env = STACKS[name]()
+    expected = steps(env)
+    for spec in (pickle.loads(pickle.dumps(env.spec)), EnvSpec.from_json(env.spec.to_json())):
+        for one, other in zip(steps(gym.make(spec)), expected, strict=True):
+            for key in other:
+                np.testing.assert_array_equal(one[key], other[key], err_msg=key)
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_gymnasium_finds_no_fault(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version.*")
+        warnings.filterwarnings("ignore", message=".*Box observation space m.*imum value is.*")
+        check_env(STACKS[name](), skip_render_check=True)
+
+
+def test_vector_environments_are_made_of_specs() -> None:
+    env = gym.make_vec("Humanoid-v5", 2, "sync", wrappers=[lambda env: FootSensors(env, ANKLES)])
+    observation, _ = env.reset(seed=0)
+    assert observation["foot_raw"].shape == (2, 12)
+    assert not np.array_equal(*observation["foot_raw"])
+    env.close()
+
+
+def test_sensors_never_touch_the_environments_own_randomness() -> None:
+    env, alone = STACKS["calibrated"](), gym.make("Humanoid-v5")
+    steps(env)
+    steps(alone)
+    states = (one.unwrapped.np_random.bit_generator.state for one in (env, alone))
+    assert next(states) == next(states)
+
+
+def test_listening_shifts_nothing_that_feet_draw() -> None:
+    alone = steps(STACKS["ankles"]())
+    heard = steps(STACKS["calibrated"]())
+    for one, other in zip(alone, heard, strict=True):
+        np.testing.assert_array_equal(one["foot_raw"], other["foot_raw"])
+
+
+def test_feet_without_soles_have_forces_and_no_centre_of_pressure() -> None:
+    env = SelfCalibration(
+        FootSensors(gym.make("Humanoid-v5"), PERFECT_FORCE_TORQUE),
+        "none",
+        mass_error=0.0,
+        com_offset=0.0,
+        show=("vgrf", "cop_valid"),
+    )
+    env.reset(seed=0)
+    loads = []
+    for _ in range(30):
+        observation, *_ = env.step(np.zeros(17, dtype=np.float32))
+        assert not observation["cop_valid"].any()
+        loads.append((observation["vgrf"].sum(), env.env.source.truth.vgrf().sum()))
+    told, true = np.array(loads).T
+    assert true.max() > 100.0
+    # The feet's own inertia is felt as well, which a reference a few samples late cannot take off.
+    assert np.corrcoef(told, true)[0, 1] > 0.99
+    with pytest.raises(ValueError, match=r"The foot 'left_foot' has no area.*six-axis sensors in the ankles"):
+        FootSensors(gym.make("Humanoid-v5"))
+
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    <body name="trunk" pos="0 0 0.5">
+      <freejoint/>
+      <geom type="box" size="0.08 0.1 0.1" pos="0 0 0.1" mass="4"/>
+      {legs}
+    </body>
+  </worldbody>
+  <actuator>{motors}</actuator>
+</mujoco>
+"""
+LEG = """
+<body name="{side}_leg" pos="0 {y} 0">
+  <joint name="{side}_hip" axis="0 1 0" damping="2" armature="0.05"/>
+  <geom type="capsule" fromto="0 0 -0.05 0 0 -0.35" size="0.03" mass="0.8" contype="0" conaffinity="0"/>
+  <body name="{side}_foot" pos="0 0 -0.45">
+    <joint name="{side}_ankle" axis="0 1 0" pos="0 0 0.05" damping="2" armature="0.05"/>
+    <geom type="box" size="0.1 0.05 0.02" pos="0.02 0 -0.025" mass="0.4"/>
+  </body>
+</body>
+"""
+
+
+class Stilts(MujocoEnv):
+    """A home-made biped, as a user would write it."""
+
+    metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 50}
+
+    def __init__(self, path: str) -> None:
+        space = gym.spaces.Box(-np.inf, np.inf, (10,), np.float64)
+        super().__init__(path, 10, space)
+
+    def step(self, action):
+        self.do_simulation(action, self.frame_skip)
+        return self.data.qpos[7:].repeat(3)[:10].copy(), 0.0, False, False, {}
+
+    def reset_model(self):
+        self.set_state(self.init_qpos, self.init_qvel)
+        return self.data.qpos[7:].repeat(3)[:10].copy()
+
+
+@pytest.fixture
+def stilts(tmp_path):
+    names = [f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "ankle")]
+    motors = "".join(f'<position name="{name}" joint="{name}" kp="200" kv="10"/>' for name in names)
+    legs = "".join(LEG.format(side=side, y=y) for side, y in (("left", 0.09), ("right", -0.09)))
+    path = tmp_path / "stilts.xml"
+    path.write_text(MODEL.format(legs=legs, motors=motors))
+    return str(path)
+
+
+def test_a_home_made_biped_needs_two_lines(stilts: str) -> None:
+    env = FootSensors(Stilts(stilts), {"initial_gain_std": 0.1, "initial_zero_std": 2.0, "capacity": 60.0})
+    env = SelfCalibration(env)
+    env.reset(seed=0)
+    start = np.abs(np.array(env.estimate.force) - env.env.source.truth.force_cell[-1]).max()
+    for step in range(700):
+        sway = 0.03 * np.sin(0.15 * step)
+        env.step(np.array([-sway, sway, -sway, sway]))
+    truth = env.env.source.truth
+    assert isinstance(env.env.source, InstrumentedEnv)
+    assert abs(env.estimate.vgrf.sum() - truth.vgrf().sum()) < 1.5
+    cop = np.array(env.estimate.cop_foot)
+    np.testing.assert_allclose(cop[:, 0], truth.cop_sole[-1][:, 0], atol=0.01)
+    assert start > 2.0
+
+
+def test_feet_that_do_not_exist_are_refused_with_those_that_do(stilts: str) -> None:
+    with pytest.raises(ValueError, match=r"got \['toes'\]; the model's bodies are .*'left_foot'"):
+        FootSensors(Stilts(stilts), feet=("toes",))
+    instrumented = InstrumentedEnv(Stilts(stilts))
+    with pytest.raises(ValueError, match=r"\['feet'\] tell how to put sensors into a robot, but"):
+        FootSensors(instrumented, feet=("left_foot", "right_foot"))

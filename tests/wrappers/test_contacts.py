@@ -1,0 +1,88 @@
+"""Which feet stand and swing, told by where they are."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from surefoot.calibration import Reference
+from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.contacts import CONTACT_MARGIN, Kinematics
+
+
+def believed(left: float, right: float, *, roll: float = 0.0, force: float = 9.81) -> Reference:
+    none = np.zeros(3)
+    tilted = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+    return Reference(
+        com=none,
+        com_acceleration=none,
+        angular_momentum_rate=none,
+        position_sole=np.array([[0.0, 0.05, left], [0.0, -0.05, right]]),
+        R_level_sole=np.stack([np.eye(3), tilted]),
+        stance=np.zeros(2, dtype=bool),
+        swing=np.zeros(2, dtype=bool),
+        accelerometer=np.array([0.0, 0.0, force]),
+        gyroscope=none,
+    )
+
+
+@pytest.mark.parametrize(
+    ("moment", "stance", "swing"),
+    [
+        (believed(0.0, 0.0), [True, True], [False, False]),
+        (believed(0.5, 0.502), [True, True], [False, False]),
+        (believed(0.0, 0.02), [True, False], [False, True]),
+        (believed(0.03, 0.0), [False, True], [True, False]),
+        (believed(0.0, 0.006), [True, False], [False, False]),
+        (believed(0.0, 0.0, roll=0.1), [True, False], [False, False]),
+        (believed(0.0, 0.02, force=2.0), [False, False], [False, False]),
+        (believed(np.nan, np.nan), [False, False], [False, False]),
+    ],
+)
+def test_a_foot_is_sure_after_some_samples(moment: Reference, stance: list[bool], swing: list[bool]) -> None:
+    kinematics = Kinematics()
+    for _ in range(CONTACT_MARGIN):
+        seen = kinematics.at(moment)
+        assert not np.any(seen)
+    stood, swung = kinematics.at(moment)
+    assert stood.tolist() == stance
+    assert swung.tolist() == swing
+    assert not np.any(kinematics.at(believed(np.nan, np.nan)))
+
+
+class Planless(gym.Wrapper):
+    """Hides what is planned: a source of truth like any other."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.drawing, self.state_layout = env.unwrapped.drawing, env.unwrapped.state_layout
+        self.joint_names, self.dt, self.model = (
+            env.unwrapped.joint_names,
+            env.unwrapped.dt,
+            env.unwrapped.model,
+        )
+
+    @property
+    def truth(self):
+        return self.unwrapped.truth
+
+
+def test_kinematics_agree_with_the_plan_of_a_walk_and_never_contradict_the_contacts(make_bare) -> None:
+    planned = SelfCalibration(FootSensors(make_bare()), "tare")
+    told = SelfCalibration(FootSensors(Planless(make_bare())), "tare")
+    assert not hasattr(told.env.source, "command")
+    planned.reset(seed=0)
+    told.reset(seed=0)
+    both, load = [], []
+    for _ in range(640):
+        for env in (planned, told):
+            env.step(np.zeros(11, dtype=np.float32))
+        both.append((*planned.reference.stance, *planned.reference.swing, *told.reference.stance,
+                     *told.reference.swing))  # fmt: skip
+        load.append(told.unwrapped.truth.vgrf())
+    sure, late = np.array(both[20:]), told.calibrator.setup.lag
+    swings = sure[:, 6:]
+    carried = np.array(load)[20 - late : -late]
+    assert swings.sum() > 40, "swings are seen"
+    assert carried[swings].max() < 2.0, "a foot that surely swings carries nothing"
+    stands = sure[:, 4:6].any(axis=1)
+    assert stands.mean() > 0.6

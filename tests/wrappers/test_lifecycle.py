@@ -1,0 +1,195 @@
+"""Hardware and what was learnt of it over the episodes of a robot's life."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from surefoot.sensors import HX711_LOAD_CELLS, Fault
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+STILL = np.zeros(11, dtype=np.float32)
+STAND = "surefoot/NaoStand-v0"
+
+
+def steps(env: gym.Env[Any, Any], count: int) -> list[dict[str, Any]]:
+    return [env.step(STILL)[0] for _ in range(count)]
+
+
+def scale(env: Any) -> np.ndarray:
+    return env.true_parameters()[0]
+
+
+def test_hardware_goes_on_over_resets_and_a_seed_draws_it_anew(make_bare) -> None:
+    env = FootSensors(make_bare(STAND))
+    env.reset(seed=1)
+    first = scale(env)
+    steps(env, 10)
+    env.reset()
+    np.testing.assert_allclose(scale(env), first, rtol=0.03)
+    assert not np.array_equal(scale(env), first), "it has drifted"
+    env.reset(seed=1)
+    np.testing.assert_array_equal(scale(env), first)
+    env.reset(seed=2)
+    assert np.abs(scale(env) / first - 1.0).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("always", "options", "seed", "stays"),
+    [
+        (False, None, None, True),
+        (True, None, None, False),
+        (False, {"surefoot": {"sensors": "fresh"}}, None, False),
+        (True, {"surefoot": {"sensors": "keep"}}, None, True),
+        (False, {"surefoot": {"sensors": "keep"}}, 5, True),
+        (False, {"surefoot": {"calibration": "fresh"}}, None, True),
+    ],
+)
+def test_a_reset_may_choose(always: bool, options: Any, seed: Any, stays: bool, make_bare) -> None:
+    env = FootSensors(make_bare(STAND), {"gain_drift": 0.0}, fresh=always)
+    env.reset(seed=1)
+    first = scale(env)
+    env.reset(seed=seed, options=options)
+    assert np.array_equal(scale(env), first) == stays
+    assert env.drawn_anew != stays
+
+
+def test_an_imu_and_encoders_keep_their_biases(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare(STAND)))
+    env.reset(seed=3)
+    steps(env, 5)
+    before = env.env._telemetry_state.computer
+    env.reset()
+    after = env.env._telemetry_state.computer
+    np.testing.assert_allclose(after.imu.bias, before.imu.bias, atol=2e-3)
+    assert np.abs(after.imu.bias).max() > 0.01
+
+
+def test_what_was_learnt_is_kept_and_nothing_is_learnt_across_a_reset(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare(STAND)))
+    env.reset(seed=0)
+    steps(env, 320)
+    learnt = env.estimate
+    assert np.abs(learnt.offset - env.env.instruments.nominal.offset).max() > 0.1
+    _, info = env.reset()
+    late = info["surefoot"]["lag"]
+    for _ in range(late + 1):
+        np.testing.assert_allclose(env.estimate.scale, learnt.scale, rtol=1e-9)
+        assert np.isnan(env.reference.com).all()
+        steps(env, 1)
+    assert np.isfinite(env.reference.com).all()
+    env.reset(options={"surefoot": {"calibration": "fresh"}})
+    np.testing.assert_array_equal(env.estimate.scale, env.env.instruments.nominal.scale)
+
+
+def test_new_sensors_are_learnt_anew(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare(STAND)))
+    env.reset(seed=0)
+    steps(env, 320)
+    env.reset(options={"surefoot": {"sensors": "fresh"}})
+    np.testing.assert_array_equal(env.estimate.offset, env.env.instruments.nominal.offset)
+    steps(env, 5)
+    env.reset(options={"surefoot": {"sensors": "fresh", "calibration": "keep"}})
+    assert env.env.drawn_anew
+
+
+def test_who_is_frozen_learns_nothing_and_still_corrects(make_bare) -> None:
+    env = SelfCalibration(FootSensors(make_bare(STAND)))
+    env.reset(seed=0)
+    steps(env, 320)
+    env.freeze()
+    # What was measured by then is still learnt, with the block of samples that it belongs to.
+    steps(env, 20)
+    kept = env.estimate
+    for observation in steps(env, 60):
+        np.testing.assert_allclose(env.estimate.scale, kept.scale, rtol=1e-12)
+        force = kept.scale * observation["foot_raw"] + kept.offset
+        np.testing.assert_allclose(observation["foot_force"], force, atol=2e-3)
+    env.freeze(False)
+    steps(env, 60)
+    assert not np.array_equal(env.estimate.offset, kept.offset)
+
+
+def test_hardware_and_what_was_learnt_survive_in_files(tmp_path, make_bare) -> None:
+    old = SelfCalibration(FootSensors(make_bare(STAND)))
+    old.reset(seed=0)
+    steps(old, 320)
+    old.env.save(tmp_path / "sensors.npz")
+    old.save(tmp_path / "learnt.npz")
+    new = SelfCalibration(FootSensors(make_bare(STAND)))
+    for seed in range(1, 20):
+        new.reset(seed=seed)
+        if abs(new.beliefs.model.mass - old.beliefs.model.mass) > 0.01:
+            break
+    else:
+        pytest.fail("no other mass was drawn")
+    new.env.load(tmp_path / "sensors.npz")
+    new.load(tmp_path / "learnt.npz")
+    np.testing.assert_array_equal(scale(new.env), scale(old.env))
+    assert new.beliefs.model.mass == old.beliefs.model.mass
+    new.reset()
+    np.testing.assert_allclose(new.estimate.scale, old.estimate.scale, rtol=1e-9)
+    np.testing.assert_allclose(new.estimate.offset, old.estimate.offset, rtol=1e-6, atol=1e-6)
+    steps(new, 60)
+    error = new.estimate.vgrf.sum() - new.unwrapped.truth.vgrf().sum()
+    assert abs(error) < 3.0
+
+
+def test_files_of_other_robots_and_sensors_are_refused(tmp_path, make_bare) -> None:
+    env = FootSensors(make_bare(STAND))
+    with pytest.raises(RuntimeError, match=r"no sensors before the first reset\(\)"):
+        env.save(tmp_path / "a.npz")
+    env.reset(seed=0)
+    env.save(tmp_path / "a.npz")
+    other = FootSensors(make_bare(STAND), "icub-force-torque")
+    other.reset(seed=0)
+    with pytest.raises(ValueError, match="was saved for sensors 'LoadCells"):
+        other.load(tmp_path / "a.npz")
+    calibrated = SelfCalibration(FootSensors(make_bare(STAND)))
+    with pytest.raises(RuntimeError, match=r"no calibrator before the first reset\(\)"):
+        calibrated.load(tmp_path / "a.npz")
+    calibrated.reset(seed=0)
+    with pytest.raises(ValueError, match="was saved for method 'nothing', but this is 'surefoot"):
+        calibrated.load(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("asked", "text"),
+    [
+        ({"sensor": "fresh"}, r"must be a mapping with keys among \('sensors', 'calibration'\)"),
+        ("fresh", "must be a mapping with keys among"),
+        ({"sensors": "new"}, r"\['sensors'\] must be one of \('fresh', 'keep'\), got 'new'"),
+    ],
+)
+def test_a_choice_that_does_not_exist_is_refused(asked: Any, text: str, make_bare) -> None:
+    env = FootSensors(make_bare(STAND))
+    with pytest.raises(ValueError, match=text):
+        env.reset(seed=0, options={"surefoot": asked})
+
+
+def test_a_cell_dies_on_time_and_stays_dead(make_bare) -> None:
+    env = FootSensors(
+        make_bare(STAND), faults=[Fault("dead", 5, start=0.5), {"kind": "flipped", "channel": 0}]
+    )
+    env.reset(seed=0)
+    zero = HX711_LOAD_CELLS.zero_code
+    raw = np.array([observation["foot_raw"] for observation in steps(env, 60)])
+    assert np.flatnonzero(raw[:, 5] == zero)[0] in (38, 39)
+    assert (raw[40:, 5] == zero).all()
+    env.reset()
+    assert steps(env, 1)[0]["foot_raw"][5] == zero
+    with pytest.raises(ValueError, match=r"Fault.channel must be one of the instrument's 8 channels"):
+        FootSensors(make_bare(STAND), faults=[Fault("dead", 8)])
+
+
+def test_severity_scales_the_errors(make_bare) -> None:
+    spread = {}
+    for severity in (0.0, 0.5, 1.0):
+        env = FootSensors(make_bare(STAND), severity=severity)
+        env.reset(seed=0)
+        spread[severity] = HX711_LOAD_CELLS.nominal_scale / scale(env) - 1.0
+    np.testing.assert_allclose(spread[0.0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(spread[0.5], 0.5 * spread[1.0], rtol=1e-9)
+    with pytest.raises(ValueError, match="'severity' must be finite and not negative"):
+        FootSensors(make_bare(STAND), severity=-1.0)

@@ -1,0 +1,91 @@
+"""Which feet surely stood, or surely swung, at the moment of a reference.
+
+A robot that plans its steps knows; one whose policy plans nothing tells by its own kinematics: the lower sole
+is on the ground, unless the robot is falling freely, and a sole that is clearly above it is in the air.
+"""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY, Reference
+
+CONTACT_MARGIN = 4
+"""Samples by which a planned stance or swing must hold before and after one to be sure of it: joints follow
+their targets late, and feet land when the ground comes."""
+
+LIFTED = 0.01
+"""Height in m above the lower sole from which a foot is surely in the air: ten times what encoders that are
+off by 1e-3 rad make of a leg of a metre."""
+
+DOWN = 0.003
+"""Height in m above the lower sole up to which a foot is down."""
+
+FLAT = 0.03
+"""Slope of a sole in rad beyond which the foot is rolling, and its height says little."""
+
+FALLING = 0.5 * GRAVITY
+"""Specific force in m/s^2 below which nothing is sure: the robot may be in the air."""
+
+
+class Plan:
+    """Tells which feet surely stood, or surely swung, some samples ago, by what was planned.
+
+    Args:
+        lag: How many samples ago.
+    """
+
+    def __init__(self, lag: int) -> None:
+        self._needed = CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag)
+        self._runs = deque([[0, 0, 0, 0]], maxlen=max(lag - CONTACT_MARGIN, 0) + 1)
+
+    def at(
+        self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Take in what is planned now, and tell of then.
+
+        Args:
+            stance: Feet planned to stand, shape (2,).
+            swing: Feet planned to swing, shape (2,).
+
+        Returns:
+            Feet that surely stood and feet that surely swung ``lag`` samples ago, shape (2,) each.
+        """
+        planned = [*stance.tolist(), *swing.tolist()]
+        self._runs.append([run + 1 if held else 0 for run, held in zip(self._runs[-1], planned, strict=True)])
+        sure = [run >= self._needed for run in self._runs[0]]
+        return np.array(sure[:2]), np.array(sure[2:])
+
+
+class Kinematics:
+    """Tells which feet surely stood, or surely swung, by where they were."""
+
+    def __init__(self) -> None:
+        self._runs = [0, 0, 0, 0]
+
+    def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Take in the robot's beliefs of one moment, and tell of it.
+
+        Args:
+            reference: The beliefs, of samples that follow each other.
+
+        Returns:
+            Feet that surely stood and feet that surely swung then, shape (2,) each: what a foot does has to
+            have been the same for :data:`CONTACT_MARGIN` samples.
+        """
+        left, right = reference.position_sole[:, 2].tolist()
+        # The cosine of a slope.
+        slope_left, slope_right = reference.R_level_sole[:, 2, 2].tolist()
+        fx, fy, fz = reference.accelerometer.tolist()
+        low = min(left, right)
+        # NaN, where nothing is known yet, compares as false.
+        carried = fx * fx + fy * fy + fz * fz > FALLING * FALLING
+        seen = [
+            carried and height - low < DOWN and slope > 1.0 - 0.5 * FLAT * FLAT
+            for height, slope in ((left, slope_left), (right, slope_right))
+        ]
+        seen += [carried and height - low > LIFTED for height in (left, right)]
+        self._runs = [run + 1 if now else 0 for run, now in zip(self._runs, seen, strict=True)]
+        sure = [run > CONTACT_MARGIN for run in self._runs]
+        return np.array(sure[:2]), np.array(sure[2:])

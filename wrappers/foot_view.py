@@ -1,0 +1,129 @@
+"""What an agent is shown of calibrated feet: which parts, in which bounds, and what is held when."""
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import Any, Final
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY, FeetLayout
+from surefoot.calibration.estimate import Estimate
+from surefoot.wrappers.beliefs import SolePose
+
+COP_BOUND: Final = 1.0
+"""Largest coordinate of a centre of pressure in an observation in m."""
+
+LEAST_FORCE_BOUND: Final = 1000.0
+"""Largest force in an observation in N, for a robot that weighs up to a fifth of it."""
+
+DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
+"""What is shown unless something else is asked for."""
+
+CERTAINTY: Final = ("foot_force_std", "cop_std")
+"""Parts that only a method with a covariance can tell."""
+
+PARTS: Final = (*DEFAULT, "wrench", "vgrf", *CERTAINTY, "foot_flags")
+"""All that can be shown."""
+
+
+class FootView:
+    """Makes the feet's part of an observation of estimates, and holds the last valid centres of pressure.
+
+    Args:
+        parts: Names among :data:`PARTS`.
+        layout: The feet and their channels.
+        mass: Mass that the robot believes it has in kg, for the bounds.
+        flaw: Why the feet have no centres of pressure, or empty.
+
+    Attributes:
+        spaces: The space of each part.
+
+    Raises:
+        ValueError: If a part does not exist, or is named twice.
+    """
+
+    def __init__(self, parts: Sequence[str], layout: FeetLayout, mass: float, flaw: str = "") -> None:
+        unknown = [part for part in parts if part not in PARTS]
+        if isinstance(parts, str) or unknown or len(set(parts)) != len(parts) or not parts:
+            raise ValueError(
+                f"'show' must name parts of {PARTS}, each once, got {parts!r}; leave the wrapper out to show "
+                "nothing calibrated."
+            )
+        self.parts = tuple(parts)
+        self._flawed = bool(flaw)
+        channels, feet = layout.channels, len(layout.feet)
+        force = max(LEAST_FORCE_BOUND, 5.0 * mass * GRAVITY)
+        self._force_bound = force
+        box = spaces.Box
+        every: dict[str, spaces.Space[Any]] = {
+            "foot_force": box(-force, force, (channels,), np.float32),
+            "cop_foot": box(-COP_BOUND, COP_BOUND, (feet, 2), np.float32),
+            "cop": box(-COP_BOUND, COP_BOUND, (2,), np.float32),
+            "cop_valid": spaces.MultiBinary(1 + feet),
+            "wrench": box(-force, force, (feet, 6), np.float32),
+            "vgrf": box(-force, force, (feet,), np.float32),
+            "foot_force_std": box(0.0, force, (channels,), np.float32),
+            "cop_std": box(0.0, COP_BOUND, (2,), np.float32),
+            "foot_flags": box(0, np.iinfo(np.int32).max, (channels,), np.int32),
+        }
+        self.spaces = {part: every[part] for part in self.parts}
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the centres of pressure of the last episode."""
+        self._cop = [0.0, 0.0]
+        self._cop_foot = [[0.0, 0.0], [0.0, 0.0]]
+        self._cop_std = [COP_BOUND, COP_BOUND]
+
+    def show(self, estimate: Estimate, soles: tuple[SolePose, SolePose]) -> dict[str, NDArray[Any]]:
+        """Show one sample.
+
+        Args:
+            estimate: What the calibrator says.
+            soles: Where the soles are now in the level frame.
+
+        Returns:
+            Fresh arrays by part. Where a centre of pressure is not defined, the last one that was is held.
+        """
+        wrench, cop_foot = estimate.wrench.tolist(), estimate.cop_foot.tolist()
+        valid = [bool(estimate.cop_valid), *estimate.cop_foot_valid.tolist()]
+        if self._flawed:
+            valid = [False] * len(valid)
+        for foot in (0, 1):
+            if valid[1 + foot]:
+                self._cop_foot[foot] = [_bounded(part) for part in cop_foot[foot]]
+        if valid[0]:
+            load = x = y = 0.0
+            for sole, (_, _, fz, tx, ty, _) in zip(soles, wrench, strict=True):
+                u, v = sole.forward_x, sole.forward_y
+                load += fz
+                x += sole.x * fz - u * ty - v * tx
+                y += sole.y * fz - v * ty + u * tx
+            self._cop = [_bounded(x / load), _bounded(y / load)]
+            if "cop_std" in self.parts and estimate.cop_covariance is not None:
+                variance = np.diagonal(estimate.cop_covariance).tolist()
+                self._cop_std = [min(sqrt(max(part, 0.0)), COP_BOUND) for part in variance]
+        return {part: self._part(part, estimate, valid) for part in self.parts}
+
+    def _part(self, part: str, estimate: Estimate, valid: list[bool]) -> NDArray[Any]:
+        match part:
+            case "cop_foot":
+                return np.array(self._cop_foot, dtype=np.float32)
+            case "cop":
+                return np.array(self._cop, dtype=np.float32)
+            case "cop_valid":
+                return np.array(valid, dtype=np.int8)
+            case "cop_std":
+                return np.array(self._cop_std, dtype=np.float32)
+            case "foot_flags":
+                return np.array(estimate.flags, dtype=np.int32)
+        value = getattr(estimate, part.removeprefix("foot_"))
+        bound = self._force_bound
+        limited: NDArray[Any] = np.minimum(np.maximum(value, -bound), bound).astype(np.float32)
+        return limited
+
+
+def _bounded(place: float) -> float:
+    return min(max(place, -COP_BOUND), COP_BOUND)

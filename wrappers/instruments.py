@@ -1,0 +1,324 @@
+"""The instruments under one robot's feet: load cells, six-axis sensors in the ankles, or both.
+
+Their channels follow each other foot by foot: (left cells, left ankle, right cells, right ankle). What a
+level foot at rest weighs below its ankle counts as part of that sensor's zero, as it does for a calibrator.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
+from surefoot.envs import RobotDrawing
+from surefoot.sensors import (
+    PRESETS,
+    Corruption,
+    ForceTorque,
+    ForceTorqueState,
+    LoadCells,
+    LoadCellState,
+    force_torque,
+    from_mapping,
+    load_cells,
+    preset,
+    resolve,
+    true_map,
+)
+
+Floats = NDArray[np.float64]
+
+FootDevice = LoadCells | ForceTorque
+"""What can be under a foot."""
+
+
+def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
+    """Make a configuration of a preset's name, a mapping or a configuration, of either kind.
+
+    A mapping is of load cells, or of six-axis sensors if only those have all of its keys.
+
+    Raises:
+        ValueError: If the name or a key of the mapping is unknown, or a value is refused.
+        TypeError: If it is none of the three.
+    """
+    if isinstance(config, ForceTorque):
+        return config
+    if isinstance(config, str) and config not in PRESETS[LoadCells]:
+        if config in PRESETS[ForceTorque]:
+            return preset(config, ForceTorque)
+        names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
+        raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")
+    if (
+        isinstance(config, Mapping)
+        and not set(config) <= _keys(LoadCells)
+        and set(config) <= _keys(ForceTorque)
+    ):
+        return from_mapping(ForceTorque, config)
+    return resolve(config, LoadCells)
+
+
+def _keys(kind: type[FootDevice]) -> set[str]:
+    return {field.name for field in fields(kind)}
+
+
+class InstrumentsState(NamedTuple):
+    """What hardware keeps while the power is on.
+
+    Attributes:
+        cells: State of the load cells, or ``()``.
+        ankles: State of the six-axis sensors, or ``()``.
+    """
+
+    cells: Any
+    ankles: Any
+
+
+class Instrument(Protocol):
+    """One kind of instrument under all feet."""
+
+    channels: int
+    nominal: Parameters
+    slope: Floats
+    zero_code: float
+    code_range: tuple[Floats, Floats]
+    age: float
+    feet: tuple[FootLayout, ...]
+
+    def init(self, rng: np.random.Generator) -> Any:
+        """Draw instruments."""
+
+    def read(self, truth: Any, state: Any, rng: np.random.Generator, dt: float) -> tuple[Floats, Any]:
+        """Read them after a control step of dt."""
+
+    def true_map(self, state: Any) -> Parameters:
+        """Tell the map that would undo their errors now."""
+
+
+class CellsUnderFeet:
+    """Four load cells under each sole.
+
+    Args:
+        config: The cells.
+        drawing: The robot.
+
+    Raises:
+        ValueError: If a foot has no place for cells, or their numbers differ.
+    """
+
+    def __init__(self, config: LoadCells, drawing: RobotDrawing) -> None:
+        places, below = drawing.position_cell_sole, drawing.below_cells
+        if places is None or below is None:
+            raise ValueError(
+                f"{drawing.flaw} Or choose six-axis sensors in the ankles, such as "
+                "FootSensors(env, 'icub-force-torque')."
+            )
+        self.channels = places.shape[0] * places.shape[1]
+        if config.channels != self.channels:
+            raise ValueError(
+                f"The robot has room for {self.channels} cells, four a foot, but LoadCells.channels is "
+                f"{config.channels}."
+            )
+        self.config = config
+        self.nominal = Parameters(config.nominal_scale, config.nominal_offset)
+        self.slope, self.zero_code, self.age = config.slope, config.zero_code, config.nominal_age
+        low, high = (np.full(self.channels, end) for end in config.code_range)
+        self.code_range = low, high
+        self.feet = tuple(
+            FootLayout.load_cells(
+                name, places[i], mass_below=float(below.mass[i]), com_below_sole=below.com_sole[i]
+            )
+            for i, name in enumerate(drawing.feet)
+        )
+        self._device: Corruption[LoadCellState] = load_cells(config)
+
+    def init(self, rng: np.random.Generator) -> LoadCellState:
+        """Draw the cells."""
+        return self._device.init((self.channels,), rng)
+
+    def read(
+        self, truth: Any, state: LoadCellState, rng: np.random.Generator, dt: float
+    ) -> tuple[Floats, LoadCellState]:
+        """Read them after a control step of dt."""
+        return self._device.apply(truth.force_cell, state, rng, dt)
+
+    def true_map(self, state: LoadCellState) -> Parameters:
+        """Tell the map that would undo their errors now."""
+        return Parameters(*true_map(self.config, state))
+
+
+class SensorsInAnkles:
+    """A six-axis sensor in each ankle, read at the end of a control step.
+
+    Args:
+        config: The sensors.
+        drawing: The robot.
+
+    Raises:
+        ValueError: If there are more or fewer of them than feet.
+    """
+
+    def __init__(self, config: ForceTorque, drawing: RobotDrawing) -> None:
+        below = drawing.below_ankle
+        if config.sensors != len(drawing.feet):
+            raise ValueError(
+                f"The robot has {len(drawing.feet)} ankles, but ForceTorque.sensors is {config.sensors}."
+            )
+        self.config = config
+        self.channels = config.channels
+        self.nominal = Parameters(config.nominal_scale, np.zeros(config.channels))
+        self.slope, self.zero_code, self.age = config.slope, config.zero_code, 0.0
+        self.code_range = config.code_range
+        self.feet = tuple(
+            FootLayout.force_torque(
+                name,
+                position_sensor_sole=below.position_sensor_sole[i],
+                R_sole_sensor=below.R_sole_sensor[i],
+                mass_below=float(below.mass[i]),
+                com_below_sole=below.com_sole[i],
+            )
+            for i, name in enumerate(drawing.feet)
+        )
+        self.preload = np.concatenate([_weight(foot) for foot in self.feet])
+        self._device: Corruption[ForceTorqueState] = force_torque(config)
+
+    def init(self, rng: np.random.Generator) -> ForceTorqueState:
+        """Draw the sensors."""
+        return self._device.init((self.channels,), rng)
+
+    def read(
+        self, truth: Any, state: ForceTorqueState, rng: np.random.Generator, dt: float
+    ) -> tuple[Floats, ForceTorqueState]:
+        """Read them at the end of a control step of dt."""
+        return self._device.apply(truth.wrench_ankle[-1].ravel(), state, rng, dt)
+
+    def true_map(self, state: ForceTorqueState) -> Parameters:
+        """Tell the map that would undo each axis's own errors now; cross-talk is left out."""
+        gain = 1.0 + np.diagonal(state.error, axis1=-2, axis2=-1).ravel()
+        return Parameters(self.nominal.scale / gain, self.preload - state.zero.ravel() / gain)
+
+    def cross_talk(self, state: ForceTorqueState) -> Floats:
+        """Tell what each channel feels of the others', rows read and columns felt, shape (K, K)."""
+        scale = self.config.full_scale[:6]
+        off = state.error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
+        talk = np.zeros((self.channels, self.channels))
+        for i, block in enumerate(off):
+            talk[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = block
+        return talk
+
+
+class Instruments:
+    """All instruments under the feet, as one row of K channels.
+
+    Args:
+        devices: One kind of instrument, or load cells and six-axis sensors.
+        drawing: The robot.
+
+    Attributes:
+        channels: Their number K.
+        layout: How they add up to the feet's wrenches.
+        nominal: The map by the data sheets, shape (K,).
+        slope: Counts per newton (or N m) by the data sheets, shape (K,).
+        zero_code: Readings without load by the data sheets in counts, shape (K,).
+        code_range: Lowest and highest readings in counts, shape (K,) each.
+        slowest: The longest time between two conversions in s.
+        age: How old a reading is on average when it is taken, in s; the cells' where there are both.
+
+    Raises:
+        ValueError: If an instrument does not fit the robot, or a kind is given twice.
+    """
+
+    def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing) -> None:
+        kinds = [type(device) for device in devices]
+        if not kinds or len(set(kinds)) < len(kinds):
+            raise ValueError(
+                f"Give load cells, six-axis sensors or one of each, got {[kind.__name__ for kind in kinds]}."
+            )
+        found: list[CellsUnderFeet | SensorsInAnkles] = [
+            CellsUnderFeet(device, drawing)
+            if isinstance(device, LoadCells)
+            else SensorsInAnkles(device, drawing)
+            for device in devices
+        ]
+        self.parts = tuple(sorted(found, key=lambda part: isinstance(part, SensorsInAnkles)))
+        self.channels = sum(part.channels for part in self.parts)
+        self._one = len(self.parts) == 1
+        self._order = self._foot_by_foot(len(drawing.feet))
+        feet = zip(*(part.feet for part in self.parts), strict=True)
+        self.layout = FeetLayout(
+            tuple(
+                foot[0] if self._one else FootLayout.combined(name, *foot)
+                for name, foot in zip(drawing.feet, feet, strict=True)
+            )
+        )
+        self.nominal = self._parameters([part.nominal for part in self.parts])
+        self.slope = self.joined([part.slope for part in self.parts])
+        self.zero_code = self.joined([np.full(part.channels, part.zero_code) for part in self.parts])
+        low, high = (self.joined([part.code_range[i] for part in self.parts]) for i in (0, 1))
+        self.code_range = low, high
+        self.age = self.parts[0].age
+        rates = [part.config.rate for part in self.parts if isinstance(part, CellsUnderFeet)]
+        self.slowest = max((1.0 / rate[0] for rate in rates if rate is not None), default=0.0)
+
+    def init(self, rng: np.random.Generator) -> InstrumentsState:
+        """Draw instruments."""
+        states = {_name(part): part.init(rng) for part in self.parts}
+        return InstrumentsState(states.get("cells", ()), states.get("ankles", ()))
+
+    def read(
+        self, truth: Any, state: InstrumentsState, rng: np.random.Generator, dt: float
+    ) -> tuple[Floats, InstrumentsState]:
+        """Read them after a control step.
+
+        Args:
+            truth: The last control step of a source of truth.
+            state: Their state.
+            rng: Where noise comes from.
+            dt: Duration of the step in s.
+
+        Returns:
+            Counts, shape (K,), and the state.
+        """
+        readings = []
+        for part in self.parts:
+            name = _name(part)
+            reading, own = part.read(truth, getattr(state, name), rng, dt)
+            state = state._replace(**{name: own})
+            readings.append(reading)
+        return readings[0] if self._one else self.joined(readings), state
+
+    def true_map(self, state: InstrumentsState) -> Parameters:
+        """Tell the map that would undo their errors now: truth, to score calibrators against."""
+        return self._parameters([part.true_map(getattr(state, _name(part))) for part in self.parts])
+
+    def joined(self, parts: list[Floats]) -> Floats:
+        """Put one row a device into one row, foot by foot."""
+        row: Floats = np.concatenate(parts)[self._order]
+        return row
+
+    def _parameters(self, parts: list[Parameters]) -> Parameters:
+        return Parameters(*(self.joined([part[i] for part in parts]) for i in (0, 1)))
+
+    def _foot_by_foot(self, feet: int) -> NDArray[np.intp]:
+        per_foot = [part.channels // feet for part in self.parts]
+        starts = np.cumsum([0, *(part.channels for part in self.parts[:-1])])
+        return np.concatenate(
+            [
+                start + foot * k + np.arange(k)
+                for foot in range(feet)
+                for start, k in zip(starts, per_foot, strict=True)
+            ]
+        )
+
+
+def _name(part: CellsUnderFeet | SensorsInAnkles) -> str:
+    return "ankles" if isinstance(part, SensorsInAnkles) else "cells"
+
+
+def _weight(foot: FootLayout) -> Floats:
+    """Weight of a level foot in its sensor's frame, upwards, shape (6,)."""
+    sensor = foot.sensors[0]
+    load = np.array([0.0, 0.0, sensor.mass_below * GRAVITY])
+    wrench_sole = np.concatenate([load, np.cross(sensor.com_below_sole, load)])
+    return np.linalg.solve(sensor.wrench_map, wrench_sole)

@@ -1,0 +1,122 @@
+"""Where among wrappers the truth comes from, and how a reset is asked to keep or to change devices."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol, cast
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+
+from surefoot.envs import InstrumentedEnv, RobotDrawing
+
+OPTIONS = "surefoot"
+"""Key of a reset's options that is meant for wrappers, and is not handed to the environment."""
+
+FRESH_OR_KEPT = ("fresh", "keep")
+
+
+class Source(Protocol):
+    """An environment that records its truth: surefoot's own, or any inside InstrumentedEnv.
+
+    Attributes:
+        truth: The last control step, such as :class:`~surefoot.envs.Truth`.
+        drawing: What the robot's maker hands out.
+        joint_names: The J hinge joints.
+        dt: Duration of a control step in s.
+        model: The simulated robot.
+    """
+
+    truth: Any
+    drawing: RobotDrawing
+    joint_names: tuple[str, ...]
+    dt: float
+    model: mujoco.MjModel
+
+
+def find_source(env: gym.Env[Any, Any]) -> Source | None:
+    """Find the outermost environment or wrapper that records its truth; ``None`` if there is none."""
+    below: gym.Env[Any, Any] = env
+    while True:
+        if hasattr(type(below), "drawing") or "drawing" in vars(below):
+            return cast(Source, below)
+        if not isinstance(below, gym.Wrapper):
+            return None
+        below = below.env
+
+
+def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
+    """Make sure that truth is recorded below: put sensors into the model of an environment that has none.
+
+    Args:
+        env: An environment built on MuJoCo.
+        **options: Of :class:`~surefoot.envs.InstrumentedEnv`; refused where truth is recorded already.
+
+    Raises:
+        TypeError: If the environment is not built on MuJoCo.
+        ValueError: If its feet cannot be told or have no place for what is asked.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    if find_source(env) is None:
+        return InstrumentedEnv(env, **given)
+    if given:
+        raise ValueError(
+            f"{sorted(given)} tell how to put sensors into a robot, but {env} records its truth already; "
+            "leave them out, or give them to the InstrumentedEnv below."
+        )
+    return env
+
+
+def split_options(
+    options: dict[str, Any] | None, *kinds: str
+) -> tuple[dict[str, Any] | None, Mapping[str, str]]:
+    """Part what a reset is asked of wrappers from what it is asked of the environment.
+
+    Args:
+        options: Of the reset; it is not changed.
+        *kinds: What may be chosen: ``"sensors"``, ``"calibration"``.
+
+    Returns:
+        The environment's options, and ``"fresh"`` or ``"keep"`` by kind.
+
+    Raises:
+        ValueError: If a kind or a choice does not exist.
+    """
+    if options is None or OPTIONS not in options:
+        return options, {}
+    rest = {key: value for key, value in options.items() if key != OPTIONS}
+    asked = options[OPTIONS]
+    if not isinstance(asked, Mapping) or not set(asked) <= set(kinds):
+        raise ValueError(f"options['{OPTIONS}'] must be a mapping with keys among {kinds}, got {asked!r}.")
+    for kind, choice in asked.items():
+        if choice not in FRESH_OR_KEPT:
+            raise ValueError(
+                f"options['{OPTIONS}']['{kind}'] must be one of {FRESH_OR_KEPT}, got {choice!r}."
+            )
+    return rest or None, dict(asked)
+
+
+def wants_fresh(choice: str | None, seed: int | None, always: bool, drawn: bool) -> bool:
+    """Decide whether a reset draws devices anew.
+
+    A seed names one course of events, so that it draws; without one hardware stays what it is.
+
+    Args:
+        choice: What the reset's options ask for.
+        seed: Of the reset.
+        always: Whether every reset draws.
+        drawn: Whether there is anything to keep.
+    """
+    if not drawn:
+        return True
+    return choice == "fresh" if choice else always or seed is not None
+
+
+def check_stream(owner: str, stream: Any) -> None:
+    """Refuse what cannot number a random stream, in the name of the wrapper that it was given to.
+
+    Raises:
+        ValueError: If it is no whole number from 0 on.
+    """
+    whole = isinstance(stream, (int, np.integer)) and not isinstance(stream, bool)
+    if not whole or stream < 0:
+        raise ValueError(f"{owner}: 'stream' must be a whole number from 0 on, got {stream!r}.")
