@@ -2,6 +2,7 @@
 
 from surefoot.envs.command import Command
 from surefoot.envs.drawing import RobotDrawing
+from surefoot.envs.exercise import ExerciseEnv
 from surefoot.envs.feet_reader import FeetReader
 from surefoot.envs.feet_truth import FeetTruth
 from surefoot.envs.foot_geometry import FootGeometry
@@ -25,6 +26,7 @@ __all__ = [
     "AddedMass",
     "BelowSensor",
     "Command",
+    "ExerciseEnv",
     "FeetReader",
     "FeetTruth",
     "FootGeometry",

@@ -106,9 +106,7 @@ def record_walk(
     _, info = env.reset(seed=seed)
     controller.reset()
     feet = [
-        FootInstruments(
-            c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, model=bare.model, layout=env.layout
-        )
+        FootInstruments(c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing)
         for i, c in enumerate(conditions)
     ]
     time: list[float] = []

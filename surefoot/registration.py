@@ -9,6 +9,7 @@ from gymnasium.envs.registration import register, registry
 def register_environments() -> None:
     """Register ``surefoot/...``; doing so again changes nothing."""
     for name, (entry_point, max_episode_steps) in {
+        "surefoot/Exercise-v0": ("surefoot.envs.exercise:ExerciseEnv", None),
         "surefoot/LegRig-v0": ("surefoot.envs.leg_rig_env:LegRigEnv", 3000),
         "surefoot/NaoStand-v0": ("surefoot.envs.nao_stand:NaoStandEnv", None),
         "surefoot/NaoWalk-v0": ("surefoot.envs.nao_walk:NaoWalkEnv", None),

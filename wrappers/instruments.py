@@ -6,7 +6,7 @@ level foot at rest weighs below its ankle counts as part of that sensor's zero, 
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,27 +75,6 @@ class InstrumentsState(NamedTuple):
     ankles: Any
 
 
-class Instrument(Protocol):
-    """One kind of instrument under all feet."""
-
-    channels: int
-    nominal: Parameters
-    slope: Floats
-    zero_code: float
-    code_range: tuple[Floats, Floats]
-    age: float
-    feet: tuple[FootLayout, ...]
-
-    def init(self, rng: np.random.Generator) -> Any:
-        """Draw instruments."""
-
-    def read(self, truth: Any, state: Any, rng: np.random.Generator, dt: float) -> tuple[Floats, Any]:
-        """Read them after a control step of dt."""
-
-    def true_map(self, state: Any) -> Parameters:
-        """Tell the map that would undo their errors now."""
-
-
 class CellsUnderFeet:
     """Four load cells under each sole.
 
@@ -142,6 +121,11 @@ class CellsUnderFeet:
     ) -> tuple[Floats, LoadCellState]:
         """Read them after a control step of dt."""
         return self._device.apply(truth.force_cell, state, rng, dt)
+
+    def force(self, truth: Any) -> Floats:
+        """Tell what they should read at the end of a control step in N, shape (K,)."""
+        force: Floats = truth.force_cell[-1].copy()
+        return force
 
     def true_map(self, state: LoadCellState) -> Parameters:
         """Tell the map that would undo their errors now."""
@@ -193,6 +177,11 @@ class SensorsInAnkles:
         """Read them at the end of a control step of dt."""
         return self._device.apply(truth.wrench_ankle[-1].ravel(), state, rng, dt)
 
+    def force(self, truth: Any) -> Floats:
+        """Tell what they should read at the end of a control step in N and N m, shape (K,)."""
+        force: Floats = truth.wrench_ankle[-1].ravel() + self.preload
+        return force
+
     def true_map(self, state: ForceTorqueState) -> Parameters:
         """Tell the map that would undo each axis's own errors now; cross-talk is left out."""
         gain = 1.0 + np.diagonal(state.error, axis1=-2, axis2=-1).ravel()
@@ -217,6 +206,8 @@ class Instruments:
 
     Attributes:
         channels: Their number K.
+        parts: Load cells first.
+        order: Where each of the K channels stands in the rows of the parts one after another, shape (K,).
         layout: How they add up to the feet's wrenches.
         nominal: The map by the data sheets, shape (K,).
         slope: Counts per newton (or N m) by the data sheets, shape (K,).
@@ -244,7 +235,7 @@ class Instruments:
         self.parts = tuple(sorted(found, key=lambda part: isinstance(part, SensorsInAnkles)))
         self.channels = sum(part.channels for part in self.parts)
         self._one = len(self.parts) == 1
-        self._order = self._foot_by_foot(len(drawing.feet))
+        self.order = self._foot_by_foot(len(drawing.feet))
         feet = zip(*(part.feet for part in self.parts), strict=True)
         self.layout = FeetLayout(
             tuple(
@@ -294,7 +285,7 @@ class Instruments:
 
     def joined(self, parts: list[Floats]) -> Floats:
         """Put one row a device into one row, foot by foot."""
-        row: Floats = np.concatenate(parts)[self._order]
+        row: Floats = np.concatenate(parts)[self.order]
         return row
 
     def _parameters(self, parts: list[Parameters]) -> Parameters:
