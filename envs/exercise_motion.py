@@ -5,7 +5,8 @@ are told tabulated along each; a *move* runs along a path from one place to anot
 :math:`s(t) = 10 t^3 - 15 t^4 + 6 t^5` of the way after the share :math:`t` of its time. Postures hence
 fit any extent of a move, which an episode draws.
 
-A cycle lifts one foot and then the other, with sways and a squat in between. Distances are shares of the
+A cycle lifts one foot and then the other, shortly at first and then longer, with sways and a squat in
+between. Distances are shares of the
 soles' size, times are multiples of :math:`\sqrt{h / g}` (:math:`h` the height of the centre of mass), the
 time scale of a falling pendulum: a sway of amplitude :math:`A` in 4.5 of them asks for a centre of pressure
 that leads by at most 0.29 :math:`A`.
@@ -219,20 +220,23 @@ class Motion:
             s = rng.uniform(*amplitude)
             moves.extend([Move(name, 0.0, s, 1.0), Move(name, s, 0.0, 1.0)])
 
-        def one_leg(foot: int) -> None:
+        def one_leg(foot: int, *turns: str) -> None:
             moves.extend([Move(f"shift {foot}", 0.0, 1.0, 1.6), Move(f"shift {foot}", 1.0, 1.0, 0.2)])
-            moves.append(Move(f"lift {foot}", 0.0, 1.0, 1.0))
-            for name in (f"pitch {foot}", f"roll {foot}"):
+            moves.extend([Move(f"lift {foot}", 0.0, 1.0, 1.0), Move(f"lift {foot}", 1.0, 1.0, 0.3)])
+            for name in (f"{turn} {foot}" for turn in turns):
                 s = rng.uniform(*amplitude)
                 moves.extend([Move(name, 0.0, s, 0.8), Move(name, s, -s, 1.2), Move(name, -s, 0.0, 0.8)])
             moves.append(Move(f"lift {foot}", 1.0, 0.0, 1.0))
             moves.extend([Move(f"shift {foot}", 1.0, 1.0, 0.2), Move(f"shift {foot}", 1.0, 0.0, 1.6)])
 
-        out_and_back(SWAYS[sways[0]])
+        # Sensors that begin with unknown zeros see both feet in the air before anything else.
         one_leg(first)
+        one_leg(1 - first)
+        out_and_back(SWAYS[sways[0]])
+        one_leg(first, "pitch", "roll")
         out_and_back(SWAYS[sways[1]])
         out_and_back("squat")
-        one_leg(1 - first)
+        one_leg(1 - first, "pitch", "roll")
         for k in sways[2:]:
             out_and_back(SWAYS[k])
         self._moves = moves

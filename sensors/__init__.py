@@ -21,16 +21,20 @@ from surefoot.sensors.load_cells import (
     static_counts,
     true_map,
 )
+from surefoot.sensors.mechanics import Mechanics, MechanicsState, mechanics
 from surefoot.sensors.mounting import MountingState, mounting
 from surefoot.sensors.moving_average import MovingAverageState, moving_average
 from surefoot.sensors.noise import noise_density, white_noise
-from surefoot.sensors.nonlinearity import nonlinearity
+from surefoot.sensors.nonlinearity import NonlinearityState, drawn_nonlinearity, nonlinearity
 from surefoot.sensors.overload import OverloadState, overload
 from surefoot.sensors.presets import (
+    ATI_MINI45,
+    BAR_CELLS_ON_HX711,
     HX711_LOAD_CELLS,
     ICUB_FORCE_TORQUE,
     ICUB_FTSENS_FOOT,
     ICUB_FTSENS_LEG,
+    NAO_FSR,
     PERFECT_FORCE_TORQUE,
     PERFECT_LOAD_CELLS,
     PERFECT_STRAIN_GAUGES,
@@ -39,6 +43,7 @@ from surefoot.sensors.presets import (
     resolve,
 )
 from surefoot.sensors.quantize import quantize, saturate
+from surefoot.sensors.schedule import CELLS, FEET, cell_names, parse_fault
 from surefoot.sensors.severity import scaled
 from surefoot.sensors.spikes import spikes
 from surefoot.sensors.stale_repeats import RepeatState, stale_repeats
@@ -51,15 +56,21 @@ from surefoot.sensors.strain_gauges import (
     true_response,
 )
 from surefoot.sensors.temperature import ThermalState, thermal_drift
+from surefoot.sensors.wire import Wire, WireState, wire
 from surefoot.sensors.wrong_words import wrong_words
 
 __all__ = [
+    "ATI_MINI45",
+    "BAR_CELLS_ON_HX711",
+    "CELLS",
+    "FEET",
     "FTSENS_SN039",
     "FTSENS_SN142",
     "HX711_LOAD_CELLS",
     "ICUB_FORCE_TORQUE",
     "ICUB_FTSENS_FOOT",
     "ICUB_FTSENS_LEG",
+    "NAO_FSR",
     "PERFECT_FORCE_TORQUE",
     "PERFECT_LOAD_CELLS",
     "PERFECT_STRAIN_GAUGES",
@@ -80,19 +91,26 @@ __all__ = [
     "Link",
     "LoadCellState",
     "LoadCells",
+    "Mechanics",
+    "MechanicsState",
     "MountingState",
     "MovingAverageState",
+    "NonlinearityState",
     "OverloadState",
     "Packet",
     "RepeatState",
     "StrainGaugeState",
     "StrainGauges",
     "ThermalState",
+    "Wire",
+    "WireState",
     "apply_faults",
     "burst_gaps",
+    "cell_names",
     "chain",
     "channel_faults",
     "creep",
+    "drawn_nonlinearity",
     "drift",
     "encoders",
     "force_torque",
@@ -104,12 +122,14 @@ __all__ = [
     "latency",
     "load_cell_chain",
     "load_cells",
+    "mechanics",
     "mounting",
     "moving_average",
     "noise_density",
     "nonlinearity",
     "offset",
     "overload",
+    "parse_fault",
     "preset",
     "quantize",
     "read_sequence",
@@ -129,5 +149,6 @@ __all__ = [
     "true_matrix",
     "true_response",
     "white_noise",
+    "wire",
     "wrong_words",
 ]

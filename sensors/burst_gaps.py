@@ -59,7 +59,7 @@ def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corru
         drawn = uniform(rng, 0.0, 1.0, tuple(before.shape), reading.dtype)
         forgotten = -expm1(-dt / (mean_length * (1.0 - share)))
         lost = drawn < before * (1.0 - forgotten) + forgotten * share
-        gone = namespace(reading).where(lost, float("nan") + 0.0 * reading, reading)
-        return gone, GapState(cast_like(lost, reading))
+        gone = namespace(reading).where(lost, 0.0 * drawn + float("nan"), 0.0 * drawn)
+        return reading + gone, GapState(cast_like(lost, reading))
 
     return Corruption(init, apply)

@@ -12,8 +12,8 @@ from array_api_compat import array_namespace
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import cast_like, namespace
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors._arrays import cast_like, limit, namespace
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain
 from surefoot.sensors.randomness import filled, uniform
 
 
@@ -26,6 +26,9 @@ class ClockState(NamedTuple):
         previous: The signal at the end of the block before, shape (..., K).
         held: The last finished conversion, shape (..., K); NaN before the first.
         inner: State of what happens to a signal when it is converted.
+        window: The last conversions (see :func:`settle`), shape (settling, ..., K); ``()`` for a chip that
+            settles at once.
+        converter: State of what happens to their mean.
     """
 
     period: Array
@@ -33,6 +36,8 @@ class ClockState(NamedTuple):
     previous: Array
     held: Array
     inner: Any
+    window: Array
+    converter: Any
 
 
 def init_clock(
@@ -79,6 +84,8 @@ def interpolate(block: Array, previous: Array, position: Array) -> Array:
         start = rows.take(index, mode="wrap")
         part = np.subtract(position, low, dtype=block.dtype)
         return start + part * (rows.take(index + channels, mode="wrap") - start)
+    if substeps == 1:
+        return previous + position * (block[..., 0, :] - previous)
     xp = array_namespace(block)
     rows = xp.concat([previous[..., None, :], block], axis=-2)
     numbers = xp.arange(substeps + 1, dtype=position.dtype, device=device_of(position))
@@ -91,8 +98,59 @@ def _channel_numbers(channels: int) -> NDArray[np.intp]:
     return np.arange(channels)
 
 
+def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Array, Array]:
+    """Average the last conversions of chips, of which a block brings any number.
+
+    Of several conversions in one block only the last one's signal is known; the others are taken on the
+    straight line from the last one before the block.
+
+    Args:
+        window: The last n conversions, shape (n, ..., K): the newest one's signal, NaN before the first, and
+            how far each before it lies above it, zero before the first.
+        signal: The signal at the last conversion of the block, shape (..., K).
+        number: How many follow the first one in the block, -1 where there is none, shape (..., K).
+        most: Largest number of conversions that a block of this length can have.
+
+    Returns:
+        The mean, shape (..., K), and the window after the block.
+    """
+    xp, length = namespace(signal), window.shape[0]
+    before, *lags = (window[row] for row in range(length))
+    signal, came = xp.where(number >= 0.0, signal, before), number + 1.0
+    step = before - signal
+    step = xp.where(xp.isnan(step), 0.0 * came, step) / limit(came, 1.0, float("inf"))
+    for push in range(min(most, length - 1)):
+        # 1 where there was another conversion, which goes in front, and 0 elsewhere.
+        another = limit(came - float(push), 0.0, 1.0)
+        moved = []
+        for lag, new in zip(lags, [step, *(lag + step for lag in lags[:-1])], strict=True):
+            change = new - lag
+            change *= another
+            change += lag
+            moved.append(change)
+        lags = moved
+    return signal + sum(lags[1:], lags[0]) / length, xp.stack([signal, *lags])
+
+
+def most_conversions(rate: tuple[float, float], dt: float) -> int:
+    """Count the conversions that the fastest chip can finish in a block of length dt."""
+    return int(rate[1] * dt) + 1
+
+
+def init_window(settling: int, shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> Array:
+    """Make the window of :func:`settle` at power-up; ``()`` for chips that settle at once."""
+    if settling == 1:
+        return ()
+    unread = filled(rng, float("nan"), (1, *shape), dtype)
+    return namespace(unread).concat([unread, filled(rng, 0.0, (settling - 1, *shape), dtype)])
+
+
 def sample_and_hold(
-    inner: Corruption[Any], rate: tuple[float, float] = (80.0, 80.0)
+    inner: Corruption[Any],
+    rate: tuple[float, float] = (80.0, 80.0),
+    *,
+    settling: int = 1,
+    converter: Corruption[Any] | None = None,
 ) -> Corruption[ClockState]:
     """Convert a signal by unsynchronised chips and hold each conversion until the next.
 
@@ -101,13 +159,20 @@ def sample_and_hold(
 
     Args:
         inner: What happens to the signal at a conversion, such as noise and rounding. It is stepped
-            once a block; chips that finish no conversion in it keep their last.
+            once a block; chips that finish no conversion in it keep their last, and what their signals
+            go through meanwhile is that at the block's start.
         rate: Lowest and highest conversion rate of a chip in 1/s; each draws its own.
+        settling: Over how many conversions a chip averages, as a sigma-delta converter's filter does: a step
+            has settled after as many, and the mean is late by (settling - 1) / 2 of them.
+        converter: What happens to the mean after that, once a block.
 
     Raises:
-        ValueError: If the rates are not positive and in order.
+        ValueError: If the rates are not positive and in order, or the number is not a positive whole one.
     """
     check_rate(rate)
+    if not isinstance(settling, int) or isinstance(settling, bool) or settling < 1:
+        raise ValueError(f"'settling' must be a positive whole number, got {settling!r}.")
+    converter = converter or chain()
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ClockState:
         period, due = init_clock(rate, shape, rng, dtype)
@@ -117,15 +182,22 @@ def sample_and_hold(
             filled(rng, 0.0, shape, dtype),
             filled(rng, float("nan"), shape, dtype),
             inner.init(shape, rng, dtype),
+            init_window(settling, shape, rng, dtype),
+            converter.init(shape, rng, dtype),
         )
 
     def apply(block: Array, state: ClockState, rng: Rng, dt: float) -> tuple[Array, ClockState]:
         period, due, previous, held = (cast_like(part, block) for part in state[:4])
         number, at, due = latest_conversion(period, due, dt)
-        signal = interpolate(block, previous, at * (block.shape[-2] / dt))
-        converted, inner_state = inner.apply(signal, state.inner, rng, dt)
+        position = limit(at * (block.shape[-2] / dt), 0.0, float("inf"))
+        signal, inner_state = inner.apply(interpolate(block, previous, position), state.inner, rng, dt)
+        window = state.window
+        if settling > 1:
+            signal, window = settle(cast_like(window, block), signal, number, most_conversions(rate, dt))
+        converted, converter_state = converter.apply(signal, state.converter, rng, dt)
         held = namespace(block).where(number >= 0.0, converted, held)
-        return held, ClockState(period, due, block[..., -1, :] + 0.0, held, inner_state)
+        last = block[..., -1, :] + 0.0
+        return held, ClockState(period, due, last, held, inner_state, window, converter_state)
 
     return Corruption(init, apply)
 

@@ -1,7 +1,7 @@
 """How configurations are checked and how they come back from JSON."""
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
 Config = TypeVar("Config")
@@ -38,7 +38,8 @@ def from_mapping(kind: type[Config], mapping: Mapping[str, Any]) -> Config:
 
     Args:
         kind: The configuration's class.
-        mapping: Values for some of its fields; the others keep their defaults. Lists become tuples.
+        mapping: Values for some of its fields; the others keep their defaults. Lists become tuples,
+            and mappings the configurations that those fields hold.
 
     Raises:
         ValueError: If a key is no field, naming it and what there is, or if a value is refused.
@@ -47,4 +48,11 @@ def from_mapping(kind: type[Config], mapping: Mapping[str, Any]) -> Config:
     unknown = sorted(set(mapping) - set(known))
     if unknown:
         raise ValueError(f"{kind.__name__} has no field {unknown}; it has {known}.")
-    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in mapping.items()})
+    defaults = {field.name: field.default for field in fields(kind)}  # type: ignore[arg-type]
+
+    def plain(key: str, value: Any) -> Any:
+        if isinstance(value, Mapping) and is_dataclass(defaults[key]):
+            return from_mapping(type(defaults[key]), value)
+        return tuple(value) if isinstance(value, list) else value
+
+    return kind(**{key: plain(key, value) for key, value in mapping.items()})

@@ -41,8 +41,8 @@ class Converter(Protocol):
         """Nominal counts per newton (or N m), shape (K,)."""
 
     @property
-    def zero_code(self) -> float:
-        """Reading without a load in counts."""
+    def zero_code(self) -> Any:
+        """Reading without a load in counts, one number or one a channel."""
 
     @property
     def code_range(self) -> tuple[Any, Any]:
@@ -136,6 +136,7 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
     faults = tuple(faults)
     slope = np.asarray(config.slope, dtype=np.float64)
     channels = len(slope)
+    zeros = np.broadcast_to(np.asarray(config.zero_code, dtype=np.float64), (channels,))
     low, high = (np.broadcast_to(np.asarray(end, dtype=np.float64), (channels,)) for end in config.code_range)
     _check(faults, channels, low, high)
     rounds = bool(np.isfinite(low).all())
@@ -168,7 +169,7 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
             code, kept, gap = counts[..., fault.channel], held[..., index], lost[..., index]
             kept = xp.where((active & ~xp.isnan(kept)) | xp.isnan(code), kept, code)
             held_next.append(kept)
-            k, zero = float(slope[fault.channel]), config.zero_code
+            k, zero = float(slope[fault.channel]), float(zeros[fault.channel])
             ends = float(low[fault.channel]), float(high[fault.channel])
             wrong = code
             match fault.kind:

@@ -14,7 +14,10 @@ N m and noise :math:`n`. The map that undoes it is the in-situ paper's
 
 .. math:: w = C (s - o), \qquad C = (I + D E D^{-1})^{-1} K^{-1}, \quad o = K z.
 
-Channels are (fx, fy, fz, tx, ty, tz) of one sensor after the other.
+Channels are (fx, fy, fz, tx, ty, tz) of one sensor after the other. The codes reach the host over a wire
+(:mod:`surefoot.sensors.wire`). Creep, hysteresis, temperature and crossed gauges are the part of
+:func:`~surefoot.sensors.strain_gauges`, the finer model of the same kind of sensor; its converters, of
+100 readings a second and more, all convert at once, so that none has a clock here.
 """
 
 from dataclasses import dataclass
@@ -28,6 +31,7 @@ from surefoot.sensors.configuration import require, require_not_negative, requir
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.drift import PER_SQRT_MINUTE
 from surefoot.sensors.randomness import normal
+from surefoot.sensors.wire import DIRECT, Wire, wire
 
 AXES = 6
 """Channels of a sensor."""
@@ -87,6 +91,9 @@ class ForceTorque:
     zero_drift_torque: float = 0.004 * PER_SQRT_MINUTE
     """Random walk of a torque's zero in N m/sqrt(s); 4 mN m per square root of a minute."""
 
+    wire: Wire = DIRECT
+    """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
+
     def __post_init__(self) -> None:
         """Refuse what no instrument can be."""
         whole = isinstance(self.sensors, int) and not isinstance(self.sensors, bool) and self.sensors > 0
@@ -97,8 +104,15 @@ class ForceTorque:
             *(
                 name
                 for name in self.__dataclass_fields__
-                if name not in ("sensors", "full_scale_force", "full_scale_torque")
+                if name not in ("sensors", "full_scale_force", "full_scale_torque", "wire")
             ),
+        )
+        require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
+        require(
+            not (self.wire.wrong_words and not self.converts),
+            self,
+            "resolution_force",
+            "be above 0 where words can be wrong",
         )
         require(
             (self.resolution_force == 0.0) == (self.resolution_torque == 0.0),
@@ -147,6 +161,11 @@ class ForceTorque:
         return -most, most
 
     @property
+    def word_bits(self) -> int:
+        """Bits of a two's complement word that holds every code; 0 without a converter."""
+        return int(self.code_range[1].max()).bit_length() + 1 if self.converts else 0
+
+    @property
     def nominal_scale(self) -> NDArray[np.float64]:
         """N and N m per count by the maker's matrix, shape (K,)."""
         return 1.0 / self.slope
@@ -167,10 +186,12 @@ class ForceTorqueState(NamedTuple):
         error: E, relative errors of the gains on the diagonal and cross-talk in shares of the full scales
             beside it (row: what reads, column: what is felt), shape (..., sensors, 6, 6).
         zero: z in N and N m, shape (..., sensors, 6).
+        wire: A :class:`~surefoot.sensors.WireState`; ``()`` where nothing happens to codes.
     """
 
     error: Array
     zero: Array
+    wire: Any = ()
 
 
 def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
@@ -191,17 +212,20 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     gain_walk = config.gain_drift
     noise = Table(np.tile(_pair(config.noise_force, config.noise_torque), config.sensors))
     slope, ends = Table(config.slope), tuple(Table(end) for end in config.code_range)
+    rated = config.full_scale * config.slope
+    way = wire(config.wire, rated, config.code_range, config.word_bits) if config.wire.acts else None
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ForceTorqueState:
         if not shape or shape[-1] != config.channels:
             raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
         each = (*shape[:-1], config.sensors, AXES)
         error, zero = normal(rng, (*each, AXES), dtype), normal(rng, each, dtype)
-        return ForceTorqueState(error * spread.like(error), zero * zero_std.like(zero))
+        brought = way.init(shape, rng, dtype) if way else ()
+        return ForceTorqueState(error * spread.like(error), zero * zero_std.like(zero), brought)
 
     def apply(wrench: Array, state: ForceTorqueState, rng: Rng, dt: float) -> tuple[Array, ForceTorqueState]:
         xp = namespace(wrench)
-        error, zero = (cast_like(part, wrench) for part in state)
+        error, zero = (cast_like(part, wrench) for part in state[:2])
         drawn = normal(rng, (3, *zero.shape), wrench.dtype)
         error = error + (gain_walk * dt**0.5) * drawn[0][..., None] * diagonal.like(wrench)
         zero = zero + dt**0.5 * zero_walk.like(wrench) * drawn[1]
@@ -211,7 +235,10 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
         if config.converts:
             low, high = (end.like(wrench) for end in ends)
             read = round_off(limit(read * slope.like(wrench), low, high))
-        return read, ForceTorqueState(error, zero)
+        brought = state.wire
+        if way:
+            read, brought = way.apply(read, brought, rng, dt)
+        return read, ForceTorqueState(error, zero, brought)
 
     return Corruption(init, apply)
 

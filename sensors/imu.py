@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors._arrays import Table, cast_like, limit, round_off
+from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import require, require_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal
@@ -50,6 +50,17 @@ class Imu:
     gyroscope_range: float = 8.72665
     """Largest angular velocity in rad/s (500 degrees/s); 0 does not clip."""
 
+    accelerometer_scale_std: float = 0.0
+    """Standard deviation of the relative error of each accelerometer's scale, constant from power-up; 0.01 to
+    0.03 is typical of consumer chips."""
+
+    gyroscope_scale_std: float = 0.0
+    """The same for each gyroscope; 0.01 to 0.03 as well."""
+
+    misalignment_std: float = 0.0
+    """Standard deviation of the angles by which each sensor's axis is tilted towards the two others, in rad,
+    constant from power-up; 0.01 is a chip's by its data sheet, mounting on a robot adds as much."""
+
     averaged: bool = True
     """Whether a sample is the mean since the sample before, as the chip's own anti-alias filter makes
     it, and so stands for the middle of that time; ``False`` takes the value of the instant."""
@@ -66,9 +77,13 @@ class ImuState(NamedTuple):
 
     Attributes:
         bias: (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (..., 6).
+        matrix: What the accelerometers and the gyroscopes read of the three components (row: what reads,
+            column: what is felt), shape (..., 2, 3, 3), constant from power-up; ``()`` for axes that are
+            right.
     """
 
     bias: Array
+    matrix: Any = ()
 
 
 def _pair(accelerometer: float, gyroscope: float) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -76,7 +91,9 @@ def _pair(accelerometer: float, gyroscope: float) -> np.ndarray[Any, np.dtype[np
 
 
 def imu(config: Imu) -> Corruption[ImuState]:
-    """Build an IMU: its bias wanders, each sample is noisy, clipped and rounded.
+    """Build an IMU: its axes are a little off, its bias wanders, each sample is noisy, clipped and rounded.
+
+    Small angles: an axis tilted by e reads 1 of its own component and e of the other's.
 
     Readings are specific force in m/s^2 and angular velocity in rad/s, shape (..., 6).
     """
@@ -94,22 +111,35 @@ def imu(config: Imu) -> Corruption[ImuState]:
     span = _pair(config.accelerometer_range, config.gyroscope_range)
     clips = bool(span.any())
     highest = Table(np.where(span > 0.0, span, 1e30))
+    scales = np.array([config.accelerometer_scale_std, config.gyroscope_scale_std])[:, None, None]
+    axes = np.eye(3)
+    spread = scales * axes + config.misalignment_std * (1.0 - axes)
+    skewed, skew, upright = bool(spread.any()), Table(spread), Table(axes)
     scaled = lru_cache(maxsize=16)(lambda dt: Table(walk_and_noise * [[dt**0.5], [dt**-0.5]]))
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ImuState:
         drawn = normal(rng, shape, dtype)
-        return ImuState(bias_std.like(drawn) * drawn)
+        bias = bias_std.like(drawn) * drawn
+        if not skewed:
+            return ImuState(bias)
+        drawn = normal(rng, (*shape[:-1], 2, 3, 3), dtype)
+        return ImuState(bias, upright.like(drawn) + skew.like(drawn) * drawn)
 
     def apply(reading: Array, state: ImuState, rng: Rng, dt: float) -> tuple[Array, ImuState]:
         drawn = normal(rng, (*reading.shape[:-1], 2, 6), reading.dtype) * scaled(dt).like(reading)
         bias = cast_like(state.bias, reading) + drawn[..., 0, :]
-        measured = reading + bias + drawn[..., 1, :]
+        felt = reading
+        if skewed:
+            xp, matrix = namespace(reading), cast_like(state.matrix, reading)
+            components = xp.reshape(reading, (*reading.shape[:-1], 2, 1, 3))
+            felt = xp.reshape(xp.sum(matrix * components, axis=-1), reading.shape)
+        measured = felt + bias + drawn[..., 1, :]
         if clips:
             most = highest.like(reading)
             measured = limit(measured, -most, most)
         if rounds:
             unit = step.like(reading)
             measured = round_off(measured / unit) * unit
-        return measured, ImuState(bias)
+        return measured, ImuState(bias, state.matrix)
 
     return Corruption(init, apply)

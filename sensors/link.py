@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import array_namespace
+from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
 from surefoot.sensors._arrays import cast_like
@@ -79,14 +80,15 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
         waiting = cast_like(state.due, reading) - dt
         due = xp.maximum(xp.maximum(drawn, xp.zeros_like(drawn)), waiting[..., -1:])
         due = xp.concat([waiting[..., 1:], due], axis=-1)
-        readings = xp.concat([cast_like(state.readings, reading)[..., 1:, :], reading[..., None, :]], axis=-2)
-        arrived = due <= 0.0
-        newest = arrived & ~xp.concat([arrived[..., 1:], xp.zeros_like(arrived[..., :1])], axis=-1)
-        selected = xp.where(newest[..., None], readings, xp.zeros_like(readings))
-        # When all that is kept is still under way, the last that came has left the queue.
-        some = xp.any(arrived, axis=-1, keepdims=True)
-        held = xp.where(some, xp.sum(selected, axis=-2), cast_like(state.held, reading))
-        return held, LatencyState(due, readings, held)
+        # Readings come in order. When none has, the last that came has left the queue: it stands first.
+        arrived = xp.sum(xp.astype(due <= 0.0, xp.int64), axis=-1)
+        robots = xp.reshape(arrived, (-1,))
+        first = (depth + 1) * xp.arange(robots.shape[0], dtype=xp.int64, device=device_of(reading))
+        last, under_way = cast_like(state.held, reading), cast_like(state.readings, reading)
+        rows = xp.concat([last[..., None, :], under_way[..., 1:, :], reading[..., None, :]], axis=-2)
+        taken = xp.take(xp.reshape(rows, (-1, reading.shape[-1])), first + robots, axis=0)
+        held = xp.reshape(taken, reading.shape)
+        return held, LatencyState(due, rows[..., 1:, :], held)
 
     return Corruption(init, apply)
 

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.drift import PER_SQRT_MINUTE
+from surefoot.sensors.mechanics import CELLS_OF_A_FOOT, IDEAL, Mechanics
+from surefoot.sensors.wire import DIRECT, Wire
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,16 @@ class LoadCells:
     """Where the warming levels off in K, exponentially; 0 for a ramp that goes on. 14 with a ramp of 14/900
     is what a robot's foot was seen to do."""
 
+    settling: int = 1
+    """Over how many conversions a converter averages. 4 is an HX711's by its data sheet, which makes readings
+    1.5 conversions later than 1 does."""
+
+    mechanics: Mechanics = IDEAL
+    """What happens to a load before the bridge: bends, lag, creep, jumps of the zero."""
+
+    wire: Wire = DIRECT
+    """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
+
     def __post_init__(self) -> None:
         """Refuse what no instrument can be."""
         require(
@@ -122,6 +134,22 @@ class LoadCells:
             self,
             "rate",
             "be None or (lowest, highest) with 0 < lowest <= highest",
+        )
+        whole = isinstance(self.settling, int) and not isinstance(self.settling, bool)
+        require(whole and self.settling > 0, self, "settling", "be a positive whole number")
+        require(isinstance(self.mechanics, Mechanics), self, "mechanics", "be a Mechanics")
+        require(
+            not self.mechanics.jumps or self.channels % CELLS_OF_A_FOOT == 0,
+            self,
+            "channels",
+            f"be whole feet of {CELLS_OF_A_FOOT} cells where impacts move their zeros",
+        )
+        require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
+        require(
+            not (self.wire.wrong_words and self.adc_bits == 0),
+            self,
+            "adc_bits",
+            "be above 0 where words can be wrong",
         )
 
     @property
@@ -175,5 +203,10 @@ class LoadCells:
 
     @property
     def nominal_age(self) -> float:
-        """Mean age in s of a reading when the host takes it, by the data sheet: half a conversion."""
-        return 0.0 if self.rate is None else 1.0 / (self.rate[0] + self.rate[1])
+        """Mean age in s of a reading when the host takes it, by the data sheet.
+
+        It is half a conversion, half of those that a filter averages before it, and the way to the host. Of
+        cells that convert when they are read the filter's part is the host's to know.
+        """
+        sampled = 0.0 if self.rate is None else self.settling / (self.rate[0] + self.rate[1])
+        return sampled + self.wire.delay

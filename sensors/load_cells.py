@@ -1,8 +1,10 @@
 """Strain-gauge load cells on converters of their own: newtons in, counts out.
 
-The order of the stages is the order in the instrument. A bridge scales the load by a gain that is not
-quite the data sheet's and adds a zero, both of which wander; the converter adds noise, clips, rounds,
-and finishes a conversion when its own clock says so; the host reads what it finds.
+The order of the stages is the order in the instrument. The spring element does to the load what
+:mod:`surefoot.sensors.mechanics` tells, where that is not left ideal. A bridge scales the load by a gain that
+is not quite the data sheet's and adds a zero, both of which wander; the converter averages its last few
+conversions if it has a filter, adds noise, clips, rounds, and finishes a conversion when its own clock says
+so; the host reads what the wire (:mod:`surefoot.sensors.wire`) brings.
 
     s = round(s_0 + k ((1 + g) F + z) + n)
 
@@ -19,15 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
-from surefoot.sensors.clock import init_clock, interpolate, latest_conversion, sample_and_hold
+from surefoot.sensors.clock import (
+    init_clock,
+    init_window,
+    interpolate,
+    latest_conversion,
+    most_conversions,
+    sample_and_hold,
+    settle,
+)
 from surefoot.sensors.corruption import Array, Corruption, Rng, chain
 from surefoot.sensors.drift import drift, gain_drift
 from surefoot.sensors.gain import gain, offset
 from surefoot.sensors.load_cell_config import LoadCells
+from surefoot.sensors.mechanics import bent, mechanics, shifted_zero
+from surefoot.sensors.moving_average import moving_average
 from surefoot.sensors.noise import white_noise
 from surefoot.sensors.quantize import quantize, saturate
 from surefoot.sensors.randomness import filled, normal
 from surefoot.sensors.temperature import thermal_drift, warmed
+from surefoot.sensors.wire import WireState, wire
 
 __all__ = [
     "LoadCellState",
@@ -51,6 +64,11 @@ class LoadCellState(NamedTuple):
             in N at the nominal gain.
         thermal: For cells that warm up, shape (3, ..., K): what a kelvin adds to each of the two errors, in
             1/K and N/K, and the rise of the temperature since power-up in K; empty, shape (0,), for others.
+        window: For converters that average, their last conversions in N (see
+            :func:`~surefoot.sensors.clock.settle`; without a clock a
+            :class:`~surefoot.sensors.MovingAverageState`); ``()`` for others.
+        mechanics: A :class:`~surefoot.sensors.MechanicsState`; ``()`` where nothing happens to loads.
+        wire: A :class:`~surefoot.sensors.WireState`; ``()`` where nothing happens to codes.
     """
 
     period: Array
@@ -59,6 +77,13 @@ class LoadCellState(NamedTuple):
     held: Array
     error: Array
     thermal: Array
+    window: Any = ()
+    mechanics: Any = ()
+    wire: Any = ()
+
+
+_OWN = LoadCellState._fields[:6]
+"""Arrays of the cells themselves; their parts look after their own."""
 
 
 def load_cell_chain(config: LoadCells) -> Corruption[Any]:
@@ -66,6 +91,7 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
 
     With a clock the reading is a block of substeps (see :func:`~surefoot.sensors.sample_and_hold`).
     """
+    element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
     bridge: list[Corruption[Any]] = [
         gain_drift(config.initial_gain_std, config.gain_drift),
         drift(config.initial_zero_std, config.zero_drift),
@@ -79,9 +105,12 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     converter.append(white_noise(config.noise_counts))
     if config.adc_bits:
         converter += [saturate(*config.code_range), quantize(1.0)]
+    way = [_wire(config)] if config.wire.acts else []
     if config.rate is None:
-        return chain(*bridge, *converter)
-    return sample_and_hold(chain(*bridge, *converter), config.rate)
+        return chain(*element, *bridge, moving_average(config.settling), *converter, *way)
+    measured = chain(*element, *bridge)
+    held = sample_and_hold(measured, config.rate, settling=config.settling, converter=chain(*converter))
+    return chain(held, *way)
 
 
 def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
@@ -90,6 +119,9 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     ``init(shape, rng)`` takes the shape of the readings, (..., K). ``apply(block, state, rng, dt)`` takes
     true loads in N at the ends of S equal substeps that fill dt, shape (..., S, K), and returns counts,
     shape (..., K).
+
+    The spring elements are stepped once a block, at the load of its last conversion; one that a chip
+    finishes without the host looking leaves no trace in them.
 
     Args:
         config: The instrument.
@@ -102,6 +134,10 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     initial_std = Table([config.initial_gain_std, config.initial_zero_std])
     warms, ramp, rise = config.warms, config.temperature_ramp, config.temperature_rise
     tempco_std = Table([config.span_tempco, config.zero_tempco])
+    settling = config.settling
+    average = moving_average(settling)
+    element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
+    way = _wire(config) if config.wire.acts else None
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LoadCellState:
         if not shape or shape[-1] != config.channels:
@@ -109,27 +145,38 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         nothing = filled(rng, 0.0, shape, dtype)
         period, due = (nothing, nothing) if rate is None else init_clock(rate, shape, rng, dtype)
         unread = nothing + float("nan")
-        if not warms:
-            drawn = normal(rng, (2, *shape), dtype)
-            error = drawn * initial_std.like(drawn, len(shape))
-            return LoadCellState(period, due, nothing, unread, error, filled(rng, 0.0, (0,), dtype))
-        # Gain, its coefficient, zero, its coefficient: the order of the single stages.
-        drawn = normal(rng, (4, *shape), dtype)
-        error = drawn[::2] * initial_std.like(drawn, len(shape))
-        tempco = drawn[1::2] * tempco_std.like(drawn, len(shape))
-        thermal = namespace(drawn).concat([tempco, nothing[None]])
-        return LoadCellState(period, due, nothing, unread, error, thermal)
+        window: Any = ()
+        if settling > 1 and rate is None:
+            window = average.init(shape, rng, dtype)
+        elif settling > 1:
+            window = init_window(settling, shape, rng, dtype)
+        felt = element.init(shape, rng, dtype) if element else ()
+        # Gain, zero; of cells that warm up gain, its coefficient, zero, its coefficient: the single stages'.
+        drawn = normal(rng, (4 if warms else 2, *shape), dtype)
+        error = drawn[:: 2 if warms else 1] * initial_std.like(drawn, len(shape))
+        thermal = filled(rng, 0.0, (0,), dtype)
+        if warms:
+            tempco = drawn[1::2] * tempco_std.like(drawn, len(shape))
+            thermal = namespace(drawn).concat([tempco, nothing[None]])
+        brought = way.init(shape, rng, dtype) if way else ()
+        return LoadCellState(period, due, nothing, unread, error, thermal, window, felt, brought)
 
     def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
         if state.error.dtype != block.dtype:
-            state = LoadCellState(*(cast_like(part, block) for part in state))
+            state = state._replace(**{name: cast_like(getattr(state, name), block) for name in _OWN})
         xp = namespace(block)
-        period, due, previous, held, error, thermal = state
+        period, due, previous, held, error, thermal, window, felt, brought = state
         load = last = block[..., -1, :] + 0.0
         drawn = number = last
         if rate is not None:
             number, at, due = latest_conversion(period, due, dt)
-            load = interpolate(block, previous, at * (block.shape[-2] / dt))
+            position = at * (block.shape[-2] / dt)
+            if element or settling > 1:
+                # A chip that finishes no conversion goes on from what its cell feels.
+                position = limit(position, 0.0, float("inf"))
+            load = interpolate(block, previous, position)
+        if element:
+            load, felt = element.apply(load, felt, rng, dt)
         if drawn_per_step:
             drawn = normal(rng, (drawn_per_step, *load.shape), load.dtype)
         if all(walks):
@@ -141,14 +188,22 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             temperature = warmed(thermal[2], ramp, rise, dt)
             error = error + thermal[:2] * (temperature - thermal[2])
             thermal = xp.concat([thermal[:2], temperature[None]])
-        counts = (load * (1.0 + error[0]) + error[1]) * slopes.like(load) + zero_code
+        bridge = load * (1.0 + error[0]) + error[1]
+        if settling > 1 and rate is None:
+            bridge, window = average.apply(bridge, window, rng, dt)
+        elif settling > 1 and rate is not None:
+            bridge, window = settle(cast_like(window, bridge), bridge, number, most_conversions(rate, dt))
+        counts = bridge * slopes.like(load) + zero_code
         if noise:
             counts = counts + noise * drawn[-1]
         if clipped:
             counts = round_off(limit(counts, low, high))
         if rate is not None:
             counts = xp.where(number >= 0.0, counts, held)
-        return counts, LoadCellState(period, due, last, counts, error, thermal)
+        held = counts
+        if way:
+            counts, brought = way.apply(counts, brought, rng, dt)
+        return counts, LoadCellState(period, due, last, held, error, thermal, window, felt, brought)
 
     return Corruption(init, apply)
 
@@ -178,6 +233,8 @@ def static_counts(
         raise ValueError(
             f"'load' must hold {config.channels} cells on its last axis, got shape {load.shape}."
         )
+    if state.mechanics:
+        load = bent(state.mechanics, load, config.capacity) + shifted_zero(config.mechanics, state.mechanics)
     counts: NDArray[np.float64] = config.zero_code + config.slope * (
         (1.0 + state.error[0]) * load + state.error[1]
     )
@@ -188,11 +245,22 @@ def static_counts(
 
 
 def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
-    """Compute the map that would undo the cells' errors at this moment.
+    """Compute the map that would undo the errors of the cells' gains and zeros at this moment.
+
+    Zeros hold what impacts and overloads have done to them. What no map of counts can undo, bends, lag and
+    creep, is not in it.
 
     Returns:
         Scale in N per count and offset in N, both (..., K): the true load is scale * counts + offset.
     """
     gain_true = 1.0 + state.error[0]
     scale = 1.0 / (Table(config.slope).like(gain_true) * gain_true)
-    return scale, -config.zero_code * scale - state.error[1] / gain_true
+    offset = -config.zero_code * scale - state.error[1] / gain_true
+    if state.mechanics:
+        offset = offset - shifted_zero(config.mechanics, state.mechanics)
+    return scale, offset
+
+
+def _wire(config: LoadCells) -> Corruption[WireState]:
+    rated = config.counts_per_newton * config.capacity
+    return wire(config.wire, rated, config.code_range, config.adc_bits, config.coding)

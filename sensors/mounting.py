@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from surefoot.sensors._arrays import Table, cast_like, namespace
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
 from surefoot.sensors.randomness import filled, normal
+from surefoot.sensors.rare import change_where
 
 WARP = (1, -1, -1, 1)
 """Signs of the warp for (front-left, front-right, rear-left, rear-right)."""
@@ -60,7 +61,8 @@ def mounting(
     cells = len(warp)
     if not cells or any(sign not in (-1, 1) for sign in warp):
         raise ValueError(f"'warp' must hold +1 or -1 for each cell of a foot, got {tuple(warp)}.")
-    modes = Table([[warp_std * sign for sign in warp], [common_std] * cells])
+    modes = ([warp_std * sign for sign in warp], [common_std] * cells)
+    moving = [Table(mode) for mode in modes if any(mode)]
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> MountingState:
         if not shape or shape[-1] % cells:
@@ -78,13 +80,15 @@ def mounting(
         by_foot = xp.reshape(reading, (*before.shape, cells))
         load = xp.sum(by_foot, axis=-1)
         # Neither the first reading nor one without a value is compared: NaN exceeds nothing.
-        hit = cast_like(xp.abs(load - before) > threshold, reading)
-        start = hit * (1.0 - impact)
-        drawn = start[..., None] * normal(rng, (*before.shape, 2), reading.dtype)
-        mode = modes.like(reading)
-        jump = drawn[..., :1] * mode[0] + drawn[..., 1:] * mode[1]
-        zero = zero + xp.reshape(jump, reading.shape)
-        load = xp.where(xp.isnan(load), before, load)
+        hit = xp.abs(load - before) > threshold
+        start = hit & (impact < 0.5)
+        nothing, jump = 0.0 * impact, 0.0
+        for mode in moving:
+            drawn = change_where(nothing, start, lambda few: normal(rng, tuple(few.shape), few.dtype))
+            jump = jump + drawn[..., None] * mode.like(reading)
+        if moving:
+            zero = zero + xp.reshape(jump, reading.shape)
+        load, hit = xp.where(xp.isnan(load), before, load), cast_like(hit, reading)
         return reading + zero, MountingState(zero, load, hit)
 
     return Corruption(init, apply)

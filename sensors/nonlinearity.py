@@ -12,11 +12,14 @@ The cubic one is odd and so right at both full scales. Data sheets give :math:`2
 cell of class C3, :math:`5 \cdot 10^{-4}` for a cheap one, :math:`2 \cdot 10^{-3}` for a ring.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors._arrays import Table, limit
-from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
+from surefoot.sensors._arrays import Table, cast_like, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative, stateless
+from surefoot.sensors.randomness import uniform
 
 CUBIC_PEAK = 1.5 * 3.0**0.5
 """One over the largest value of u (1 - u^2) between 0 and 1."""
@@ -62,3 +65,42 @@ def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) 
         return reading + u * (1.0 - u) * (first.like(reading) + second.like(reading) * (1.0 + u))
 
     return stateless(bend)
+
+
+class NonlinearityState(NamedTuple):
+    """How channels bend.
+
+    Attributes:
+        quadratic: Departure at half of the full scale in shares of it, shape (..., K); constant from
+            power-up.
+    """
+
+    quadratic: Array
+
+
+def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
+    """Bend each channel by a quadratic term of its own, drawn at power-up.
+
+    Args:
+        most: Largest departure in shares of the full scale, as a data sheet gives it: terms are drawn
+            uniformly from ``-most`` to ``most``.
+        full_scale: Full scale in the unit of the readings, a number or shape (K,).
+
+    Raises:
+        ValueError: As for :func:`nonlinearity`, for the worst that can be drawn.
+    """
+    check_not_negative(most=most)
+    nonlinearity(most, 0.0, full_scale)
+    scales = Table(full_scale)
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> NonlinearityState:
+        return NonlinearityState(uniform(rng, -most, most, shape, dtype))
+
+    def apply(
+        reading: Array, state: NonlinearityState, rng: Rng, dt: float
+    ) -> tuple[Array, NonlinearityState]:
+        scale, quadratic = scales.like(reading), cast_like(state.quadratic, reading)
+        u = limit(reading / scale, -1.0, 1.0)
+        return reading + (4.0 * quadratic * scale) * (u - u * u), NonlinearityState(quadratic)
+
+    return Corruption(init, apply)

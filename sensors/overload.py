@@ -67,8 +67,10 @@ def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
         xp = namespace(reading)
         highest, lowest = cast_like(state.excess, reading)
         most = table.like(reading)
-        excess = xp.where(xp.isnan(reading), 0.0 * highest, reading - limit(reading, -most, most))
-        highest, lowest = xp.maximum(highest, excess), xp.minimum(lowest, excess)
+        excess = reading - limit(reading, -most, most)
+        # What is NaN is neither more nor less.
+        highest = xp.where(excess > highest, excess, highest)
+        lowest = xp.where(excess < lowest, excess, lowest)
         return reading + share * (highest + lowest), OverloadState(xp.stack([highest, lowest]))
 
     return Corruption(init, apply)

@@ -4,17 +4,82 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from surefoot.sensors.configuration import from_mapping
+from surefoot.sensors.drift import PER_SQRT_MINUTE
 from surefoot.sensors.encoders import Encoders
 from surefoot.sensors.force_torque import ForceTorque
 from surefoot.sensors.imu import Imu
 from surefoot.sensors.link import Link
 from surefoot.sensors.load_cell_config import LoadCells
+from surefoot.sensors.mechanics import Mechanics
 from surefoot.sensors.strain_gauge_config import FTSENS_SN142, StrainGauges
+from surefoot.sensors.wire import Wire
 
 Config = TypeVar("Config")
 
 HX711_LOAD_CELLS = LoadCells()
 """Eight uncalibrated cells of 98.1 N and 1 mV/V on HX711 chips at gain 128 and nominally 80 SPS."""
+
+BAR_CELLS_ON_HX711 = LoadCells(
+    span_tempco=5e-5,
+    zero_tempco=5e-4 * 9.81,
+    temperature_ramp=14.0 / 900.0,
+    temperature_rise=14.0,
+    settling=4,
+    mechanics=Mechanics(
+        nonlinearity=5e-4,
+        hysteresis=5e-4,
+        creep_shares=(3e-4, 2e-4),
+        creep_time_constants=(20.0, 400.0),
+        mounting_warp_std=0.5,
+        overload_share=0.01,
+    ),
+    wire=Wire(
+        spike_rate=1.0 / 60.0,
+        wrong_words=1e-3,
+        stale_repeats=0.01,
+        packet_loss=5e-3,
+        gap_share=0.002,
+        gap_length=0.125,
+        delay=0.020,
+        jitter=0.004,
+        under_way=4,
+    ),
+)
+"""The same cells with every link of the chain: a cheap bar cell's data sheet (nonlinearity, hysteresis and
+creep in half an hour of 5e-4 each, zero of 5e-5 of the capacity per kelvin), a foot that warms up by 14 K in
+a quarter of an hour and more, an HX711 that settles in 4 conversions, and the CoP paper's wireless network
+(20 +- 4 ms). The warp of an impact, the share of an overload and the rates of spikes, wrong words, repeats
+and losses are chosen within what logs and bug reports tell."""
+
+NAO_FSR = LoadCells(
+    capacity=25.0,
+    rated_output=0.5,
+    excitation=3.3,
+    adc_gain=1.0,
+    adc_bits=10,
+    coding="two's complement",
+    polarity=(1,),
+    input_noise=1.6e-3,
+    rate=None,
+    initial_gain_std=0.3,
+    initial_zero_std=0.1,
+    gain_drift=0.02 * PER_SQRT_MINUTE,
+    zero_drift=0.02 * PER_SQRT_MINUTE,
+    mechanics=Mechanics(
+        nonlinearity=0.06,
+        hysteresis=0.1,
+        creep_shares=(0.05, 0.05, 0.05),
+        creep_time_constants=(1.0, 10.0, 100.0),
+        mounting_common_std=0.05,
+    ),
+    wire=Wire(stale_repeats=0.73),
+)
+"""Eight force-sensing resistors under a NAO's soles. Seen: the range of 25 N (Aldebaran), zeros of at most
+0.2 N in swing, 73 % of the readings repeated, and a robot of 5.3 kg that its feet call 3.5 kg (an own look
+at a public log), for which the spread of the gains stands. By the data sheet of such resistors (Interlink
+FSR 400): hysteresis of 10 %, drift of at most 5 % a decade of time. Inferred: 10 bits of 0.05 N, noise of
+0.05 N, bends, walks and jumps. The readings that are stuck at zero half of the time are not in it: add
+:class:`~surefoot.sensors.Fault` s."""
 
 PERFECT_LOAD_CELLS = LoadCells(
     adc_bits=0,
@@ -30,6 +95,26 @@ PERFECT_LOAD_CELLS = LoadCells(
 
 ICUB_FORCE_TORQUE = ForceTorque()
 """Two sensors like the FTSens in an iCub's ankles."""
+
+ATI_MINI45 = ForceTorque(
+    full_scale_force=580.0,
+    full_scale_torque=20.0,
+    resolution_force=0.25,
+    resolution_torque=0.005,
+    noise_force=0.25,
+    noise_torque=0.005,
+    initial_gain_std=0.01,
+    cross_talk_std=0.005,
+    initial_zero_force_std=1.0,
+    initial_zero_torque_std=0.03,
+    gain_drift=0.0,
+    zero_drift_force=0.05 * PER_SQRT_MINUTE,
+    zero_drift_torque=0.001 * PER_SQRT_MINUTE,
+)
+"""Two sensors of the class of an ATI Mini45 with its range of 580 N and 20 N m. Of its errors only this is
+told: offsets move within hours, calibration is to be repeated every year (in-situ paper), and a sister
+model, in a Valkyrie's feet, went off by 20 to 30 N. No data sheet
+was at hand: the range is from memory, all other numbers are inferred from the class."""
 
 PERFECT_FORCE_TORQUE = ForceTorque(
     resolution_force=0.0,
@@ -99,8 +184,18 @@ NAO_LINK = Link()
 """NAOqi over a wireless network: 100 packets/s, 20 +- 4 ms late."""
 
 PRESETS: dict[type, dict[str, Any]] = {
-    LoadCells: {"hx711-load-cells": HX711_LOAD_CELLS, "perfect": PERFECT_LOAD_CELLS},
-    ForceTorque: {"icub-force-torque": ICUB_FORCE_TORQUE, "perfect": PERFECT_FORCE_TORQUE},
+    LoadCells: {
+        "hx711-load-cells": HX711_LOAD_CELLS,
+        "hx711-bar-cells": BAR_CELLS_ON_HX711,
+        "nao-fsr": NAO_FSR,
+        "perfect": PERFECT_LOAD_CELLS,
+    },
+    ForceTorque: {
+        "icub-ftsens": ICUB_FORCE_TORQUE,
+        "icub-force-torque": ICUB_FORCE_TORQUE,
+        "ati-mini45": ATI_MINI45,
+        "perfect": PERFECT_FORCE_TORQUE,
+    },
     StrainGauges: {
         "icub-ftsens-leg": ICUB_FTSENS_LEG,
         "icub-ftsens-foot": ICUB_FTSENS_FOOT,

@@ -55,7 +55,7 @@ def uniform(rng: Any, low: float, high: float, shape: tuple[int, ...], dtype: An
         drawn = sys.modules["torch"].rand(shape, generator=rng, device=rng.device, dtype=dtype)
     else:
         drawn = rng.random(shape, dtype=np.float64 if dtype is None else dtype)
-    return low + (high - low) * drawn
+    return drawn if (low, high) == (0.0, 1.0) else low + (high - low) * drawn
 
 
 def filled(rng: Any, value: float, shape: tuple[int, ...], dtype: Any = None) -> Array:

@@ -16,7 +16,9 @@ from surefoot.sensors.force_torque import ForceTorque
 from surefoot.sensors.imu import Imu
 from surefoot.sensors.link import Link
 from surefoot.sensors.load_cell_config import LoadCells
+from surefoot.sensors.mechanics import Mechanics
 from surefoot.sensors.strain_gauge_config import StrainGauges
+from surefoot.sensors.wire import Wire
 
 Config = TypeVar("Config")
 
@@ -30,6 +32,25 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "zero_drift",
             "span_tempco",
             "zero_tempco",
+            "mechanics",
+            "wire",
+        ),
+        Mechanics: (
+            "nonlinearity",
+            "hysteresis",
+            "creep_shares",
+            "mounting_warp_std",
+            "mounting_common_std",
+            "overload_share",
+        ),
+        Wire: (
+            "spike_rate",
+            "wrong_words",
+            "stale_repeats",
+            "packet_loss",
+            "gap_share",
+            "delay",
+            "jitter",
         ),
         ForceTorque: (
             "noise_force",
@@ -41,6 +62,7 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "gain_drift",
             "zero_drift_force",
             "zero_drift_torque",
+            "wire",
         ),
         StrainGauges: (
             "gain_error_std",
@@ -64,6 +86,9 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "gyroscope_bias_std",
             "accelerometer_walk",
             "gyroscope_walk",
+            "accelerometer_scale_std",
+            "gyroscope_scale_std",
+            "misalignment_std",
         ),
         Encoders: ("bias_std", "noise_std"),
         Link: ("delay", "jitter"),
@@ -83,9 +108,12 @@ IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "coding",
             "polarity",
             "rate",
+            "settling",
             "temperature_ramp",
             "temperature_rise",
         ),
+        Mechanics: ("creep_time_constants", "impact_threshold", "safe_overload"),
+        Wire: ("spike_size", "gap_length", "under_way"),
         ForceTorque: (
             "sensors",
             "full_scale_force",
@@ -151,4 +179,6 @@ def scaled(config: Config, severity: float) -> Config:
 
 
 def _times(value: Any, factor: float) -> Any:
+    if type(value) in ERRORS:
+        return scaled(value, factor)
     return tuple(factor * part for part in value) if isinstance(value, tuple) else factor * value

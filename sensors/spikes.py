@@ -10,30 +10,44 @@ within the converter's range.
 from math import expm1
 from typing import Any
 
-from surefoot.sensors._arrays import namespace
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.sensors._arrays import Table, limit, round_off
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
-from surefoot.sensors.randomness import normal, uniform
+from surefoot.sensors.randomness import normal
+from surefoot.sensors.rare import change_at_random
 
 
-def spikes(rate: float, size: float) -> Corruption[tuple[()]]:
+def spikes(
+    rate: float, size: ArrayLike, *, code_range: tuple[ArrayLike, ArrayLike] | None = None
+) -> Corruption[tuple[()]]:
     """Add spikes at random.
 
     Args:
         rate: Mean number of spikes of a channel in a second in 1/s; 0 adds none.
-        size: Standard deviation of a spike in the unit of the readings.
+        size: Standard deviation of a spike in the unit of the readings, a number or shape (K,).
+        code_range: Lowest and highest code of a converter, numbers or shapes (K,), to which what is off is
+            clipped and rounded; ``None`` for readings that are no codes.
 
     Raises:
         ValueError: If an argument is negative.
     """
-    check_not_negative(rate=rate, size=size)
+    check_not_negative(rate=rate)
+    sizes = np.asarray(size, dtype=np.float64)
+    if not np.all((sizes >= 0.0) & np.isfinite(sizes)):
+        raise ValueError(f"'size' must be finite and not negative, got {size!r}.")
+    tables = [Table(values) for values in (sizes, *(code_range or ()))]
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> tuple[()]:
         return ()
 
     def apply(reading: Array, state: tuple[()], rng: Rng, dt: float) -> tuple[Array, tuple[()]]:
-        shape = tuple(reading.shape)
-        hit = uniform(rng, 0.0, 1.0, shape, reading.dtype) < -expm1(-rate * dt)
-        spike = size * normal(rng, shape, reading.dtype)
-        return namespace(reading).where(hit, reading + spike, reading), state
+        def spike(few: Array, spread: Array, *ends: Array) -> Array:
+            off = few + spread * normal(rng, tuple(few.shape), few.dtype)
+            return round_off(limit(off, *ends)) if ends else off
+
+        values = (table.like(reading) for table in tables)
+        return change_at_random(reading, -expm1(-rate * dt), spike, rng, *values), state
 
     return Corruption(init, apply)

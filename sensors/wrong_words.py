@@ -11,6 +11,7 @@ import numpy as np
 from surefoot.sensors._arrays import Table, limit, namespace
 from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
 from surefoot.sensors.randomness import uniform
+from surefoot.sensors.rare import change_at_random
 
 CODINGS = ("offset-binary", "two's complement")
 """How a word stands for a number; the names of :class:`~surefoot.sensors.LoadCells`."""
@@ -48,17 +49,20 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
     # A reading adds what the bit is worth where it was 0 and loses it where it was 1.
     table = Table([places, places * signs])
 
-    def flip(reading: Array, rng: Rng) -> Array:
-        xp = namespace(reading)
-        drawn = uniform(rng, 0.0, 1.0, (2, *reading.shape), reading.dtype)
-        which = xp.astype(limit(drawn[1] * bits, 0.0, bits - 1.0), xp.int64)
+    def flip(word: Array, rng: Rng) -> Array:
+        xp = namespace(word)
+        drawn = uniform(rng, 0.0, 1.0, tuple(word.shape), word.dtype)
+        which = xp.astype(limit(drawn * bits, 0.0, bits - 1.0), xp.int64)
         place, worth = (
-            xp.reshape(xp.take(values, xp.reshape(which, (-1,)), axis=0), reading.shape)
-            for values in table.like(reading)
+            xp.reshape(xp.take(values, xp.reshape(which, (-1,)), axis=0), word.shape)
+            for values in table.like(word)
         )
         # Halving rounds down, so negative words show the bits of their two's complement.
-        above = xp.floor(reading / place)
+        above = xp.floor(word / place)
         bit = above - 2.0 * xp.floor(above / 2.0)
-        return xp.where(drawn[0] < probability, reading + (1.0 - 2.0 * bit) * worth, reading)
+        return word + (1.0 - 2.0 * bit) * worth
 
-    return stateless(flip)
+    def read(reading: Array, rng: Rng) -> Array:
+        return change_at_random(reading, probability, lambda words: flip(words, rng), rng)
+
+    return stateless(read)

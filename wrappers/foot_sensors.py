@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.state import load_state, save_state
-from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, resolve, scaled
+from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, resolve, scaled
 from surefoot.sensors.configuration import require
 from surefoot.sensors.link import Packets
 from surefoot.wrappers.instruments import FootDevice, Instruments, InstrumentsState, foot_device
@@ -62,7 +62,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     |-----|-------------|-----|-----|------|
     | ``"foot_raw"`` (K) | cells, left then right: FL, FR, RL, RR; ankles: fx to tz | 0 | 2^24 - 1 | count |
 
-    (the range is the configuration's). It loses what only truth can tell (``"foot_force"``, ``"cop"``,
+    (the range is the configuration's; where no reading arrives the last one is held, and before the first
+    that of an unloaded sensor). It loses what only truth can tell (``"foot_force"``, ``"cop"``,
     ``"cop_foot"`` and ``"cop_valid"``), and where the environment has a ``state_layout``, ``joint_position``,
     ``joint_velocity``, ``tilt`` and ``gyroscope`` become those of the newest packet of telemetry that has
     arrived; other environments' states are left as they are. Truth stays in ``info["surefoot"]["truth"]``.
@@ -83,8 +84,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         encoders: The joint encoders, likewise.
         link: The link over which encoders and IMU reach the host, likewise.
         severity: Factor of all errors of the feet's sensors, see :func:`~surefoot.sensors.scaled`.
-        faults: What breaks when, on the clock of the power-up: :class:`~surefoot.sensors.Fault` or mappings
-            of its fields.
+        faults: What breaks when, on the clock of the power-up: words such as ``"at t=12 s cell left/2 dies"``
+            (:func:`~surefoot.sensors.parse_fault`), :class:`~surefoot.sensors.Fault` or mappings of its
+            fields.
         fresh: Whether every reset draws the sensors anew.
         measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
         feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
@@ -115,7 +117,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         encoders: str | Mapping[str, Any] | Encoders = "nao-encoders",
         link: str | Mapping[str, Any] | Link = "nao-wlan",
         severity: float = 1.0,
-        faults: Sequence[Fault | Mapping[str, Any]] = (),
+        faults: Sequence[str | Fault | Mapping[str, Any]] = (),
         fresh: bool = False,
         measure_state: bool = True,
         feet: Sequence[str] | None = None,
@@ -153,8 +155,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             "delay",
             f"be at most {LONGEST_DELAY} s, which is as late as telemetry is of use here",
         )
-        self._faults = tuple(resolve(fault, Fault) for fault in faults)
-        self._broken = channel_faults(self._faults, self.instruments) if self._faults else None
+        broken = [self._fault(fault) for fault in faults]
+        self._broken = channel_faults(broken, self.instruments) if broken else None
         layout = getattr(source, "state_layout", None) if measure_state else None
         self._state_layout: Mapping[str, slice] | None = layout
         self.observation_space, self._was_dict = self._space(self.env.observation_space)
@@ -171,6 +173,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.time = 0.0
         self.telemetry: Telemetry
         self._raw: NDArray[np.float64]
+        self._held = self.instruments.zero_code.astype(np.float32)
         self._telemetry_state: TelemetryState
         self._newest: NDArray[np.float64]
         self._measured: list[tuple[slice, slice]] = []
@@ -221,7 +224,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
 
     @property
     def raw(self) -> NDArray[np.float64]:
-        """The feet's last reading in counts, in double precision, shape (K,)."""
+        """The feet's last reading in counts, in double precision, shape (K,); NaN: none arrived."""
         return self._raw
 
     def listen(self) -> None:
@@ -285,6 +288,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         if self.drawn_anew:
             broken = () if self._broken is None else self._broken.init((self.instruments.channels,), rng)
             self._hardware = HardwareState(self.instruments.init(rng), broken, None)
+            self._held = self.instruments.zero_code.astype(np.float32)
         self._read(truth, max(self.telemetry.dt, self.instruments.slowest))
         if self._listening:
             # At the reset a robot hangs just above its footprints; packets before tell of one that stood.
@@ -311,6 +315,11 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             self._measured = _overwritten(self._state_layout, telemetry)
         return telemetry
 
+    def _fault(self, given: str | Fault | Mapping[str, Any]) -> Fault:
+        if not isinstance(given, str):
+            return resolve(given, Fault)
+        return parse_fault(given, self.source.drawing.feet, self.instruments.layout.feet[0].channel_names)
+
     def _space(self, shown: spaces.Space[Any]) -> tuple[spaces.Dict, bool]:
         """Say what is observed, and whether the environment shows a ``Dict``."""
         is_dict = isinstance(shown, spaces.Dict)
@@ -328,7 +337,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
 
     def _observe(self, observation: Any) -> dict[str, Any]:
         if not self._was_dict:
-            return {"state": observation, "foot_raw": self._raw.astype(np.float32)}
+            return {"state": observation, "foot_raw": self._counts()}
         seen = {key: part for key, part in observation.items() if key not in TRUE_KEYS}
         if self._state_layout is not None:
             if self.packets:
@@ -339,8 +348,17 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             low, high = self._state_bounds
             np.maximum(state, low, out=state)
             seen["state"] = np.minimum(state, high, out=state)
-        seen["foot_raw"] = self._raw.astype(np.float32)
+        seen["foot_raw"] = self._counts()
         return seen
+
+    def _counts(self) -> NDArray[np.float32]:
+        """Show the last reading of each channel that arrived."""
+        counts = self._raw.astype(np.float32)
+        missing = np.isnan(counts)
+        if missing.any():
+            counts[missing] = self._held[missing]
+        self._held = counts
+        return counts.copy()
 
 
 def _overwritten(layout: Mapping[str, slice], telemetry: Telemetry) -> list[tuple[slice, slice]]:

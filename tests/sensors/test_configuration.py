@@ -10,7 +10,21 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from surefoot.sensors import PRESETS, Encoders, Imu, Link, LoadCells, from_mapping, preset, resolve
+from surefoot.sensors import (
+    PRESETS,
+    Encoders,
+    ForceTorque,
+    Imu,
+    Link,
+    LoadCells,
+    Mechanics,
+    Wire,
+    from_mapping,
+    preset,
+    resolve,
+)
+
+TAU = {"creep_time_constants": [3.0]}
 
 
 @pytest.mark.parametrize(
@@ -23,7 +37,7 @@ def test_every_preset_survives_json(kind, name: str) -> None:
     assert resolve(config, kind) is config
 
 
-@pytest.mark.parametrize("kind", PRESETS)
+@pytest.mark.parametrize("kind", [*PRESETS, Mechanics, Wire])
 def test_every_field_tells_its_physics(kind) -> None:
     """A docstring follows each field in the source."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
@@ -36,7 +50,7 @@ def test_every_field_tells_its_physics(kind) -> None:
 
 def test_unknown_presets_list_what_there_is() -> None:
     with pytest.raises(
-        ValueError, match=r"no LoadCells preset 'hx712'; there are \['hx711-load-cells', 'perfect'\]"
+        ValueError, match=r"no LoadCells preset 'hx712'; there are \['hx711-bar-cells', .*'perfect'\]"
     ):
         preset("hx712")
     with pytest.raises(ValueError, match="no Imu preset 'hx711-load-cells'"):
@@ -52,6 +66,14 @@ def test_unknown_keys_are_named() -> None:
 
 def test_a_mapping_may_name_some_fields_only() -> None:
     assert resolve({"rate": [80.0, 80.0]}, LoadCells) == LoadCells(rate=(80.0, 80.0))
+
+
+def test_a_mapping_may_hold_mappings() -> None:
+    config = resolve({"wire": {"delay": 0.02}, "mechanics": {"creep_shares": [0.1]} | TAU}, LoadCells)
+    assert config.wire == Wire(delay=0.02)
+    assert config.mechanics == Mechanics(creep_shares=(0.1,), creep_time_constants=(3.0,))
+    with pytest.raises(ValueError, match=r"Wire has no field \['dealy'\]; it has \['spike_rate'"):
+        resolve({"wire": {"dealy": 0.02}}, LoadCells)
 
 
 def test_anything_else_is_refused() -> None:
@@ -81,6 +103,33 @@ def test_anything_else_is_refused() -> None:
         (lambda: LoadCells(polarity=(1, 2)), r"LoadCells.polarity must hold \+1 or -1 .*, got \(1, 2\)"),
         (lambda: LoadCells(polarity=(1, -1, 1)), r"LoadCells.polarity must .* repeats along them, got"),
         (lambda: LoadCells(rate=(94.0, 78.0)), r"LoadCells.rate must be None or .*, got \(94.0, 78.0\)"),
+        (lambda: LoadCells(settling=0), "LoadCells.settling must be a positive whole number, got 0"),
+        (lambda: LoadCells(wire={}), r"LoadCells.wire must be a Wire, got \{\}"),
+        (lambda: LoadCells(mechanics=1.0), r"LoadCells.mechanics must be a Mechanics, got 1.0"),
+        (
+            lambda: LoadCells(channels=6, polarity=(1,), mechanics=Mechanics(mounting_warp_std=1.0)),
+            "LoadCells.channels must be whole feet of 4 cells where impacts .*, got 6",
+        ),
+        (
+            lambda: LoadCells(adc_bits=0, wire=Wire(wrong_words=0.1)),
+            "LoadCells.adc_bits must be above 0 where words can be wrong, got 0",
+        ),
+        (
+            lambda: ForceTorque(resolution_force=0.0, resolution_torque=0.0, wire=Wire(wrong_words=0.1)),
+            "ForceTorque.resolution_force must be above 0 where words can be wrong",
+        ),
+        (lambda: ForceTorque(wire=0.0), "ForceTorque.wire must be a Wire, got 0.0"),
+        (lambda: Mechanics(nonlinearity=0.1), "Mechanics.nonlinearity must be below 1/12, got 0.1"),
+        (lambda: Mechanics(hysteresis=0.2), "Mechanics.hysteresis must be at most 0.15, got 0.2"),
+        (lambda: Mechanics(creep_shares=(0.1,)), "must hold a positive time for each of the 1 creep_shares"),
+        (lambda: Mechanics(overload_share=1.5), "Mechanics.overload_share must be at most 1, got 1.5"),
+        (lambda: Mechanics(safe_overload=0.0), "Mechanics.safe_overload must be finite and positive"),
+        (lambda: Wire(packet_loss=1.0), "Wire.packet_loss must be below 1, got 1.0"),
+        (lambda: Wire(wrong_words=1.1), "Wire.wrong_words must be at most 1, got 1.1"),
+        (lambda: Wire(gap_length=0.0), "Wire.gap_length must be finite and positive, got 0.0"),
+        (lambda: Wire(under_way=0), "Wire.under_way must be a positive whole number, got 0"),
+        (lambda: Wire(jitter=-0.1), "Wire.jitter must be finite and not negative, got -0.1"),
+        (lambda: Imu(misalignment_std=-0.1), "Imu.misalignment_std must be finite and not negative"),
         (
             lambda: Imu(gyroscope_noise=-1e-4),
             "Imu.gyroscope_noise must be finite and not negative, got -0.0001",

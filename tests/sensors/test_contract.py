@@ -16,11 +16,14 @@ from surefoot.sensors import (
     Imu,
     Link,
     LoadCells,
+    Mechanics,
     StrainGauges,
+    Wire,
     burst_gaps,
     chain,
     channel_faults,
     creep,
+    drawn_nonlinearity,
     drift,
     encoders,
     force_torque,
@@ -31,6 +34,7 @@ from surefoot.sensors import (
     latency,
     load_cell_chain,
     load_cells,
+    mechanics,
     mounting,
     moving_average,
     noise_density,
@@ -46,6 +50,7 @@ from surefoot.sensors import (
     strain_gauges,
     thermal_drift,
     white_noise,
+    wire,
     wrong_words,
 )
 
@@ -77,6 +82,27 @@ def cells_with(**fields: Any) -> Callable[[], Corruption[Any]]:
 
 WARM = {"span_tempco": 5e-5, "zero_tempco": 0.03, "temperature_ramp": 0.5, "temperature_rise": 14.0}
 WARM_GAUGES = {"hysteresis_of": "gauges", "temperature_ramp": 0.5, "temperature_rise": 14.0}
+BENT = Mechanics(
+    nonlinearity=0.01,
+    hysteresis=0.02,
+    creep_shares=(0.1, -0.02),
+    creep_time_constants=(0.05, 2.0),
+    mounting_warp_std=1.0,
+    impact_threshold=2.0,
+    overload_share=0.1,
+    safe_overload=0.6,
+)
+BAD_WIRE = Wire(
+    spike_rate=10.0,
+    wrong_words=0.2,
+    stale_repeats=0.3,
+    packet_loss=0.1,
+    gap_share=0.2,
+    gap_length=0.05,
+    delay=0.02,
+    jitter=0.004,
+)
+WHOLE = {"mechanics": BENT, "wire": BAD_WIRE, "settling": 4, "capacity": 10.0}
 FAULTS = (
     Fault("spiking", 0, rate=20.0),
     Fault("dropped", 1, probability=0.3, burst=0.05),
@@ -127,6 +153,19 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "faults": (lambda: channel_faults(FAULTS, LoadCells()), 8, False),
     "warming load cells": (cells_with(**WARM), 8, True),
     "warming load cells, stage by stage": (lambda: load_cell_chain(LoadCells(**WARM)), 8, True),
+    "drawn nonlinearity": (lambda: drawn_nonlinearity(0.05, 10.0), 8, False),
+    "mechanics": (lambda: mechanics(BENT, 10.0), 8, False),
+    "wire": (lambda: chain(quantize(1.0), wire(BAD_WIRE, 20.0, (-128.0, 127.0), 8)), 8, False),
+    "settling": (lambda: sample_and_hold(chain(), (60.0, 94.0), settling=4), 8, True),
+    "whole load cells": (cells_with(**WHOLE, **WARM), 8, True),
+    "whole load cells without a clock": (cells_with(**WHOLE, rate=None), 8, True),
+    "whole load cells, stage by stage": (lambda: load_cell_chain(LoadCells(**WHOLE)), 8, True),
+    "force-torque on a wire": (lambda: force_torque(ForceTorque(wire=BAD_WIRE)), 12, False),
+    "skewed IMU": (
+        lambda: imu(Imu(accelerometer_scale_std=0.1, gyroscope_scale_std=0.2, misalignment_std=0.05)),
+        6,
+        False,
+    ),
     "load cells, walking gains only": (cells_with(zero_drift=0.0), 8, True),
     "load cells, walking zeros only": (cells_with(gain_drift=0.0, input_noise=0.0), 8, True),
 }
@@ -149,6 +188,9 @@ NULL = {
     "quantize": (lambda: quantize(0.0), False),
     "latency": (lambda: latency(0.0), False),
     "empty chain": (chain, False),
+    "ideal mechanics": (lambda: mechanics(Mechanics(), 10.0), False),
+    "direct wire": (lambda: wire(Wire(), 1.0, (-1.0, 1.0), 0), False),
+    "drawn nonlinearity": (lambda: drawn_nonlinearity(0.0, 10.0), False),
     "no faults": (lambda: channel_faults((), LoadCells(adc_bits=0)), False),
     "thermal drift": (lambda: thermal_drift(0.0, 0.0, 0.0, ramp=1.0), False),
     "hysteresis": (lambda: hysteresis(0.0, 1.0), False),

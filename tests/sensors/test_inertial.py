@@ -85,3 +85,43 @@ def test_encoders_have_a_constant_zero_and_fresh_noise() -> None:
 def test_perfect_instruments_have_no_resolution() -> None:
     assert preset("perfect", Encoders).resolution == 0.0
     assert preset("perfect", Imu).averaged is False
+
+
+def test_scales_and_axes_are_off_by_their_spreads_and_stay_so() -> None:
+    config = replace(
+        preset("perfect", Imu), accelerometer_scale_std=0.02, gyroscope_scale_std=0.05, misalignment_std=0.01
+    )
+    truth = [9.0, 0.0, 0.0, 0.0, 2.0, 0.0]
+    off = read(config, truth) - truth
+    expected = [0.02 * 9.0, 0.01 * 9.0, 0.01 * 9.0, 0.01 * 2.0, 0.05 * 2.0, 0.01 * 2.0]
+    np.testing.assert_allclose(off.std(axis=0), expected, rtol=0.03)
+    assert np.abs(np.corrcoef(off.T) - np.eye(6)).max() < 0.03
+    np.testing.assert_array_equal(read(config, truth, steps=20), off + truth)
+
+
+def test_a_misaligned_axis_feels_the_others_of_its_own_sensor_alone() -> None:
+    rng = np.random.default_rng(3)
+    stage = imu(replace(preset("perfect", Imu), misalignment_std=0.1))
+    state = stage.init((6,), rng)
+    response = np.stack([stage.apply(row, state, rng, 0.01)[0] for row in np.eye(6)], axis=1)
+    np.testing.assert_array_equal(response[:3, 3:], 0.0)
+    np.testing.assert_array_equal(response[3:, :3], 0.0)
+    np.testing.assert_array_equal(np.diag(response), 1.0)
+    np.testing.assert_array_equal(response[:3, :3], state.matrix[0])
+
+
+def test_a_range_clips_what_a_wrong_scale_reads() -> None:
+    config = replace(preset("perfect", Imu), accelerometer_scale_std=0.3, accelerometer_range=10.0)
+    sample = read(config, [9.0] * 6)
+    assert sample[:, :3].max() == 10.0
+    assert sample[:, 3:].max() == 9.0
+
+
+def test_an_imu_with_true_axes_draws_what_it_drew_before() -> None:
+    rng = np.random.default_rng(4)
+    state = imu(Imu()).init((6,), rng)
+    again = np.random.default_rng(4)
+    spread = np.repeat([0.05, 1e-3], 3)
+    np.testing.assert_array_equal(state.bias, spread * again.standard_normal(6))
+    assert state.matrix == ()
+    assert rng.random() == again.random()

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from surefoot.sensors import (
+    BAR_CELLS_ON_HX711,
     HX711_LOAD_CELLS,
+    NAO_FSR,
     PER_SQRT_MINUTE,
     PERFECT_LOAD_CELLS,
     LoadCells,
@@ -39,6 +41,15 @@ WARMING = replace(
         WARMING,
         replace(WARMING, temperature_rise=0.0, rate=None),
         replace(WARMING, gain_drift=0.0, zero_drift=0.0),
+        replace(HX711_LOAD_CELLS, settling=4),
+        replace(HX711_LOAD_CELLS, settling=3, rate=None),
+        replace(HX711_LOAD_CELLS, settling=3, rate=(300.0, 900.0)),
+        replace(HX711_LOAD_CELLS, mechanics=BAR_CELLS_ON_HX711.mechanics),
+        replace(HX711_LOAD_CELLS, wire=BAR_CELLS_ON_HX711.wire),
+        BAR_CELLS_ON_HX711,
+        replace(BAR_CELLS_ON_HX711, rate=(20.0, 30.0)),
+        replace(BAR_CELLS_ON_HX711, rate=None),
+        NAO_FSR,
     ],
 )
 def test_fused_cells_equal_the_chain_of_their_stages(config: LoadCells) -> None:
@@ -124,9 +135,9 @@ def test_the_true_map_undoes_the_errors_of_the_moment() -> None:
 def test_static_readings_leave_the_state_alone_and_do_not_drift() -> None:
     rng = np.random.default_rng(8)
     state = load_cells(HX711_LOAD_CELLS).init((8,), rng)
-    kept = [part.copy() for part in state]
+    kept = [part.copy() for part in state[:6]]
     counts = static_counts(HX711_LOAD_CELLS, state, np.zeros((5000, 8)), rng)
-    for part, before in zip(state, kept, strict=True):
+    for part, before in zip(state[:6], kept, strict=True):
         np.testing.assert_array_equal(part, before)
     halves = counts.reshape(2, 2500, 8).mean(axis=1)
     np.testing.assert_allclose(halves[0], halves[1], atol=5.0)

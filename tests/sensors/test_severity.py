@@ -5,10 +5,32 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from surefoot.sensors import PRESETS, ForceTorque, Imu, Link, LoadCells, StrainGauges, load_cells, scaled
+from surefoot.sensors import (
+    PRESETS,
+    ForceTorque,
+    Imu,
+    Link,
+    LoadCells,
+    Mechanics,
+    StrainGauges,
+    Wire,
+    load_cells,
+    preset,
+    scaled,
+)
 from surefoot.sensors.severity import ERRORS, IDENTITY
 
-kinds = pytest.mark.parametrize("kind", list(PRESETS), ids=lambda kind: kind.__name__)
+BAD = preset("hx711-bar-cells")
+DEVICES = {kind: list(named.values()) for kind, named in PRESETS.items()} | {
+    Mechanics: [BAD.mechanics, preset("nao-fsr").mechanics, Mechanics()],
+    Wire: [BAD.wire, preset("nao-fsr").wire, Wire()],
+}
+PERFECT = {kind: named["perfect"] for kind, named in PRESETS.items()} | {Mechanics: Mechanics(), Wire: Wire()}
+kinds = pytest.mark.parametrize("kind", list(DEVICES), ids=lambda kind: kind.__name__)
+
+
+def is_an_error(value) -> bool:
+    return value.acts if isinstance(value, (Mechanics, Wire)) else bool(np.any(value))
 
 
 @kinds
@@ -19,22 +41,25 @@ def test_every_field_is_either_an_error_or_what_the_instrument_is(kind):
 
 @kinds
 def test_no_severity_leaves_the_errors_of_the_perfect_device(kind):
-    perfect = PRESETS[kind]["perfect"]
-    for config in PRESETS[kind].values():
+    perfect = PERFECT[kind]
+    for config in DEVICES[kind]:
         harmless = scaled(config, 0.0)
         for name in ERRORS[kind]:
-            assert not np.any(getattr(perfect, name)), f"{name} is an error that a perfect device has"
-            assert not np.any(getattr(harmless, name)), name
+            assert not is_an_error(getattr(perfect, name)), f"{name} is an error that a perfect device has"
+            assert not is_an_error(getattr(harmless, name)), name
         assert all(getattr(harmless, name) == getattr(config, name) for name in IDENTITY[kind])
 
 
 @kinds
 def test_severity_one_is_the_configuration_and_others_are_in_proportion(kind):
-    for config in PRESETS[kind].values():
+    for config in DEVICES[kind]:
         assert scaled(config, 1.0) == config
-        for severity in (0.3, 1.5):
+        for severity in (0.3, 1.3):
             worse = scaled(config, severity)
             for name in ERRORS[kind]:
+                if type(getattr(config, name)) in ERRORS:
+                    assert getattr(worse, name) == scaled(getattr(config, name), severity)
+                    continue
                 expected = severity * np.array(getattr(config, name))
                 np.testing.assert_allclose(getattr(worse, name), expected, rtol=1e-14)
             assert all(getattr(worse, name) == getattr(config, name) for name in IDENTITY[kind])
@@ -59,7 +84,7 @@ def test_what_no_severity_can_be_is_refused():
         scaled(Imu(), -0.5)
     with pytest.raises(ValueError, match="'severity' must be finite"):
         scaled(Link(), float("nan"))
-    with pytest.raises(TypeError, match=r"dict has no severity; \['LoadCells', 'ForceTorque'"):
+    with pytest.raises(TypeError, match=r"dict has no severity; \['LoadCells', 'Mechanics'"):
         scaled({}, 1.0)
     with pytest.raises(ValueError, match=r"severity of 4\.0 is more .* StrainGauges\.gain_error_std must be"):
         scaled(StrainGauges(), 4.0)

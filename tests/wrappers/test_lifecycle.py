@@ -193,3 +193,24 @@ def test_severity_scales_the_errors(make_bare) -> None:
     np.testing.assert_allclose(spread[0.5], 0.5 * spread[1.0], rtol=1e-9)
     with pytest.raises(ValueError, match="'severity' must be finite and not negative"):
         FootSensors(make_bare(STAND), severity=-1.0)
+
+
+def test_faults_in_words_and_readings_that_do_not_arrive(make_bare) -> None:
+    wire = {"wire": {"packet_loss": 0.3, "delay": 0.02}}
+    faults = ["at t=0.25 s cell right/front-right dies", "at t=0.5 s cell left/4 drops"]
+    env = FootSensors(make_bare(STAND), wire, faults=faults)
+    observation, _ = env.reset(seed=0)
+    missing, seen = [], [observation["foot_raw"]]
+    for _ in range(60):
+        observation = steps(env, 1)[0]
+        assert env.observation_space.contains(observation)
+        missing.append(np.isnan(env.raw))
+        lost = missing[-1]
+        np.testing.assert_array_equal(observation["foot_raw"][lost], seen[-1][lost])
+        np.testing.assert_array_equal(observation["foot_raw"][~lost], env.raw[~lost].astype(np.float32))
+        seen.append(observation["foot_raw"])
+    assert 0.1 < np.mean(missing) < 0.6
+    assert np.all(np.array(missing)[41:, 3])
+    assert (np.array(seen)[30:, 5] == HX711_LOAD_CELLS.zero_code).all()
+    with pytest.raises(ValueError, match="left/front-left"):
+        FootSensors(make_bare(STAND), faults=["at t=1 s cell left/9 dies"])

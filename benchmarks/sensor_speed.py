@@ -1,0 +1,118 @@
+"""How long emulated load cells take: 4,096 robots of 8 cells in torch, one robot in NumPy.
+
+Run ``python benchmarks/sensor_speed.py``. The whole chain is the preset ``hx711-bar-cells``: each link of the
+mechanics, the bridge, the converter with its clock and filter, and the wire. Each link is timed as what the
+cells take with it alone, less what they take without any. Medians over rounds, in which the variants take
+turns, so that a busy machine slows all alike.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from surefoot.sensors import BAR_CELLS_ON_HX711 as WHOLE
+from surefoot.sensors import HX711_LOAD_CELLS, LoadCells, Mechanics, Wire, load_cells
+from surefoot.sensors.randomness import normal
+
+DT = 1 / 80
+BARE = replace(HX711_LOAD_CELLS, gain_drift=0.0, zero_drift=0.0, input_noise=0.0, rate=None)
+
+
+def variants() -> dict[str, LoadCells]:
+    """The whole, the default device, nothing but a fixed bridge and a converter, and each link alone."""
+    found = {"whole chain": WHOLE, "hx711-load-cells": HX711_LOAD_CELLS, "bare": BARE}
+    found["walks of gain and zero"] = replace(BARE, gain_drift=WHOLE.gain_drift, zero_drift=WHOLE.zero_drift)
+    found["noise"] = replace(BARE, input_noise=WHOLE.input_noise)
+    found["temperature"] = replace(
+        BARE,
+        span_tempco=WHOLE.span_tempco,
+        zero_tempco=WHOLE.zero_tempco,
+        temperature_ramp=WHOLE.temperature_ramp,
+        temperature_rise=WHOLE.temperature_rise,
+    )
+    found["clock"] = replace(BARE, rate=WHOLE.rate)
+    found["clock and filter"] = replace(BARE, rate=WHOLE.rate, settling=WHOLE.settling)
+    spring, way = WHOLE.mechanics, WHOLE.wire
+    for name, part in (
+        ("nonlinearity", Mechanics(nonlinearity=spring.nonlinearity)),
+        ("hysteresis", Mechanics(hysteresis=spring.hysteresis)),
+        (
+            "creep",
+            Mechanics(creep_shares=spring.creep_shares, creep_time_constants=spring.creep_time_constants),
+        ),
+        ("mounting", Mechanics(mounting_warp_std=spring.mounting_warp_std)),
+        ("overload", Mechanics(overload_share=spring.overload_share)),
+    ):
+        found[name] = replace(BARE, mechanics=part)
+    for field in fields(Wire):
+        if field.name in ("spike_rate", "wrong_words", "stale_repeats", "packet_loss", "gap_share", "delay"):
+            found[field.name] = replace(
+                BARE, wire=Wire(**{field.name: getattr(way, field.name)}, under_way=4)
+            )
+    return found
+
+
+def stepper(config: LoadCells, block: Any, rng: Any) -> Callable[[], None]:
+    """Make a function that passes loads through the cells once."""
+    cells = load_cells(config)
+    state = cells.init((*block.shape[:-2], config.channels), rng, block.dtype)
+    loads = [block + 2.0 * normal(rng, block.shape, block.dtype) for _ in range(5)]
+    count = 0
+
+    def step() -> None:
+        nonlocal state, count
+        _, state = cells.apply(loads[count % 5], state, rng, DT)
+        count += 1
+
+    return step
+
+
+def medians(steps: dict[str, Callable[[], None]], rounds: int, each: int) -> dict[str, float]:
+    """Time every variant in turns; microseconds a step."""
+    taken: dict[str, list[float]] = {name: [] for name in steps}
+    for _ in range(rounds):
+        for name, step in steps.items():
+            step()
+            start = time.perf_counter()
+            for _ in range(each):
+                step()
+            taken[name].append(1e6 * (time.perf_counter() - start) / each)
+    return {name: float(np.median(values)) for name, values in taken.items()}
+
+
+def show(title: str, result: dict[str, float]) -> None:
+    print(f"\n{title}")
+    for name, value in result.items():
+        alone = name in ("whole chain", "hx711-load-cells", "bare")
+        print(f"  {name:24s} {value if alone else value - result['bare']:9.1f} us{'' if alone else ' more'}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=4096)
+    parser.add_argument("--substeps", type=int, default=1, help="substeps of a block for the batch")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--rounds", type=int, default=15)
+    arguments = parser.parse_args()
+
+    shape = (arguments.robots, arguments.substeps, WHOLE.channels)
+    for threads in arguments.threads:
+        torch.set_num_threads(threads)
+        rng = torch.Generator().manual_seed(0)
+        block = 10.0 + torch.randn(shape, generator=rng)
+        steps = {name: stepper(config, block, rng) for name, config in variants().items()}
+        title = f"torch float32, {arguments.robots} robots, S = {arguments.substeps}, {threads} thread(s)"
+        show(title, medians(steps, arguments.rounds, 20))
+    generator = np.random.default_rng(0)
+    one = 10.0 + generator.standard_normal((10, WHOLE.channels))
+    steps = {name: stepper(config, one, generator) for name, config in variants().items()}
+    show("NumPy float64, one robot, S = 10", medians(steps, arguments.rounds, 200))
+
+
+if __name__ == "__main__":
+    main()

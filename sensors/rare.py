@@ -1,0 +1,89 @@
+"""Rare events: change the few readings that something happens to, at a cost that goes with the few.
+
+Where events come with the probability p to each reading on its own, the number of readings that are spared
+between two of them is geometric, :math:`P(n) = p (1 - p)^n`, so that it takes one draw an event to find them,
+and not one a reading. Only a batch on the host is searched like that: for one robot it is not worth it, and
+another device would have to be waited for.
+"""
+
+from collections.abc import Callable
+from math import log1p
+from typing import Any
+
+from surefoot.sensors._arrays import namespace
+from surefoot.sensors.corruption import Array, Rng
+from surefoot.sensors.randomness import uniform
+
+FEW = 64
+"""Readings up to which all are looked at: a robot's, not a batch's."""
+
+RARE = 0.1
+"""Probability up to which events are searched for."""
+
+Change = Callable[..., Array]
+"""Takes some readings, whatever their shape, and as many values of each table; returns them changed."""
+
+
+def change_at_random(reading: Array, probability: float, change: Change, rng: Rng, *tables: Array) -> Array:
+    """Change each reading with a probability, each on its own.
+
+    Args:
+        reading: Shape (..., K); it is not changed.
+        probability: From 0 to 1.
+        change: What happens to a reading.
+        rng: Where chance comes from.
+        *tables: Values that go with the channels, numbers or shapes (K,), for ``change``.
+    """
+    if probability > RARE or not _searched(reading):
+        hit = uniform(rng, 0.0, 1.0, tuple(reading.shape), reading.dtype) < probability
+        return change_where(reading, hit, change, *tables)
+    if probability == 0.0:
+        return reading + 0.0
+    return _change_at(reading, _found(rng, probability, _count(reading)), change, tables)
+
+
+def change_where(reading: Array, hit: Array, change: Change, *tables: Array) -> Array:
+    """Change the readings that were hit; arguments as for :func:`change_at_random`."""
+    xp = namespace(reading)
+    if not _searched(reading):
+        return xp.where(hit, change(reading, *tables), reading)
+    return _change_at(reading, xp.nonzero(xp.reshape(hit, (-1,)))[0], change, tables)
+
+
+def _searched(reading: Array) -> bool:
+    return str(getattr(reading, "device", "cpu")) == "cpu" and _count(reading) > FEW
+
+
+def _count(reading: Array) -> int:
+    count = 1
+    for length in reading.shape:
+        count *= length
+    return count
+
+
+def _change_at(reading: Array, where: Array, change: Change, tables: tuple[Array, ...]) -> Array:
+    xp = namespace(reading)
+    changed = xp.reshape(reading + 0.0, (-1,))
+    if where.shape[0]:
+        channels = where % reading.shape[-1]
+        values = (xp.broadcast_to(table, reading.shape[-1:])[channels] for table in tables)
+        changed[where] = change(changed[where], *values)
+    return xp.reshape(changed, reading.shape)
+
+
+def _found(rng: Rng, probability: float, total: int) -> Array:
+    """Find the events among as many readings, in order."""
+    expected = probability * total
+    drawn = uniform(rng, 0.0, 1.0, (int(expected + 6.0 * expected**0.5) + 8,))
+    xp: Any = namespace(drawn)
+    at = _sum_of_gaps(xp, drawn, probability)
+    while at[-1] < total:
+        more = _sum_of_gaps(xp, uniform(rng, 0.0, 1.0, tuple(drawn.shape)), probability)
+        at = xp.concat([at, at[-1] + 1.0 + more])
+    return xp.astype(at[at < total], xp.int64)
+
+
+def _sum_of_gaps(xp: Any, drawn: Array, probability: float) -> Array:
+    drawn = xp.astype(drawn, xp.float64)
+    gaps = xp.floor(xp.log1p(-drawn) / log1p(-probability))
+    return xp.cumulative_sum(gaps + 1.0) - 1.0

@@ -1,0 +1,65 @@
+"""Noise and drift over all times at once: the Allan deviation that the configurations promise.
+
+White noise of the density N gives N / sqrt(tau), a random walk of the density K gives K sqrt(tau / 3)
+(IEEE 952, Annex C).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.sensors import HX711_LOAD_CELLS, Imu, imu, load_cells
+
+
+def overlapping_allan(rates: np.ndarray, dt: float, tau: float) -> np.ndarray:
+    """Overlapping Allan deviation over the first axis, pooled over the second."""
+    m = round(tau / dt)
+    phase = np.concatenate([np.zeros_like(rates[:1]), np.cumsum(rates, axis=0)]) * dt
+    second = phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]
+    return np.sqrt(np.mean(second**2, axis=(0, 1)) / (2.0 * tau**2))
+
+
+def promised(density, walk, tau):
+    return np.sqrt(density**2 / tau + walk**2 * tau / 3.0)
+
+
+def test_load_cells_have_the_noise_and_the_walk_of_their_configuration():
+    dt, walk = 1 / 80, 2e-4
+    config = replace(HX711_LOAD_CELLS, rate=None, gain_drift=0.0, zero_drift=walk, initial_gain_std=0.0)
+    rng, cells = np.random.default_rng(0), load_cells(config)
+    state, rows = cells.init((40, 8), rng), []
+    block = np.zeros((40, 1, 8))
+    for _ in range(12_000):
+        counts, state = cells.apply(block, state, rng, dt)
+        rows.append(counts)
+    force = config.nominal_scale * np.stack(rows) + config.nominal_offset
+    density = config.noise_counts / config.counts_per_newton * dt**0.5
+    for tau in (0.0125, 0.05, 0.2, 1.0, 5.0, 20.0):
+        measured = overlapping_allan(force.reshape(12_000, -1, 1), dt, tau)
+        np.testing.assert_allclose(measured, promised(density, walk, tau), rtol=0.06)
+    # The ends alone tell the two numbers.
+    short, long = (overlapping_allan(force.reshape(12_000, -1, 1), dt, tau)[0] for tau in (0.025, 20.0))
+    assert short * 0.025**0.5 == pytest.approx(density, rel=0.1)
+    assert long * (3.0 / 20.0) ** 0.5 == pytest.approx(walk, rel=0.1)
+
+
+def test_an_imu_has_the_noise_and_the_walk_of_its_configuration():
+    dt, config = 0.05, Imu(accelerometer_resolution=0.0, gyroscope_resolution=0.0)
+    rng, stage = np.random.default_rng(1), imu(config)
+    state, rows = stage.init((60, 6), rng), []
+    still = np.zeros((60, 6))
+    for _ in range(12_000):
+        sample, state = stage.apply(still, state, rng, dt)
+        rows.append(sample)
+    rates = np.stack(rows)
+    density = np.repeat([config.accelerometer_noise, config.gyroscope_noise], 3)
+    walk = np.repeat([config.accelerometer_walk, config.gyroscope_walk], 3)
+    for tau in (0.05, 0.5, 5.0, 20.0, 60.0):
+        measured = overlapping_allan(rates, dt, tau)
+        np.testing.assert_allclose(measured, promised(density, walk, tau), rtol=0.1)
+    np.testing.assert_allclose(overlapping_allan(rates, dt, 0.1) * 0.1**0.5, density, rtol=0.1)
+    by_sensor = overlapping_allan(rates, dt, 100.0).reshape(2, 3)
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(by_sensor**2, axis=1)) * (3.0 / 100.0) ** 0.5, walk[::3], rtol=0.1
+    )
