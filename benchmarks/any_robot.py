@@ -1,10 +1,10 @@
-"""What calibration brings on robots other than the NAO: squatting, swaying and lifting one foot after the other.
+"""What calibration brings on other robots than the NAO, which squat, sway and lift one foot after the other.
 
     python benchmarks/any_robot.py --robots g1 t1 op3 --seeds 10
 
-The cells are those of ``hx711-load-cells``, sized for the robot's weight: gains 12 % off, zeros 3 N per 100 N of
-weight, drifting by 2 % of gain and 2 N per 100 N in a root minute. Errors count from ``--settle`` on, of the
-centre of pressure of both feet together against the contacts of the simulation, where they bear weight.
+The cells are those of ``hx711-load-cells``, sized for the robot's weight: gains 12 % off, zeros 3 N per 100 N
+of weight, drifting by 2 % of gain and 2 N per 100 N in a root minute. Errors count from ``--settle`` on, of
+the centre of pressure of both feet together against the contacts of the simulation, where they bear weight.
 """
 
 import argparse
@@ -42,7 +42,7 @@ def placed(force: NDArray[np.float64], cells: NDArray[np.float64], truth: object
 
 
 def run(robot: str, seed: int, method: str, duration: float, settle: float) -> tuple[float, float, float]:
-    """Exercise once: RMS errors of the centre of pressure, raw and calibrated, in m, and of the force in N."""
+    """Exercise once: RMS errors of the centre of pressure, raw and calibrated, in m, and of the force."""
     env = gym.make("surefoot/Exercise-v0", robot=robot, duration=duration)
     body: object = env.unwrapped
     weight = float(body.model.body_subtreemass[0]) * GRAVITY  # type: ignore[attr-defined]

@@ -57,11 +57,12 @@ class FootInstruments:
         self.layout, self.nominal = self._all.layout, self._all.nominal
         self.bench: Parameters | None = None
         self.about: dict[str, Any] = {}
-        self._streams, self._states = [], []
+        self._streams: list[np.random.Generator] = []
+        self._states: list[Any] = []
         for part in self._all.parts:
             in_ankles = isinstance(part, SensorsInAnkles)
             rng = np.random.default_rng([_STREAM, index, seed, 1] if in_ankles else [_STREAM, index, seed])
-            state = part.init(rng)
+            state: Any = part.init(rng)
             if cells is not None and not in_ankles:
                 if ankle is None:
                     self.bench = run_bench(cells=cells, state=state, seed=seed).channels.value
@@ -78,6 +79,7 @@ class FootInstruments:
     def read(self, truth: Any, dt: float) -> None:
         """Take the readings after a control step."""
         readings, forces, maps = [], [], []
+        part: Any
         for i, part in enumerate(self._all.parts):
             reading, self._states[i] = part.read(truth, self._states[i], self._streams[i], dt)
             readings.append(reading)

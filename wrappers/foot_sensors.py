@@ -289,6 +289,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             broken = () if self._broken is None else self._broken.init((self.instruments.channels,), rng)
             self._hardware = HardwareState(self.instruments.init(rng), broken, None)
             self._held = self.instruments.zero_code.astype(np.float32)
+        settled = self.instruments.settled(truth, self._devices.instruments)
+        self._hardware = self._devices._replace(instruments=settled)
         self._read(truth, max(self.telemetry.dt, self.instruments.slowest))
         if self._listening:
             # At the reset a robot hangs just above its footprints; packets before tell of one that stood.

@@ -116,6 +116,10 @@ class CellsUnderFeet:
         """Draw the cells."""
         return self._device.init((self.channels,), rng)
 
+    def settled(self, truth: Any, state: LoadCellState) -> LoadCellState:
+        """Let a state follow the load that is there now, and not the one of another episode."""
+        return state._replace(previous=truth.force_cell[-1].copy())
+
     def read(
         self, truth: Any, state: LoadCellState, rng: np.random.Generator, dt: float
     ) -> tuple[Floats, LoadCellState]:
@@ -170,6 +174,10 @@ class SensorsInAnkles:
     def init(self, rng: np.random.Generator) -> ForceTorqueState:
         """Draw the sensors."""
         return self._device.init((self.channels,), rng)
+
+    def settled(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
+        """Let a state follow the load that is there now; readings of an instant do so by themselves."""
+        return state
 
     def read(
         self, truth: Any, state: ForceTorqueState, rng: np.random.Generator, dt: float
@@ -278,6 +286,13 @@ class Instruments:
             state = state._replace(**{name: own})
             readings.append(reading)
         return readings[0] if self._one else self.joined(readings), state
+
+    def settled(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
+        """Let a state follow the loads that are there now, when a robot is put onto its feet anew."""
+        for part in self.parts:
+            name = _name(part)
+            state = state._replace(**{name: part.settled(truth, getattr(state, name))})
+        return state
 
     def true_map(self, state: InstrumentsState) -> Parameters:
         """Tell the map that would undo their errors now: truth, to score calibrators against."""

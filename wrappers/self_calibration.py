@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, SupportsFloat
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from surefoot.calibration import FootCalibrator, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
@@ -19,6 +18,7 @@ from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import CERTAINTY, DEFAULT, FootView
 from surefoot.wrappers.nominal import Masses, NominalModel
 from surefoot.wrappers.source import check_stream, split_options, wants_fresh
+from surefoot.wrappers.starting_map import starting_map
 from surefoot.wrappers.telemetry import Telemetry
 
 BELIEF_STREAM = 0x5F01
@@ -29,6 +29,7 @@ CERTAIN_METHODS = ("surefoot",)
 
 USUAL_LENGTH = 0.2
 """Length in m of a foot that has none, such as a sphere: errors of moments are stated in its terms."""
+
 
 class Learnt(NamedTuple):
     """What a robot takes with it from episode to episode.
@@ -123,7 +124,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         **options: Any,
     ) -> None:
         sensors = _foot_sensors(env)
-        start = _initial(initial, sensors.instruments.channels)
+        start = starting_map(initial, sensors.instruments.channels)
         gym.utils.RecordConstructorArgs.__init__(
             self,
             method=method,
@@ -386,37 +387,3 @@ def _foot_sensors(env: gym.Env[Any, Any]) -> FootSensors:
         "SelfCalibration calibrates the counts of FootSensors and found none below it; wrap in this order: "
         f"SelfCalibration(FootSensors(env)). Got {env}."
     )
-
-
-def _initial(initial: Any, channels: int) -> str | Parameters:
-    """Read the map to start from: a name, or one scale and one offset a channel."""
-    if isinstance(initial, str) and initial in ("nominal", "bench"):
-        return initial
-    if isinstance(initial, Parameters):
-        initial = initial._asdict()
-    if not isinstance(initial, Mapping):
-        raise ValueError(
-            "'initial' must be 'nominal', 'bench' or Parameters (scale, offset), also as a mapping, "
-            f"got {initial!r}."
-        )
-    if set(initial) != set(Parameters._fields):
-        raise ValueError(
-            f"'initial' as a mapping must have exactly the keys {list(Parameters._fields)}, "
-            f"got {list(initial)}."
-        )
-    return Parameters(*(_channels(name, initial[name], channels) for name in Parameters._fields))
-
-
-def _channels(name: str, given: Any, channels: int) -> NDArray[np.float64]:
-    """Read one finite number a channel."""
-    try:
-        # A copy: what the caller does to its array later must not change where an episode starts.
-        part = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        part = np.empty(0)
-    if part.shape != (channels,) or not np.isfinite(part).all():
-        raise ValueError(
-            f"'initial.{name}' must hold one finite number for each of the {channels} channels, "
-            f"got {given!r}."
-        )
-    return part

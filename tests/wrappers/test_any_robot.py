@@ -169,7 +169,10 @@ LEG = """
 class Stilts(MujocoEnv):
     """A home-made biped, as a user would write it."""
 
-    metadata = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 50}
+    metadata = {  # noqa: RUF012
+        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"],
+        "render_fps": 50,
+    }
 
     def __init__(self, path: str) -> None:
         space = gym.spaces.Box(-np.inf, np.inf, (10,), np.float64)

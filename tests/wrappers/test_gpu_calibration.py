@@ -1,0 +1,207 @@
+"""Calibrators of a batch of robots on torch tensors, on the toy of the example."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from surefoot.calibration import METHODS, Parameters, Reference, nao_shoe_layout, online_method
+from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
+from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "gpu_stack.py"
+LAYOUT, MASS, DT, N = nao_shoe_layout(), 5.305, 1 / 80, 4
+
+
+@pytest.fixture(scope="module")
+def toy():
+    if not EXAMPLE.is_file():
+        pytest.skip("the examples are not part of the wheel")
+    spec = importlib.util.spec_from_file_location("gpu_stack", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def log(toy):
+    """Readings (T, N, 8), true forces and references of robots in different phases, in newtons."""
+    force, _, *motion = toy.march()
+    generator = torch.Generator().manual_seed(2)
+    gain = 1.0 + 0.1 * torch.randn((N, 8), generator=generator, dtype=torch.float64)
+    zero = torch.randn((N, 8), generator=generator, dtype=torch.float64)
+    clock = (torch.arange(700)[:, None] + torch.tensor([0, 20, 50, 90])) % toy.CYCLE
+    noise = 0.05 * torch.randn((len(clock), N, 8), generator=generator, dtype=torch.float64)
+    raw = gain * force[clock] + zero + noise
+    return raw.float(), force[clock], [part[clock] for part in motion]
+
+
+def make(method="surefoot", robots=N, **options):
+    options = {"mass": MASS, "dt": DT, "lag": 0} | options
+    if method in ("window", "quasi-static"):
+        options |= {"standing_start": False}
+    return SelfCalibrationModule(LAYOUT, method, robots, **options)
+
+
+def row(log, k):
+    return log[0][k], Reference(*(part[k] for part in log[2]))
+
+
+def run(module, log, samples, start=0):
+    return [module(*row(log, k), step=k) for k in range(start, start + samples)]
+
+
+def assert_same(one, other, robots=slice(None)):
+    for name in one._fields:
+        left, right = getattr(one, name), getattr(other, name)
+        if left is not None:
+            torch.testing.assert_close(
+                left[robots],
+                right[robots],
+                rtol=0.0,
+                atol=0.0,
+                equal_nan=True,
+                msg=lambda text, n=name: n + text,
+            )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_module_is_the_method(method, log):
+    module = make(method)
+    options = {"standing_start": False} if method in ("window", "quasi-static") else {}
+    init, update = online_method(method, module.setup, **options)
+    state = init(log[0][0])
+    for k, ours in enumerate(run(module, log, 20)):
+        raw, reference = row(log, k)
+        single = [part if part.dtype == torch.bool else part.float() for part in reference]
+        state, theirs = update(state, raw, Reference(*single), DT)
+        assert_same(ours, theirs)
+        assert ours.force.dtype is torch.float32
+
+
+def test_robots_learn_and_keep_it_over_a_reset(log):
+    module = make()
+    estimates = run(module, log, 400)
+    force = log[1].float()
+    before, after = ((estimates[k].force - force[k]).abs().mean() for k in (0, 399))
+    assert after < 0.4 * before
+    module.reset(torch.tensor([1, 2]))
+    again = module(*row(log, 400), step=400)
+    assert torch.equal(again.scale, estimates[-1].scale)
+    module.reset(torch.tensor([1, 2]), fresh=True)
+    fresh = module(*row(log, 400), step=400)
+    assert torch.equal(fresh.scale[[1, 2]], torch.ones(2, 8))
+    assert torch.equal(fresh.scale[[0, 3]], again.scale[[0, 3]])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_step_is_one_step_however_often_it_is_asked_for(method, log):
+    often, once = make(method), make(method)
+    for k in range(18):
+        several = [often(*row(log, k), step=k) for _ in range(3)]
+        expected = once(*row(log, k), step=k)
+        for estimate in several:
+            assert_same(estimate, expected)
+    count = 18
+    often.counter = lambda: count
+    expected = once(*row(log, 18), step=18)
+    assert_same(often(*row(log, 18)), expected)
+    assert_same(often(*row(log, 19)), expected)
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_partial_reset_leaves_the_others_alone(method, fresh, log):
+    module, other = make(method), make(method)
+    run(module, log, 47)
+    run(other, log, 47)
+    estimate = module(*row(log, 46), step=46)
+    module.reset(torch.tensor([True, False, False, True]), fresh=fresh)
+    # Asked again within the same step, and with another load: news only of those who were put back.
+    raw, reference = row(log, 46)
+    again = module(raw + 1.0, reference, step=46)
+    assert_same(again, estimate, [1, 2])
+    moved = again.force[[0, 3]] - estimate.force[[0, 3]]
+    assert (moved != 0.0).any(dim=1).all()
+    for ours, theirs in zip(run(module, log, 20, 47), run(other, log, 20, 47), strict=True):
+        assert torch.equal(ours.force[[1, 2]], theirs.force[[1, 2]])
+
+
+@pytest.mark.parametrize("method", ["surefoot", "window", "tare"])
+def test_who_is_frozen_learns_nothing(method, log):
+    module = make(method)
+    before = run(module, log, 160)[-1]
+    module.freeze()
+    for estimate in run(module, log, 48, 160):
+        assert torch.equal(estimate.scale, before.scale)
+        assert torch.equal(estimate.offset, before.offset)
+    module.reset([0])
+    assert torch.equal(module(*row(log, 208), step=208).offset, before.offset)
+    module.freeze(False)
+    after = run(module, log, 130, 209)[-1]
+    assert not torch.equal(after.offset, before.offset)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_saved_state_goes_on_bit_for_bit(method, log, tmp_path):
+    module = make(method)
+    run(module, log, 50)
+    module.reset([2])
+    torch.save(module.state_dict(), tmp_path / "feet.pt")
+    other = make(method)
+    other.load_state_dict(torch.load(tmp_path / "feet.pt", weights_only=True))
+    for ours, theirs in zip(run(module, log, 20, 49), run(other, log, 20, 49), strict=True):
+        assert_same(ours, theirs)
+    frozen = make(method)
+    frozen.freeze()
+    other.load_state_dict(frozen.state_dict())
+    assert other.frozen
+
+
+def test_a_saved_state_of_another_calibrator_is_refused():
+    state = make().state_dict()
+    for name, other in (
+        ("method", make("tare")),
+        ("mass", make(mass=6.0)),
+        ("lag", make(lag=1)),
+        ("num_envs", make(robots=5)),
+        ("options", make(every=8)),
+        ("initial", make(initial=Parameters(2.0 * np.ones(8), np.zeros(8)))),
+    ):
+        with pytest.raises(ValueError, match=f"another SelfCalibrationModule: its {name} is"):
+            other.load_state_dict(state)
+    broken = {"_extra_state": state["_extra_state"] | {"leaves": state["_extra_state"]["leaves"][1:]}}
+    with pytest.raises(ValueError, match="does not fit: its arrays have other shapes"):
+        make().load_state_dict(broken)
+
+
+def test_what_is_wrong_is_said(log):
+    module = make()
+    raw, reference = row(log, 0)
+    with pytest.raises(ValueError, match=r"'counts' must have shape \(4, 8\), got \(3, 8\)"):
+        module(raw[:3], reference)
+    with pytest.raises(ValueError, match=r"'reference.com' must have shape"):
+        module(raw, reference._replace(com=reference.com[:3]))
+    with pytest.raises(TypeError, match=r"'reference\.com' must be a torch tensor"):
+        module(raw, reference._replace(com=reference.com.numpy()))
+    with pytest.raises(ValueError, match=r"'reference\.com' is on meta, but the module on cpu"):
+        module(raw, reference._replace(com=reference.com.to("meta")))
+    with pytest.raises(ValueError, match="'every' of 2 or more"):
+        make(every=1, average=1).freeze()
+    with pytest.raises(ValueError, match="Method 'windows' does not exist"):
+        make("windows")
+
+
+def test_the_example_calibrates(toy):
+    before, after = toy.main(robots=8, seconds=6.0)
+    assert before > 8.0
+    assert after < 0.4 * before
+
+
+def test_a_calibrator_starts_where_the_sensors_data_sheet_does(log):
+    feet = FootSensorsModule("hx711-load-cells", N, dt=DT, severity=0.0)
+    module = make("none", initial=feet.nominal)
+    counts = feet(log[1][0])
+    torch.testing.assert_close(module(counts, row(log, 0)[1]).force, log[1][0].float(), atol=1e-3, rtol=0.0)

@@ -1,0 +1,285 @@
+"""Foot sensors of a batch of robots on torch tensors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from surefoot.sensors import HX711_LOAD_CELLS, ICUB_FORCE_TORQUE, Fault, Wire, load_cells
+from surefoot.wrappers.gpu.batch import flat, mask_of
+from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
+
+N, DT = 5, 0.02
+CONFIGS = {
+    "load cells": HX711_LOAD_CELLS,
+    "warming": replace(HX711_LOAD_CELLS, zero_tempco=0.01, temperature_ramp=0.02),
+    "six-axis": ICUB_FORCE_TORQUE,
+}
+
+
+def make(config="hx711-load-cells", robots=N, **options):
+    return FootSensorsModule(config, robots, dt=DT, **options)
+
+
+def forces(feet, seed=0, substeps=None):
+    generator = torch.Generator().manual_seed(seed)
+    middle = () if substeps is None else (substeps,)
+    return 20.0 * torch.rand((feet.num_envs, *middle, feet.channels), generator=generator)
+
+
+def saved(feet):
+    state = feet.state_dict()["_extra_state"]
+    return [leaf.clone() for leaf in state["leaves"]], state["generator"]
+
+
+@pytest.mark.parametrize("substeps", [None, 1, 4])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_readings_are_counts_of_the_batch(dtype, substeps):
+    feet = make(dtype=dtype)
+    force = forces(feet, substeps=substeps)
+    for _ in range(3):
+        counts = feet(force)
+        assert counts.shape == (N, 8)
+        assert counts.dtype is dtype
+        assert (counts == counts.round()).all()
+    assert counts.min() > 0
+    assert counts.max() < 2**24
+
+
+def test_the_stages_are_those_of_the_single_sensor():
+    feet, cells = make(seed=3), load_cells(HX711_LOAD_CELLS)
+    generator = torch.Generator().manual_seed(3)
+    state = cells.init((N, 8), generator, torch.float32)
+    block = forces(feet)[:, None]
+    # The first load has been there for two conversions.
+    expected, state = cells.apply(block.expand(-1, 2, -1), state, generator, 2.0 / 78.0)
+    assert torch.equal(feet(block), expected)
+    later = forces(feet, 1)[:, None].expand(-1, 4, -1)
+    expected, state = cells.apply(later, state, generator, DT)
+    assert torch.equal(feet(later), expected)
+
+
+def test_a_perfect_instrument_reads_the_truth_and_severity_scales():
+    perfect, none = make("perfect"), make(severity=0.0)
+    force = forces(perfect)
+    torch.testing.assert_close(perfect(force), force)
+    torch.testing.assert_close(none.newtons(none(force)), force, atol=1e-4, rtol=0.0)
+    mild, bad = (make(severity=severity, robots=400) for severity in (0.5, 1.0))
+    spread = [float(feet._state[0].error[1].std()) for feet in (mild, bad)]
+    assert spread[1] / spread[0] == pytest.approx(2.0, abs=1e-4)
+    assert bad.severity == 1.0
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_the_map_by_the_data_sheet_is_one_map(name):
+    feet = make(CONFIGS[name], dtype=torch.float64)
+    counts = feet(forces(feet).double())
+    nominal = torch.as_tensor(feet.nominal.scale) * counts + torch.as_tensor(feet.nominal.offset)
+    torch.testing.assert_close(feet.newtons(counts), nominal, atol=1e-8, rtol=1e-12)
+
+
+def test_the_true_map_undoes_the_errors():
+    config = replace(HX711_LOAD_CELLS, rate=None, input_noise=0.0)
+    feet = make(config, dtype=torch.float64)
+    force = forces(feet).double()
+    counts = feet(force)
+    scale, offset = feet.true_parameters()
+    torch.testing.assert_close(scale * counts + offset, force, atol=1e-4, rtol=0.0)
+    assert (feet.newtons(counts) - force).abs().max() > 0.5
+    with pytest.raises(TypeError, match="Only load cells"):
+        make("icub-force-torque").true_parameters()
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_step_is_one_step_however_often_it_is_asked_for(name):
+    often, once = make(CONFIGS[name]), make(CONFIGS[name])
+    for step in range(4):
+        force = forces(often, step)
+        readings = [often(force, step=step) for _ in range(3)]
+        expected = once(force, step=step)
+        for reading in readings:
+            assert torch.equal(reading, expected)
+    # Without a step every call is one, and a counter is a step that nobody has to hand over.
+    assert not torch.equal(often(force), often(force))
+    count = 7
+    once.counter = lambda: count
+    first = once(force)
+    assert torch.equal(once(force), first)
+    count = 8
+    assert not torch.equal(once(force), first)
+
+
+def test_readings_are_the_callers_own():
+    feet = make()
+    force = forces(feet)
+    before = force.clone()
+    reading = feet(force, step=1)
+    kept = reading.clone()
+    reading.clip_(0, 1).mul_(0)
+    assert torch.equal(feet(force, step=1), kept)
+    assert torch.equal(force, before)
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_partial_reset_leaves_the_others_alone(name, fresh):
+    feet = make(CONFIGS[name], faults=[Fault("dropped", 0, probability=0.5, burst=0.1)])
+    force = forces(feet)
+    for step in range(3):
+        feet(force, step)
+    before, _ = saved(feet)
+    reading = feet(force, 2)
+    feet.reset(torch.tensor([1, 3]), fresh=fresh)
+    again = feet(2.0 * force, 2)
+    others = torch.tensor([0, 2, 4])
+    torch.testing.assert_close(again[others], reading[others], rtol=0.0, atol=0.0, equal_nan=True)
+    # Those who were put back read the new load within the same step.
+    assert (again[[1, 3], 1:] != reading[[1, 3], 1:]).any(dim=1).all()
+    after, _ = saved(feet)
+    for old, new, axis in zip(before, after, flat(feet._axes), strict=True):
+        if axis is not None:
+            kept, left = new.index_select(axis, others), old.index_select(axis, others)
+            torch.testing.assert_close(kept, left, rtol=0.0, atol=0.0, equal_nan=True)
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_sensors_are_kept_or_drawn_anew(fresh):
+    feet = make()
+    feet(forces(feet))
+    error = feet._state[0].error.clone()
+    feet.reset([2], fresh=fresh)
+    changed = (feet._state[0].error != error).any(dim=0).any(dim=-1)
+    assert changed.tolist() == [False, False, fresh, False, False]
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        HX711_LOAD_CELLS,
+        replace(HX711_LOAD_CELLS, settling=4, wire=Wire(delay=0.03, under_way=40)),
+        replace(HX711_LOAD_CELLS, settling=4, rate=None),
+    ],
+)
+def test_no_reading_tells_of_the_episode_before(config):
+    """Converters of 80 Hz under a loop of 1 kHz hold their last reading, but not across a reset."""
+    quiet = replace(config, input_noise=0.0, initial_gain_std=0.0, initial_zero_std=0.0)
+    quiet = replace(quiet, gain_drift=0.0, zero_drift=0.0)
+    feet = FootSensorsModule(quiet, N, dt=0.001 if config.rate else DT)
+    for _ in range(20):
+        feet(torch.full((N, 8), 50.0))
+    feet.reset([0, 4])
+    read = feet.newtons(feet(torch.zeros(N, 8)))
+    torch.testing.assert_close(read[[0, 4]], torch.zeros(2, 8), atol=1e-4, rtol=0.0)
+    assert read[1:4].max() > 20.0
+
+
+def test_nobody_reads_nothing_at_first():
+    feet = FootSensorsModule("hx711-load-cells", 50, dt=0.001)
+    assert torch.isfinite(feet(torch.zeros(50, 8))).all()
+    feet.reset(slice(0, 10), fresh=True)
+    assert torch.isfinite(feet(torch.zeros(50, 8))).all()
+
+
+def test_robots_are_named_as_managers_name_them():
+    device = torch.device("cpu")
+    for ids, expected in (
+        (None, [1, 1, 1, 1]),
+        (slice(None), [1, 1, 1, 1]),
+        (slice(1, 3), [0, 1, 1, 0]),
+        (torch.tensor([3, 0]), [1, 0, 0, 1]),
+        (torch.tensor([True, False, True, False]), [1, 0, 1, 0]),
+        ([2], [0, 0, 1, 0]),
+        ([], [0, 0, 0, 0]),
+        (torch.tensor([], dtype=torch.long), [0, 0, 0, 0]),
+        (np.array([1, 2]), [0, 1, 1, 0]),
+    ):
+        assert mask_of(ids, 4, device).int().tolist() == expected
+    with pytest.raises(ValueError, match="must name robots from 0 to 3, got 4"):
+        mask_of([1, 4], 4, device)
+    with pytest.raises(ValueError, match=r"A mask of robots must have shape \(4,\), got \(3,\)"):
+        mask_of(torch.ones(3, dtype=torch.bool), 4, device)
+
+
+def test_the_seed_decides():
+    force = forces(make())
+    one, same, other = (make(seed=seed) for seed in (1, 1, 2))
+    assert torch.equal(one(force), same(force))
+    assert not torch.equal(one(force), other(force))
+    before = torch.random.get_rng_state()
+    one(force)
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_saved_state_goes_on_bit_for_bit(name, tmp_path):
+    feet = make(CONFIGS[name], faults=[Fault("spiking", 2)], seed=4)
+    for step in range(3):
+        feet(forces(feet, step), step)
+    feet.reset([1])
+    torch.save(feet.state_dict(), tmp_path / "feet.pt")
+    other = make(CONFIGS[name], faults=[Fault("spiking", 2)], seed=99)
+    other.load_state_dict(torch.load(tmp_path / "feet.pt", weights_only=True))
+    for step in range(2, 6):
+        assert torch.equal(feet(forces(feet, step), step), other(forces(feet, step), step))
+        feet.reset([0], fresh=True)
+        other.reset([0], fresh=True)
+
+
+def test_a_saved_state_of_other_sensors_is_refused():
+    state = make().state_dict()
+    for name, other in (
+        ("num_envs", make(robots=6)),
+        ("configuration", make(severity=0.5)),
+        ("faults", make(faults=[Fault("dead", 0)])),
+        ("dtype", make(dtype=torch.float64)),
+        ("dt", FootSensorsModule("hx711-load-cells", N, dt=0.01)),
+    ):
+        with pytest.raises(ValueError, match=f"is of another FootSensorsModule: its {name} is"):
+            other.load_state_dict(state)
+
+
+def test_faults_begin_when_they_should():
+    feet = make(faults=[Fault("dead", 3, start=0.1)], severity=0.0)
+    force = torch.full((N, 8), 10.0)
+    read = torch.stack([feet.newtons(feet(force))[:, 3] for _ in range(8)])
+    dead = (read.abs() < 0.1).all(dim=1).tolist()
+    assert dead == [False] * 4 + [True] * 4
+
+
+def test_what_is_wrong_is_said():
+    feet = make()
+    with pytest.raises(ValueError, match=r"'force' must have shape \(5, 8\) or \(5, S, 8\), got \(6, 8\)"):
+        feet(torch.zeros(6, 8))
+    with pytest.raises(ValueError, match="for another number of robots make another module"):
+        feet(torch.zeros(5, 7))
+    with pytest.raises(ValueError, match=r"\(5, 0, 8\)"):
+        feet(torch.zeros(5, 0, 8))
+    with pytest.raises(ValueError, match=r"'force' must have shape \(5, 12\), got \(5, 3, 12\)"):
+        make("icub-force-torque")(torch.zeros(5, 3, 12))
+    with pytest.raises(TypeError, match="must be a torch tensor, got ndarray"):
+        feet(np.zeros((5, 8)))
+    with pytest.raises(ValueError, match="'force' is on meta, but the module on cpu"):
+        feet(torch.zeros((5, 8), device="meta"))
+    with pytest.raises(ValueError, match="There is no foot sensor preset 'hx712'"):
+        make("hx712")
+    with pytest.raises(ValueError, match="channel"):
+        make(faults=[Fault("dead", 8)])
+    for options, message in (
+        ({"num_envs": 0}, "'num_envs' must be a positive whole number"),
+        ({"dt": 0.0}, "'dt' must be a positive time"),
+        ({"dtype": torch.int32}, "'dtype' must be a floating one"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            FootSensorsModule(**({"config": "perfect", "num_envs": 2} | options))
+
+
+def test_a_module_stays_where_it_was_made():
+    feet = make()
+    policy = torch.nn.Sequential(torch.nn.Linear(8, 2), feet)
+    policy.to("cpu").float()
+    with pytest.raises(RuntimeError, match=r"stays on cpu with torch\.float32; make another one"):
+        policy.double()
+    with pytest.raises(RuntimeError, match="device='meta'"):
+        policy.to("meta")
+    assert "num_envs=5" in repr(feet)

@@ -1,0 +1,257 @@
+"""Sensors around vector environments: the same robots, felt through honest instruments."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import surefoot  # noqa: F401
+from surefoot.sensors import Corruption, LoadCells
+from surefoot.wrappers import FootSensors
+from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
+from surefoot.wrappers.vector.truth_row import TRUTH_KEY, TruthRow
+
+ROBOTS, EPISODE = 3, 9
+ACTIONS = np.zeros((ROBOTS, 11), dtype=np.float32)
+
+
+def _walk(steps: int | None = EPISODE, **options: Any) -> gym.Env[Any, Any]:
+    return gym.make(
+        "surefoot/NaoWalk-v0",
+        speed=0.04,
+        duration=12.0,
+        max_episode_steps=steps,
+        disable_env_checker=True,
+        **options,
+    )
+
+
+def _copies(mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any) -> SyncVectorEnv:
+    # Episodes of different lengths: robots are reset at different times.
+    lengths = [EPISODE + 2 * i for i in range(ROBOTS)]
+    return SyncVectorEnv(
+        [partial(lambda steps: TruthRow(_walk(steps)), steps) for steps in lengths],
+        autoreset_mode=mode,
+        **options,
+    )
+
+
+def _count(env: VectorFootSensors) -> list[float]:
+    """Note the time that each use of the feet's instruments takes."""
+    device, times = env.sensors._device, []
+
+    def apply(block: Any, state: Any, rng: Any, dt: float) -> Any:
+        times.append(dt)
+        return device.apply(block, state, rng, dt)
+
+    env.sensors._device = Corruption(device.init, apply)
+    return times
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_robots_do_what_they_do_bare_and_observations_fit_their_space(mode):
+    bare = SyncVectorEnv([partial(_walk, EPISODE + 2 * i) for i in range(ROBOTS)], autoreset_mode=mode)
+    felt = VectorFootSensors(_copies(mode))
+    bare.reset(seed=5)
+    seen, infos = felt.reset(seed=5)
+    ends = 0
+    for _ in range(30):
+        assert seen in felt.observation_space
+        assert set(seen) == {"state", "foot_raw"}
+        expected = bare.step(ACTIONS)
+        seen, *told, infos = felt.step(ACTIONS)
+        for own, other in zip(told, expected[1:4], strict=True):
+            np.testing.assert_array_equal(own, other)
+        for own, other in zip(felt.unwrapped.envs, bare.envs, strict=True):
+            np.testing.assert_array_equal(own.unwrapped.data.qpos, other.unwrapped.data.qpos)
+        done = told[1] | told[2]
+        ends += int(done.sum())
+        if mode is AutoresetMode.SAME_STEP:
+            for robot in np.flatnonzero(done):
+                final = infos["final_obs"][robot]
+                assert final in felt.single_observation_space
+                assert (final["foot_raw"] != seen["foot_raw"][robot]).any()
+        if mode is AutoresetMode.DISABLED and done.any():
+            bare.reset(options={"reset_mask": done})
+            options = {"reset_mask": done}
+            seen, infos = felt.reset(options=options)
+            assert "reset_mask" in options
+    assert ends >= 6
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_hardware_outlives_episodes_and_drifts_once_a_sample(mode):
+    felt = VectorFootSensors(_copies(mode))
+    felt.reset(seed=1)
+    drawn, times = felt.sensors.state.period.copy(), _count(felt)
+    spans = []
+    for _ in range(2 * EPISODE):
+        times.clear()
+        _, _, terminated, truncated, _ = felt.step(ACTIONS)
+        spans.append(len(times))
+        assert times[0] == 1 / 80
+        done = terminated | truncated
+        if mode is AutoresetMode.DISABLED and done.any():
+            before = felt.sensors.state
+            felt.reset(options={"reset_mask": done})
+            np.testing.assert_array_equal(felt.sensors.state.error[:, ~done], before.error[:, ~done])
+    np.testing.assert_array_equal(felt.sensors.state.period, drawn)
+    # A robot that is put back within a step has a last and a first sample in it.
+    assert set(spans) == ({1, 2} if mode is AutoresetMode.SAME_STEP else {1})
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_fresh_gives_new_sensors_to_the_robot_that_is_reset_only(mode):
+    felt = VectorFootSensors(_copies(mode), fresh=True)
+    felt.reset(seed=1)
+    before = felt.sensors.state.period.copy()
+    for _ in range(EPISODE + (mode is AutoresetMode.NEXT_STEP)):
+        seen, *_ = felt.step(ACTIONS)
+    after = felt.sensors.state.period
+    np.testing.assert_array_equal(after[1:], before[1:])
+    assert (after[0] != before[0]).all()
+    assert np.isfinite(seen["foot_raw"]).all()
+
+
+def test_seeds_settle_all_and_options_decide_for_one_reset():
+    felt = VectorFootSensors(_copies())
+
+    def run(**options: Any) -> list[Any]:
+        readings = [felt.reset(**options)[0]["foot_raw"]]
+        return [*readings, *(felt.step(ACTIONS)[0]["foot_raw"] for _ in range(12))]
+
+    first, again = run(seed=3), run(seed=3)
+    np.testing.assert_array_equal(first, again)
+    listed = run(seed=[3, 4, 5])
+    assert (np.array(listed) != first).any(axis=(0, 2)).all()
+    period = felt.sensors.state.period
+    run()
+    np.testing.assert_array_equal(felt.sensors.state.period, period)
+    run(seed=[None, 7, None])
+    changed = (felt.sensors.state.period != period).all(axis=1)
+    np.testing.assert_array_equal(changed, [False, True, False])
+    run(seed=3, options={"surefoot": {"sensors": "keep"}})
+    period = felt.sensors.state.period
+    run(options={"surefoot": {"sensors": "fresh"}})
+    assert (felt.sensors.state.period != period).all()
+    other = VectorFootSensors(_copies(), stream=99)
+    assert (other.reset(seed=3)[0]["foot_raw"] != first[0]).all()
+
+
+def test_perfect_cells_read_the_truth_and_truth_is_each_copys_own():
+    felt = VectorFootSensors(_copies(), "perfect", imu="perfect", encoders="perfect", link="perfect")
+    with pytest.raises(ValueError, match="averaged=False"):
+        felt.reset(seed=0)
+    copies = SyncVectorEnv([lambda: TruthRow(_walk(None), averaged=False)] * ROBOTS)
+    felt = VectorFootSensors(copies, "perfect", imu="perfect", encoders="perfect", link="perfect")
+    felt.reset(seed=0)
+    for _ in range(20):
+        seen, *_, infos = felt.step(ACTIONS)
+    told = infos["surefoot"]["truth"]
+    for i, copy in enumerate(copies.envs):
+        truth = copy.unwrapped.truth
+        np.testing.assert_allclose(seen["foot_raw"][i], truth.force_cell[-1], atol=1e-4)
+        np.testing.assert_allclose(told["force_cell"][i], truth.force_cell[-1], atol=1e-12)
+        np.testing.assert_allclose(told["vgrf"][i], truth.vgrf(), atol=1e-9)
+        np.testing.assert_allclose(told["cop_world"][i], truth.cop_world(), atol=1e-4)
+        np.testing.assert_allclose(told["com"][i], truth.com[-1])
+        state, layout = seen["state"][i], copy.unwrapped.state_layout
+        np.testing.assert_allclose(state[layout["joint_position"]], truth.joint_position[-1], atol=1e-6)
+        np.testing.assert_allclose(state[layout["gyroscope"]], truth.gyroscope[-1], atol=1e-6)
+    assert set(told) == {"force_cell", "vgrf", "cop_world", "cop_foot", "com", "wrench_sole"}
+
+
+def test_telemetry_comes_late_by_the_links_delay():
+    now = SyncVectorEnv([lambda: TruthRow(_walk(None))])
+    late = SyncVectorEnv([lambda: TruthRow(_walk(None))])
+    exact = {"encoders": "perfect", "config": "perfect"}
+    prompt = VectorFootSensors(now, link="perfect", **exact)
+    slow = VectorFootSensors(late, link={"delay": 0.025, "jitter": 0.0}, **exact)
+    where = now.envs[0].unwrapped.state_layout["joint_position"]
+    rows: list[list[Any]] = [[], []]
+    for env, row in zip((prompt, slow), rows, strict=True):
+        row.append(env.reset(seed=2)[0]["state"][0, where])
+        row.extend(env.step(ACTIONS[:1])[0]["state"][0, where] for _ in range(20))
+    np.testing.assert_array_equal(rows[0][:-2], rows[1][2:])
+    np.testing.assert_array_equal(rows[1][0], rows[1][2])
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_copies_in_processes_of_their_own_are_felt_alike(mode):
+    functions = [partial(lambda steps: TruthRow(_walk(steps)), EPISODE + i) for i in range(2)]
+    near = VectorFootSensors(SyncVectorEnv(functions, autoreset_mode=mode))
+    far = VectorFootSensors(gym.vector.AsyncVectorEnv(functions, autoreset_mode=mode))
+    try:
+        shown = [env.reset(seed=4)[0] for env in (near, far)]
+        for _ in range(14):
+            for key in shown[0]:
+                np.testing.assert_array_equal(shown[0][key], shown[1][key])
+            steps = [env.step(ACTIONS[:2]) for env in (near, far)]
+            shown = [step[0] for step in steps]
+            if mode is AutoresetMode.SAME_STEP and steps[0][3].any():
+                robot = int(np.flatnonzero(steps[0][3])[0])
+                finals = [step[4]["final_obs"][robot] for step in steps]
+                assert TRUTH_KEY not in finals[1]
+                np.testing.assert_array_equal(finals[0]["foot_raw"], finals[1]["foot_raw"])
+    finally:
+        far.close()
+
+
+def test_buffers_of_the_environment_are_neither_handed_out_nor_changed():
+    felt = VectorFootSensors(_copies(copy=False))
+    felt.reset(seed=0)
+    own = felt.env.unwrapped._observations
+    seen, *_, infos = felt.step(ACTIONS)
+    force, state = infos["surefoot"]["truth"]["force_cell"].copy(), own["state"].copy()
+    assert not np.shares_memory(seen["state"], own["state"])
+    seen["state"][:] = np.nan
+    np.testing.assert_array_equal(own["state"], state)
+    felt.step(ACTIONS)
+    np.testing.assert_array_equal(infos["surefoot"]["truth"]["force_cell"], force)
+
+
+def test_what_does_not_fit_is_refused_at_the_door():
+    bare = SyncVectorEnv([partial(_walk, None)] * 2)
+    with pytest.raises(TypeError, match=r"wrappers=\[TruthRow\]"):
+        VectorFootSensors(bare)
+    with pytest.raises(TypeError, match="one is enough"):
+        TruthRow(TruthRow(_walk()))
+    copies = _copies()
+    with pytest.raises(ValueError, match="no foot sensor preset 'hx712'"):
+        VectorFootSensors(copies, "hx712")
+    with pytest.raises(ValueError, match="room for 8 cells"):
+        VectorFootSensors(copies, LoadCells(channels=12))
+    with pytest.raises(ValueError, match="'stream'"):
+        VectorFootSensors(copies, stream=-1)
+    with pytest.raises(TypeError, match="leave FootSensors"):
+        VectorFootSensors(SyncVectorEnv([lambda: TruthRow(FootSensors(_walk()))] * 2))
+
+    class Tighter(gym.ObservationWrapper):
+        def __init__(self, env: gym.Env[Any, Any]) -> None:
+            super().__init__(env)
+            space = env.observation_space
+            state = gym.spaces.Box(2 * space["state"].low, 2 * space["state"].high, dtype=np.float32)
+            self.observation_space = gym.spaces.Dict({**space.spaces, "state": state})
+
+        def observation(self, observation: Any) -> Any:
+            return observation
+
+    odd = [lambda: TruthRow(_walk()), lambda: TruthRow(Tighter(_walk()))]
+    with pytest.raises(ValueError, match=r"copies \[1\]"):
+        VectorFootSensors(SyncVectorEnv(odd, observation_mode="different"))
+    other = [lambda: TruthRow(_walk()), lambda: TruthRow(_other())]
+    with pytest.raises(ValueError, match=r"copies \[1\] are of another"):
+        VectorFootSensors(SyncVectorEnv(other))
+
+
+def _other() -> gym.Env[Any, Any]:
+    """A walker whose drawing has a foot elsewhere."""
+    env = _walk()
+    moved = replace(env.unwrapped.drawing, position_cell_sole=env.unwrapped.position_cell_sole + 0.01)
+    kind = type(env.unwrapped)
+    env.unwrapped.__class__ = type("Moved", (kind,), {"drawing": property(lambda self: moved)})
+    return env

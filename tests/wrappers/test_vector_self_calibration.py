@@ -1,0 +1,240 @@
+"""Calibration around vector environments: one calibrator for all is the calibrator of each."""
+
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+import surefoot  # noqa: F401
+from surefoot.calibration import FootCalibrator, Parameters, Reference
+from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
+from surefoot.wrappers.vector.sb3 import VecFootSensors, VecSelfCalibration
+from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration
+from surefoot.wrappers.vector.truth_row import TruthRow
+
+ROBOTS = 3
+ACTIONS = np.zeros((ROBOTS, 11), dtype=np.float32)
+
+
+def _copy(steps: int | None = None, task: str = "Walk", **options: Any) -> TruthRow:
+    walk = {"speed": 0.04, "duration": 12.0} if task == "Walk" else {}
+    env = gym.make(
+        f"surefoot/Nao{task}-v0", max_episode_steps=steps, disable_env_checker=True, **walk, **options
+    )
+    return TruthRow(env)
+
+
+def _functions(episode: int | None = None) -> list[Any]:
+    lengths = [None if episode is None else episode + 2 * i for i in range(ROBOTS)]
+    return [partial(_copy, steps) for steps in lengths]
+
+
+def _vector(
+    episode: int | None = None, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any
+) -> VectorSelfCalibration:
+    copies = SyncVectorEnv(_functions(episode), autoreset_mode=mode)
+    return VectorSelfCalibration(VectorFootSensors(copies), **options)
+
+
+def test_each_robot_is_calibrated_as_it_would_be_alone():
+    env = _vector(initial="bench", mass_error=0.0, bench_scale_error=0.05)
+    env.reset(seed=3)
+    batch = env.calibration
+    starts = [Parameters(*(part[i] for part in batch._map)) for i in range(ROBOTS)]
+    alone = [
+        FootCalibrator(batch._setup.layout, mass=batch._mass, initial=start, dt=1 / 80, lag=batch.lag)
+        for start in starts
+    ]
+    for _ in range(150):
+        seen, *_, infos = env.step(ACTIONS)
+        reference, raw = infos["surefoot"]["reference"], env._sensors.stepped.raw
+        for i, own in enumerate(alone):
+            estimate = own.update(raw[i], Reference(*(part[i] for part in reference)))
+            np.testing.assert_allclose(infos["surefoot"]["parameters"].scale[i], estimate.scale, rtol=1e-7)
+            np.testing.assert_allclose(batch.estimate.force[i], estimate.force, atol=1e-6)
+            np.testing.assert_allclose(seen["foot_force"][i], estimate.force, atol=1e-4)
+            valid = estimate.cop_foot_valid
+            np.testing.assert_allclose(seen["cop_foot"][i][valid], estimate.cop_foot[valid], atol=1e-6)
+            np.testing.assert_array_equal(seen["cop_valid"][i], [estimate.cop_valid, *valid])
+    assert (infos["surefoot"]["parameters"].scale != np.stack([start.scale for start in starts])).any()
+
+
+def test_a_mass_believed_wrong_is_told_each_robots_calibrator():
+    """What the batch makes of a mass m with a calibrator of mass M is what one of mass m does."""
+    env = _vector(mass_error=0.05)
+    env.reset(seed=3)
+    batch = env.calibration
+    masses = batch._model.mass
+    alone = [
+        FootCalibrator(
+            batch._setup.layout,
+            mass=float(mass),
+            initial=Parameters(*batch._map[:, i]),
+            dt=1 / 80,
+            lag=batch.lag,
+        )
+        for i, mass in enumerate(masses)
+    ]
+    assert abs(masses / batch._mass - 1.0).min() > 0.04
+    for _ in range(150):
+        *_, infos = env.step(ACTIONS)
+        reference, raw = infos["surefoot"]["reference"], env._sensors.stepped.raw
+        estimates = [
+            own.update(raw[i], Reference(*(part[i] for part in reference))) for i, own in enumerate(alone)
+        ]
+    force = np.stack([estimate.force for estimate in estimates])
+    # The soles' own inertia is not in proportion.
+    np.testing.assert_allclose(batch.estimate.force, force, atol=0.02)
+    assert abs(batch.estimate.force - (batch._map[0] * raw + batch._map[1])).max() > 0.5
+
+
+def test_robots_learn_to_tell_their_centre_of_pressure():
+    errors = {}
+    for method in ("none", "surefoot"):
+        env = _vector(method=method)
+        env.reset(seed=8)
+        found = []
+        for _ in range(640):
+            seen, _, terminated, *_, infos = env.step(ACTIONS)
+            truth = infos["surefoot"]["truth"]["cop_foot"]
+            found.append(np.linalg.norm(seen["cop_foot"] - truth, axis=-1))
+            assert not terminated.any()
+        errors[method] = np.nanmedian(found[320:], axis=(0, 2))
+    assert (errors["surefoot"] < 0.006).all(), errors
+    assert errors["surefoot"].mean() < 0.4 * errors["none"].mean(), errors
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_what_was_learnt_outlives_episodes_in_all_modes(mode):
+    env = _vector(40, mode)
+    seen, _ = env.reset(seed=2)
+    batch, ends, before = env.calibration, 0, None
+    for _ in range(130):
+        assert seen in env.observation_space
+        learnt = batch._state.mean
+        seen, _, terminated, truncated, infos = env.step(ACTIONS)
+        assert set(infos["surefoot"]) >= {"truth", "parameters", "flags", "vgrf", "reference", "lag"}
+        done = terminated | truncated
+        if not done.any():
+            continue
+        ends += int(done.sum())
+        for robot in np.flatnonzero(done):
+            if mode is AutoresetMode.SAME_STEP:
+                final = infos["final_obs"][robot]
+                assert final in env.single_observation_space
+                assert (final["foot_force"] != seen["foot_force"][robot]).any()
+            if mode is AutoresetMode.DISABLED:
+                kept, shown = batch._state.mean.copy(), seen["foot_force"]
+                seen, _ = env.reset(options={"reset_mask": done})
+                np.testing.assert_array_equal(batch._state.mean, kept)
+                np.testing.assert_array_equal(seen["foot_force"][~done], shown[~done])
+                break
+        before = learnt
+    assert ends >= 6
+    start = batch._method.init(env._sensors.readings.raw).mean
+    assert before is not None
+    assert (before != start).any(axis=1).all()
+
+
+def test_references_of_a_robot_that_was_reset_are_of_its_new_episode_only():
+    env = _vector(12, AutoresetMode.SAME_STEP)
+    env.reset(seed=2)
+    lag = env.calibration.lag
+    unknown = []
+    for _ in range(24):
+        *_, infos = env.step(ACTIONS)
+        unknown.append(np.isnan(infos["surefoot"]["reference"].com[0]).any())
+    # After the reset before the first and the one within the twelfth step.
+    expected = [k % 12 < lag + 1 for k in range(24)]
+    assert unknown == expected
+
+
+def test_fresh_seeds_and_options_forget():
+    env = _vector(20, fresh=True)
+    env.reset(seed=1)
+    for _ in range(22):
+        env.step(ACTIONS)
+    start = env.calibration._method.init(env._sensors.readings.raw)
+    changed = (env.calibration._state.mean != start.mean).any(axis=1)
+    np.testing.assert_array_equal(changed, [False, True, True])
+    env = _vector(initial="bench")
+    env.reset(seed=1)
+    first = env.calibration._map.copy(), env.calibration._model.mass.copy()
+    for _ in range(20):
+        env.step(ACTIONS)
+    env.reset()
+    np.testing.assert_array_equal(env.calibration._map, first[0])
+    assert (env.calibration._state.mean != start.mean).any()
+    env.reset(options={"surefoot": {"calibration": "fresh"}})
+    assert (env.calibration._map != first[0]).all()
+    np.testing.assert_array_equal(env.calibration._state.mean, start.mean)
+    env.reset(seed=1)
+    np.testing.assert_array_equal(env.calibration._map, first[0])
+
+
+def test_standing_robots_say_where_they_press():
+    """The level frame's centre of pressure is that of the truth, seen from between the soles."""
+    copies = SyncVectorEnv([partial(_copy, task="Stand")] * 2)
+    env = VectorSelfCalibration(VectorFootSensors(copies, "perfect"), "none")
+    env.reset(seed=0)
+    for _ in range(40):
+        seen, *_ = env.step(ACTIONS[:2])
+    for i, copy in enumerate(copies.envs):
+        truth = copy.unwrapped.truth
+        middle = truth.position_sole[-1].mean(axis=0)[:2]
+        x, y = truth.R_world_sole[-1, :, :2, 0].mean(axis=0)
+        ahead = np.array([x, y]) / np.hypot(x, y)
+        away = truth.cop_world() - middle
+        level = (ahead @ away, ahead[0] * away[1] - ahead[1] * away[0])
+        np.testing.assert_allclose(seen["cop"][i], level, atol=2e-3)
+
+
+def test_what_does_not_fit_is_refused_at_the_door():
+    copies = SyncVectorEnv(_functions())
+    with pytest.raises(TypeError, match="found none below it"):
+        VectorSelfCalibration(copies)
+    felt = VectorFootSensors(copies)
+    with pytest.raises(TypeError, match="one is enough"):
+        VectorSelfCalibration(VectorSelfCalibration(felt))
+    with pytest.raises(ValueError, match="Method 'windows' does not exist"):
+        VectorSelfCalibration(felt, "windows")
+    with pytest.raises(ValueError, match="no option 'speed'"):
+        VectorSelfCalibration(felt, speed=3)
+    with pytest.raises(ValueError, match="longer 'lag'"):
+        VectorSelfCalibration(felt, lag=1)
+    with pytest.raises(ValueError, match="'bench_scale_error'"):
+        VectorSelfCalibration(felt, bench_scale_error=-1.0)
+    with pytest.raises(TypeError, match="goes right around"):
+        VecSelfCalibration(DummyVecEnv(_functions()))
+    with pytest.raises(TypeError, match=r"wrappers=\[TruthRow\]"):
+        VecFootSensors(DummyVecEnv([lambda: gym.make("surefoot/NaoWalk-v0", speed=0.04)]))
+
+
+def test_sb3_shows_what_gymnasium_shows():
+    near = _vector(20, AutoresetMode.SAME_STEP, initial="bench")
+    far = VecSelfCalibration(VecFootSensors(DummyVecEnv(_functions(20))), initial="bench")
+    far.seed(6)
+    seen = near.reset(seed=[6, 7, 8])[0], far.reset()
+    assert far.observation_space == near.single_observation_space
+    ends = 0
+    for _ in range(45):
+        for key in seen[0]:
+            np.testing.assert_array_equal(seen[0][key], seen[1][key], err_msg=key)
+        observations, _, terminated, truncated, told = near.step(ACTIONS)
+        others, _, dones, infos = far.step(ACTIONS)
+        seen = observations, others
+        np.testing.assert_array_equal(dones, terminated | truncated)
+        for robot in np.flatnonzero(dones):
+            final, other = told["final_obs"][robot], infos[robot]["terminal_observation"]
+            assert final.keys() == other.keys()
+            for key in final:
+                np.testing.assert_array_equal(final[key], other[key], err_msg=key)
+            ends += 1
+    assert ends >= 5
+    truth = near.step(ACTIONS)[4]["surefoot"]["truth"]
+    far.step(ACTIONS)
+    np.testing.assert_array_equal(far.venv.truth["vgrf"], truth["vgrf"])

@@ -1,0 +1,260 @@
+"""Foot sensors for thousands of robots at once: true forces in, readings out, on the simulator's device.
+
+    feet = FootSensorsModule("hx711-load-cells", env.num_envs, env.device, dt=env.step_dt)
+    counts = feet(force, step=env.common_step_counter)      # (N, K), or (N, S, K) for S substeps of a step
+    feet.reset(env_ids)                                     # as managers call it
+
+Nothing is copied to the host. torch is imported here and by the other ``torch_`` modules alone.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import ceil
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from surefoot.calibration.parameters import Parameters
+from surefoot.sensors import (
+    PRESETS,
+    Fault,
+    ForceTorque,
+    LoadCells,
+    channel_faults,
+    force_torque,
+    load_cells,
+    resolve,
+    scaled,
+    true_map,
+)
+from surefoot.sensors.select import batch_axes, select
+from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
+
+__all__ = ["FootSensorsModule"]
+
+Config = LoadCells | ForceTorque
+
+
+class FootSensorsModule(BatchModule):
+    """Read the feet of N robots through load cells or six-axis sensors.
+
+    **Steps.** A manager may ask several times within one simulation step. With a step's number, from the
+    argument ``step`` or from ``counter``, the sensors advance at the first call of a step and hand out copies
+    of the same readings at the others. Without one every call is a step.
+
+    **Resets.** Sensors are hardware: a robot that is put back keeps its own, and drift goes on. With
+    ``fresh=True`` it gets others. Either way converters with a clock run through under the first load of
+    the new episode, so that no reading tells of the one before, even when asked again within the same step.
+
+    **Chance.** One generator on the device, seeded, draws for the whole batch: the same seed, calls and
+    resets give the same readings on the same device, but what one robot reads depends on how many there are.
+
+    Args:
+        config: The name of a preset, a mapping (of load cells) or a configuration.
+        num_envs: Number N of robots.
+        device: Where forces are and readings are wanted.
+        dtype: Of readings. ``float32`` holds every code of a 24-bit converter.
+        seed: Of the generator.
+        dt: Time between steps in s.
+        severity: Factor of all errors: 0 for none, 1 for the configuration's; see
+            :func:`surefoot.sensors.scaled`.
+        faults: Faults of single channels, the same for all robots, by the time since a robot's sensors
+            were drawn.
+        counter: Tells the number of the simulation step.
+
+    Attributes:
+        config: The instrument with its severity.
+        severity: Factor of all errors.
+        channels: Number K of readings.
+        nominal: The map that a robot may know, by the data sheet, shape (K,) each: where a calibrator starts.
+
+    Raises:
+        ValueError: If a preset is unknown, a value is refused or a fault cannot happen.
+
+    >>> feet = FootSensorsModule("perfect", 2, dt=0.02)
+    >>> feet(torch.full((2, 8), 6.5)).tolist()[0]
+    [6.5, 6.5, 6.5, 6.5, 6.5, 6.5, 6.5, 6.5]
+    """
+
+    def __init__(
+        self,
+        config: str | Mapping[str, Any] | Config,
+        num_envs: int,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+        *,
+        seed: int = 0,
+        dt: float = 1.0 / 50.0,
+        severity: float = 1.0,
+        faults: Sequence[Fault] = (),
+        counter: Counter | None = None,
+    ) -> None:
+        super().__init__(num_envs, device, dtype, dt, counter)
+        base = config if isinstance(config, ForceTorque) else _resolve(config)
+        self.config: Config = scaled(base, severity)
+        self.severity, self.seed = float(severity), seed
+        self.channels = self.config.channels
+        self.nominal = Parameters(1.0 / self.config.slope, -self.config.zero_code / self.config.slope)
+        self._blocks = isinstance(self.config, LoadCells)
+        self._cells: Any = (
+            load_cells(self.config) if isinstance(self.config, LoadCells) else force_torque(self.config)
+        )
+        self._faults = channel_faults(faults, self.config) if faults else None
+        self._fault_notes = repr(tuple(faults))
+        self._opening = _opening(self.config, self.dt)
+        self._slope = torch.as_tensor(self.config.slope, dtype=dtype, device=self.device)
+        axes = batch_axes(self._cells, self.channels)
+        self._axes = (axes, () if self._faults is None else batch_axes(self._faults, self.channels))
+        self._generator = torch.Generator(device=self.device)
+        self._generator.manual_seed(seed)
+        self._state = self._draw()
+        self._reading: Tensor | None = None
+        self._returned: Tensor | None = None
+
+    def forward(self, force: Tensor, step: int | None = None) -> Tensor:
+        """Read the sensors.
+
+        Args:
+            force: True forces in N (for six-axis sensors wrenches in N and N m) at the end of the step, shape
+                (N, K), or for load cells at the ends of S equal substeps, shape (N, S, K).
+            step: Number of the simulation step, if the module has no ``counter``.
+
+        Returns:
+            Readings in counts, shape (N, K), the caller's own.
+
+        Raises:
+            TypeError: If forces are no tensor.
+            ValueError: If their shape or device is not the module's.
+        """
+        tails = (("channels",), ("S", "channels")) if self._blocks else (("channels",),)
+        force = self._bring(force, "force", tails, self.channels)
+        block = force[:, None] if force.ndim == 2 and self._blocks else force
+        advances, before, returned = self._begins(step), self._state, self._returned
+        plain, first = [(block, self.dt)], self._first(block)
+        if self._reading is None:
+            reading, state = self._read(first, before)
+        else:
+            reading, state = self._read(plain, before) if advances else (self._reading, before)
+            # Sensors that remember no load read the step itself as their first.
+            if returned is not None and (len(self._opening) > 0 or not advances):
+                opened, begun = self._read(first, before)
+                reading = torch.where(returned[:, None], opened, reading)
+                state = select(returned, begun, state, self._axes)
+        self._reading, self._state, self._returned = reading, state, None
+        return reading.clone()
+
+    def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
+        """Begin new episodes.
+
+        Args:
+            env_ids: Robots that begin one; all by default.
+            fresh: Whether they get other sensors: new gains, zeros and clocks, and a new time for faults.
+
+        Raises:
+            ValueError: If there is no such robot.
+        """
+        mask = mask_of(env_ids, self.num_envs, self.device)
+        if fresh:
+            self._state = select(mask, self._draw(), self._state, self._axes)
+        self._returned = mask if self._returned is None else self._returned | mask
+
+    def newtons(self, counts: Tensor) -> Tensor:
+        """Take counts to N (and N m) by the data sheet: what a robot without a calibrator believes."""
+        return (counts - self.config.zero_code) / self._slope
+
+    def true_parameters(self) -> Parameters:
+        """Tell the map that would undo the load cells' errors now, shape (N, K) each: truth, to score by.
+
+        Raises:
+            TypeError: If the sensors are not load cells.
+        """
+        if not isinstance(self.config, LoadCells):
+            raise TypeError("Only load cells have a map of their own for each channel.")
+        return Parameters(*true_map(self.config, self._state[0]))
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Hand over everything for ``state_dict()``: sensors, the last readings and the random stream."""
+        return {
+            "identity": self._identity(),
+            "leaves": saved_leaves(self._state),
+            "generator": self._generator.get_state(),
+            "reading": None if self._reading is None else self._reading.clone(),
+            "returned": self._returned,
+            "last": self._last,
+        }
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Go on, bit for bit, from what :meth:`get_extra_state` handed over.
+
+        Raises:
+            ValueError: If it is of other sensors.
+        """
+        self._check_saved(state, self._identity())
+        self._state = restored(self._state, state["leaves"], self.device)
+        self._generator.set_state(state["generator"].cpu())
+        reading, returned = state["reading"], state["returned"]
+        self._reading = None if reading is None else reading.to(self.device, copy=True)
+        self._returned = None if returned is None else returned.to(self.device, copy=True)
+        self._last = state["last"]
+
+    def _identity(self) -> dict[str, Any]:
+        return {
+            "configuration": repr(self.config),
+            "faults": self._fault_notes,
+            "num_envs": self.num_envs,
+            "dt": self.dt,
+            "dtype": str(self.dtype),
+            "device": self.device.type,  # the streams of generators differ
+        }
+
+    def _draw(self) -> Any:
+        """Draw sensors for all robots."""
+        shape = (self.num_envs, self.channels)
+        cells = self._cells.init(shape, self._generator, self.dtype)
+        faults = () if self._faults is None else self._faults.init(shape, self._generator, self.dtype)
+        return cells, faults
+
+    def _first(self, block: Tensor) -> list[tuple[Tensor, float]]:
+        """Say how long the last load of a block must have been there to be an episode's first reading."""
+        if not self._opening:
+            return [(block, self.dt)]
+        if not self._blocks:
+            return [(block, dt) for _, dt in self._opening]
+        return [(block[:, -1:].expand(-1, rows, -1), dt) for rows, dt in self._opening]
+
+    def _read(self, blocks: list[tuple[Tensor, float]], state: Any) -> tuple[Tensor, Any]:
+        """Let loads come one after the other and hand out the last reading."""
+        cells, faults = state
+        counts = blocks[0][0]
+        for block, dt in blocks:
+            counts, cells = self._cells.apply(block, cells, self._generator, dt)
+        if self._faults is not None:
+            counts, faults = self._faults.apply(counts, faults, self._generator, self.dt)
+        return counts, (cells, faults)
+
+
+def _opening(config: Config, dt: float) -> list[tuple[int, float]]:
+    """Tell in how many substeps, and for how long each, a load must come until readings are of it alone.
+
+    Returns:
+        Pairs of the number of substeps and their time in s; none for an instrument that remembers no load.
+    """
+    rate = config.rate if isinstance(config, LoadCells) else None
+    period = dt if rate is None else 1.0 / rate[0]
+    averaged = config.settling if isinstance(config, LoadCells) else 1
+    late = ceil((config.wire.delay + 3.0 * config.wire.jitter) / period - 1e-9)
+    if rate is None and averaged + late == 1:
+        return []
+    # Of two substeps of the same load the second begins with that load, and every chip converts in it.
+    first = (1, period) if rate is None else (2, 2.0 * period)
+    return [first, *[(1, period)] * (averaged - 1 + late)]
+
+
+def _resolve(config: str | Mapping[str, Any] | LoadCells) -> Config:
+    """Find a preset of either kind; a mapping is of load cells."""
+    if isinstance(config, str) and config not in PRESETS[LoadCells]:
+        if config in PRESETS[ForceTorque]:
+            return resolve(config, ForceTorque)
+        names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
+        raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")
+    return resolve(config, LoadCells)

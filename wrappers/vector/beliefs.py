@@ -1,0 +1,227 @@
+"""What N robots can know of their own motion: :mod:`surefoot.wrappers.beliefs`, written for all at once.
+
+Packets come once a control step and a whole number of steps late (:mod:`surefoot.wrappers.vector.telemetry`),
+so that where to read between them never changes.
+"""
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY, Reference
+from surefoot.wrappers.telemetry import TelemetryLayout
+from surefoot.wrappers.vector.nominal import BatchNominal, Postures
+from surefoot.wrappers.vector.odometry import BatchOdometry
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Rows of vectors at the middle between two packets, as in beliefs.py: in odometry axes, ...
+_COM, _IMU, _SOLES, _AXES, _MOMENTUM, _FORCE = 0, 1, slice(2, 4), slice(4, 10), 10, 11
+# ... what follows from its neighbours in time, and what was measured.
+_ACCELERATION, _MOMENTUM_RATE, _ACCELEROMETER, _GYROSCOPE, _ROWS = 12, 13, 14, 15, 16
+_SITES = slice(_IMU, _SOLES.stop)
+_POSES = slice(_SOLES.start, _AXES.stop)
+
+_SLOPE = 3
+"""Packets over which the soles' velocities are taken."""
+
+_FURTHEST = 8.0
+"""How many packets ahead soles are supposed to go on as they went."""
+
+
+class BatchBeliefs:
+    """Makes references of the telemetry of N robots with two feet.
+
+    Args:
+        model: The robots as they believe themselves to be.
+        layout: What a packet holds.
+        period: Duration of a control step, which is the time between packets, in s.
+        delay: By how many steps packets are late.
+        averaged: Whether a sample of the IMU is the mean since the sample before.
+        age: How long before now the moment of a reference is, in s.
+
+    Raises:
+        ValueError: If packets that are needed for it come later than that.
+    """
+
+    def __init__(
+        self,
+        model: BatchNominal,
+        layout: TelemetryLayout,
+        period: float,
+        delay: int,
+        averaged: bool,
+        age: float,
+    ) -> None:
+        count = len(model.mass)
+        self._model, self._layout = model, layout
+        self._period, self._delay, self._averaged = period, delay, averaged
+        self._odometry = BatchOdometry(count, period)
+        behind = age / period - delay - 0.5
+        if behind < 1.0 - 1e-9:
+            least = ceil(delay + 1.5 - 1e-9) * period
+            raise ValueError(
+                f"A reference of {age:g} s ago needs packets that have not come; over this link it must be "
+                f"at least {least:g} s: choose a longer 'lag'."
+            )
+        # Rows lie in the ring by age: the newest is row 0, and rates are complete from row 1 on.
+        self._older = max(ceil(behind - 1e-9), 1)
+        self._part = self._older - behind
+        self._length = max(self._older, _SLOPE) + 1
+        self._ring: Floats = np.zeros((self._length, count, _ROWS, 3))
+        self._now = 0
+        self._before: Floats | None = None
+
+    def update(self, packet: Floats, begun: Mask | None = None) -> None:
+        """Take in one packet of each robot.
+
+        Args:
+            packet: Shape (N, C).
+            begun: Robots that were put back, shape (N,), and whose packet tells of one at rest.
+        """
+        if self._before is None:
+            begun = np.ones(len(packet), dtype=bool)
+            self._before = packet
+        before = self._before
+        if begun is not None:
+            before = np.where(begun[:, None], packet, before)
+            self._odometry.restart(begun)
+        self._now = (self._now + 1) % self._length
+        row = self._ring[self._now]
+        self._posture(before, packet, row)
+        self._before = packet.copy()
+        if begun is not None:
+            self._ring[:, begun] = row[begun]
+        self._differentiate(begun)
+
+    def restart(self, packet: Floats, mask: Mask) -> None:
+        """Begin anew with robots that were put back, between two packets.
+
+        Args:
+            packet: Shape (N, C), those of ``mask`` of robots at rest.
+            mask: These robots, shape (N,).
+        """
+        if self._before is None:
+            self._before = packet.copy()
+        index, layout = np.flatnonzero(mask), self._layout
+        angle = packet[:, layout.joint_position]
+        force, spin = packet[:, layout.accelerometer], packet[:, layout.gyroscope]
+        postures = self._model.evaluate(angle, np.zeros_like(angle), spin)
+        alone, row = BatchOdometry(len(index), self._period), np.zeros((len(index), _ROWS, 3))
+        self._write(Postures(*(part[index] for part in postures)), force[index], spin[index], alone, row)
+        self._ring[:, index] = row
+        self._odometry.take(index, alone)
+        self._before[index] = packet[index]
+
+    def _row(self, older: int) -> Floats:
+        row: Floats = self._ring[(self._now - older) % self._length]
+        return row
+
+    def _posture(self, before: Floats, after: Floats, row: Floats) -> None:
+        """Fill the newest row: the middle between two packets."""
+        layout = self._layout
+        start, end = before[:, layout.joint_position], after[:, layout.joint_position]
+        force, spin = after[:, layout.accelerometer], after[:, layout.gyroscope]
+        if not self._averaged:
+            force = 0.5 * (before[:, layout.accelerometer] + force)
+            spin = 0.5 * (before[:, layout.gyroscope] + spin)
+        postures = self._model.evaluate(0.5 * (start + end), (end - start) / self._period, spin)
+        self._write(postures, force, spin, self._odometry, row)
+
+    def _write(
+        self, postures: Postures, force: Floats, spin: Floats, odometry: BatchOdometry, row: Floats
+    ) -> None:
+        """Turn what kinematics tell into odometry axes, into a row of shape (n, _ROWS, 3)."""
+        sites, axes = postures.sites, postures.axes
+        R_odometry_torso = odometry.turn(spin, force, sites[:, 1:], axes[:, 2::3])
+        local = np.empty((len(row), _FORCE + 1, 3))
+        local[:, _COM], local[:, _SITES], local[:, _AXES] = postures.com, sites, axes
+        local[:, _MOMENTUM], local[:, _FORCE] = postures.momentum, force - odometry.force_bias
+        np.matmul(local, R_odometry_torso.swapaxes(1, 2), out=row[:, : _FORCE + 1])
+        row[:, _ACCELEROMETER] = force
+        row[:, _GYROSCOPE] = spin
+
+    def _differentiate(self, begun: Mask | None) -> None:
+        """Fill in the rates one row before the newest, from its neighbours."""
+        before, row, after, period = self._row(2), self._row(1), self._row(0), self._period
+        bent = before + after
+        bent -= 2.0 * row
+        row[:, _ACCELERATION] = row[:, _FORCE] + (bent[:, _COM] - bent[:, _IMU]) / period**2
+        row[:, _ACCELERATION, 2] -= GRAVITY
+        row[:, _MOMENTUM_RATE] = (after[:, _MOMENTUM] - before[:, _MOMENTUM]) / (2.0 * period)
+        if begun is not None:
+            self._ring[:, begun, _ACCELERATION : _MOMENTUM_RATE + 1] = 0.0
+
+    def reference(self, stance: Mask, swing: Mask, unknown: Mask) -> Reference:
+        """Say what the robots believed to do at the moment that references are about.
+
+        Args:
+            stance: Feet that are sure to stand then, shape (N, 2).
+            swing: Feet that are sure to be in the air then, shape (N, 2).
+            unknown: Robots whose reference is to be NaN, which calibrators know to leave alone, shape (N,).
+        """
+        older = self._row(self._older)
+        rows = older + self._part * (self._row(self._older - 1) - older)
+        R_level_odometry, origin = _level(rows)
+        level = rows[:, : _MOMENTUM_RATE + 1] @ R_level_odometry.swapaxes(1, 2)
+        level[:, : _SOLES.stop] -= origin[:, None]
+        if unknown.any():
+            level[unknown] = np.nan
+        return Reference(
+            level[:, _COM],
+            level[:, _ACCELERATION],
+            level[:, _MOMENTUM_RATE],
+            level[:, _SOLES],
+            level[:, _AXES].reshape(-1, 2, 3, 3).swapaxes(-1, -2),
+            stance,
+            swing,
+            rows[:, _ACCELEROMETER],
+            rows[:, _GYROSCOPE],
+        )
+
+    def soles(self) -> tuple[Floats, Floats]:
+        """Tell where the soles are now, later than the newest packet, going on as they went.
+
+        Returns:
+            In the level frames of now: places of the soles in m and their headings, unit vectors, shape
+            (N, 2, 2) each, seen from above.
+        """
+        ahead = min(self._delay + 0.5, _FURTHEST) / _SLOPE
+        newest = self._row(0)[:, _POSES, :2]
+        poses = newest + ahead * (newest - self._row(_SLOPE)[:, _POSES, :2])
+        heading = poses[:, 2::3]
+        turn = _heading(heading)
+        half = 0.5 * (poses[:, :1] - poses[:, 1:2])
+        place = np.concatenate([half, -half], axis=1)
+        return _turned(turn, place), _turned(turn, heading)
+
+
+def _level(rows: Floats) -> tuple[Floats, Floats]:
+    """Find the level frames: rotations from the odometry frames, and origins in their own axes."""
+    turn = _heading(rows[:, _AXES, :2][:, ::3])
+    R = np.zeros((len(rows), 3, 3))
+    R[:, 0, :2] = turn
+    R[:, 1, 0], R[:, 1, 1] = -turn[:, 1], turn[:, 0]
+    R[:, 2, 2] = 1.0
+    soles = rows[:, _SOLES]
+    origin = np.empty((len(rows), 3))
+    origin[:, :2] = _turned(turn, 0.5 * (soles[:, :1, :2] + soles[:, 1:, :2]))[:, 0]
+    origin[:, 2] = np.minimum(soles[:, 0, 2], soles[:, 1, 2])
+    return R, origin
+
+
+def _heading(axes: Floats) -> Floats:
+    """Find the mean of two headings, shape (N, 2, 2) to (N, 2)."""
+    both = axes[:, 0] + axes[:, 1]
+    heading: Floats = both / np.sqrt(np.einsum("ni,ni->n", both, both))[:, None]
+    return heading
+
+
+def _turned(turn: Floats, vector: Floats) -> Floats:
+    """Give vectors, shape (N, n, 2), in axes of which the first is ``turn``, shape (N, 2)."""
+    x, y = turn[:, None, 0], turn[:, None, 1]
+    return np.stack(
+        [x * vector[..., 0] + y * vector[..., 1], x * vector[..., 1] - y * vector[..., 0]], axis=-1
+    )

@@ -1,0 +1,255 @@
+"""Calibrates the feet of N robots as they go: one update of one calibrator for all.
+
+The robots differ in the map that they start from, c raw + d, and in the mass m that they believe in, and a
+calibrator knows one of each. Both are taken out of what it sees: in units of its own mass M,
+
+    F0 = (c raw + d) M / m,        L' M / m,
+
+the Newton-Euler equations are those of a robot of mass M, and F m / M is the force again.
+"""
+
+from collections.abc import Mapping
+from math import ceil
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import OnlineSetup, Parameters, Reference, online_method
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.select import select
+from surefoot.wrappers.contacts import CONTACT_MARGIN
+from surefoot.wrappers.self_calibration import USUAL_LENGTH
+from surefoot.wrappers.source import check_stream, wants_fresh
+from surefoot.wrappers.starting_map import starting_map
+from surefoot.wrappers.vector.beliefs import BatchBeliefs
+from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan
+from surefoot.wrappers.vector.devices import Seeds, seed_numbers
+from surefoot.wrappers.vector.feet import BatchFeet
+from surefoot.wrappers.vector.nominal import BatchNominal
+from surefoot.wrappers.vector.sensors import BatchSensors
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OF_SETUP = ("foot_length", "force_threshold", "plausible_weights")
+"""Options that are told the calibrator and not its method."""
+
+
+class BatchCalibration:
+    """Calibrates the counts of :class:`BatchSensors`, and says what is observed of them.
+
+    Args:
+        sensors: The robots' sensors.
+        method: A key of :data:`surefoot.calibration.METHODS`.
+        initial: The map to start from: ``"nominal"``, ``"bench"`` or parameters.
+        lag: How many samples ago a reference describes the feet; ``None`` for as few as the link allows.
+        fresh: Whether a robot that is reset forgets what it learnt.
+        mass_error: Relative error of the masses that the robots believe they have.
+        com_offset: Distance in m by which their believed centres of mass are off.
+        bench_scale_error: Relative standard deviation of a scale from the bench.
+        bench_offset_error: Standard deviation of an offset from the bench in N.
+        stream: Number of the random stream.
+        options: Options of the method.
+
+    Attributes:
+        lag: How many samples ago a reference describes the feet.
+        feet: What is observed of the feet, and the feet's observations.
+        reference: What the calibrator was last told.
+        estimate: What it last said, in real units.
+
+    Raises:
+        ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
+            that a nominal model can be made of: one free body, hinge joints, two feet.
+    """
+
+    def __init__(
+        self,
+        sensors: BatchSensors,
+        method: str,
+        *,
+        initial: str | Parameters | Mapping[str, Any],
+        lag: int | None,
+        fresh: bool,
+        mass_error: float,
+        com_offset: float,
+        bench_scale_error: float,
+        bench_offset_error: float,
+        stream: int,
+        options: Mapping[str, Any],
+    ) -> None:
+        check_stream("VectorSelfCalibration", stream)
+        errors = {"bench_scale_error": bench_scale_error, "bench_offset_error": bench_offset_error}
+        for name, value in errors.items():
+            if not 0.0 <= value < float("inf"):
+                raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
+        drawing, instruments, dt = sensors.drawing, sensors.instruments, sensors.meaning.dt
+        if len(drawing.feet) != 2:
+            raise ValueError(
+                f"Calibration while walking needs a robot on two feet, got the feet {drawing.feet}."
+            )
+        self._sensors, self._fresh, self._stream = sensors, fresh, stream
+        self._initial = starting_map(initial, instruments.channels)
+        self._bench_error = (bench_scale_error, bench_offset_error)
+        self._model = BatchNominal(drawing, sensors.count, mass_error=mass_error, com_offset=com_offset)
+        self._mass = self._model.drawn_mass
+        delay = sensors.telemetry.delay
+        needed = ceil(delay + 2.5 - instruments.age / dt - 1e-9)
+        self.lag = max(needed, CONTACT_MARGIN) if lag is None else lag
+        self._setup = OnlineSetup(
+            layout=instruments.layout,
+            mass=self._mass,
+            initial=Parameters(np.ones(instruments.channels), np.zeros(instruments.channels)),
+            dt=dt,
+            lag=self.lag,
+            **_sized(sensors),
+            **{name: options[name] for name in OF_SETUP if name in options},
+        )
+        own = {name: value for name, value in options.items() if name not in OF_SETUP}
+        self._method = online_method(method, self._setup, **own)
+        self.feet = BatchFeet(sensors.count, instruments.layout, self._mass, drawing.flaw)
+        self._beliefs = self._make_beliefs(averaged=True)
+        sensors.listen()
+        self._rng = np.random.default_rng()
+        everyone = (sensors.count, instruments.channels)
+        self._map: Floats = np.zeros((2, *everyone))
+        self._share: Floats = np.ones((sensors.count, 1))
+        self._held = np.zeros(sensors.count, dtype=np.int64)
+        self._plan = BatchPlan(sensors.count, self.lag)
+        self._kinematics = BatchKinematics(sensors.count)
+        self._state: Any = None
+        self.parameters: Parameters
+        self.reference: Reference
+        self.estimate: Estimate
+
+    def reset(self, mask: Mask | None, seed: Seeds = None, choice: str | None = None) -> None:
+        """Take in robots that were reset, after their sensors did.
+
+        Args:
+            mask: These robots, shape (N,); ``None`` for all.
+            seed: What they were reset with.
+            choice: ``"fresh"`` or ``"keep"``, if it was asked for.
+        """
+        count, numbers = self._sensors.count, seed_numbers(seed)
+        rng = np.random.default_rng([self._stream, *numbers]) if numbers else self._rng
+        if mask is None:
+            mask, self._rng = np.ones(count, dtype=bool), rng
+        learnt = self._state is not None
+        if not learnt:
+            self._beliefs = self._make_beliefs(self._sensors.averaged)
+        each = [seed] * count if seed is None or isinstance(seed, int) else list(seed)
+        drawn = (self._sensors.drawn | self._fresh).tolist()
+        wanted = [wants_fresh(choice, own, new, learnt) for own, new in zip(each, drawn, strict=True)]
+        self._begin(mask, mask & np.array(wanted), rng)
+
+    def step(self) -> None:
+        """Calibrate by one sample, after the sensors stepped."""
+        sensors = self._sensors
+        readings, begun = sensors.stepped, sensors.begun
+        assert readings.packet is not None
+        if begun is not None:
+            self._forget(sensors.drawn | (begun & self._fresh), self._rng)
+            self._put_back(begun)
+            self.feet.restart(begun)
+        self._beliefs.update(readings.packet, begun)
+        share, (scale, offset) = self._share, self._map
+        self.reference = reference = self._believed(readings.contacts)
+        told = reference._replace(angular_momentum_rate=reference.angular_momentum_rate / share)
+        force = (scale * readings.raw + offset) / share
+        self._state, estimate = self._method.update(self._state, force, told, sensors.meaning.dt)
+        self.parameters = Parameters(
+            estimate.scale * scale, estimate.scale * offset + estimate.offset * share
+        )
+        self.estimate = estimate = estimate._replace(
+            force=estimate.force * share,
+            wrench=estimate.wrench * share[..., None],
+            vgrf=estimate.vgrf * share,
+            scale=self.parameters.scale,
+            offset=self.parameters.offset,
+        )
+        self.feet.show(estimate, *self._beliefs.soles())
+
+    def restart(self, mask: Mask) -> None:
+        """Take in robots that were put back within the step that ended their episode, after the sensors."""
+        self._begin(mask, self._sensors.drawn | (mask & self._fresh), self._rng)
+
+    def info(self) -> dict[str, Any]:
+        """Say what is known besides, by the names that the wrapper for one robot has."""
+        told = {"parameters": self.parameters, "lag": self.lag}
+        if hasattr(self, "estimate"):
+            estimate = self.estimate
+            told |= {"flags": estimate.flags, "vgrf": estimate.vgrf, "reference": self.reference}
+        return told
+
+    def _believed(self, contacts: Floats) -> Reference:
+        """Say what the calibrator is told: nothing of robots whose samples are of two episodes."""
+        unknown, none = self._held > 0, np.zeros((len(contacts), 2), dtype=bool)
+        self._held = np.maximum(self._held - 1, 0)
+        planned = contacts[0, 0] == contacts[0, 0]
+        stance, swing = self._plan.at(contacts > 0.5) if planned else (none, none)
+        reference = self._beliefs.reference(stance, swing, unknown)
+        if planned:
+            return reference
+        stance, swing = self._kinematics.at(reference)
+        return reference._replace(stance=stance, swing=swing)
+
+    def _begin(self, mask: Mask, forget: Mask, rng: np.random.Generator) -> None:
+        """Begin episodes without a sample to learn from; what is shown is the map applied to the readings."""
+        readings = self._sensors.readings
+        assert readings.packet is not None
+        self._forget(forget, rng)
+        self._put_back(mask)
+        self._beliefs.restart(readings.packet, mask)
+        self.feet.restart(mask)
+        force = self.parameters.scale * readings.raw + self.parameters.offset
+        self.feet.apply(mask, force, *self._beliefs.soles())
+
+    def _put_back(self, mask: Mask) -> None:
+        self._held[mask] = self.lag + 1
+        self._plan.restart(mask)
+        self._kinematics.restart(mask)
+
+    def _forget(self, mask: Mask, rng: np.random.Generator) -> None:
+        """Draw what some robots are wrong about, and begin from their starting maps."""
+        if not mask.any():
+            return
+        self._model.draw(np.flatnonzero(mask).tolist(), rng)
+        self._share = self._model.mass[:, None] / self._mass
+        self._map = np.where(mask[:, None], self._start(rng), self._map)
+        raw = self._sensors.readings.raw
+        fresh = self._method.init(raw)
+        if self._state is None:
+            self._state = fresh
+            self.parameters = Parameters(*self._map)
+            return
+        self._state = select(mask, fresh, self._state)
+        self.parameters = Parameters(
+            *(np.where(mask[:, None], new, old) for new, old in zip(self._map, self.parameters, strict=True))
+        )
+
+    def _start(self, rng: np.random.Generator) -> Floats:
+        """Find the maps to start from, (scale, offset) of each robot, shape (2, N, K)."""
+        shape = self._map.shape
+        if self._initial == "bench":
+            true = self._sensors.true_parameters()
+            drawn = rng.standard_normal(shape)
+            scale_error, offset_error = self._bench_error
+            found = Parameters(1.0 + scale_error * drawn[0], offset_error * drawn[1])
+            return np.stack(found.after(true))
+        nominal = self._sensors.instruments.nominal
+        known = self._initial if isinstance(self._initial, Parameters) else nominal
+        return np.broadcast_to(np.stack(known)[:, None], shape)
+
+    def _make_beliefs(self, averaged: bool) -> BatchBeliefs:
+        sensors = self._sensors
+        age = self.lag * sensors.meaning.dt + sensors.instruments.age
+        telemetry = sensors.telemetry
+        return BatchBeliefs(self._model, telemetry.layout, sensors.meaning.dt, telemetry.delay, averaged, age)
+
+
+def _sized(sensors: BatchSensors) -> dict[str, Any]:
+    """Tell how long a foot is where the channels have no places of their own."""
+    if all(foot.position_cell_sole is not None for foot in sensors.instruments.layout.feet):
+        return {}
+    places = sensors.drawing.position_cell_sole
+    return {"foot_length": USUAL_LENGTH if places is None else float(np.ptp(places[..., 0], axis=1).max())}

@@ -1,0 +1,78 @@
+"""Which feet of N robots surely stood, or surely swung: :mod:`surefoot.wrappers.contacts` for all at once."""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import Reference
+from surefoot.wrappers.contacts import CONTACT_MARGIN, DOWN, FALLING, FLAT, LIFTED
+
+Mask = NDArray[np.bool_]
+
+
+class BatchPlan:
+    """Tells it of some samples ago, by what was planned.
+
+    Args:
+        count: Number of robots N.
+        lag: How many samples ago.
+    """
+
+    def __init__(self, count: int, lag: int) -> None:
+        self._needed = CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag)
+        none = np.zeros((count, 4), dtype=np.int64)
+        self._runs = deque([none], maxlen=max(lag - CONTACT_MARGIN, 0) + 1)
+
+    def restart(self, mask: Mask) -> None:
+        """Forget what some robots planned, shape (N,)."""
+        for runs in self._runs:
+            runs[mask] = 0
+
+    def at(self, planned: Mask) -> tuple[Mask, Mask]:
+        """Take in what is planned now, and tell of then.
+
+        Args:
+            planned: Feet planned to stand and feet planned to swing, shape (N, 4).
+
+        Returns:
+            Feet that surely stood and feet that surely swung, shape (N, 2) each.
+        """
+        self._runs.append((self._runs[-1] + 1) * planned)
+        sure = self._runs[0] >= self._needed
+        return sure[:, :2], sure[:, 2:]
+
+
+class BatchKinematics:
+    """Tells it by where the feet were.
+
+    Args:
+        count: Number of robots N.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._runs = np.zeros((count, 4), dtype=np.int64)
+
+    def restart(self, mask: Mask) -> None:
+        """Forget what some robots did, shape (N,)."""
+        self._runs[mask] = 0
+
+    def at(self, reference: Reference) -> tuple[Mask, Mask]:
+        """Take in the robots' beliefs of one moment, and tell of it.
+
+        Args:
+            reference: The beliefs, of samples that follow each other.
+
+        Returns:
+            Feet that surely stood and feet that surely swung then, shape (N, 2) each.
+        """
+        height = reference.position_sole[..., 2]
+        above = height - np.minimum(height[:, :1], height[:, 1:])
+        force = reference.accelerometer
+        # NaN, where nothing is known, compares as false.
+        carried = (np.einsum("ni,ni->n", force, force) > FALLING * FALLING)[:, None]
+        flat = reference.R_level_sole[..., 2, 2] > 1.0 - 0.5 * FLAT * FLAT
+        seen = np.concatenate([carried & (above < DOWN) & flat, carried & (above > LIFTED)], axis=1)
+        self._runs = (self._runs + 1) * seen
+        sure = self._runs > CONTACT_MARGIN
+        return sure[:, :2], sure[:, 2:]

@@ -1,0 +1,115 @@
+"""What is observed of the calibrated feet of N robots."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surefoot.calibration import FeetLayout
+from surefoot.calibration.cop import FORCE_THRESHOLD
+from surefoot.calibration.estimate import Estimate
+from surefoot.wrappers.foot_view import COP_BOUND, DEFAULT, FootView
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class BatchFeet:
+    """Makes the feet's part of observations, as :class:`~surefoot.wrappers.foot_view.FootView` for one robot.
+
+    Args:
+        count: Number of robots N.
+        layout: The two feet and their channels.
+        mass: Mass that a robot believes it has in kg, for the bounds.
+        flaw: Why the feet have no centres of pressure, or empty.
+
+    Attributes:
+        spaces: The space of each part for one robot.
+        shown: What is observed now, each with the robots in front; arrays that later steps do not change.
+        stepped: The same at the end of the last step, before robots were put back.
+    """
+
+    def __init__(self, count: int, layout: FeetLayout, mass: float, flaw: str) -> None:
+        self.spaces: dict[str, spaces.Space[Any]] = FootView(DEFAULT, layout, mass, flaw).spaces
+        self._bound = float(self.spaces["foot_force"].high[0])  # type: ignore[attr-defined]
+        self._flawed = bool(flaw)
+        self._wrench_map = layout.wrench_map.reshape(-1, layout.channels).T
+        self._cop: Floats = np.zeros((count, 2))
+        self._cop_foot: Floats = np.zeros((count, 2, 2))
+        self.shown: dict[str, NDArray[Any]] = {
+            name: np.zeros((count, *(space.shape or ())), dtype=space.dtype)
+            for name, space in self.spaces.items()
+        }
+        self.stepped = self.shown
+
+    def restart(self, mask: Mask) -> None:
+        """Forget the centres of pressure of some robots' last episodes, shape (N,)."""
+        self._cop[mask] = 0.0
+        self._cop_foot[mask] = 0.0
+
+    def show(self, estimate: Estimate, place: Floats, heading: Floats) -> None:
+        """Show one sample of all robots.
+
+        Args:
+            estimate: What the calibrator says.
+            place: Where the soles are in the level frames in m, shape (N, 2, 2).
+            heading: Their headings, unit vectors, shape (N, 2, 2).
+        """
+        valid = np.concatenate([estimate.cop_valid[:, None], estimate.cop_foot_valid], axis=1)
+        self._hold(valid, estimate.wrench, estimate.cop_foot, place, heading)
+        self.shown = self.stepped = self._parts(estimate.force, valid)
+
+    def apply(self, mask: Mask, force: Floats, place: Floats, heading: Floats) -> None:
+        """Show the first readings of some robots.
+
+        Args:
+            mask: These robots, shape (N,).
+            force: Calibrated channels of all robots in N, shape (N, K).
+            place: As of :meth:`show`.
+            heading: As of :meth:`show`.
+        """
+        wrench = (force @ self._wrench_map).reshape(len(force), 2, 6)
+        fz = wrench[..., 2]
+        down = fz > FORCE_THRESHOLD
+        safe = np.where(down, fz, 1.0)[..., None]
+        cop_foot = np.stack([-wrench[..., 4], wrench[..., 3]], axis=-1) / safe
+        valid = np.concatenate([fz.sum(axis=1, keepdims=True) > FORCE_THRESHOLD, down], axis=1)
+        self._hold(valid & mask[:, None], wrench, cop_foot, place, heading)
+        first = self._parts(force, valid)
+        self.shown = {
+            name: np.where(mask.reshape(-1, *[1] * (part.ndim - 1)), part, self.shown[name])
+            for name, part in first.items()
+        }
+
+    def last_of(self, robot: int) -> dict[str, NDArray[Any]]:
+        """Give what one robot observed at the end of the last step, as arrays of its own."""
+        return {name: part[robot].copy() for name, part in self.stepped.items()}
+
+    def _hold(self, valid: Mask, wrench: Floats, cop_foot: Floats, place: Floats, heading: Floats) -> None:
+        """Take in the centres of pressure that are valid, and hold the others."""
+        if self._flawed:
+            return
+        self._cop_foot = np.where(valid[:, 1:, None], _bounded(cop_foot), self._cop_foot)
+        fz, tx, ty = wrench[..., 2], wrench[..., 3], wrench[..., 4]
+        u, v = heading[..., 0], heading[..., 1]
+        x = place[..., 0] * fz - u * ty - v * tx
+        y = place[..., 1] * fz - v * ty + u * tx
+        defined = valid[:, :1]
+        load = np.where(defined[:, 0], fz[:, 0] + fz[:, 1], 1.0)
+        cop = np.stack([(x[:, 0] + x[:, 1]) / load, (y[:, 0] + y[:, 1]) / load], axis=1)
+        self._cop = np.where(defined, _bounded(cop), self._cop)
+
+    def _parts(self, force: Floats, valid: Mask) -> dict[str, NDArray[Any]]:
+        limited = np.minimum(np.maximum(force, -self._bound), self._bound)
+        seen = valid & False if self._flawed else valid
+        return {
+            "foot_force": limited.astype(np.float32),
+            "cop_foot": self._cop_foot.astype(np.float32),
+            "cop": self._cop.astype(np.float32),
+            "cop_valid": seen.astype(np.int8),
+        }
+
+
+def _bounded(place: Floats) -> Floats:
+    return np.minimum(np.maximum(place, -COP_BOUND), COP_BOUND)

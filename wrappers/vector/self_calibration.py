@@ -1,0 +1,145 @@
+"""Lets many robots calibrate their feet while they walk, each with what it knows of itself."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from surefoot.calibration import Parameters
+from surefoot.wrappers.self_calibration import BELIEF_STREAM
+from surefoot.wrappers.source import split_options
+from surefoot.wrappers.vector.calibration import BatchCalibration
+from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
+
+
+class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
+    """Calibrate the counts of :class:`VectorFootSensors` as the robots go, and observe what they say.
+
+    The observation keeps ``"foot_raw"`` and gains ``"foot_force"`` (N, K), ``"cop_foot"`` (N, 2, 2),
+    ``"cop"`` (N, 2) and ``"cop_valid"`` (N, 3) as :class:`~surefoot.wrappers.SelfCalibration` has them for
+    one robot. The robots are calibrated by one calibrator for all, each with errors of its own beliefs.
+
+    ``infos["surefoot"]`` gains ``"parameters"``, ``"flags"`` (N, K), ``"vgrf"`` (N, 2) N, ``"reference"`` and
+    ``"lag"``.
+
+    What was learnt is kept when a robot is reset, and nothing is learnt from samples of two episodes. A reset
+    with a seed, or one that draws sensors anew, forgets it, ``fresh=True`` forgets at each reset, and
+    ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one.
+
+    Args:
+        env: A vector environment with :class:`VectorFootSensors` around it.
+        method: A key of :data:`surefoot.calibration.METHODS`.
+        initial: The map to start from: ``"nominal"``, ``"bench"`` or
+            :class:`~surefoot.calibration.Parameters`.
+        lag: How many samples ago a reference describes the feet; by default as few as the link allows.
+        fresh: Whether a robot that is reset forgets what it learnt.
+        mass_error: Relative error of the masses that the robots believe they have.
+        com_offset: Distance in m by which their believed centres of mass are off.
+        bench_scale_error: Relative standard deviation of a scale from the bench.
+        bench_offset_error: Standard deviation of an offset from the bench in N.
+        stream: Number of the random stream, for other errors of beliefs on the same episodes.
+        options: Options of the method.
+
+    Attributes:
+        calibration: The calibration of all robots.
+
+    Raises:
+        TypeError: If there is no :class:`VectorFootSensors` below, or another wrapper of this kind.
+        ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
+            that a nominal model can be made of.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnv[Any, Any, Any],
+        method: str = "surefoot",
+        *,
+        initial: str | Parameters | Mapping[str, Any] = "nominal",
+        lag: int | None = None,
+        fresh: bool = False,
+        mass_error: float = 0.005,
+        com_offset: float = 0.003,
+        bench_scale_error: float = 0.001,
+        bench_offset_error: float = 0.02,
+        stream: int = BELIEF_STREAM,
+        **options: Any,
+    ) -> None:
+        super().__init__(env)
+        self._sensors = _vector_sensors(env).sensors
+        self.calibration = BatchCalibration(
+            self._sensors,
+            method,
+            initial=initial,
+            lag=lag,
+            fresh=fresh,
+            mass_error=mass_error,
+            com_offset=com_offset,
+            bench_scale_error=bench_scale_error,
+            bench_offset_error=bench_offset_error,
+            stream=stream,
+            options=options,
+        )
+        space: Any = env.single_observation_space
+        if not isinstance(space, spaces.Dict):
+            raise TypeError(
+                "VectorSelfCalibration adds to a Dict of observations, as VectorFootSensors shows them, and "
+                f"found {type(space).__name__}; put whatever changes observations around both."
+            )
+        single = spaces.Dict(dict(space.spaces) | self.calibration.feet.spaces)
+        self.single_observation_space = single
+        self.observation_space = batch_space(single, env.num_envs)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, Infos]:
+        """Reset all robots, or those of ``options["reset_mask"]``, and forget what was learnt or keep it.
+
+        Args:
+            seed: A number or one a robot: robots that are seeded forget.
+            options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``; handed on.
+
+        Raises:
+            ValueError: If a choice does not exist.
+        """
+        rest, asked = split_options(options, "sensors", "calibration")
+        mask = None if rest is None else rest.get("reset_mask")
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self.calibration.reset(mask, seed, asked.get("calibration"))
+        return {**observations, **self.calibration.feet.shown}, self._told(infos)
+
+    def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], Infos]:
+        """Step all robots and calibrate by one sample."""
+        observations, rewards, terminations, truncations, infos = self.env.step(actions)
+        calibration, restarted = self.calibration, self._sensors.restarted
+        calibration.step()
+        if restarted is not None:
+            finals = infos["final_obs"].copy()
+            for robot in np.flatnonzero(restarted).tolist():
+                finals[robot] = {**finals[robot], **calibration.feet.last_of(robot)}
+            infos = {**infos, "final_obs": finals}
+            calibration.restart(restarted)
+        shown = {**observations, **calibration.feet.shown}
+        return shown, rewards, terminations, truncations, self._told(infos)
+
+    def _told(self, infos: Infos) -> Infos:
+        return {**infos, "surefoot": {**infos["surefoot"], **self.calibration.info()}}
+
+
+def _vector_sensors(env: Any) -> VectorFootSensors:
+    """Find the sensors among the wrappers."""
+    below = env
+    while isinstance(below, VectorWrapper):
+        if isinstance(below, VectorSelfCalibration):
+            raise TypeError(
+                "VectorSelfCalibration found another VectorSelfCalibration below it; one is enough, wrap "
+                f"once: VectorSelfCalibration(VectorFootSensors(env)). Got {env}."
+            )
+        if isinstance(below, VectorFootSensors):
+            return below
+        below = below.env
+    raise TypeError(
+        "VectorSelfCalibration calibrates the counts of VectorFootSensors and found none below it; wrap in "
+        f"this order: VectorSelfCalibration(VectorFootSensors(env)). Got {env}."
+    )

@@ -1,0 +1,268 @@
+"""The sensors of N robots: one state for all, whatever gathers the robots.
+
+Readings follow the control steps: a converter's conversions lie on the straight line between the loads at the
+ends of two steps. All robots draw from one stream, so that what a robot's sensors draw depends on how many
+robots there are and on its place among them, and on nothing else.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import Parameters
+from surefoot.envs import RobotDrawing
+from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, true_map
+from surefoot.sensors.select import batch_axes, select
+from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
+from surefoot.wrappers.instruments import Instruments
+from surefoot.wrappers.source import wants_fresh
+from surefoot.wrappers.vector.devices import Devices, Seeds, seed_numbers
+from surefoot.wrappers.vector.telemetry import BatchTelemetry
+from surefoot.wrappers.vector.truth_row import RowMeaning, read_rows
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Readings(NamedTuple):
+    """What N hosts have at one moment.
+
+    Attributes:
+        raw: The feet's readings in counts, shape (N, K).
+        packet: The newest packets of telemetry that have arrived, shape (N, C); ``None`` where nobody
+            listens.
+        contacts: Feet planned to stand and to swing, 0 or 1, NaN without a plan, shape (N, 2 F).
+    """
+
+    raw: Floats
+    packet: Floats | None
+    contacts: Floats
+
+
+class BatchSensors:
+    """Feels N robots through load cells or ankle sensors, joint encoders and IMUs.
+
+    Args:
+        count: Number of robots N.
+        drawing: The robot.
+        meaning: What the rows of truth hold.
+        devices: What each is equipped with.
+        stream: Number of the random stream.
+        fresh: Whether a robot that is reset gets new sensors.
+
+    Attributes:
+        instruments: What is under the feet of one robot.
+        telemetry: The way of encoders and IMUs to the hosts.
+        readings: What the hosts have now.
+        stepped: What they had at the end of the last step: of a robot that was put back within it, at the
+            end of its episode.
+        begun: Robots that were reset instead of stepped in the last step, shape (N,), or ``None``.
+        restarted: Robots that were put back within it, shape (N,), or ``None``.
+        drawn: Robots whose sensors were drawn anew at the last of these or of resets, shape (N,).
+        truth: What really happened at the end of the step.
+
+    Raises:
+        ValueError: If the sensors do not fit the robot.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        drawing: RobotDrawing,
+        meaning: RowMeaning,
+        devices: Devices,
+        *,
+        stream: int,
+        fresh: bool,
+    ) -> None:
+        self.count, self.drawing, self.meaning = count, drawing, meaning
+        self.instruments = Instruments((devices.feet,), drawing)
+        self._devices = devices
+        self._cells = isinstance(devices.feet, LoadCells)
+        self._device: Any = (
+            load_cells(devices.feet) if isinstance(devices.feet, LoadCells) else force_torque(devices.feet)
+        )
+        self._axes = batch_axes(self._device, self.instruments.channels)
+        self.telemetry = BatchTelemetry(
+            count,
+            len(meaning.joints),
+            devices.imu,
+            devices.encoders,
+            devices.link,
+            meaning.dt,
+            tilts=bool(meaning.state),
+        )
+        self.fresh, self._stream = fresh, stream
+        self._listening = bool(meaning.state)
+        self._rng = self._telemetry_rng = np.random.default_rng()
+        self._state: Any = None
+        self._started = False
+        self._key: Any = None
+        self._everyone = np.ones(count, dtype=bool)
+        self.averaged = False
+        self.readings: Readings
+        self.stepped: Readings
+        self.begun: Mask | None = None
+        self.restarted: Mask | None = None
+        self.drawn: Mask = self._everyone
+        self.truth: Any = None
+
+    @property
+    def state(self) -> Any:
+        """State of what is under the feet; a value that later steps do not change."""
+        return self._state
+
+    def listen(self) -> None:
+        """Have telemetry measured from the next reset on, which else is only where it is observed."""
+        self._listening = True
+
+    def tell_rows(self, key: Any, averaged: bool) -> None:
+        """Say how rows are to be read, which copies know once they were reset.
+
+        Raises:
+            ValueError: If rows hold means over a step and the IMU gives the value of an instant.
+        """
+        if averaged and not self._devices.imu.averaged:
+            raise ValueError(
+                "The IMU reads instants (Imu.averaged is False) and the rows hold means over a control step; "
+                "wrap the copies in TruthRow(env, averaged=False)."
+            )
+        self._key, self.averaged = key, averaged
+
+    def reset(
+        self, rows: Floats, mask: Mask | None = None, seed: Seeds = None, choice: str | None = None
+    ) -> None:
+        """Read robots that were reset.
+
+        Args:
+            rows: One row of truth a robot, shape (N, R).
+            mask: Robots that were reset, shape (N,); ``None`` for all.
+            seed: What they were reset with.
+            choice: ``"fresh"`` or ``"keep"``, if it was asked for.
+        """
+        everyone = mask is None
+        mask = self._everyone if mask is None else mask
+        numbers = seed_numbers(seed)
+        feet, telemetry = self._rng, self._telemetry_rng
+        if numbers:
+            feet = np.random.default_rng([self._stream, *numbers])
+            telemetry = np.random.default_rng([self._stream, *numbers, TELEMETRY_STREAM])
+            if everyone:
+                self._rng, self._telemetry_rng = feet, telemetry
+        self._begin(rows, mask, self.wanting(mask, seed, choice), feet, telemetry)
+        self.stepped, self.begun, self.restarted = self.readings, None, None
+
+    def wanting(self, mask: Mask, seed: Seeds, choice: str | None) -> Mask:
+        """Tell which robots get new sensors at a reset, shape (N,)."""
+        each = list(seed) if isinstance(seed, Sequence) else [seed] * self.count
+        drawn = self._state is not None
+        wanted: Mask = mask & np.array([wants_fresh(choice, own, self.fresh, drawn) for own in each])
+        return wanted
+
+    def step(self, rows: Floats, begun: Mask | None = None) -> None:
+        """Read all robots after a control step.
+
+        Args:
+            rows: One row of truth a robot, shape (N, R).
+            begun: Robots that were reset instead of stepped, shape (N,), or ``None``.
+        """
+        force, before = self._look(rows), self._state
+        dt = self.meaning.dt
+        raw, self._state = self._device.apply(force, before, self._rng, dt)
+        self.begun, self.restarted, self.drawn = begun, None, self._everyone & False
+        if begun is not None and self.fresh:
+            fresh = self._primed(self._device.init(self._shape, self._rng), force)
+            first, fresh = self._device.apply(force, fresh, self._rng, max(dt, self.instruments.slowest))
+            raw = np.where(begun[:, None], first, raw)
+            self._state = select(begun, fresh, self._state, self._axes)
+            self.drawn = begun
+            if self._listening:
+                self.telemetry.draw(begun, self._telemetry_rng)
+        if self._listening:
+            self.telemetry.measure(*self._felt(), begun, self._telemetry_rng)
+        self._keep(raw, rows)
+        self.stepped = self.readings
+
+    def restart(self, rows: Floats, mask: Mask) -> None:
+        """Read robots that were put back within the step that ended their episode; to be called after it.
+
+        Args:
+            rows: One row of truth a robot, shape (N, R); those of ``mask`` are of the new episode.
+            mask: These robots, shape (N,).
+        """
+        stepped = self.stepped
+        wanted = mask if self.fresh else mask & False
+        self._begin(rows, mask, wanted, self._rng, self._telemetry_rng)
+        self.stepped, self.restarted = stepped, mask
+
+    def true_parameters(self) -> Parameters:
+        """Tell the maps that would undo the feet's errors now, shape (N, K): truth, to score against.
+
+        Raises:
+            ValueError: If there are six-axis sensors under the feet, whose cross-talk is in no such map.
+        """
+        device = self._devices.feet
+        if isinstance(device, ForceTorque):
+            raise ValueError("Six-axis sensors have cross-talk, which no scale and offset a channel undo.")
+        scale, offset = true_map(device, self._state)
+        return Parameters(scale, offset)
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self.count, self.instruments.channels
+
+    def _begin(
+        self,
+        rows: Floats,
+        mask: Mask,
+        wanted: Mask,
+        rng: np.random.Generator,
+        telemetry_rng: np.random.Generator,
+    ) -> None:
+        """Read the robots in ``mask`` for the first time; those ``wanted`` with new sensors."""
+        force = self._look(rows)
+        if wanted.any():
+            fresh = self._device.init(self._shape, rng)
+            both = self._state is not None
+            self._state = select(wanted, fresh, self._state, self._axes) if both else fresh
+            if self._listening:
+                self.telemetry.draw(wanted, telemetry_rng)
+        # Every chip delivers at least once.
+        longest = max(self.meaning.dt, self.instruments.slowest)
+        raw, state = self._device.apply(force, self._primed(self._state, force), rng, longest)
+        if mask.all():
+            self._state = state
+        else:
+            self._state = select(mask, state, self._state, self._axes)
+            raw = np.where(mask[:, None], raw, self.readings.raw)
+        if self._listening:
+            if self._started:
+                self.telemetry.remeasure(mask, *self._felt(), telemetry_rng)
+            else:
+                self.telemetry.measure(*self._felt(), self._everyone, telemetry_rng)
+                self._started = True
+        self.drawn = wanted
+        self._keep(raw, rows)
+
+    def _look(self, rows: Floats) -> Floats:
+        """Read the truth, and what the feet's sensors feel of it, as they take it."""
+        self.truth = truth = read_rows(rows[:, : self.meaning.columns].copy(), self._key)
+        if self._cells:
+            force: Floats = truth.force_cell[:, None]
+            return force
+        return truth.wrench_ankle.reshape(self.count, -1)
+
+    def _primed(self, state: Any, force: Floats) -> Any:
+        """Have cells been loaded as they are now before: nothing joins this moment to the one before."""
+        return state._replace(previous=force[:, -1] + 0.0) if self._cells else state
+
+    def _felt(self) -> tuple[Floats, Floats, Floats]:
+        truth = self.truth
+        inertial = np.concatenate([truth.accelerometer, truth.gyroscope], axis=1)
+        return truth.joint_position, inertial, truth.R_world_torso[:, 2]
+
+    def _keep(self, raw: Floats, rows: Floats) -> None:
+        packet = self.telemetry.packet.copy() if self._listening else None
+        self.readings = Readings(raw, packet, rows[:, self.meaning.columns :].copy())

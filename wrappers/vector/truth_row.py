@@ -1,0 +1,162 @@
+"""Carries a robot's truth through a vector environment's own machinery, as one more row of the observation.
+
+A vector environment already gathers observations from its copies, through shared memory where they live in
+processes of their own, and hands over the last one of an episode where it resets by itself. A row beside the
+observation travels that way for free. The wrapper around the vector environment takes it out before anyone
+sees it.
+
+The row is what the simulator's sensors read; what it means is worked out for all robots at once.
+"""
+
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surefoot.envs import FeetTruth, Truth
+from surefoot.envs.feet_layout import FOOT_WIDTH, TORSO_WIDTH
+from surefoot.wrappers.foot_sensors import TRUE_KEYS
+from surefoot.wrappers.source import find_source, with_source
+
+TRUTH_KEY = "surefoot_truth"
+"""Name of the row in an observation."""
+
+MEASURED = ("joint_position", "joint_velocity", "tilt", "gyroscope")
+"""Parts of a state that telemetry can tell, where the environment names them."""
+
+
+class RowMeaning(NamedTuple):
+    """What the rows of a robot's copies hold.
+
+    Attributes:
+        columns: Number of the simulator's sensors in front; feet planned to stand and to swing follow.
+        feet: Number of feet F.
+        joints: Names of the J hinge joints.
+        dt: Duration of a control step in s.
+        state: Where (name, start, stop) of :data:`MEASURED` lie in ``observation["state"]``, or nothing.
+    """
+
+    columns: int
+    feet: int
+    joints: tuple[str, ...]
+    dt: float
+    state: tuple[tuple[str, int, int], ...]
+
+    @property
+    def size(self) -> int:
+        """Number of all columns."""
+        return self.columns + 2 * self.feet
+
+
+class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Put one row of truth beside a robot's observation, for a vector wrapper to take out again.
+
+    It goes around each copy, for instance by ``gym.make_vec(..., wrappers=[TruthRow])``. A robot that does
+    not record its truth is instrumented first (:class:`~surefoot.envs.InstrumentedEnv`). An observation that
+    is no ``Dict`` becomes its ``"state"``; parts that only truth can tell are left out. Never give a policy
+    what this wrapper returns.
+
+    Args:
+        env: An environment built on MuJoCo.
+        averaged: Whether the IMU gives the mean of a control step, as most chips do, or its end.
+        keep_info: Whether ``info["surefoot"]``, in which the copy tells its truth, is handed on; it costs
+            more than everything else here.
+
+    Attributes:
+        row_meaning: What the row holds.
+        row_averaged: Whether the IMU's columns are means over a step; known after a reset.
+
+    Raises:
+        TypeError: If the environment is not built on MuJoCo, or there is another row below.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], *, averaged: bool = True, keep_info: bool = False) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, averaged=averaged, keep_info=keep_info)
+        gym.Wrapper.__init__(self, with_source(env))
+        source = find_source(self.env)
+        assert source is not None
+        self._source: Any = source
+        space = self.env.observation_space
+        self._flat = not isinstance(space, spaces.Dict)
+        parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {"state": space}
+        if TRUTH_KEY in parts:
+            raise TypeError(f"TruthRow found another TruthRow below it; one is enough. Got {env}.")
+        self.row_meaning = _meaning(source)
+        self._averaged, self._keep_info = averaged, keep_info
+        self.row_averaged = self._plans = False
+        self._kept = [key for key in parts if key not in TRUE_KEYS]
+        row = spaces.Box(-np.inf, np.inf, (self.row_meaning.size,), np.float64)
+        self.observation_space = spaces.Dict({key: parts[key] for key in self._kept} | {TRUTH_KEY: row})
+
+    @property
+    def drawing(self) -> Any:
+        """What the maker of the robot hands out."""
+        return self._source.drawing
+
+    @property
+    def row_key(self) -> Any:
+        """What :func:`read_rows` needs besides the rows."""
+        truth = self._source.truth
+        return truth.channels if isinstance(truth, Truth) else truth.layout
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Reset the environment."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        source = self._source
+        self._plans = hasattr(source, "command")
+        self.row_averaged = self._averaged and isinstance(source.truth, Truth)
+        return self._observe(observation), self._info(info)
+
+    def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
+        """Step the environment."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._observe(observation), reward, terminated, truncated, self._info(info)
+
+    def _observe(self, observation: Any) -> dict[str, Any]:
+        seen = {"state": observation} if self._flat else {key: observation[key] for key in self._kept}
+        meaning, source = self.row_meaning, self._source
+        truth, columns = source.truth, meaning.columns
+        row = np.empty(meaning.size)
+        row[:columns] = truth.rows[-1]
+        if self.row_averaged:
+            channels = truth.channels
+            row[channels.accelerometer] = truth.accelerometer.mean(axis=0)
+            row[channels.gyroscope] = truth.gyroscope.mean(axis=0)
+        if self._plans:
+            command, feet = source.command, meaning.feet
+            row[columns : columns + feet] = command.stance
+            row[columns + feet :] = command.swing
+        else:
+            row[columns:] = np.nan
+        seen[TRUTH_KEY] = row
+        return seen
+
+    def _info(self, info: dict[str, Any]) -> dict[str, Any]:
+        if not self._keep_info and "surefoot" in info:
+            info = {key: value for key, value in info.items() if key != "surefoot"}
+        return info
+
+
+def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
+    """Read the simulator's columns of many robots' rows, as truth with robots in the place of substeps.
+
+    Args:
+        rows: Shape (N, columns).
+        key: :attr:`TruthRow.row_key`.
+    """
+    return FeetTruth(rows, key) if hasattr(key, "feet") else Truth(rows, key)
+
+
+def _meaning(source: Any) -> RowMeaning:
+    feet, joints = len(source.drawing.feet), tuple(source.joint_names)
+    if hasattr(source, "channels"):
+        columns = source.channels.size
+    else:
+        columns = FOOT_WIDTH * feet + TORSO_WIDTH + len(joints) + 1
+    named = getattr(source, "state_layout", None)
+    state = () if named is None else tuple((name, named[name].start, named[name].stop) for name in MEASURED)
+    return RowMeaning(int(columns), feet, joints, float(source.dt), state)
