@@ -96,6 +96,15 @@ def test_gymnasium_finds_no_fault(name: str) -> None:
         check_env(STACKS[name](), skip_render_check=True)
 
 
+@pytest.mark.parametrize("name", STACKS)
+def test_stable_baselines_finds_no_fault(name: str) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*unconventional shape.*")
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized Box action space.*")
+        checker.check_env(STACKS[name](), skip_render_check=True)
+
+
 def test_vector_environments_are_made_of_specs() -> None:
     env = gym.make_vec("Humanoid-v5", 2, "sync", wrappers=[lambda env: FootSensors(env, ANKLES)])
     observation, _ = env.reset(seed=0)
