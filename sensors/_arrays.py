@@ -23,6 +23,11 @@ def cast_like(value: Array, reading: Array) -> Array:
     return array_namespace(reading).astype(value, reading.dtype)
 
 
+def on_host(array: Array) -> bool:
+    """Tell whether one may look at an array's values without waiting for another device."""
+    return type(array) is np.ndarray or str(getattr(array, "device", "cpu")) == "cpu"
+
+
 def round_off(array: Array) -> Array:
     """Round to whole numbers, halves to even."""
     return np.rint(array) if type(array) is np.ndarray else array_namespace(array).round(array)

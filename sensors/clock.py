@@ -74,6 +74,8 @@ def interpolate(block: Array, previous: Array, position: Array) -> Array:
         Signals, shape (..., K).
     """
     substeps = block.shape[-2]
+    if substeps == 1:
+        return previous + position * (block[..., 0, :] - previous)
     if type(block) is np.ndarray and block.ndim == 2:
         channels = block.shape[1]
         rows = np.empty((substeps + 1, channels), dtype=block.dtype)
@@ -84,8 +86,6 @@ def interpolate(block: Array, previous: Array, position: Array) -> Array:
         start = rows.take(index, mode="wrap")
         part = np.subtract(position, low, dtype=block.dtype)
         return start + part * (rows.take(index + channels, mode="wrap") - start)
-    if substeps == 1:
-        return previous + position * (block[..., 0, :] - previous)
     xp = array_namespace(block)
     rows = xp.concat([previous[..., None, :], block], axis=-2)
     numbers = xp.arange(substeps + 1, dtype=position.dtype, device=device_of(position))
@@ -98,7 +98,7 @@ def _channel_numbers(channels: int) -> NDArray[np.intp]:
     return np.arange(channels)
 
 
-def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Array, Array]:
+def settle(window: Array, signal: Array, number: Array, finished: Array, most: int) -> tuple[Array, Array]:
     """Average the last conversions of chips, of which a block brings any number.
 
     Of several conversions in one block only the last one's signal is known; the others are taken on the
@@ -109,6 +109,7 @@ def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Arra
             how far each before it lies above it, zero before the first.
         signal: The signal at the last conversion of the block, shape (..., K).
         number: How many follow the first one in the block, -1 where there is none, shape (..., K).
+        finished: Whether there is one, ``number >= 0``, which most callers need as well, shape (..., K).
         most: Largest number of conversions that a block of this length can have.
 
     Returns:
@@ -116,7 +117,7 @@ def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Arra
     """
     xp, length = namespace(signal), window.shape[0]
     before, *lags = (window[row] for row in range(length))
-    signal, came = xp.where(number >= 0.0, signal, before), number + 1.0
+    signal, came = xp.where(finished, signal, before), number + 1.0
     step = before - signal
     step = xp.where(xp.isnan(step), 0.0 * came, step) / limit(came, 1.0, float("inf"))
     for push in range(min(most, length - 1)):
@@ -191,11 +192,12 @@ def sample_and_hold(
         number, at, due = latest_conversion(period, due, dt)
         position = limit(at * (block.shape[-2] / dt), 0.0, float("inf"))
         signal, inner_state = inner.apply(interpolate(block, previous, position), state.inner, rng, dt)
-        window = state.window
+        window, finished = state.window, number >= 0.0
         if settling > 1:
-            signal, window = settle(cast_like(window, block), signal, number, most_conversions(rate, dt))
+            most = most_conversions(rate, dt)
+            signal, window = settle(cast_like(window, block), signal, number, finished, most)
         converted, converter_state = converter.apply(signal, state.converter, rng, dt)
-        held = namespace(block).where(number >= 0.0, converted, held)
+        held = namespace(block).where(finished, converted, held)
         last = block[..., -1, :] + 0.0
         return held, ClockState(period, due, last, held, inner_state, window, converter_state)
 

@@ -85,7 +85,7 @@ def hysteresis(
             f"'share' must be below {share / most:.3g}, or readings would fall while a small load grows; "
             f"got {share}."
         )
-    scale, slacks, kappa = Table(scales), Table(thresholds), Table(excess)
+    scale, slacks, kappa, halves = Table(scales), Table(thresholds), Table(excess), thresholds.tolist()
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> HysteresisState:
         return HysteresisState(filled(rng, 0.0, (count, *shape), dtype))
@@ -100,11 +100,10 @@ def hysteresis(
             slack = slacks.like(reading, reading.ndim)
             plays = np.maximum(load - slack, np.minimum(load + slack, plays))
         else:
-            # Clipped one after the other, by numbers: that is much faster than by an array of them.
-            lag = load - plays
-            for number, half in enumerate(thresholds.tolist()):
-                lag[number, ...] = limit(lag[number, ...], -half, half)
-            plays = load - lag
+            # One after the other, clipped by numbers: that is much faster than by an array of them.
+            before, plays = plays, xp.empty_like(plays)
+            for number, half in enumerate(halves):
+                plays[number, ...] = load - limit(load - before[number, ...], -half, half)
         bent = share * (xp.sum(plays, axis=0) + plays[-1]) - kappa.like(reading) * load
         return reading + full * bent, HysteresisState(plays)
 

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import array_namespace
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import cast_like
+from surefoot.sensors._arrays import cast_like, limit, namespace
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled, normal
@@ -44,8 +43,8 @@ class LatencyState(NamedTuple):
     """The last D readings that were sent, the oldest first.
 
     Attributes:
-        due: Time until each arrives in s, shape (..., D); 0 or less for one that has.
-        readings: Shape (..., D, C); NaN before the first.
+        due: Time until each arrives in s, shape (D, ..., 1); 0 or less for one that has.
+        readings: Shape (D, ..., C); NaN before the first.
         held: The last that arrived, shape (..., C); NaN before the first.
     """
 
@@ -70,25 +69,25 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
         raise ValueError(f"'depth' must be at least 1, got {depth}.")
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LatencyState:
-        due = filled(rng, -float("inf"), (*shape[:-1], depth), dtype)
-        readings = filled(rng, float("nan"), (*shape[:-1], depth, shape[-1]), dtype)
+        due = filled(rng, -float("inf"), (depth, *shape[:-1], 1), dtype)
+        readings = filled(rng, float("nan"), (depth, *shape), dtype)
         return LatencyState(due, readings, filled(rng, float("nan"), shape, dtype))
 
     def apply(reading: Array, state: LatencyState, rng: Rng, dt: float) -> tuple[Array, LatencyState]:
-        xp = array_namespace(reading)
+        xp = namespace(reading)
         drawn = jitter * normal(rng, (*reading.shape[:-1], 1), reading.dtype) + delay
         waiting = cast_like(state.due, reading) - dt
-        due = xp.maximum(xp.maximum(drawn, xp.zeros_like(drawn)), waiting[..., -1:])
-        due = xp.concat([waiting[..., 1:], due], axis=-1)
+        due = xp.maximum(limit(drawn, 0.0, float("inf")), waiting[-1, ...])
+        due = xp.concat([waiting[1:, ...], due[None, ...]])
         # Readings come in order. When none has, the last that came has left the queue: it stands first.
-        arrived = xp.sum(xp.astype(due <= 0.0, xp.int64), axis=-1)
-        robots = xp.reshape(arrived, (-1,))
-        first = (depth + 1) * xp.arange(robots.shape[0], dtype=xp.int64, device=device_of(reading))
+        arrived = xp.reshape(xp.sum(due <= 0.0, axis=0, dtype=xp.int64), (-1,))
+        robots = arrived.shape[0]
         last, under_way = cast_like(state.held, reading), cast_like(state.readings, reading)
-        rows = xp.concat([last[..., None, :], under_way[..., 1:, :], reading[..., None, :]], axis=-2)
-        taken = xp.take(xp.reshape(rows, (-1, reading.shape[-1])), first + robots, axis=0)
+        rows = xp.concat([last[None, ...], under_way[1:, ...], reading[None, ...]])
+        which = robots * arrived + xp.arange(robots, dtype=xp.int64, device=device_of(reading))
+        taken = xp.take(xp.reshape(rows, (-1, reading.shape[-1])), which, axis=0)
         held = xp.reshape(taken, reading.shape)
-        return held, LatencyState(due, rows[..., 1:, :], held)
+        return held, LatencyState(due, rows[1:, ...], held)
 
     return Corruption(init, apply)
 

@@ -167,9 +167,10 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         xp = namespace(block)
         period, due, previous, held, error, thermal, window, felt, brought = state
         load = last = block[..., -1, :] + 0.0
-        drawn = number = last
+        drawn = number = finished = last
         if rate is not None:
             number, at, due = latest_conversion(period, due, dt)
+            finished = number >= 0.0
             position = at * (block.shape[-2] / dt)
             if element or settling > 1:
                 # A chip that finishes no conversion goes on from what its cell feels.
@@ -192,14 +193,15 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         if settling > 1 and rate is None:
             bridge, window = average.apply(bridge, window, rng, dt)
         elif settling > 1 and rate is not None:
-            bridge, window = settle(cast_like(window, bridge), bridge, number, most_conversions(rate, dt))
+            most = most_conversions(rate, dt)
+            bridge, window = settle(cast_like(window, bridge), bridge, number, finished, most)
         counts = bridge * slopes.like(load) + zero_code
         if noise:
             counts = counts + noise * drawn[-1]
         if clipped:
             counts = round_off(limit(counts, low, high))
         if rate is not None:
-            counts = xp.where(number >= 0.0, counts, held)
+            counts = xp.where(finished, counts, held)
         held = counts
         if way:
             counts, brought = way.apply(counts, brought, rng, dt)

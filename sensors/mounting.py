@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from surefoot.sensors._arrays import Table, cast_like, namespace
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
 from surefoot.sensors.randomness import filled, normal
-from surefoot.sensors.rare import change_where
+from surefoot.sensors.rare import change_rows
 
 WARP = (1, -1, -1, 1)
 """Signs of the warp for (front-left, front-right, rear-left, rear-right)."""
@@ -78,16 +78,18 @@ def mounting(
         xp = namespace(reading)
         zero, before, impact = (cast_like(part, reading) for part in state)
         by_foot = xp.reshape(reading, (*before.shape, cells))
-        load = xp.sum(by_foot, axis=-1)
+        # Added up one by one: libraries are slow at short sums.
+        load = sum((by_foot[..., cell] for cell in range(1, cells)), by_foot[..., 0])
         # Neither the first reading nor one without a value is compared: NaN exceeds nothing.
         hit = xp.abs(load - before) > threshold
         start = hit & (impact < 0.5)
-        nothing, jump = 0.0 * impact, 0.0
-        for mode in moving:
-            drawn = change_where(nothing, start, lambda few: normal(rng, tuple(few.shape), few.dtype))
-            jump = jump + drawn[..., None] * mode.like(reading)
+
+        def jump(few: Array) -> Array:
+            one, *others = (normal(rng, (*few.shape[:-1], 1), few.dtype) * mode.like(few) for mode in moving)
+            return few + sum(others, one)
+
         if moving:
-            zero = zero + xp.reshape(jump, reading.shape)
+            zero = change_rows(zero, start, jump)
         load, hit = xp.where(xp.isnan(load), before, load), cast_like(hit, reading)
         return reading + zero, MountingState(zero, load, hit)
 

@@ -8,9 +8,11 @@ another device would have to be waited for.
 
 from collections.abc import Callable
 from math import log1p
-from typing import Any
 
-from surefoot.sensors._arrays import namespace
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.sensors._arrays import namespace, on_host
 from surefoot.sensors.corruption import Array, Rng
 from surefoot.sensors.randomness import uniform
 
@@ -50,8 +52,47 @@ def change_where(reading: Array, hit: Array, change: Change, *tables: Array) -> 
     return _change_at(reading, xp.nonzero(xp.reshape(hit, (-1,)))[0], change, tables)
 
 
+def change_rows(reading: Array, hit: Array, change: Callable[[Array], Array]) -> Array:
+    """Change whole groups of channels.
+
+    Args:
+        reading: Shape (..., G C), G groups of C channels; it is not changed.
+        hit: Which groups, shape (..., G).
+        change: What happens to groups; takes some, shape (..., C), and returns them changed.
+    """
+    xp, size = namespace(reading), reading.shape[-1] // hit.shape[-1]
+    if not _searched(hit):
+        groups = xp.reshape(reading, (*hit.shape, size))
+        return xp.reshape(xp.where(hit[..., None], change(groups), groups), reading.shape)
+    changed = xp.reshape(reading + 0.0, (-1, size))
+    where = xp.nonzero(xp.reshape(hit, (-1,)))[0]
+    if where.shape[0]:
+        changed[where] = change(changed[where])
+    return xp.reshape(changed, reading.shape)
+
+
+def replace_where(reading: Array, other: Array, hit: Array, rare: bool) -> Array:
+    """Replace the readings that were hit by others, except where those are NaN.
+
+    Args:
+        reading: Shape (..., K); it is not changed.
+        other: What takes their place, of the same shape.
+        hit: Which, shape (..., K), or (..., 1) for all channels alike.
+        rare: Whether few are.
+    """
+    xp = namespace(reading)
+    if not (rare and _searched(reading)):
+        return xp.where(hit & ~xp.isnan(other), other, reading)
+    rows = (-1, reading.shape[-1] // hit.shape[-1])
+    where = xp.nonzero(xp.reshape(hit, (-1,)))[0]
+    replaced = xp.reshape(reading + 0.0, rows)
+    new = xp.reshape(other, rows)[where]
+    replaced[where] = xp.where(xp.isnan(new), replaced[where], new)
+    return xp.reshape(replaced, reading.shape)
+
+
 def _searched(reading: Array) -> bool:
-    return str(getattr(reading, "device", "cpu")) == "cpu" and _count(reading) > FEW
+    return on_host(reading) and _count(reading) > FEW
 
 
 def _count(reading: Array) -> int:
@@ -74,16 +115,17 @@ def _change_at(reading: Array, where: Array, change: Change, tables: tuple[Array
 def _found(rng: Rng, probability: float, total: int) -> Array:
     """Find the events among as many readings, in order."""
     expected = probability * total
-    drawn = uniform(rng, 0.0, 1.0, (int(expected + 6.0 * expected**0.5) + 8,))
-    xp: Any = namespace(drawn)
-    at = _sum_of_gaps(xp, drawn, probability)
+    shape = (int(expected + 6.0 * expected**0.5) + 8,)
+    drawn = uniform(rng, 0.0, 1.0, shape)
+    at = _sum_of_gaps(drawn, probability)
     while at[-1] < total:
-        more = _sum_of_gaps(xp, uniform(rng, 0.0, 1.0, tuple(drawn.shape)), probability)
-        at = xp.concat([at, at[-1] + 1.0 + more])
-    return xp.astype(at[at < total], xp.int64)
+        more = _sum_of_gaps(uniform(rng, 0.0, 1.0, shape), probability)
+        at = np.concatenate([at, at[-1] + 1.0 + more])
+    found = at[: np.searchsorted(at, total)].astype(np.int64)
+    return namespace(drawn).asarray(found)
 
 
-def _sum_of_gaps(xp: Any, drawn: Array, probability: float) -> Array:
-    drawn = xp.astype(drawn, xp.float64)
-    gaps = xp.floor(xp.log1p(-drawn) / log1p(-probability))
-    return xp.cumulative_sum(gaps + 1.0) - 1.0
+def _sum_of_gaps(drawn: Array, probability: float) -> NDArray[np.float64]:
+    # A few numbers on the host, whosever they are: NumPy is the quickest with them.
+    gaps = np.floor(np.log1p(-np.asarray(drawn, dtype=np.float64)) / log1p(-probability))
+    return np.cumsum(gaps + 1.0) - 1.0

@@ -2,7 +2,7 @@
 
 A state is a tree of tuples with arrays at its leaves, and a leaf's batch axis need not be its first: what
 wanders of load cells has the shape (2, N, K), the yield of a spring element (J, N, K), packets under way
-(N, D, C). Which axis it is cannot be read off one shape, as N may be 2 as well; it is the one that grows
+(D, N, C). Which axis it is cannot be read off one shape, as N may be 2 as well; it is the one that grows
 when ``init`` is asked for one robot more.
 """
 

@@ -9,9 +9,10 @@ so that a value stays for 1 / (1 - p) readings in the mean, in geometric runs. A
 
 from typing import Any, NamedTuple
 
-from surefoot.sensors._arrays import cast_like, namespace
+from surefoot.sensors._arrays import cast_like
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled, uniform
+from surefoot.sensors.rare import RARE, replace_where
 
 
 class RepeatState(NamedTuple):
@@ -43,10 +44,10 @@ def stale_repeats(probability: float, *, each: bool = False) -> Corruption[Repea
         return RepeatState(filled(rng, float("nan"), shape, dtype))
 
     def apply(reading: Array, state: RepeatState, rng: Rng, dt: float) -> tuple[Array, RepeatState]:
-        xp, held = namespace(reading), cast_like(state.held, reading)
+        held = cast_like(state.held, reading)
         shape = tuple(reading.shape) if each else (*reading.shape[:-1], 1)
         stale = uniform(rng, 0.0, 1.0, shape, reading.dtype) < probability
-        read = xp.where(stale & ~xp.isnan(held), held, reading)
+        read = replace_where(reading, held, stale, probability <= RARE)
         return read, RepeatState(read)
 
     return Corruption(init, apply)

@@ -7,6 +7,7 @@ and nobody has published a rate.
 """
 
 import numpy as np
+from array_api_compat import array_namespace
 
 from surefoot.sensors._arrays import Table, limit, namespace
 from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
@@ -52,7 +53,7 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
     def flip(word: Array, rng: Rng) -> Array:
         xp = namespace(word)
         drawn = uniform(rng, 0.0, 1.0, tuple(word.shape), word.dtype)
-        which = xp.astype(limit(drawn * bits, 0.0, bits - 1.0), xp.int64)
+        which = array_namespace(drawn).astype(limit(drawn * bits, 0.0, bits - 1.0), xp.int64)
         place, worth = (
             xp.reshape(xp.take(values, xp.reshape(which, (-1,)), axis=0), word.shape)
             for values in table.like(word)
