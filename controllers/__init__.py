@@ -4,7 +4,9 @@ A controller sees what the observation holds and nothing else. The same one ther
 or calibrated readings, as the wrapper before it decides.
 """
 
+from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
+from surefoot.controllers.posture import PostureDrive
 from surefoot.controllers.stabiliser import Stabiliser
 from surefoot.controllers.zero import zero_action
 
-__all__ = ["Stabiliser", "zero_action"]
+__all__ = ["PolicyFileError", "PolicyNetwork", "PostureDrive", "Stabiliser", "zero_action"]

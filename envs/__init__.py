@@ -14,6 +14,7 @@ from surefoot.envs.instrumented import InstrumentedEnv
 from surefoot.envs.leg_rig import ADDED_MASSES, AddedMass, load_leg_rig_spec
 from surefoot.envs.leg_rig_env import LegRigEnv
 from surefoot.envs.nao import NaoEnv
+from surefoot.envs.nao_balance import NaoBalanceEnv
 from surefoot.envs.nao_stand import NaoStandEnv
 from surefoot.envs.nao_walk import NaoWalkEnv
 from surefoot.envs.plate import SolePlate
@@ -34,6 +35,7 @@ __all__ = [
     "InstrumentedEnv",
     "Leg",
     "LegRigEnv",
+    "NaoBalanceEnv",
     "NaoEnv",
     "NaoStandEnv",
     "NaoWalkEnv",

@@ -36,15 +36,35 @@ class Payload:
     def __init__(self, model: mujoco.MjModel, payload: Sequence[float] | None, dt: float) -> None:
         self._model = model
         self._body = int(model.body("torso").id)
-        self.mass, time = _checked(payload)
-        self._tick = round(time / dt)
+        self._dt = dt
+        mass, time = _checked(payload)
         self._carried = False
+        self.plan(mass, time)
         self._empty = self._link()
 
     @property
     def carried(self) -> bool:
         """Whether the robot carries it now."""
         return self._carried
+
+    def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
+        """Say what will be picked up; the robot must carry nothing, as after :meth:`reset`.
+
+        Args:
+            mass: Its mass in kg, 0 for none.
+            time: When in the episode in s.
+            position: Where its centre of mass lies in the torso's frame in m.
+
+        Raises:
+            RuntimeError: If the robot carries one now.
+        """
+        if self._carried:
+            raise RuntimeError(
+                "The robot carries a payload; reset() puts it down before the next is planned."
+            )
+        self.mass = mass
+        self.position = np.array(position, dtype=np.float64)
+        self._tick = round(time / self._dt)
 
     def reset(self) -> None:
         """Put it down."""
@@ -71,7 +91,7 @@ class Payload:
     def _loaded(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """The torso and the payload as one rigid body, by the parallel axis theorem."""
         mass, com, inertia, quaternion = self._empty
-        where = np.array(POSITION_PAYLOAD_TORSO)
+        where = self.position
         total = mass + self.mass
         centre = (mass * com + self.mass * where) / total
         axes = np.empty(9)

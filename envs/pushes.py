@@ -20,7 +20,12 @@ class Pushes:
         impulse: Smallest and largest impulse in N s.
         interval: Mean time from one push to the next in s; the intervals are exponentially distributed.
         dt: Control step in s.
+
+    Attributes:
+        quiet_time: How long after a reset none comes, in s.
     """
+
+    quiet_time = 0.0
 
     def __init__(self, model: Any, impulse: Sequence[float], interval: float, dt: float) -> None:
         self._impulse = checked_range("push_impulse", impulse)
@@ -34,7 +39,7 @@ class Pushes:
     def reset(self, rng: np.random.Generator) -> None:
         """Draw when the first push comes."""
         self._left = 0
-        self._next = rng.exponential(self._interval)
+        self._next = self.quiet_time / self._dt + rng.exponential(self._interval)
 
     def apply(self, data: Any, rng: np.random.Generator) -> None:
         """Push, or not, during the control step that follows."""

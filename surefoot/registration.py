@@ -11,6 +11,7 @@ def register_environments() -> None:
     for name, (entry_point, max_episode_steps) in {
         "surefoot/Exercise-v0": ("surefoot.envs.exercise:ExerciseEnv", None),
         "surefoot/LegRig-v0": ("surefoot.envs.leg_rig_env:LegRigEnv", 3000),
+        "surefoot/NaoBalance-v0": ("surefoot.envs.nao_balance:NaoBalanceEnv", None),
         "surefoot/NaoStand-v0": ("surefoot.envs.nao_stand:NaoStandEnv", None),
         "surefoot/NaoWalk-v0": ("surefoot.envs.nao_walk:NaoWalkEnv", None),
     }.items():

@@ -1,0 +1,288 @@
+"""Train the balance policy: PPO of Stable-Baselines3, on checkpoints that hold numbers only.
+
+Training goes from checkpoint to checkpoint. At each of them every source of randomness is seeded anew from
+the seed and the number of updates done, so that a training that was stopped and resumed ends with the same
+policy, to the last digit, as one that was not. A checkpoint is read with ``weights_only=True``: nothing in it
+is executed.
+"""
+
+import json
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pandas as pd
+
+from surefoot.controllers.policy import PolicyNetwork
+from surefoot.experiments._files import atomic_path, write_text
+from surefoot.experiments.policy_env import PolicyView, make_feed
+from surefoot.experiments.policy_export import network_of
+from surefoot.experiments.policy_options import REWARD_SCALE, TRAINING_TASK, TrainOptions
+
+__all__ = ["Trainer", "TrainingError", "forget"]
+
+CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
+"""What a training leaves in its folder."""
+
+
+class TrainingError(ValueError):
+    """A folder cannot be trained in, or a checkpoint cannot be read; the message says why."""
+
+
+def training_env(severity: float, sensors: str) -> gym.Env[Any, Any]:
+    """Make one environment of a training.
+
+    Args:
+        severity: Of its sensors.
+        sensors: One of :data:`~surefoot.experiments.policy_options.SENSORS`.
+    """
+    from stable_baselines3.common.monitor import Monitor
+
+    feed = "true" if sensors == "true" else "none"
+    env, _ = make_feed(feed, severity=severity, **TRAINING_TASK)
+    return Monitor(PolicyView(env, REWARD_SCALE))
+
+
+class Trainer:
+    """A training in a folder; it goes on where the folder's checkpoint stands.
+
+    Args:
+        out: The folder, which is made.
+        options: The training.
+
+    Attributes:
+        updates: Updates done so far.
+        curve: A row an update: steps, mean return and length of the episodes that ended, share that fell,
+            standard deviation of the actions.
+
+    Raises:
+        TrainingError: If the folder holds another training, or its checkpoint is damaged.
+        OSError: If it cannot be written to.
+    """
+
+    def __init__(self, out: Path, options: TrainOptions) -> None:
+        import torch
+        from stable_baselines3 import PPO
+        from stable_baselines3.common.vec_env import DummyVecEnv
+
+        torch.set_num_threads(1)
+        self.out, self.options = out, options
+        self.updates = 0
+        self.curve: list[dict[str, float]] = []
+        self._claim()
+        makers = [_maker(severity, options.sensors) for severity in options.severities()]
+        self._envs = DummyVecEnv(makers)
+        self._model: Any = PPO(
+            "MlpPolicy",
+            self._envs,
+            use_sde=True,
+            sde_sample_freq=options.explore,
+            n_steps=options.rollout,
+            batch_size=options.batch,
+            n_epochs=options.epochs,
+            gamma=options.discount,
+            learning_rate=lambda _: self._learning_rate(),
+            policy_kwargs={
+                "net_arch": {"pi": [options.hidden] * 2, "vf": [options.hidden] * 2},
+                "activation_fn": torch.nn.Tanh,
+                "log_std_init": options.initial_log_std,
+            },
+            seed=options.seed,
+            device="cpu",
+        )
+        if (out / CHECKPOINT).exists():
+            self._restore()
+
+    @property
+    def view(self) -> PolicyView:
+        """One of the environments, as the policy sees it."""
+        view: Any = self._envs.envs[0]
+        while not isinstance(view, PolicyView):
+            view = view.env
+        return view
+
+    def run(self, progress: Callable[[int, dict[str, float]], None] | None = None) -> PolicyNetwork:
+        """Train to the end, writing a checkpoint now and then.
+
+        Args:
+            progress: Told after each update how many there were, and the newest row of the curve.
+
+        Returns:
+            The policy, which lies in the folder as ``policy.npz`` as well.
+        """
+        options, watch = self.options, _Watch(self, progress)
+        while self.updates < options.updates:
+            self._reseed()
+            until = min(self.updates + options.every, options.updates)
+            self._model.learn(
+                (until - self.updates) * options.steps_per_update,
+                callback=watch.callback(),
+                reset_num_timesteps=False,
+            )
+            self._checkpoint()
+        network = network_of(self._model, self.view, self._notes())
+        with atomic_path(self.out / POLICY) as part:
+            network.save(part)
+        return network
+
+    def close(self) -> None:
+        """Close the environments."""
+        self._envs.close()
+
+    def _learning_rate(self) -> float:
+        done = self.updates / self.options.updates
+        return self.options.learning_rate * max(1.0 - done, 0.05)
+
+    def _claim(self) -> None:
+        """Make the folder this training's, or see that it is."""
+        mine = json.loads(json.dumps(self.options.to_json()))
+        path = self.out / OPTIONS
+        if not path.exists():
+            if (self.out / CHECKPOINT).exists():
+                raise TrainingError(
+                    f"'{self.out}' holds a checkpoint without its {OPTIONS}; give another folder."
+                )
+            write_text(path, json.dumps(mine, indent=2) + "\n")
+            return
+        try:
+            theirs = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise TrainingError(f"'{path}' is damaged: {error}; give another folder.") from error
+        if theirs != mine:
+            changed = {
+                name: (theirs.get(name) if isinstance(theirs, dict) else None, value)
+                for name, value in mine.items()
+                if not isinstance(theirs, dict) or theirs.get(name) != value
+            }
+            raise TrainingError(
+                f"'{self.out}' holds another training; (there, asked for) differ in {changed}. Give another "
+                "folder with --out, or the same options to go on with it."
+            )
+
+    def _reseed(self) -> None:
+        from stable_baselines3.common.utils import set_random_seed
+
+        seed = self.options.segment_seed(self.updates)
+        set_random_seed(seed)
+        self._envs.seed(seed)
+        self._model._last_obs = None
+        self._model.ep_info_buffer = None
+        # Without observations, learn() resets the environments.
+        self._model._last_episode_starts = None
+
+    def _checkpoint(self) -> None:
+        import torch
+
+        with atomic_path(self.out / CURVE) as part:
+            pd.DataFrame(self.curve).to_csv(part, index=False)
+        held = {
+            "policy": self._model.policy.state_dict(),
+            "optimizer": self._model.policy.optimizer.state_dict(),
+            "updates": self.updates,
+            "steps": int(self._model.num_timesteps),
+            "next_seed": self.options.segment_seed(self.updates),
+            "curve": self.curve,
+        }
+        # Given a path, torch reports a full disk as an error of its own.
+        buffer = BytesIO()
+        torch.save(held, buffer)
+        with atomic_path(self.out / CHECKPOINT) as part:
+            part.write_bytes(buffer.getvalue())
+
+    def _restore(self) -> None:
+        import torch
+
+        path = self.out / CHECKPOINT
+        try:
+            held = torch.load(path, weights_only=True, map_location="cpu")
+            self._model.policy.load_state_dict(held["policy"])
+            self._model.policy.optimizer.load_state_dict(held["optimizer"])
+            self.updates, steps = int(held["updates"]), int(held["steps"])
+            self.curve = [dict(row) for row in held["curve"]]
+        except Exception as error:  # Whatever a damaged archive raises.
+            raise TrainingError(
+                f"'{path}' cannot be read as a checkpoint of this training: {error}. Restore it from a copy, "
+                "or delete it to begin anew."
+            ) from error
+        self._model.num_timesteps = steps
+
+    def _notes(self) -> dict[str, Any]:
+        from importlib.metadata import version
+
+        packages = ("surefoot", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
+        return {
+            "task": "surefoot/NaoBalance-v0",
+            "options": self.options.to_json(),
+            "steps": int(self._model.num_timesteps),
+            "versions": {name: version(name) for name in packages},
+        }
+
+
+class _Watch:
+    """Keeps the curve.
+
+    Args:
+        trainer: Whose.
+        progress: Told of each row.
+    """
+
+    def __init__(self, trainer: Trainer, progress: Callable[[int, dict[str, float]], None] | None) -> None:
+        self.trainer, self.progress = trainer, progress
+
+    def callback(self) -> Any:
+        """Make a callback for one segment."""
+        from stable_baselines3.common.callbacks import BaseCallback
+
+        watch = self
+
+        class Ended(BaseCallback):
+            """Collects the episodes that end in a rollout."""
+
+            def __init__(self) -> None:
+                super().__init__()
+                self.ended: list[tuple[float, int, bool]] = []
+
+            def _on_step(self) -> bool:
+                for info in self.locals["infos"]:
+                    if "episode" in info:
+                        kept = info["episode"]
+                        fell = not info.get("TimeLimit.truncated", False)
+                        self.ended.append((kept["r"] / REWARD_SCALE, kept["l"], fell))
+                return True
+
+            def _on_rollout_end(self) -> None:
+                watch.row(self.ended, self.model)
+                self.ended = []
+
+        return Ended()
+
+    def row(self, ended: list[tuple[float, int, bool]], model: Any) -> None:
+        """Add a row, before the update that the rollout is for."""
+        trainer = self.trainer
+        frame = pd.DataFrame(ended, columns=["return", "length", "fell"]).astype(float)
+        row = {
+            "steps": float(model.num_timesteps),
+            "episodes": float(len(frame)),
+            "return": float(frame["return"].mean()),
+            "reward_per_decision": float(frame["return"].sum() / frame["length"].sum())
+            if len(frame)
+            else float("nan"),
+            "fell": float(frame["fell"].mean()),
+            "action_std": float(model.policy.log_std.detach().exp().mean()),
+        }
+        trainer.curve.append(row)
+        trainer.updates += 1
+        if self.progress is not None:
+            self.progress(trainer.updates, row)
+
+
+def _maker(severity: float, sensors: str) -> Callable[[], gym.Env[Any, Any]]:
+    return lambda: training_env(severity, sensors)
+
+
+def forget(out: Path) -> None:
+    """Remove what a training left in a folder, and nothing else."""
+    for name in (CHECKPOINT, OPTIONS, CURVE, POLICY):
+        (out / name).unlink(missing_ok=True)

@@ -1,0 +1,162 @@
+"""The balance task: a quiet stand, a command that moves smoothly, a load that only the feet tell of."""
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import surefoot  # noqa: F401
+from surefoot.envs.balance_command import FADE_TIME, RandomSway
+from surefoot.envs.nao import CONTROL_STEP
+from surefoot.envs.nao_balance import LARGEST_SWAY, NaoBalanceEnv
+from surefoot.envs.payload import Payload
+from surefoot.envs.robot import load_nao_spec
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+ZERO = np.zeros(11, dtype=np.float32)
+CALM = {"push_impulse": (0.0, 0.0), "joint_noise": 0.0, "velocity_noise": 0.0}
+
+
+def run(env, seed, steps, action=ZERO):
+    env.reset(seed=seed)
+    return [env.step(action) for _ in range(steps)]
+
+
+def test_it_is_an_environment():
+    # Gymnasium takes NaN for a difference: nothing may lift a foot in the first step.
+    env = gym.make("surefoot/NaoBalance-v0", duration=0.5, joint_noise=0.0, velocity_noise=0.0)
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.unwrapped.stand_time == 3.5
+
+
+def test_an_episode_is_its_seed():
+    first, second = (run(NaoBalanceEnv(stand_time=0.1, payload_time=(0.1, 0.3)), 4, 60) for _ in range(2))
+    for (a, reward_a, *_), (b, reward_b, *_) in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a["state"], b["state"])
+        assert reward_a == reward_b
+    # A used environment starts as a new one does, whatever it carried.
+    env = NaoBalanceEnv(stand_time=0.1, payload_time=(0.1, 0.3))
+    run(env, 9, 60)
+    np.testing.assert_array_equal(run(env, 4, 60)[-1][0]["state"], first[-1][0]["state"])
+
+
+def test_a_sway_is_still_first_and_its_derivatives_are_its_derivatives():
+    sway = RandomSway((0.02, 0.03), 1.0, np.random.default_rng(0))
+    for part in sway.at(1.0):
+        np.testing.assert_array_equal(part, 0.0)
+    step = 1e-4
+    for time in (1.0 + 1e-3, 1.7, 1.0 + FADE_TIME, 4.2, 9.0):
+        before, now, after = (sway.at(time + shift) for shift in (-step, 0.0, step))
+        np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * step), atol=1e-5)
+        np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * step), atol=1e-5)
+    places = np.array([sway.at(time)[0] for time in np.arange(0.0, 60.0, 0.05)])
+    assert (np.abs(places) <= (0.02, 0.03)).all()
+    assert (np.abs(places).max(axis=0) > (0.005, 0.007)).all()
+
+
+def test_without_load_and_pushes_the_pattern_alone_follows_the_command():
+    env = NaoBalanceEnv(stand_time=0.5, duration=6.0, payload_mass=(0.0, 0.0), **CALM)
+    error = [
+        np.linalg.norm(o["cop"] - o["state"][env.state_layout["cop_reference"]])
+        for o, *_ in run(env, 1, 480)[40:]
+    ]
+    assert np.sqrt(np.mean(np.square(error))) < 0.002
+
+
+def test_a_load_moves_the_centre_of_pressure_and_hardly_the_joints():
+    moved, turned = [], []
+    for seed in (1, 2, 3):
+        steps = []
+        for mass in ((0.0, 0.0), (1.0, 1.0)):
+            env = NaoBalanceEnv(
+                stand_time=0.5, payload_time=(0.3, 0.3), payload_mass=mass, sway=(0, 0), **CALM
+            )
+            steps.append(run(env, seed, 240)[-1][0])
+        layout = env.state_layout
+        moved.append(np.linalg.norm(steps[1]["cop"] - steps[0]["cop"]))
+        joints = [step["state"][layout["joint_position"]] for step in steps]
+        turned.append(np.abs(joints[1] - joints[0]).max())
+    assert min(moved) > 0.003
+    assert max(turned) < 0.005
+
+
+def test_nobody_acts_and_nothing_comes_during_the_quiet_stand():
+    env = NaoBalanceEnv(stand_time=0.5, push_impulse=(2.0, 2.0), push_interval=0.05, payload_time=(0.0, 0.0))
+    full = np.ones(11, dtype=np.float32)
+    acted, still = run(env, 2, 50, full), run(env, 2, 50)
+    for (a, *_, info), (b, *_) in zip(acted[:40], still[:40], strict=True):
+        np.testing.assert_array_equal(a["state"], b["state"])
+        assert info["reward_action"] == 0.0
+    assert not np.array_equal(acted[49][0]["state"], still[49][0]["state"])
+    assert env.model.body_subtreemass[0] > 5.7
+    # Later, when nothing is to come, it is the same stand.
+    later = NaoBalanceEnv(
+        stand_time=0.5, push_impulse=(2.0, 2.0), push_interval=500.0, payload_time=(9.0, 9.0)
+    )
+    np.testing.assert_array_equal(still[39][0]["state"], run(later, 2, 40)[-1][0]["state"])
+
+
+def test_ten_millimetres_clearly_cost():
+    env = NaoBalanceEnv(stand_time=0.0, **CALM)
+    run(env, 0, 20)
+    near = env.command.cop + env.truth.position_sole[-1, :, :2].mean(axis=0)
+    near = near - env.command.position_sole[:, :2].mean(axis=0)
+    paid = [
+        env._reward({"cop_world": near + np.array([off, 0.0])}, np.zeros(11))["reward_cop"]
+        for off in (0.0, 0.01)
+    ]
+    assert paid[0] == pytest.approx(2.0, abs=1e-3)
+    assert paid[0] - paid[1] > 0.7
+    assert env._reward({"cop_world": np.full(2, np.nan)}, np.zeros(11))["reward_cop"] == 0.0
+    assert env._reward({"cop_world": near}, np.ones(11))["reward_action"] == pytest.approx(-0.1)
+
+
+def test_sensors_and_calibration_wrap_it_unchanged():
+    bare = NaoBalanceEnv(stand_time=0.1)
+    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoBalance-v0", stand_time=0.1)), "surefoot")
+    observation, _ = env.reset(seed=3)
+    for key in bare.observation_space.spaces:
+        assert observation[key].shape == bare.observation_space[key].shape
+    bare.reset(seed=3)
+    for _ in range(30):
+        *_, info = env.step(ZERO)
+        *_, plain = bare.step(ZERO)
+    truth, true = info["surefoot"]["truth"], plain["surefoot"]["truth"]
+    np.testing.assert_array_equal(truth["cop_world"], true["cop_world"])
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"payload": (0.3, 1.0)}, TypeError, "payload_mass"),
+        ({"sway": (0.1, 0.0)}, ValueError, f"between 0 and {LARGEST_SWAY}"),
+        ({"sway": (0.01,)}, ValueError, "'sway'"),
+        ({"payload_mass": (0.5, 0.1)}, ValueError, "'payload_mass'"),
+        ({"payload_time": (-1.0, 0.1)}, ValueError, "'payload_time'"),
+        ({"stand_time": -1.0}, ValueError, "'stand_time'"),
+    ],
+)
+def test_it_refuses(options, error, text):
+    with pytest.raises(error, match=text):
+        NaoBalanceEnv(**options)
+
+
+def test_a_planned_payload_adds_its_mass_and_moment_where_it_is():
+    model = load_nao_spec().compile()
+    payload = Payload(model, None, CONTROL_STEP)
+    torso = model.body("torso").id
+    mass, centre = float(model.body_mass[torso]), model.body_ipos[torso].copy()
+    place = np.array([0.05, -0.1, 0.02])
+    payload.plan(0.7, 0.0, place.tolist())
+    payload.apply(1)
+    assert model.body_mass[torso] == pytest.approx(mass + 0.7)
+    np.testing.assert_allclose(
+        model.body_ipos[torso] * model.body_mass[torso], mass * centre + 0.7 * place, atol=1e-12
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with pytest.raises(RuntimeError, match="carries a payload"):
+        payload.plan(0.1, 0.0)
+    payload.reset()
+    np.testing.assert_array_equal(model.body_ipos[torso], centre)

@@ -1,0 +1,351 @@
+"""A balance policy from training to its scores: small trainings, short episodes."""
+
+import dataclasses
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from surefoot.controllers import PolicyFileError, PolicyNetwork, zero_action
+from surefoot.experiments.policy_card import write_card
+from surefoot.experiments.policy_env import FEEDS, PARTS, PolicyView, input_names, make_feed
+from surefoot.experiments.policy_evaluate import COP_INPUTS, EpisodeResult, run_episode, run_episodes
+from surefoot.experiments.policy_export import export_zip, network_of
+from surefoot.experiments.policy_options import TRAINING_SEEDS, TrainOptions
+from surefoot.experiments.policy_scores import (
+    episodes_frame,
+    loss_won_back,
+    paired_difference,
+    score_table,
+    survival,
+)
+from surefoot.experiments.policy_shipped import SHIPPED, shipped_policy
+from surefoot.experiments.policy_train import Trainer, TrainingError, forget
+
+pytest.importorskip("stable_baselines3")
+pytestmark = pytest.mark.filterwarnings("ignore:.*unconventional shape")
+
+SMALL = TrainOptions(steps=48, environments=2, rollout=8, batch=8, epochs=1, every=1, hidden=8)
+SHORT = {"stand_time": 0.1, "duration": 0.6, "payload_time": (0.1, 0.2)}
+
+
+class StoppedError(Exception):
+    """What a power cut looks like."""
+
+
+def weights(network):
+    return np.concatenate([np.ravel(part) for part in (*network.weights, *network.biases)])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    out = tmp_path_factory.mktemp("trained")
+    trainer = Trainer(out, SMALL)
+    network = trainer.run()
+    yield out, trainer, network
+    trainer.close()
+
+
+def test_a_training_that_was_stopped_goes_on_to_the_same_policy(trained, tmp_path):
+    def stop(update, row):
+        if update == 3:
+            raise StoppedError
+
+    first = Trainer(tmp_path, SMALL)
+    with pytest.raises(StoppedError):
+        first.run(stop)
+    first.close()
+    seen = []
+    second = Trainer(tmp_path, SMALL)
+    assert second.updates == 2
+    network = second.run(lambda update, row: seen.append((update, row["steps"])))
+    second.close()
+    assert seen == [(3, 48.0)]
+    np.testing.assert_array_equal(weights(network), weights(trained[2]))
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "curve.csv"), pd.read_csv(trained[0] / "curve.csv"))
+    other = Trainer(tmp_path / "seed", dataclasses.replace(SMALL, seed=1, steps=16))
+    assert not np.array_equal(weights(other.run()), weights(network))
+    other.close()
+
+
+def test_a_full_disk_costs_only_what_came_after_the_checkpoint(trained, tmp_path, monkeypatch):
+    write, written = Path.write_bytes, []
+
+    def full(path, content):
+        written.append(path)
+        if len(written) == 2:
+            write(path, content[:100])
+            raise OSError(28, "No space left on device")
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    first = Trainer(tmp_path, SMALL)
+    with pytest.raises(OSError, match="No space left"):
+        first.run()
+    first.close()
+    second = Trainer(tmp_path, SMALL)
+    assert second.updates == 1
+    np.testing.assert_array_equal(weights(second.run()), weights(trained[2]))
+    second.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "checkpoint.pt", "curve.csv", "options.json", "policy.npz",
+    ]  # fmt: skip
+
+
+def test_a_folder_of_another_training_and_a_damaged_checkpoint_are_refused(trained, tmp_path):
+    with pytest.raises(TrainingError, match=r"holds another training.*'seed': \(0, 1\)"):
+        Trainer(trained[0], dataclasses.replace(SMALL, seed=1))
+    whole = (trained[0] / "checkpoint.pt").read_bytes()
+    (tmp_path / "options.json").write_text((trained[0] / "options.json").read_text())
+    (tmp_path / "checkpoint.pt").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(TrainingError, match="cannot be read as a checkpoint"):
+        Trainer(tmp_path, SMALL)
+    (tmp_path / "options.json").write_text("{")
+    with pytest.raises(TrainingError, match="is damaged"):
+        Trainer(tmp_path, SMALL)
+    (tmp_path / "options.json").unlink()
+    with pytest.raises(TrainingError, match="a checkpoint without its"):
+        Trainer(tmp_path, SMALL)
+    (tmp_path / "mine.txt").write_text("kept")
+    forget(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_the_file_and_stable_baselines_give_the_same_actions(trained, tmp_path):
+    model, view = trained[1]._model, trained[1].view
+    loaded = PolicyNetwork.load(trained[0] / "policy.npz")
+    exact = network_of(model, view)
+    env, _ = make_feed("true", **SHORT)
+    looking = PolicyView(env)
+    observation, _ = env.reset(seed=2)
+    largest = 0.0
+    for _ in range(40):
+        theirs = model.predict(looking.seen(observation), deterministic=True)[0]
+        np.testing.assert_allclose(exact.speeds(observation), theirs, atol=1e-6)
+        np.testing.assert_allclose(loaded.speeds(observation), theirs, atol=1e-6)
+        largest = max(largest, float(np.abs(theirs).max()))
+        observation, *_ = env.step(np.zeros(11))
+    assert largest > 1e-4
+    env.close()
+    assert loaded.notes["options"] == json.loads(json.dumps(SMALL.to_json()))
+
+
+def test_a_zip_is_opened_only_on_trust(tmp_path):
+    import torch
+    from stable_baselines3 import PPO
+
+    env = PolicyView(make_feed("true", **SHORT)[0])
+    model = PPO("MlpPolicy", env, seed=0, device="cpu", policy_kwargs={"activation_fn": torch.nn.Tanh})
+    model.save(str(tmp_path / "model"))
+    with pytest.raises(PolicyFileError, match="--trusted"):
+        export_zip(tmp_path / "model.zip", tmp_path / "p.npz")
+    assert not (tmp_path / "p.npz").exists()
+    exported = export_zip(tmp_path / "model.zip", tmp_path / "p.npz", trusted=True)
+    np.testing.assert_allclose(weights(exported), weights(network_of(model, env)), rtol=1e-12)
+    with pytest.raises(PolicyFileError, match="Stable-Baselines3 zip"):
+        PolicyNetwork.load(tmp_path / "model.zip")
+    (tmp_path / "bad.zip").write_bytes(b"PK\x03\x04")
+    with pytest.raises(PolicyFileError, match="cannot be opened"):
+        export_zip(tmp_path / "bad.zip", tmp_path / "p.npz", trusted=True)
+
+
+def test_the_view_and_the_network_act_alike(trained):
+    model, network = trained[1]._model, network_of(trained[1]._model, trained[1].view)
+    first, second = (make_feed("true", **SHORT)[0] for _ in range(2))
+    view = PolicyView(first)
+    seen, _ = view.reset(seed=5)
+    observation, _ = second.reset(seed=5)
+    for _ in range(8):
+        seen, *_ = view.step(model.predict(seen, deterministic=True)[0])
+        for _ in range(view.hold):
+            observation, *_ = second.step(network(observation))
+    np.testing.assert_allclose(view.seen(observation), seen, atol=1e-3)
+    assert len(input_names()) > 4
+    assert set(PARTS) <= set(second.observation_space.spaces)
+
+
+def test_feeds_differ_by_nothing_but_the_feet():
+    states, cops = {}, {}
+    for feed in FEEDS:
+        env, tap = make_feed(feed, **SHORT)
+        env.reset(seed=7)
+        for _ in range(20):
+            observation, *_ = env.step(np.zeros(11))
+        states[feed], cops[feed] = observation["state"], observation["cop"]
+        np.testing.assert_array_equal(states[feed], states["true"])
+        if feed == "true":
+            np.testing.assert_array_equal(observation["cop"], tap.seen["cop"])
+        env.close()
+    assert np.linalg.norm(cops["none"] - cops["true"]) > 1e-4
+    with pytest.raises(ValueError, match="no feed 'raw'"):
+        make_feed("raw")
+
+
+def test_an_episode_is_scored_from_the_end_of_the_stand(trained):
+    result = run_episode(zero_action, "true", 3, **SHORT)
+    assert result.time == pytest.approx(0.5)
+    assert result.cop_error == 0.0
+    assert 40.0 < result.total <= 120.0
+    assert result == run_episode(zero_action, "true", 3, **SHORT)
+    drifting = run_episode(zero_action, "none", 3, 2.0, **SHORT)
+    # Nobody acts on what is felt, so that nothing but the feeling differs.
+    assert drifting.total == pytest.approx(result.total)
+    assert drifting.cop_error > 1e-3
+    with pytest.raises(ValueError, match="are training's"):
+        run_episode(zero_action, "true", TRAINING_SEEDS)
+    with pytest.raises(ValueError, match="'cop_input'"):
+        run_episode(zero_action, "true", 0, cop_input="upside down")
+    with pytest.raises(ValueError, match="was trained on 'state'"):
+        run_episode(_of_another_robot(trained[2]), "true", 0, **SHORT)
+
+
+def _of_another_robot(network):
+    class Other(PolicyNetwork):
+        """Says that it looks at more."""
+
+        def __init__(self):
+            self.parts = {"state": 99}
+
+    return Other()
+
+
+def test_what_is_done_to_the_input_reaches_the_policy_and_not_the_score():
+    given = {}
+    for cop_input in COP_INPUTS:
+        seen = []
+
+        def look(observation, seen=seen):
+            seen.append(observation["cop"].copy())
+            return zero_action(observation)
+
+        result = run_episode(look, "true", 3, cop_input=cop_input, **SHORT)
+        assert result.cop_error == 0.0
+        given[cop_input] = np.array(seen[-40:])
+    assert (given["frozen"] == given["frozen"][0]).all()
+    np.testing.assert_array_equal(given["frozen"][0], given["felt"][0])
+    assert not np.array_equal(given["swapped"], given["felt"])
+    assert not np.array_equal(given["shuffled"], given["swapped"])
+    np.testing.assert_array_equal(np.sort(given["shuffled"], axis=0), np.sort(given["swapped"], axis=0))
+
+
+def test_seeds_are_paired_and_cells_are_not_run_twice():
+    results = list(run_episodes(zero_action, ["true", "none"], [1, 2], [0.5, 1.0], **SHORT))
+    frame = episodes_frame(results)
+    assert len(frame) == 2 * (1 + 2)
+    table = score_table(frame)
+    assert [row[:2] for row in table.rows] == [("true", "–"), ("none", "0.5"), ("none", "1")]
+    assert survival(frame) == 1.0
+    assert paired_difference(frame, ("true", "felt"), ("none", "felt"), 1.0).mean == pytest.approx(0.0)
+
+
+def invented(feed, totals, cop_input="felt"):
+    return [
+        EpisodeResult(feed, cop_input, 1.0, seed, total, False, 1.0, 0.0, 0.0)
+        for seed, total in enumerate(totals)
+    ]
+
+
+def test_the_loss_won_back_is_the_share_of_the_means_and_its_interval_holds_it():
+    rng = np.random.default_rng(0)
+    base = rng.normal(100.0, 30.0, 60)
+    gap = rng.uniform(5.0, 15.0, 60)
+    frame = episodes_frame(
+        invented("true", base + gap) + invented("none", base) + invented("surefoot", base + 0.8 * gap)
+    )
+    won, low, high = loss_won_back(frame, "surefoot", 1.0)
+    assert won == pytest.approx(0.8)
+    assert (low, high) == pytest.approx((0.8, 0.8))
+    noisy = invented("window", base + 0.5 * gap + rng.normal(0.0, 3.0, 60))
+    won, low, high = loss_won_back(
+        episodes_frame([*noisy, *invented("true", base + gap), *invented("none", base)]), "window", 1.0
+    )
+    assert low < won < high
+    assert low < 0.5 < high
+    interval = paired_difference(frame, ("true", "felt"), ("none", "felt"), 1.0)
+    assert interval.mean == pytest.approx(gap.mean())
+    assert interval.half < 1.0
+    with pytest.raises(ValueError, match="No seed"):
+        loss_won_back(frame, "window", 1.0)
+
+
+def test_a_card_says_how_it_was_made(trained):
+    text = write_card(trained[0]).read_text()
+    assert "surefoot train --sensors true --seed 0 --steps 48" in text
+    assert "None yet" in text
+    assert (trained[0] / "curve.png").stat().st_size > 5000
+    pd.DataFrame({"CoP fed back": ["true"], "return": ["12.3 ± 0.4"]}).to_csv(
+        trained[0] / "evaluation.csv", index=False
+    )
+    assert "| true | 12.3 ± 0.4 |" in write_card(trained[0]).read_text()
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [({"sensors": "some"}, "'sensors'"), ({"steps": 0}, "'steps'"), ({"seed": 1000}, "'seed'")],
+)
+def test_a_training_that_makes_no_sense_is_refused(changes, text):
+    with pytest.raises(ValueError, match=text):
+        TrainOptions(**changes)
+
+
+def test_seeds_of_training_are_no_seeds_of_evaluation_and_never_twice_the_same():
+    seeds = set()
+    for seed in (0, 999):
+        options = TrainOptions(seed=seed)
+        for update in range(options.updates):
+            block = range(options.segment_seed(update), options.segment_seed(update) + options.environments)
+            assert min(block) >= TRAINING_SEEDS
+            assert seeds.isdisjoint(block)
+            seeds.update(block)
+    assert max(seeds) < 2**32
+    assert TrainOptions(sensors="randomised").severities()[-1] == 2.0
+
+
+def test_what_is_shipped_fits_the_task():
+    for name in SHIPPED:
+        policy = shipped_policy(name)
+        assert policy.notes["options"]["sensors"] == name
+        assert run_episode(policy, "true", 4, **SHORT).time == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="no shipped policy 'best'"):
+        shipped_policy("best")
+
+
+def test_the_commands(trained, tmp_path):
+    import typer
+
+    from surefoot.experiments import cli_policy
+
+    app = typer.Typer()
+    app.command()(cli_policy.train)
+    app.command()(cli_policy.evaluate)
+    call = CliRunner().invoke
+    answer = call(app, ["train", "--out", str(trained[0]), "--seed", "1"])
+    assert answer.exit_code == 2
+    assert "another training" in answer.output
+    answer = call(app, ["train", "--export", str(tmp_path / "no.zip"), "--out", str(tmp_path)])
+    assert "There is no file" in answer.output
+    (tmp_path / "bad.npz").write_bytes(b"no policy")
+    answer = call(app, ["evaluate", str(tmp_path / "bad.npz")])
+    assert answer.exit_code == 2
+    assert "cannot be read as a policy file" in answer.output
+    answer = call(app, ["evaluate", str(trained[0] / "policy.npz"), "--feed", "sand"])
+    assert "There is no feed 'sand'" in answer.output
+
+
+def test_the_example_wraps_trains_and_compares(monkeypatch):
+    path = Path(__file__).parents[2] / "examples" / "train_balance.py"
+    if not path.is_file():
+        pytest.skip("the examples are not part of the wheel")
+    spec = importlib.util.spec_from_file_location("train_balance", path)
+    example = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "train_balance", example)
+    spec.loader.exec_module(example)
+    env = example.on_drifting_feet(example.CALIBRATED, **SHORT)
+    total = example.mean_return(None, env, [4])
+    assert total == pytest.approx(example.mean_return(None, example.on_true_feet(**SHORT), [4]))
+    assert len(path.read_text().splitlines()) < 100
