@@ -1,0 +1,111 @@
+"""Sweeps on real processes: killed, crashed, and on clusters."""
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from surefoot.experiments.sweep import SweepPlan, run_sweep
+from surefoot.experiments.sweep.store import JOURNAL, RESULTS
+
+TOYS = """
+import os, time
+import numpy as np
+
+def slow(observation):
+    time.sleep(0.01)
+    return np.zeros(11, np.float32)
+
+def dies(observation):
+    os._exit(9)
+"""
+
+
+def cluster(name: str) -> pytest.MarkDecorator:
+    package = {"dask": "distributed"}.get(name, name)
+    missing = name != "local" and importlib.util.find_spec(package) is None
+    return pytest.mark.skipif(missing, reason=f"{package} is not installed: pip install 'surefoot[{name}]'")
+
+
+CLUSTERS = [pytest.param(name, marks=cluster(name)) for name in ("local", "dask", "ray")]
+
+
+def command(folder: Path, controllers: str, *, seeds: int, backend: str) -> subprocess.Popen[bytes]:
+    (folder / "sweep_toys.py").write_text(TOYS)
+    plan = folder / "sweep.toml"
+    plan.write_text(
+        f'controllers = {controllers}\nfeeds = ["true"]\nscenarios = ["stand"]\nseverities = [1]\n'
+        f"seeds = {seeds}\nduration = 0.6\nsettle = 0.1\n"
+    )
+    arguments = ["sweep", str(plan), "--out", str(folder / "out"), "--backend", backend]
+    # A file and no pipe: workers of a killed process would keep a pipe open for a while.
+    with (folder / "said.txt").open("wb") as said:
+        return subprocess.Popen(
+            [sys.executable, "-m", "surefoot", *arguments],
+            env=os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"},
+            stdout=said,
+            stderr=subprocess.STDOUT,
+        )
+
+
+def ended(process: subprocess.Popen[bytes], folder: Path) -> str:
+    code = process.wait()
+    said = (folder / "said.txt").read_text()
+    assert code == 0, said
+    return said
+
+
+def test_a_killed_sweep_goes_on(tmp_path: Path) -> None:
+    controllers, journal = '["sweep_toys:slow"]', tmp_path / "out" / JOURNAL
+    first = command(tmp_path, controllers, seeds=9, backend="local")
+    while not (journal.is_file() and journal.read_bytes().count(b"\n") >= 3) and first.poll() is None:
+        time.sleep(0.01)
+    first.send_signal(signal.SIGKILL)
+    assert first.wait() == -signal.SIGKILL, (tmp_path / "said.txt").read_text()
+    kept = pd.read_json(journal, lines=True, precise_float=True)
+    assert 3 <= len(kept) < 9
+    assert not (tmp_path / "out" / RESULTS).exists()
+    # Those who worked for the killed one may take a moment to notice; they write nothing.
+    said = ended(command(tmp_path, controllers, seeds=9, backend="here"), tmp_path)
+    assert f"{9 - len(kept)} cells run, {len(kept)} were there, 0 failed." in said
+    rows = pd.read_parquet(tmp_path / "out" / RESULTS)
+    assert list(rows["cell"]) == list(range(9))
+    # How long a cell took never comes out twice alike: those that were there were not run again.
+    merged = kept.merge(rows, on="cell")
+    assert len(merged) == len(kept)
+    assert (merged["wall_time_x"] == merged["wall_time_y"]).all()
+    assert (merged["digest_x"] == merged["digest_y"]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", CLUSTERS)
+def test_a_worker_that_dies_costs_its_cell_alone(backend: str, tmp_path: Path) -> None:
+    controllers = '["zero", "sweep_toys:dies", "stabiliser"]'
+    ended(command(tmp_path, controllers, seeds=2, backend=backend), tmp_path)
+    rows = pd.read_parquet(tmp_path / "out" / RESULTS)
+    assert list(rows["cell"]) == list(range(6))
+    assert list(rows[rows["error"] != ""]["controller"]) == ["sweep_toys:dies"] * 2
+    assert rows[rows["error"] != ""]["error"].str.startswith("The worker that ran this cell died: ").all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", CLUSTERS)
+def test_results_are_the_same_to_the_last_digit(
+    backend: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    ended(command(tmp_path, '["zero", "stabiliser"]', seeds=3, backend=backend), tmp_path)
+    rows = pd.read_parquet(tmp_path / "out" / RESULTS)
+    plan = SweepPlan(
+        feeds=("true",), scenarios=("stand",), severities=(1.0,), seeds=(0, 1, 2), duration=0.6, settle=0.1
+    )
+    here = run_sweep(plan, tmp_path_factory.mktemp("here"), backend="here").rows
+    assert not (rows["error"] != "").any()
+    pd.testing.assert_frame_equal(
+        rows.drop(columns="wall_time"), here.drop(columns="wall_time"), check_exact=True
+    )
