@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from surefoot.envs.command import Command
 from surefoot.envs.exercise_balance import AnkleBalance
 from surefoot.envs.exercise_motion import Motion
-from surefoot.envs.exercise_observation import ExerciseObserver, Observation
+from surefoot.envs.exercise_observation import ExerciseObserver
 from surefoot.envs.exercise_robot import prepare_robot
 from surefoot.envs.feet_truth import FeetTruth
+from surefoot.envs.observation import FORCE_BOUND, Observation
 from surefoot.envs.options import check_render_mode, checked_range, positive
 
 CONTROL_STEP: Final = 0.02
@@ -128,7 +129,8 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._cop_width = COP_WIDTH * self._motion.height
         self._first_height = float(self._motion.qpos[2])
 
-        self._observer = ExerciseObserver(len(self.joint_names), max(1000.0, 10.0 * prepared.weight))
+        bound = max(FORCE_BOUND, 10.0 * prepared.weight)
+        self._observer = ExerciseObserver(len(self.joint_names), bound)
         self.observation_space = self._observer.space
         self.state_layout = self._observer.state_layout
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._leg_motors),), dtype=np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.feet_layout import FOOT_WIDTH, TORSO_WIDTH, FeetLayout
-from surefoot.envs.truth import CONTACT_FORCE, centre_of_pressure
+from surefoot.envs.truth import centre_of_pressure, cop_in_sole
 
 Array = NDArray[np.float64]
 
@@ -81,9 +81,7 @@ class FeetTruth:
             ValueError: If a foot has no area, with the reason.
         """
         self._refuse_flaws()
-        wrench = self.wrench_sole
-        load = np.where(wrench[..., 2] > CONTACT_FORCE, wrench[..., 2], np.nan)
-        return np.stack([-wrench[..., 4] / load, wrench[..., 3] / load], axis=-1)
+        return cop_in_sole(self.wrench_sole)
 
     @cached_property
     def force_cell(self) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.feet_truth import FeetTruth
-from surefoot.envs.truth import CONTACT_FORCE
+from surefoot.envs.truth import cop_in_sole
 
 Array = NDArray[np.float64]
 
@@ -53,11 +53,8 @@ def _force_cell(truth: FeetTruth) -> Array:
 
 
 def _cop_foot(truth: FeetTruth) -> Array:
-    wrench = truth.wrench_sole[-1]
     has_area = np.array([not foot.flaw for foot in truth.layout.feet])
-    load = np.where(has_area & (wrench[:, 2] > CONTACT_FORCE), wrench[:, 2], np.nan)
-    cop: Array = np.stack([-wrench[:, 4] / load, wrench[:, 3] / load], axis=1)
-    return cop
+    return np.where(has_area[:, None], cop_in_sole(truth.wrench_sole[-1]), np.nan)
 
 
 _TOLD: Final[dict[str, Callable[[FeetTruth], Array]]] = {
@@ -69,3 +66,6 @@ _TOLD: Final[dict[str, Callable[[FeetTruth], Array]]] = {
     "wrench_sole": lambda truth: truth.wrench_sole[-1].copy(),
 }
 """How each quantity follows from a step's truth."""
+
+TOLD: Final = tuple(_TOLD)
+"""Names of what is told of a step."""

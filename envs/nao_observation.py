@@ -4,21 +4,18 @@ Everything is made from the last row of the control step's truth. The few number
 plain floats, which for arrays this small is several times faster than NumPy.
 """
 
-from math import asin, atan2, cos, nan, sin
+from math import asin, atan2, nan
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
+from surefoot.envs.observation import FORCE_BOUND, Observation, ObservationTable, command_state, turned
 from surefoot.envs.robot import hinge_joint_names
 from surefoot.envs.truth import CONTACT_FORCE, Truth, TruthChannels
 
-Observation = dict[str, NDArray[Any]]
-
-FORCE_BOUND = 1000.0
-COP_BOUND = 1.0
+__all__ = ["NaoObserver", "Observation"]
 
 
 class NaoObserver:
@@ -36,36 +33,10 @@ class NaoObserver:
     def __init__(self, model: Any, channels: TruthChannels) -> None:
         joints = len(hinge_joint_names(model))
         self.channels = channels
-        bounds = {
-            "joint_position": (joints, np.pi),
-            "joint_velocity": (joints, 50.0),
-            "tilt": (2, np.pi),
-            "gyroscope": (3, 50.0),
-            "com_reference": (2, 1.0),
-            "com_reference_velocity": (2, 2.0),
-            "cop_reference": (2, 1.0),
-            "stance": (2, 1.0),
-            "phase": (2, 1.0),
-        }
-        self.state_layout: dict[str, slice] = {}
-        end = 0
-        for name, (size, _) in bounds.items():
-            self.state_layout[name] = slice(end, end + size)
-            end += size
-        self._high = np.concatenate([np.full(n, high, dtype=np.float32) for n, high in bounds.values()])
-        self._low = -self._high
-        self._low[self.state_layout["stance"]] = 0.0
+        self._table = ObservationTable(joints, FORCE_BOUND)
+        self.space, self.state_layout = self._table.space, self._table.state_layout
         self._measured = slice(0, 2 * joints)
         self._joints = slice(channels.joint_position.start, channels.joint_velocity.stop)
-        self.space: Any = spaces.Dict(
-            {
-                "state": spaces.Box(self._low.copy(), self._high.copy(), dtype=np.float32),
-                "foot_force": spaces.Box(-FORCE_BOUND, FORCE_BOUND, (8,), dtype=np.float32),
-                "cop_foot": spaces.Box(-COP_BOUND, COP_BOUND, (2, 2), dtype=np.float32),
-                "cop": spaces.Box(-COP_BOUND, COP_BOUND, (2,), dtype=np.float32),
-                "cop_valid": spaces.MultiBinary(3),
-            }
-        )
         self.reset()
 
     def reset(self) -> None:
@@ -130,16 +101,10 @@ class NaoObserver:
                 0.5 * (row[origin] + row[origin + 3]),
                 0.5 * (row[origin + 1] + row[origin + 4]),
             )
-            self._cop = _level(cop_world[0] - middle_x, cop_world[1] - middle_y, heading)
+            self._cop = turned(cop_world[0] - middle_x, cop_world[1] - middle_y, heading)
 
-        observation: Observation = {
-            "state": self._state(last, row, command),
-            "foot_force": _clipped(force_cell, FORCE_BOUND),
-            "cop_foot": _clipped(self._cop_foot, COP_BOUND),
-            "cop": _clipped(self._cop, COP_BOUND),
-            "cop_valid": np.array([valid, *foot_valid], dtype=np.int8),
-        }
-        return observation, {
+        state, valids = self._state(last, row, command), [valid, *foot_valid]
+        return self._table.bounded(state, force_cell, self._cop_foot, self._cop, valids), {
             "force_cell": force_cell,
             "vgrf": np.array(vgrf),
             "cop_world": np.array(cop_world),
@@ -152,37 +117,12 @@ class NaoObserver:
         torso = self.channels.axes_torso.start
         x_up, y_up, z_up = row[torso + 2], row[torso + 5], row[torso + 8]
         gyro = self.channels.gyroscope.start
-        soles = command.position_sole.tolist()
-        left, right = command.yaw_sole.tolist()
-        middle_x, middle_y = 0.5 * (soles[0][0] + soles[1][0]), 0.5 * (soles[0][1] + soles[1][1])
-        heading = atan2(sin(left) + sin(right), cos(left) + cos(right))
-        com, velocity, cop = command.com.tolist(), command.com_velocity.tolist(), command.cop.tolist()
-        angle = 2.0 * np.pi * command.phase
-        state = np.empty(self._high.size, dtype=np.float32)
+        state = np.empty(self._table.size, dtype=np.float32)
         state[self._measured] = last[self._joints]
         state[self._measured.stop :] = [
             atan2(y_up, z_up),
             -asin(max(-1.0, min(1.0, x_up))),
             *row[gyro : gyro + 3],
-            *_level(com[0] - middle_x, com[1] - middle_y, heading),
-            *_level(velocity[0], velocity[1], heading),
-            *_level(cop[0] - middle_x, cop[1] - middle_y, heading),
-            *command.stance.tolist(),
-            sin(angle),
-            cos(angle),
+            *command_state(command),
         ]
-        np.maximum(state, self._low, out=state)
-        np.minimum(state, self._high, out=state)
         return state
-
-
-def _clipped(value: Any, bound: float) -> NDArray[np.float32]:
-    clipped = np.array(value, dtype=np.float32)
-    np.maximum(clipped, -bound, out=clipped)
-    np.minimum(clipped, bound, out=clipped)
-    return clipped
-
-
-def _level(x: float, y: float, heading: float) -> list[float]:
-    c, s = cos(heading), sin(heading)
-    return [c * x + s * y, c * y - s * x]

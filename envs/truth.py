@@ -194,3 +194,16 @@ def centre_of_pressure(ground: NDArray[np.float64]) -> NDArray[np.float64]:
     load = force[..., 2].sum(axis=-1)
     load = np.where(load > CONTACT_FORCE, load, np.nan)
     return np.stack([-moment[..., 1].sum(axis=-1) / load, moment[..., 0].sum(axis=-1) / load], axis=-1)
+
+
+def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Find where each foot's load acts on its sole.
+
+    Args:
+        wrench_sole: Wrenches at and in the sole frames in N and N m, shape (..., 6).
+
+    Returns:
+        The centres of pressure in the sole frames in m, shape (..., 2); NaN at no more than 5 N.
+    """
+    load = np.where(wrench_sole[..., 2] > CONTACT_FORCE, wrench_sole[..., 2], np.nan)
+    return np.stack([-wrench_sole[..., 4] / load, wrench_sole[..., 3] / load], axis=-1)

@@ -11,8 +11,8 @@ import math
 import torch
 
 from surefoot.calibration import GRAVITY, Reference, nao_shoe_layout
-from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
+from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule
 
 LAYOUT, MASS, HEIGHT, DT, CYCLE = nao_shoe_layout(), 5.305, 0.26, 1 / 80, 128
 

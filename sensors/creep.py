@@ -14,6 +14,7 @@ from math import expm1, isfinite
 from typing import Any, NamedTuple
 
 from surefoot.sensors._arrays import cast_like, namespace
+from surefoot.sensors.configuration import require
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled
 
@@ -27,6 +28,24 @@ class CreepState(NamedTuple):
     """
 
     yielded: Array
+
+
+def check_creep(config: Any) -> None:
+    """Make tuples of numbers of a configuration's ``creep_shares`` and ``creep_time_constants`` (s).
+
+    Raises:
+        ValueError: If there are not as many of both, a share is not finite or a time constant not positive.
+    """
+    for name in ("creep_shares", "creep_time_constants"):
+        object.__setattr__(config, name, tuple(float(value) for value in getattr(config, name)))
+    shares, times = config.creep_shares, config.creep_time_constants
+    require(all(isfinite(share) for share in shares), config, "creep_shares", "be finite")
+    require(
+        len(times) == len(shares) and all(0.0 < time < float("inf") for time in times),
+        config,
+        "creep_time_constants",
+        f"hold a positive time for each of the {len(shares)} creep_shares",
+    )
 
 
 def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruption[CreepState]:

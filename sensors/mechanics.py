@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.creep import creep
+from surefoot.sensors.creep import check_creep, creep
 from surefoot.sensors.hysteresis import hysteresis
 from surefoot.sensors.mounting import WARP, mounting
 from surefoot.sensors.nonlinearity import drawn_nonlinearity
@@ -75,18 +75,7 @@ class Mechanics:
         require(self.nonlinearity < 1.0 / 12.0, self, "nonlinearity", "be below 1/12")
         require(self.hysteresis <= 0.15, self, "hysteresis", "be at most 0.15")
         require(self.overload_share <= 1.0, self, "overload_share", "be at most 1")
-        for name in ("creep_shares", "creep_time_constants"):
-            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
-        require(
-            all(abs(share) < float("inf") for share in self.creep_shares), self, "creep_shares", "be finite"
-        )
-        require(
-            len(self.creep_time_constants) == len(self.creep_shares)
-            and all(0.0 < constant < float("inf") for constant in self.creep_time_constants),
-            self,
-            "creep_time_constants",
-            f"hold a positive time for each of the {len(self.creep_shares)} creep_shares",
-        )
+        check_creep(self)
 
     @property
     def jumps(self) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.creep import check_creep
 from surefoot.sensors.drift import PER_SQRT_MINUTE
 
 AXES = 6
@@ -132,8 +133,6 @@ class StrainGauges:
         require_positive(self, "full_scale_force", "full_scale_torque")
         require_positive(self, "hysteresis_true_force", "hysteresis_true_torque")
         self._check_matrix()
-        for name in ("creep_shares", "creep_time_constants"):
-            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
         others = ("matrix", "adc_bits", "hysteresis_of", "creep_shares", "creep_time_constants")
         require_not_negative(self, *(name for name in self.__dataclass_fields__ if name not in others))
         for name in ("gain_error_std", "cross_talk_std"):
@@ -147,16 +146,7 @@ class StrainGauges:
             most = getattr(self, f"full_scale_{name}")
             field = f"hysteresis_true_{name}"
             require(getattr(self, field) <= most, self, field, f"be at most the full scale, {most}")
-        require(
-            all(abs(share) < float("inf") for share in self.creep_shares), self, "creep_shares", "be finite"
-        )
-        require(
-            len(self.creep_time_constants) == len(self.creep_shares)
-            and all(0.0 < constant < float("inf") for constant in self.creep_time_constants),
-            self,
-            "creep_time_constants",
-            f"hold a positive time for each of the {len(self.creep_shares)} creep_shares",
-        )
+        check_creep(self)
 
     def _check_matrix(self) -> None:
         try:

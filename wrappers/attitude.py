@@ -22,6 +22,10 @@ PROPORTIONAL_GAIN = 0.3
 INTEGRAL_GAIN = 0.02
 """k_I in 1/s^2."""
 
+LEAST_SQUARE, MOST_SQUARE = 24.0, 217.0
+"""Squares of the specific force in m^2/s^4 between which an accelerometer tells what is up, 0.5 to 1.5 g: not
+in free fall, not in an impact."""
+
 Vector = tuple[float, float, float]
 
 
@@ -65,7 +69,7 @@ def update(attitude: Attitude, gyroscope: Vector, accelerometer: Vector, dt: flo
     ax, ay, az = accelerometer
     square = ax * ax + ay * ay + az * az
     ex = ey = ez = 0.0
-    if 24.0 < square < 217.0:  # Between 0.5 and 1.5 g: not in free fall, not in an impact.
+    if LEAST_SQUARE < square < MOST_SQUARE:
         weight = 1.0 / sqrt(square)
         ax, ay, az = ax * weight, ay * weight, az * weight
         ex, ey, ez = y * az - z * ay, z * ax - x * az, x * ay - y * ax

@@ -27,6 +27,21 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.sensors.link import Packet, Packets
+from surefoot.wrappers.belief_rows import (
+    ACCELERATION,
+    ACCELEROMETER,
+    AXES,
+    COM,
+    FORCE,
+    FURTHEST,
+    GYROSCOPE,
+    IMU,
+    MOMENTUM,
+    MOMENTUM_RATE,
+    ROWS,
+    SLOPE,
+    SOLES,
+)
 from surefoot.wrappers.nominal import NominalModel
 from surefoot.wrappers.odometry import Odometry
 from surefoot.wrappers.telemetry import TelemetryLayout
@@ -37,19 +52,7 @@ CLOCK_MEMORY = 256
 HISTORY = 64
 """How many packets are kept: more than any lag needs."""
 
-_SLOPE = 3
-"""Packets over which the soles' velocities are taken."""
-
-_FURTHEST = 8.0
-"""How many packets ahead soles are supposed to go on as they went."""
-
-# Rows of vectors at the middle between two packets: in odometry axes, from the torso's origin, ...
-_COM, _IMU, _SOLES, _AXES, _MOMENTUM, _FORCE = 0, 1, slice(2, 4), slice(4, 10), 10, 11
-# ... what follows from its neighbours in time, ...
-_ACCELERATION, _MOMENTUM_RATE = 12, 13
-# ... and what was measured, in the IMU's own axes.
-_ACCELEROMETER, _GYROSCOPE, _ROWS = 14, 15, 16
-_POSES = slice(_SOLES.start, _AXES.start + 4)
+_POSES = slice(SOLES.start, AXES.start + 4)
 """Both soles' places, and their axes up to the x axis of the right one."""
 
 
@@ -86,8 +89,8 @@ class Beliefs:
         self.model = model
         self._layout = layout
         self._period, self._delay, self._averaged = period, delay, averaged
-        self._ring = np.zeros((HISTORY, _ROWS, 3))
-        self._local = np.zeros((_FORCE + 1, 3))
+        self._ring = np.zeros((HISTORY, ROWS, 3))
+        self._local = np.zeros((FORCE + 1, 3))
         self._odometry = Odometry(period)
         self._last: Packet | None = None
         self._run = 0
@@ -124,25 +127,25 @@ class Beliefs:
         com, momentum, sites, axes = self.model.evaluate(0.5 * (start + end), (end - start) / period, spin)
         R_odometry_torso = self._odometry.turn(spin, force, sites, axes)
         local = self._local
-        local[_COM] = com
-        local[_IMU : _SOLES.stop] = sites
-        local[_AXES] = axes
-        local[_MOMENTUM] = momentum
-        local[_FORCE] = force - self._odometry.force_bias
+        local[COM] = com
+        local[IMU : SOLES.stop] = sites
+        local[AXES] = axes
+        local[MOMENTUM] = momentum
+        local[FORCE] = force - self._odometry.force_bias
         row = self._ring[number % HISTORY]
-        np.matmul(local, R_odometry_torso.T, out=row[: _FORCE + 1])
-        row[_ACCELEROMETER] = force
-        row[_GYROSCOPE] = spin
+        np.matmul(local, R_odometry_torso.T, out=row[: FORCE + 1])
+        row[ACCELEROMETER] = force
+        row[GYROSCOPE] = spin
 
     def _differentiate(self, number: int) -> None:
         """Fill in the rates one middle before a packet's, from its neighbours."""
         ring, period = self._ring, self._period
         before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
         bent = before + after - 2.0 * row
-        acceleration = row[_FORCE] + (bent[_COM] - bent[_IMU]) / period**2
+        acceleration = row[FORCE] + (bent[COM] - bent[IMU]) / period**2
         acceleration[2] -= GRAVITY
-        row[_ACCELERATION] = acceleration
-        row[_MOMENTUM_RATE] = (after[_MOMENTUM] - before[_MOMENTUM]) / (2.0 * period)
+        row[ACCELERATION] = acceleration
+        row[MOMENTUM_RATE] = (after[MOMENTUM] - before[MOMENTUM]) / (2.0 * period)
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
         """Say what the robot believed to do at a moment.
@@ -158,18 +161,18 @@ class Beliefs:
             return nothing(2)._replace(stance=stance, swing=swing)
         rows = self._at(time)
         R_level_odometry, origin = _level(rows)
-        level = rows[: _MOMENTUM_RATE + 1] @ R_level_odometry.T
-        level[: _SOLES.stop] -= origin
+        level = rows[: MOMENTUM_RATE + 1] @ R_level_odometry.T
+        level[: SOLES.stop] -= origin
         return Reference(
-            level[_COM],
-            level[_ACCELERATION],
-            level[_MOMENTUM_RATE],
-            level[_SOLES],
-            level[_AXES].reshape(2, 3, 3).swapaxes(1, 2),
+            level[COM],
+            level[ACCELERATION],
+            level[MOMENTUM_RATE],
+            level[SOLES],
+            level[AXES].reshape(2, 3, 3).swapaxes(1, 2),
             stance,
             swing,
-            rows[_ACCELEROMETER],
-            rows[_GYROSCOPE],
+            rows[ACCELEROMETER],
+            rows[GYROSCOPE],
         )
 
     def soles(self, time: float) -> tuple[SolePose, SolePose]:
@@ -182,11 +185,11 @@ class Beliefs:
             The left and the right sole in the level frame of that moment.
         """
         last = self._last
-        if last is None or self._run < 1 + _SLOPE:
+        if last is None or self._run < 1 + SLOPE:
             return SolePose(0.0, 0.0, 1.0, 0.0), SolePose(0.0, 0.0, 1.0, 0.0)
-        newest, before = self._ring[last.number % HISTORY], self._ring[(last.number - _SLOPE) % HISTORY]
+        newest, before = self._ring[last.number % HISTORY], self._ring[(last.number - SLOPE) % HISTORY]
         ahead = (time - self._middle(last.number)) / self._period
-        ahead = min(max(ahead, 0.0), _FURTHEST) / _SLOPE
+        ahead = min(max(ahead, 0.0), FURTHEST) / SLOPE
         rows = newest[_POSES]
         rows = rows + ahead * (rows - before[_POSES])
         (lx, ly, _), (rx, ry, _), (lu, lv, _), _, _, (ru, rv, _) = rows.tolist()
@@ -205,7 +208,7 @@ class Beliefs:
         return self._clock + (number - 0.5) * self._period
 
     def _at(self, time: float) -> NDArray[np.float64]:
-        """Interpolate the rows that are complete, shape (_ROWS, 3); at their ends, take the end."""
+        """Interpolate the rows that are complete, shape (ROWS, 3); at their ends, take the end."""
         last = self._last
         assert last is not None
         low, high = last.number - min(self._run, HISTORY - 1) + 2, last.number - 1
@@ -236,11 +239,11 @@ def nothing(feet: int) -> Reference:
 
 def _level(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Find the level frame: its rotation from the odometry frame, and its origin in its own axes."""
-    left_x, right_x = rows[_AXES][::3].tolist()
+    left_x, right_x = rows[AXES][::3].tolist()
     x, y = left_x[0] + right_x[0], left_x[1] + right_x[1]
     norm = 1.0 / sqrt(x * x + y * y)
     x, y = x * norm, y * norm
-    (lx, ly, lz), (rx, ry, rz) = rows[_SOLES].tolist()
+    (lx, ly, lz), (rx, ry, rz) = rows[SOLES].tolist()
     mx, my = 0.5 * (lx + rx), 0.5 * (ly + ry)
     R = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
     return R, np.array([x * mx + y * my, x * my - y * mx, min(lz, rz)])

@@ -25,8 +25,23 @@ DOWN = 0.003
 FLAT = 0.03
 """Slope of a sole in rad beyond which the foot is rolling, and its height says little."""
 
+COS_FLAT = 1.0 - 0.5 * FLAT * FLAT
+"""Its cosine, to second order."""
+
 FALLING = 0.5 * GRAVITY
 """Specific force in m/s^2 below which nothing is sure: the robot may be in the air."""
+
+
+def planned_window(lag: int) -> tuple[int, int]:
+    """Tell how long a plan must have held by then to be sure of it, so many samples later.
+
+    Args:
+        lag: How many samples ago a reference was.
+
+    Returns:
+        Samples that it must have held, and samples for which it is kept in mind how long it had.
+    """
+    return CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag), max(lag - CONTACT_MARGIN, 0) + 1
 
 
 class Plan:
@@ -37,8 +52,8 @@ class Plan:
     """
 
     def __init__(self, lag: int) -> None:
-        self._needed = CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag)
-        self._runs = deque([[0, 0, 0, 0]], maxlen=max(lag - CONTACT_MARGIN, 0) + 1)
+        self._needed, kept = planned_window(lag)
+        self._runs = deque([[0, 0, 0, 0]], maxlen=kept)
 
     def at(
         self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
@@ -82,7 +97,7 @@ class Kinematics:
         # NaN, where nothing is known yet, compares as false.
         carried = fx * fx + fy * fy + fz * fz > FALLING * FALLING
         seen = [
-            carried and height - low < DOWN and slope > 1.0 - 0.5 * FLAT * FLAT
+            carried and height - low < DOWN and slope > COS_FLAT
             for height, slope in ((left, slope_left), (right, slope_right))
         ]
         seen += [carried and height - low > LIFTED for height in (left, right)]

@@ -3,52 +3,36 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any, NamedTuple, SupportsFloat
+from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.state import load_state, save_state
 from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, resolve, scaled
-from surefoot.sensors.configuration import require
 from surefoot.sensors.link import Packets
-from surefoot.wrappers.instruments import FootDevice, Instruments, InstrumentsState, foot_device
+from surefoot.wrappers.foot_device import FootDevice, foot_device
+from surefoot.wrappers.hardware import HardwareState
+from surefoot.wrappers.instruments import Instruments
+from surefoot.wrappers.raw_view import RawView
 from surefoot.wrappers.source import (
     Source,
     check_stream,
     find_source,
+    robot_note,
     split_options,
     wants_fresh,
     with_source,
 )
-from surefoot.wrappers.telemetry import LONGEST_DELAY, Hardware, Telemetry, TelemetryState
+from surefoot.wrappers.telemetry import Hardware, Telemetry, TelemetryState, timely_link
 
 SENSOR_STREAM = 0x5F00
 """Number of the random stream that sensors draw from unless another is given."""
 
 TELEMETRY_STREAM = 1
 """Number, within that, of the stream of an IMU and of encoders that no observation shows."""
-
-TRUE_KEYS = ("foot_force", "cop", "cop_foot", "cop_valid")
-"""Parts of an observation that only truth can tell; readings take their place."""
-
-
-class HardwareState(NamedTuple):
-    """What stays as it is while the power is on, whatever happens to the robot.
-
-    Attributes:
-        instruments: What is under the feet.
-        faults: What is broken about it, or ``()``.
-        telemetry: IMU and encoders (:class:`~surefoot.wrappers.telemetry.Hardware`), or ``None`` where nobody
-            listens.
-    """
-
-    instruments: InstrumentsState
-    faults: Any
-    telemetry: Any
 
 
 class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -76,9 +60,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
 
     Args:
         env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
-        config: What is under the feet: the name of a preset, a mapping (with ``"device": "force-torque"`` for
-            six-axis sensors), a :class:`~surefoot.sensors.LoadCells` or a
-            :class:`~surefoot.sensors.ForceTorque`.
+        config: What is under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells` or a
+            :class:`~surefoot.sensors.ForceTorque`, or a mapping of the fields of either.
         ankles: Six-axis sensors besides load cells, likewise; ``None`` for none.
         imu: The IMU, likewise.
         encoders: The joint encoders, likewise.
@@ -148,35 +131,24 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         if severity != 1.0:
             devices = [scaled(device, severity) for device in devices]
         self.instruments = Instruments(tuple(devices), source.drawing)
-        self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), resolve(link, Link))
-        require(
-            self._configs[2].delay <= LONGEST_DELAY,
-            self._configs[2],
-            "delay",
-            f"be at most {LONGEST_DELAY} s, which is as late as telemetry is of use here",
-        )
+        self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
         broken = [self._fault(fault) for fault in faults]
         self._broken = channel_faults(broken, self.instruments) if broken else None
         layout = getattr(source, "state_layout", None) if measure_state else None
-        self._state_layout: Mapping[str, slice] | None = layout
-        self.observation_space, self._was_dict = self._space(self.env.observation_space)
-        if self._state_layout is not None:
-            state = self.observation_space["state"]
-            self._state_bounds = (state.low, state.high)  # type: ignore[attr-defined]
+        self._measures = layout is not None
+        self._view = RawView(self.instruments, self.env.observation_space, layout, self.env)
+        self.observation_space = self._view.space
         self._link_by_name = isinstance(link, str)
         self._fresh, self._stream = fresh, stream
         self._rng = self._telemetry_rng = np.random.default_rng()
-        self._listening = self._state_layout is not None
+        self._listening = self._measures
         self._hardware: HardwareState | None = None
         self.drawn_anew = True
         self.packets: Packets = ()
         self.time = 0.0
         self.telemetry: Telemetry
         self._raw: NDArray[np.float64]
-        self._held = self.instruments.zero_code.astype(np.float32)
         self._telemetry_state: TelemetryState
-        self._newest: NDArray[np.float64]
-        self._measured: list[tuple[slice, slice]] = []
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -195,7 +167,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         observation, info = self.env.reset(seed=seed, options=rest)
         if seed is not None:
             self._rng = self._telemetry_rng = np.random.default_rng([self._stream, seed])
-            if self._state_layout is None:
+            if not self._measures:
                 # What is read only if somebody listens must not shift what the feet draw.
                 self._telemetry_rng = np.random.default_rng([self._stream, seed, TELEMETRY_STREAM])
         truth, dt = self.source.truth, float(self.source.dt)
@@ -204,7 +176,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.drawn_anew = wants_fresh(asked.get("sensors"), seed, self._fresh, self._hardware is not None)
         self._switch_on(truth)
         self.time = 0.0
-        return self._observe(observation), info
+        return self._view.show(observation, self._raw, self.packets), info
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and read the sensors."""
@@ -220,7 +192,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
                 self._telemetry_state,
                 self._telemetry_rng,
             )
-        return self._observe(observation), reward, terminated, truncated, info
+        return self._view.show(observation, self._raw, self.packets), reward, terminated, truncated, info
 
     @property
     def raw(self) -> NDArray[np.float64]:
@@ -276,7 +248,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
 
     def _notes(self) -> dict[str, str]:
         return {
-            "robot": f"{self.source.drawing.torso} with {', '.join(self.source.joint_names)}",
+            "robot": robot_note(self.source),
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
             "channels": " ".join(self.instruments.layout.channel_names),
         }
@@ -288,7 +260,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         if self.drawn_anew:
             broken = () if self._broken is None else self._broken.init((self.instruments.channels,), rng)
             self._hardware = HardwareState(self.instruments.init(rng), broken, None)
-            self._held = self.instruments.zero_code.astype(np.float32)
+            self._view.forget()
         settled = self.instruments.settled(truth, self._devices.instruments)
         self._hardware = self._devices._replace(instruments=settled)
         self._read(truth, max(self.telemetry.dt, self.instruments.slowest))
@@ -313,64 +285,10 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         if self._link_by_name and link.rate is not None:
             link = replace(link, rate=min(link.rate, substeps / dt))
         telemetry = Telemetry(len(self.source.joint_names), imu, encoders, link, dt, substeps)
-        if self._state_layout is not None:
-            self._measured = _overwritten(self._state_layout, telemetry)
+        self._view.listen(telemetry.layout)
         return telemetry
 
     def _fault(self, given: str | Fault | Mapping[str, Any]) -> Fault:
         if not isinstance(given, str):
             return resolve(given, Fault)
         return parse_fault(given, self.source.drawing.feet, self.instruments.layout.feet[0].channel_names)
-
-    def _space(self, shown: spaces.Space[Any]) -> tuple[spaces.Dict, bool]:
-        """Say what is observed, and whether the environment shows a ``Dict``."""
-        is_dict = isinstance(shown, spaces.Dict)
-        parts = dict(shown.spaces) if isinstance(shown, spaces.Dict) else {"state": shown}
-        if "foot_raw" in parts:
-            raise TypeError(
-                "FootSensors found 'foot_raw' among the observations: it is the first wrapper around an "
-                f"environment that it reads, and one is enough; got {self.env}."
-            )
-        low, high = self.instruments.code_range
-        with np.errstate(over="ignore"):
-            counts = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        kept = {key: part for key, part in parts.items() if key not in TRUE_KEYS}
-        return spaces.Dict(kept | {"foot_raw": counts}), is_dict
-
-    def _observe(self, observation: Any) -> dict[str, Any]:
-        if not self._was_dict:
-            return {"state": observation, "foot_raw": self._counts()}
-        seen = {key: part for key, part in observation.items() if key not in TRUE_KEYS}
-        if self._state_layout is not None:
-            if self.packets:
-                self._newest = self.packets[-1].values
-            state = seen["state"].copy()
-            for where, measured in self._measured:
-                state[where] = self._newest[measured]
-            low, high = self._state_bounds
-            np.maximum(state, low, out=state)
-            seen["state"] = np.minimum(state, high, out=state)
-        seen["foot_raw"] = self._counts()
-        return seen
-
-    def _counts(self) -> NDArray[np.float32]:
-        """Show the last reading of each channel that arrived."""
-        counts = self._raw.astype(np.float32)
-        missing = np.isnan(counts)
-        if missing.any():
-            counts[missing] = self._held[missing]
-        self._held = counts
-        return counts.copy()
-
-
-def _overwritten(layout: Mapping[str, slice], telemetry: Telemetry) -> list[tuple[slice, slice]]:
-    """Pair the measured parts of the state with those of a packet, neighbours joined."""
-    joined: list[tuple[slice, slice]] = []
-    for name in ("joint_position", "joint_velocity", "tilt", "gyroscope"):
-        where, source = layout[name], getattr(telemetry.layout, name)
-        if joined and joined[-1][0].stop == where.start and joined[-1][1].stop == source.start:
-            last_where, last_source = joined.pop()
-            where = slice(last_where.start, where.stop)
-            source = slice(last_source.start, source.stop)
-        joined.append((where, source))
-    return joined

@@ -10,13 +10,8 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout
 from surefoot.calibration.estimate import Estimate
+from surefoot.envs.observation import COP_BOUND, FORCE_BOUND
 from surefoot.wrappers.beliefs import SolePose
-
-COP_BOUND: Final = 1.0
-"""Largest coordinate of a centre of pressure in an observation in m."""
-
-LEAST_FORCE_BOUND: Final = 1000.0
-"""Largest force in an observation in N, for a robot that weighs up to a fifth of it."""
 
 DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 """What is shown unless something else is asked for."""
@@ -24,8 +19,25 @@ DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 CERTAINTY: Final = ("foot_force_std", "cop_std")
 """Parts that only a method with a covariance can tell."""
 
+CERTAIN_METHODS: Final = ("surefoot",)
+"""Methods that claim one."""
+
 PARTS: Final = (*DEFAULT, "wrench", "vgrf", *CERTAINTY, "foot_flags")
 """All that can be shown."""
+
+
+def check_certainty(parts: Sequence[str], method: str) -> None:
+    """Refuse to show how sure a method is that does not say so.
+
+    Raises:
+        ValueError: If it does not.
+    """
+    unknown = [part for part in parts if part in CERTAINTY and method not in CERTAIN_METHODS]
+    if unknown:
+        raise ValueError(
+            f"Method {method!r} claims no covariance, so that {unknown} cannot be shown; "
+            f"{CERTAIN_METHODS} do."
+        )
 
 
 class FootView:
@@ -54,7 +66,7 @@ class FootView:
         self.parts = tuple(parts)
         self._flawed = bool(flaw)
         channels, feet = layout.channels, len(layout.feet)
-        force = max(LEAST_FORCE_BOUND, 5.0 * mass * GRAVITY)
+        force = max(FORCE_BOUND, 5.0 * mass * GRAVITY)
         self._force_bound = force
         box = spaces.Box
         every: dict[str, spaces.Space[Any]] = {

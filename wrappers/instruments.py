@@ -4,63 +4,27 @@ Their channels follow each other foot by foot: (left cells, left ankle, right ce
 level foot at rest weighs below its ankle counts as part of that sensor's zero, as it does for a calibrator.
 """
 
-from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.sensors import (
-    PRESETS,
     Corruption,
     ForceTorque,
     ForceTorqueState,
     LoadCells,
     LoadCellState,
     force_torque,
-    from_mapping,
     load_cells,
-    preset,
-    resolve,
     true_map,
 )
+from surefoot.wrappers.foot_device import FootDevice
 
 Floats = NDArray[np.float64]
-
-FootDevice = LoadCells | ForceTorque
-"""What can be under a foot."""
-
-
-def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
-    """Make a configuration of a preset's name, a mapping or a configuration, of either kind.
-
-    A mapping is of load cells, or of six-axis sensors if only those have all of its keys.
-
-    Raises:
-        ValueError: If the name or a key of the mapping is unknown, or a value is refused.
-        TypeError: If it is none of the three.
-    """
-    if isinstance(config, ForceTorque):
-        return config
-    if isinstance(config, str) and config not in PRESETS[LoadCells]:
-        if config in PRESETS[ForceTorque]:
-            return preset(config, ForceTorque)
-        names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
-        raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")
-    if (
-        isinstance(config, Mapping)
-        and not set(config) <= _keys(LoadCells)
-        and set(config) <= _keys(ForceTorque)
-    ):
-        return from_mapping(ForceTorque, config)
-    return resolve(config, LoadCells)
-
-
-def _keys(kind: type[FootDevice]) -> set[str]:
-    return {field.name for field in fields(kind)}
 
 
 class InstrumentsState(NamedTuple):
@@ -221,6 +185,7 @@ class Instruments:
         slope: Counts per newton (or N m) by the data sheets, shape (K,).
         zero_code: Readings without load by the data sheets in counts, shape (K,).
         code_range: Lowest and highest readings in counts, shape (K,) each.
+        space: Box of the readings in counts, shape (K,).
         slowest: The longest time between two conversions in s.
         age: How old a reading is on average when it is taken, in s; the cells' where there are both.
 
@@ -256,6 +221,8 @@ class Instruments:
         self.zero_code = self.joined([np.full(part.channels, part.zero_code) for part in self.parts])
         low, high = (self.joined([part.code_range[i] for part in self.parts]) for i in (0, 1))
         self.code_range = low, high
+        with np.errstate(over="ignore"):
+            self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         self.age = self.parts[0].age
         rates = [part.config.rate for part in self.parts if isinstance(part, CellsUnderFeet)]
         self.slowest = max((1.0 / rate[0] for rate in rates if rate is not None), default=0.0)

@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.envs import RobotDrawing
+
 
 class Masses(NamedTuple):
     """What a robot believes of its bodies.
@@ -78,6 +80,17 @@ class NominalModel:
         self._site_axes = data.site_xmat.reshape(3, 3, 3).swapaxes(1, 2)
         data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
+    @classmethod
+    def of_drawing(cls, drawing: RobotDrawing, *, mass_error: float, com_offset: float) -> "NominalModel":
+        """Make it of what the maker of a robot on two feet hands out."""
+        return cls(
+            drawing.spec(),
+            mass_error=mass_error,
+            com_offset=com_offset,
+            sites=(drawing.imu, drawing.soles[0], drawing.soles[1]),
+            torso=drawing.torso,
+        )
+
     @property
     def mass(self) -> float:
         """The robot's mass as it believes it in kg."""
@@ -128,13 +141,18 @@ class NominalModel:
         self._qpos[:] = position
         self._qvel[:] = velocity
         self._spin[:] = spin
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_comVel(model, data)
-        mujoco.mj_subtreeVel(model, data)
+        update_posture(model, data)
         sites = self._sites
         axes = self._site_axes[sites[1:]].reshape(6, 3)
         return self._com, self._momentum, self._site_position[sites], axes
+
+
+def update_posture(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Have MuJoCo compute places, centres of mass and angular momenta of positions and velocities."""
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_comVel(model, data)
+    mujoco.mj_subtreeVel(model, data)
 
 
 def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> mujoco.MjSpec:

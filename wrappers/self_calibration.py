@@ -1,9 +1,8 @@
 """Lets a robot calibrate its feet while it walks, with what it knows of itself."""
 
 from collections.abc import Mapping, Sequence
-from math import ceil
 from os import PathLike
-from typing import Any, NamedTuple, SupportsFloat
+from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -12,37 +11,20 @@ from gymnasium import spaces
 from surefoot.calibration import FootCalibrator, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.state import load_state, save_state
-from surefoot.wrappers.beliefs import HISTORY, Beliefs, nothing
-from surefoot.wrappers.contacts import CONTACT_MARGIN, Kinematics, Plan
+from surefoot.wrappers.beliefs import Beliefs, nothing
+from surefoot.wrappers.contacts import Kinematics, Plan
+from surefoot.wrappers.foot_length import foot_length
 from surefoot.wrappers.foot_sensors import FootSensors
-from surefoot.wrappers.foot_view import CERTAINTY, DEFAULT, FootView
-from surefoot.wrappers.nominal import Masses, NominalModel
-from surefoot.wrappers.source import check_stream, split_options, wants_fresh
-from surefoot.wrappers.starting_map import starting_map
+from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
+from surefoot.wrappers.lag import check_lag, usual_lag
+from surefoot.wrappers.learnt import Learnt
+from surefoot.wrappers.nominal import NominalModel
+from surefoot.wrappers.source import check_stream, find_sensors, robot_note, split_options, wants_fresh
+from surefoot.wrappers.starting_map import StartingMap
 from surefoot.wrappers.telemetry import Telemetry
 
 BELIEF_STREAM = 0x5F01
 """Number of the random stream that the errors of the robot's beliefs are drawn from."""
-
-CERTAIN_METHODS = ("surefoot",)
-"""Methods that claim a covariance."""
-
-USUAL_LENGTH = 0.2
-"""Length in m of a foot that has none, such as a sphere: errors of moments are stated in its terms."""
-
-
-class Learnt(NamedTuple):
-    """What a robot takes with it from episode to episode.
-
-    Attributes:
-        state: State of the calibrator.
-        initial: The map that it began from.
-        masses: What the robot believes of its bodies.
-    """
-
-    state: Any
-    initial: Parameters
-    masses: Masses
 
 
 class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -123,14 +105,12 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         stream: int = BELIEF_STREAM,
         **options: Any,
     ) -> None:
-        sensors = _foot_sensors(env)
-        start = starting_map(initial, sensors.instruments.channels)
+        sensors = find_sensors(env, SelfCalibration, FootSensors, gym.Wrapper)
+        start = StartingMap(initial, sensors.instruments.nominal, bench_scale_error, bench_offset_error)
         gym.utils.RecordConstructorArgs.__init__(
             self,
             method=method,
-            initial=start
-            if isinstance(start, str)
-            else {"scale": start.scale.tolist(), "offset": start.offset.tolist()},
+            initial=start.recorded(),
             show=list(show),
             lag=lag,
             fresh=fresh,
@@ -144,41 +124,21 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         gym.Wrapper.__init__(self, env)
         self._sensors = sensors
         check_stream("SelfCalibration", stream)
-        for name, value in {
-            "bench_scale_error": bench_scale_error,
-            "bench_offset_error": bench_offset_error,
-        }.items():
-            if not 0.0 <= value < float("inf"):
-                raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
-        self._method, self._initial = method, start
-        self._options = _sized(sensors) | options
-        self._bench_error = (bench_scale_error, bench_offset_error)
-        self._stream = stream
+        self._method, self._start, self._stream = method, start, stream
         self._rng = np.random.default_rng()
         drawing = sensors.source.drawing
         if len(drawing.feet) != 2:
             raise ValueError(
                 f"SelfCalibration needs a robot on two feet, got the feet {drawing.feet}; name two of them."
             )
-        self._model = NominalModel(
-            drawing.spec(),
-            mass_error=mass_error,
-            com_offset=com_offset,
-            sites=(drawing.imu, drawing.soles[0], drawing.soles[1]),
-            torso=drawing.torso,
-        )
+        self._model = NominalModel.of_drawing(drawing, mass_error=mass_error, com_offset=com_offset)
         self.layout = sensors.instruments.layout
+        self._options = foot_length(self.layout, drawing) | options
         self._lag, self._fresh = lag, fresh
         # A calibrator is made at a reset; one now refuses bad options before the first step.
-        trial = self._nominal() if isinstance(start, str) else start
-        self._calibrator(trial, 1.0 / 80.0, lag or 0)
+        self._calibrator(start.known, 1.0 / 80.0, lag or 0)
         self._view = FootView(show, self.layout, self._model.mass, drawing.flaw)
-        unknown = [part for part in show if part in CERTAINTY and method not in CERTAIN_METHODS]
-        if unknown:
-            raise ValueError(
-                f"Method {method!r} claims no covariance, so that {unknown} cannot be shown; "
-                f"{CERTAIN_METHODS} do."
-            )
+        check_certainty(show, method)
         space = env.observation_space
         if not isinstance(space, spaces.Dict):
             raise TypeError(
@@ -193,8 +153,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.reference: Reference
         self.reference_time = 0.0
         self.estimate: Estimate
-        self.frozen = False
-        self._made = False
+        self.frozen = self._made = False
         self._held = 0
 
     def reset(
@@ -221,11 +180,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             # What lies before the reset belongs to another episode.
             self._held = self._late + 1
         self.beliefs = Beliefs(
-            self._model,
-            telemetry.layout,
-            telemetry.period,
-            telemetry.link.delay,
-            telemetry.averaged,
+            self._model, telemetry.layout, telemetry.period, telemetry.link.delay, telemetry.averaged
         )
         self.beliefs.update(sensors.packets)
         self._plan, self._kinematics = Plan(self._late), Kinematics()
@@ -270,14 +225,13 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def _learnt(self) -> Learnt:
         if not self._made:
             raise RuntimeError("There is no calibrator before the first reset(), which makes it.")
-        initial = Parameters(*(np.asarray(part, dtype=np.float64) for part in self.calibrator.setup.initial))
-        return Learnt(self.calibrator.state, initial, self._model.masses)
+        return Learnt.of(self.calibrator, self._model)
 
     def _notes(self) -> dict[str, str]:
-        source, setup = self._sensors.source, self.calibrator.setup
+        setup = self.calibrator.setup
         return {
             "method": f"{self._method} {self._options}",
-            "robot": f"{source.drawing.torso} with {', '.join(source.joint_names)}",
+            "robot": robot_note(self._sensors.source),
             "channels": " ".join(self.layout.channel_names),
             "timing": f"{setup.dt:.9g} s a sample, {setup.lag} samples late",
         }
@@ -286,11 +240,10 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         """Draw what the robot is wrong about, and begin from the starting map."""
         rng = self._rng
         self._model.draw(rng)
-        initial = self._start(rng)
+        initial = self._initial(rng)
         self._age = self._sensors.instruments.age
-        needed = telemetry.link.delay + 2.0 * telemetry.link.jitter + 2.5 * telemetry.period - self._age
-        self._late = max(ceil(needed / telemetry.dt), CONTACT_MARGIN) if self._lag is None else self._lag
-        self._check_history()
+        self._late = usual_lag(telemetry, self._age) if self._lag is None else self._lag
+        check_lag(self._late, telemetry, self._age)
         self.calibrator = self._calibrator(initial, telemetry.dt, self._late)
         self._made, self._held = True, 0
 
@@ -325,31 +278,16 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         stance, swing = self._kinematics.at(reference)
         return reference._replace(stance=stance, swing=swing)
 
-    def _nominal(self) -> Parameters:
-        return self._sensors.instruments.nominal
-
-    def _start(self, rng: np.random.Generator) -> Parameters:
+    def _initial(self, rng: np.random.Generator) -> Parameters:
         """Find the map to start from."""
-        if isinstance(self._initial, Parameters):
-            return self._initial
+        start = self._start
+        if start.given:
+            return start.known
+        # Drawn for the data sheet's as well: whichever of the two it is, what is drawn later is the same.
         drawn = rng.standard_normal((2, self.layout.channels))
-        if self._initial == "nominal":
-            return self._nominal()
-        scale_error, offset_error = self._bench_error
-        found = Parameters(1.0 + scale_error * drawn[0], offset_error * drawn[1])
-        return found.after(Parameters(*self._sensors.true_parameters()))
-
-    def _check_history(self) -> None:
-        """Refuse a lag so long that the packets it needs would no longer be kept."""
-        telemetry = self._sensors.telemetry
-        # The newest packet that can have come, when the jitter was kind.
-        youngest = max(telemetry.link.delay - 6.0 * telemetry.link.jitter, 0.0)
-        packets = ceil((self._late * telemetry.dt + self._age - youngest) / telemetry.period) + 3
-        if packets > HISTORY:
-            raise ValueError(
-                f"A lag of {self._late} samples over {telemetry.link} needs {packets} packets, and at most "
-                f"{HISTORY} are kept; choose a shorter 'lag', or a link with a lower rate or less jitter."
-            )
+        if not start.of_bench:
+            return start.known
+        return start.off(Parameters(*self._sensors.true_parameters()), drawn)
 
     def _calibrator(self, initial: Parameters, dt: float, lag: int) -> FootCalibrator:
         return FootCalibrator(
@@ -361,29 +299,3 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             lag=lag,
             **self._options,
         )
-
-
-def _sized(sensors: FootSensors) -> dict[str, float]:
-    """Tell how long a foot is where the channels have no places of their own."""
-    if all(foot.position_cell_sole is not None for foot in sensors.instruments.layout.feet):
-        return {}
-    places = sensors.source.drawing.position_cell_sole
-    return {"foot_length": USUAL_LENGTH if places is None else float(np.ptp(places[..., 0], axis=1).max())}
-
-
-def _foot_sensors(env: gym.Env[Any, Any]) -> FootSensors:
-    """Find the sensors among the wrappers."""
-    below: gym.Env[Any, Any] = env
-    while isinstance(below, gym.Wrapper):
-        if isinstance(below, SelfCalibration):
-            raise TypeError(
-                "SelfCalibration found another SelfCalibration below it; one is enough, wrap once: "
-                f"SelfCalibration(FootSensors(env)). Got {env}."
-            )
-        if isinstance(below, FootSensors):
-            return below
-        below = below.env
-    raise TypeError(
-        "SelfCalibration calibrates the counts of FootSensors and found none below it; wrap in this order: "
-        f"SelfCalibration(FootSensors(env)). Got {env}."
-    )

@@ -1,7 +1,7 @@
 """Where among wrappers the truth comes from, and how a reset is asked to keep or to change devices."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import gymnasium as gym
 import mujoco
@@ -11,6 +11,8 @@ from surefoot.envs import InstrumentedEnv, RobotDrawing
 
 OPTIONS = "surefoot"
 """Key of a reset's options that is meant for wrappers, and is not handed to the environment."""
+
+Sensors = TypeVar("Sensors")
 
 FRESH_OR_KEPT = ("fresh", "keep")
 
@@ -42,6 +44,39 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
         if not isinstance(below, gym.Wrapper):
             return None
         below = below.env
+
+
+def robot_note(source: Source) -> str:
+    """Tell which robot it is, to be kept with what is saved of it."""
+    return f"{source.drawing.torso} with {', '.join(source.joint_names)}"
+
+
+def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -> Sensors:
+    """Find the sensors whose counts a wrapper calibrates, among the wrappers below it.
+
+    Args:
+        env: What is to be wrapped.
+        owner: The class of the wrapper that calibrates, of which one is enough.
+        sensors: The class of the wrapper that has the sensors.
+        wrapper: What all wrappers are.
+
+    Raises:
+        TypeError: If there are none, or are calibrated already.
+    """
+    mine, theirs, below = owner.__name__, sensors.__name__, env
+    while isinstance(below, wrapper):
+        if isinstance(below, owner):
+            raise TypeError(
+                f"{mine} found another {mine} below it; one is enough, wrap once: {mine}({theirs}(env)). "
+                f"Got {env}."
+            )
+        if isinstance(below, sensors):
+            return below
+        below = below.env  # type: ignore[attr-defined]
+    raise TypeError(
+        f"{mine} calibrates the counts of {theirs} and found none below it; wrap in this order: "
+        f"{mine}({theirs}(env)). Got {env}."
+    )
 
 
 def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:

@@ -4,13 +4,14 @@ A packet is one flat vector, parts of which :class:`TelemetryLayout` names. It i
 substeps of the simulation, leaves at once and reaches the host late.
 """
 
+from collections.abc import Mapping
 from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors import Corruption, Encoders, Imu, ImuState, Link, encoders, imu, receive, send
+from surefoot.sensors import Corruption, Encoders, Imu, ImuState, Link, encoders, imu, receive, resolve, send
 from surefoot.sensors.configuration import require
 from surefoot.sensors.link import Packets
 from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
@@ -23,6 +24,31 @@ PACKETS_BEFORE_START = 12
 
 LONGEST_DELAY = 0.3
 """Mean delay in s of the latest link that telemetry can come over."""
+
+MEASURED = ("joint_position", "joint_velocity", "tilt", "gyroscope")
+"""Parts of a state that telemetry can tell, where the environment names them."""
+
+
+def timely_link(link: str | Mapping[str, Any] | Link) -> Link:
+    """Make a link of a preset's name, a mapping or a link.
+
+    Raises:
+        ValueError: If the name is unknown, a value is refused, or telemetry would come too late over it.
+    """
+    chosen = resolve(link, Link)
+    require(
+        chosen.delay <= LONGEST_DELAY,
+        chosen,
+        "delay",
+        f"be at most {LONGEST_DELAY} s, which is as late as telemetry is of use here",
+    )
+    return chosen
+
+
+def velocity_smoothing(config: Encoders, period: float) -> float:
+    """Tell which share of a new difference of encoder readings, ``period`` s apart, their filter takes in."""
+    exact = config.resolution == 0.0 and config.noise_std == 0.0
+    return 1.0 if exact else period / (period + VELOCITY_TIME_CONSTANT)
 
 
 class TelemetryLayout:
@@ -131,9 +157,7 @@ class Telemetry:
         self.before_start = max(PACKETS_BEFORE_START, ceil(latest / self.period) + 4)
         self._imu: Corruption[ImuState] = imu(imu_config)
         self._encoders: Corruption[Any] = encoders(encoder_config)
-        self._smoothing = self.period / (self.period + VELOCITY_TIME_CONSTANT)
-        if encoder_config.resolution == 0.0 and encoder_config.noise_std == 0.0:
-            self._smoothing = 1.0
+        self._smoothing = velocity_smoothing(encoder_config, self.period)
 
     def init(
         self,

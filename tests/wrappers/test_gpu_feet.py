@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.sensors import HX711_LOAD_CELLS, ICUB_FORCE_TORQUE, Fault, Wire, load_cells
+from surefoot.sensors import (
+    HX711_LOAD_CELLS,
+    ICUB_FORCE_TORQUE,
+    Fault,
+    ForceTorque,
+    LoadCells,
+    Wire,
+    load_cells,
+)
 from surefoot.wrappers.gpu.batch import flat, mask_of
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 
@@ -245,6 +253,11 @@ def test_faults_begin_when_they_should():
     read = torch.stack([feet.newtons(feet(force))[:, 3] for _ in range(8)])
     dead = (read.abs() < 0.1).all(dim=1).tolist()
     assert dead == [False] * 4 + [True] * 4
+
+
+def test_a_mapping_of_either_kind_is_a_configuration():
+    assert make({"input_noise": 0.0}).config == LoadCells(input_noise=0.0)
+    assert make({"noise_force": 0.0}).config == ForceTorque(noise_force=0.0)
 
 
 def test_what_is_wrong_is_said():

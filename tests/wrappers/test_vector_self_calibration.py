@@ -214,6 +214,14 @@ def test_what_does_not_fit_is_refused_at_the_door():
         VecFootSensors(DummyVecEnv([lambda: gym.make("surefoot/NaoWalk-v0", speed=0.04)]))
 
 
+def test_feet_without_cells_are_as_long_as_drawn_or_told():
+    felt = VectorFootSensors(SyncVectorEnv(_functions()), "icub-force-torque")
+    places = felt.sensors.drawing.position_cell_sole
+    drawn = VectorSelfCalibration(felt).calibration._setup
+    assert drawn.length == pytest.approx(np.ptp(places[0, :, 0]), rel=1e-12)
+    assert VectorSelfCalibration(felt, foot_length=0.1).calibration._setup.length == 0.1
+
+
 def test_sb3_shows_what_gymnasium_shows():
     near = _vector(20, AutoresetMode.SAME_STEP, initial="bench")
     far = VecSelfCalibration(VecFootSensors(DummyVecEnv(_functions(20))), initial="bench")

@@ -16,23 +16,19 @@ from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
 from surefoot.sensors import (
-    PRESETS,
     Fault,
-    ForceTorque,
     LoadCells,
     channel_faults,
     force_torque,
     load_cells,
-    resolve,
     scaled,
     true_map,
 )
 from surefoot.sensors.select import batch_axes, select
+from surefoot.wrappers.foot_device import FootDevice, foot_device
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
 
 __all__ = ["FootSensorsModule"]
-
-Config = LoadCells | ForceTorque
 
 
 class FootSensorsModule(BatchModule):
@@ -50,7 +46,7 @@ class FootSensorsModule(BatchModule):
     resets give the same readings on the same device, but what one robot reads depends on how many there are.
 
     Args:
-        config: The name of a preset, a mapping (of load cells) or a configuration.
+        config: The name of a preset, a mapping or a configuration.
         num_envs: Number N of robots.
         device: Where forces are and readings are wanted.
         dtype: Of readings. ``float32`` holds every code of a 24-bit converter.
@@ -78,7 +74,7 @@ class FootSensorsModule(BatchModule):
 
     def __init__(
         self,
-        config: str | Mapping[str, Any] | Config,
+        config: str | Mapping[str, Any] | FootDevice,
         num_envs: int,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
@@ -90,8 +86,7 @@ class FootSensorsModule(BatchModule):
         counter: Counter | None = None,
     ) -> None:
         super().__init__(num_envs, device, dtype, dt, counter)
-        base = config if isinstance(config, ForceTorque) else _resolve(config)
-        self.config: Config = scaled(base, severity)
+        self.config: FootDevice = scaled(foot_device(config), severity)
         self.severity, self.seed = float(severity), seed
         self.channels = self.config.channels
         self.nominal = Parameters(1.0 / self.config.slope, -self.config.zero_code / self.config.slope)
@@ -233,7 +228,7 @@ class FootSensorsModule(BatchModule):
         return counts, (cells, faults)
 
 
-def _opening(config: Config, dt: float) -> list[tuple[int, float]]:
+def _opening(config: FootDevice, dt: float) -> list[tuple[int, float]]:
     """Tell in how many substeps, and for how long each, a load must come until readings are of it alone.
 
     Returns:
@@ -248,13 +243,3 @@ def _opening(config: Config, dt: float) -> list[tuple[int, float]]:
     # Of two substeps of the same load the second begins with that load, and every chip converts in it.
     first = (1, period) if rate is None else (2, 2.0 * period)
     return [first, *[(1, period)] * (averaged - 1 + late)]
-
-
-def _resolve(config: str | Mapping[str, Any] | LoadCells) -> Config:
-    """Find a preset of either kind; a mapping is of load cells."""
-    if isinstance(config, str) and config not in PRESETS[LoadCells]:
-        if config in PRESETS[ForceTorque]:
-            return resolve(config, ForceTorque)
-        names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
-        raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")
-    return resolve(config, LoadCells)

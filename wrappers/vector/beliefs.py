@@ -10,6 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
+from surefoot.wrappers.belief_rows import (
+    ACCELERATION,
+    ACCELEROMETER,
+    AXES,
+    COM,
+    FORCE,
+    FURTHEST,
+    GYROSCOPE,
+    IMU,
+    MOMENTUM,
+    MOMENTUM_RATE,
+    ROWS,
+    SLOPE,
+    SOLES,
+)
 from surefoot.wrappers.telemetry import TelemetryLayout
 from surefoot.wrappers.vector.nominal import BatchNominal, Postures
 from surefoot.wrappers.vector.odometry import BatchOdometry
@@ -17,18 +32,8 @@ from surefoot.wrappers.vector.odometry import BatchOdometry
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Rows of vectors at the middle between two packets, as in beliefs.py: in odometry axes, ...
-_COM, _IMU, _SOLES, _AXES, _MOMENTUM, _FORCE = 0, 1, slice(2, 4), slice(4, 10), 10, 11
-# ... what follows from its neighbours in time, and what was measured.
-_ACCELERATION, _MOMENTUM_RATE, _ACCELEROMETER, _GYROSCOPE, _ROWS = 12, 13, 14, 15, 16
-_SITES = slice(_IMU, _SOLES.stop)
-_POSES = slice(_SOLES.start, _AXES.stop)
-
-_SLOPE = 3
-"""Packets over which the soles' velocities are taken."""
-
-_FURTHEST = 8.0
-"""How many packets ahead soles are supposed to go on as they went."""
+_SITES = slice(IMU, SOLES.stop)
+_POSES = slice(SOLES.start, AXES.stop)
 
 
 class BatchBeliefs:
@@ -69,8 +74,8 @@ class BatchBeliefs:
         # Rows lie in the ring by age: the newest is row 0, and rates are complete from row 1 on.
         self._older = max(ceil(behind - 1e-9), 1)
         self._part = self._older - behind
-        self._length = max(self._older, _SLOPE) + 1
-        self._ring: Floats = np.zeros((self._length, count, _ROWS, 3))
+        self._length = max(self._older, SLOPE) + 1
+        self._ring: Floats = np.zeros((self._length, count, ROWS, 3))
         self._now = 0
         self._before: Floats | None = None
 
@@ -109,7 +114,7 @@ class BatchBeliefs:
         angle = packet[:, layout.joint_position]
         force, spin = packet[:, layout.accelerometer], packet[:, layout.gyroscope]
         postures = self._model.evaluate(angle, np.zeros_like(angle), spin)
-        alone, row = BatchOdometry(len(index), self._period), np.zeros((len(index), _ROWS, 3))
+        alone, row = BatchOdometry(len(index), self._period), np.zeros((len(index), ROWS, 3))
         self._write(Postures(*(part[index] for part in postures)), force[index], spin[index], alone, row)
         self._ring[:, index] = row
         self._odometry.take(index, alone)
@@ -133,26 +138,26 @@ class BatchBeliefs:
     def _write(
         self, postures: Postures, force: Floats, spin: Floats, odometry: BatchOdometry, row: Floats
     ) -> None:
-        """Turn what kinematics tell into odometry axes, into a row of shape (n, _ROWS, 3)."""
+        """Turn what kinematics tell into odometry axes, into a row of shape (n, ROWS, 3)."""
         sites, axes = postures.sites, postures.axes
         R_odometry_torso = odometry.turn(spin, force, sites[:, 1:], axes[:, 2::3])
-        local = np.empty((len(row), _FORCE + 1, 3))
-        local[:, _COM], local[:, _SITES], local[:, _AXES] = postures.com, sites, axes
-        local[:, _MOMENTUM], local[:, _FORCE] = postures.momentum, force - odometry.force_bias
-        np.matmul(local, R_odometry_torso.swapaxes(1, 2), out=row[:, : _FORCE + 1])
-        row[:, _ACCELEROMETER] = force
-        row[:, _GYROSCOPE] = spin
+        local = np.empty((len(row), FORCE + 1, 3))
+        local[:, COM], local[:, _SITES], local[:, AXES] = postures.com, sites, axes
+        local[:, MOMENTUM], local[:, FORCE] = postures.momentum, force - odometry.force_bias
+        np.matmul(local, R_odometry_torso.swapaxes(1, 2), out=row[:, : FORCE + 1])
+        row[:, ACCELEROMETER] = force
+        row[:, GYROSCOPE] = spin
 
     def _differentiate(self, begun: Mask | None) -> None:
         """Fill in the rates one row before the newest, from its neighbours."""
         before, row, after, period = self._row(2), self._row(1), self._row(0), self._period
         bent = before + after
         bent -= 2.0 * row
-        row[:, _ACCELERATION] = row[:, _FORCE] + (bent[:, _COM] - bent[:, _IMU]) / period**2
-        row[:, _ACCELERATION, 2] -= GRAVITY
-        row[:, _MOMENTUM_RATE] = (after[:, _MOMENTUM] - before[:, _MOMENTUM]) / (2.0 * period)
+        row[:, ACCELERATION] = row[:, FORCE] + (bent[:, COM] - bent[:, IMU]) / period**2
+        row[:, ACCELERATION, 2] -= GRAVITY
+        row[:, MOMENTUM_RATE] = (after[:, MOMENTUM] - before[:, MOMENTUM]) / (2.0 * period)
         if begun is not None:
-            self._ring[:, begun, _ACCELERATION : _MOMENTUM_RATE + 1] = 0.0
+            self._ring[:, begun, ACCELERATION : MOMENTUM_RATE + 1] = 0.0
 
     def reference(self, stance: Mask, swing: Mask, unknown: Mask) -> Reference:
         """Say what the robots believed to do at the moment that references are about.
@@ -165,20 +170,20 @@ class BatchBeliefs:
         older = self._row(self._older)
         rows = older + self._part * (self._row(self._older - 1) - older)
         R_level_odometry, origin = _level(rows)
-        level = rows[:, : _MOMENTUM_RATE + 1] @ R_level_odometry.swapaxes(1, 2)
-        level[:, : _SOLES.stop] -= origin[:, None]
+        level = rows[:, : MOMENTUM_RATE + 1] @ R_level_odometry.swapaxes(1, 2)
+        level[:, : SOLES.stop] -= origin[:, None]
         if unknown.any():
             level[unknown] = np.nan
         return Reference(
-            level[:, _COM],
-            level[:, _ACCELERATION],
-            level[:, _MOMENTUM_RATE],
-            level[:, _SOLES],
-            level[:, _AXES].reshape(-1, 2, 3, 3).swapaxes(-1, -2),
+            level[:, COM],
+            level[:, ACCELERATION],
+            level[:, MOMENTUM_RATE],
+            level[:, SOLES],
+            level[:, AXES].reshape(-1, 2, 3, 3).swapaxes(-1, -2),
             stance,
             swing,
-            rows[:, _ACCELEROMETER],
-            rows[:, _GYROSCOPE],
+            rows[:, ACCELEROMETER],
+            rows[:, GYROSCOPE],
         )
 
     def soles(self) -> tuple[Floats, Floats]:
@@ -188,9 +193,9 @@ class BatchBeliefs:
             In the level frames of now: places of the soles in m and their headings, unit vectors, shape
             (N, 2, 2) each, seen from above.
         """
-        ahead = min(self._delay + 0.5, _FURTHEST) / _SLOPE
+        ahead = min(self._delay + 0.5, FURTHEST) / SLOPE
         newest = self._row(0)[:, _POSES, :2]
-        poses = newest + ahead * (newest - self._row(_SLOPE)[:, _POSES, :2])
+        poses = newest + ahead * (newest - self._row(SLOPE)[:, _POSES, :2])
         heading = poses[:, 2::3]
         turn = _heading(heading)
         half = 0.5 * (poses[:, :1] - poses[:, 1:2])
@@ -200,12 +205,12 @@ class BatchBeliefs:
 
 def _level(rows: Floats) -> tuple[Floats, Floats]:
     """Find the level frames: rotations from the odometry frames, and origins in their own axes."""
-    turn = _heading(rows[:, _AXES, :2][:, ::3])
+    turn = _heading(rows[:, AXES, :2][:, ::3])
     R = np.zeros((len(rows), 3, 3))
     R[:, 0, :2] = turn
     R[:, 1, 0], R[:, 1, 1] = -turn[:, 1], turn[:, 0]
     R[:, 2, 2] = 1.0
-    soles = rows[:, _SOLES]
+    soles = rows[:, SOLES]
     origin = np.empty((len(rows), 3))
     origin[:, :2] = _turned(turn, 0.5 * (soles[:, :1, :2] + soles[:, 1:, :2]))[:, 0]
     origin[:, 2] = np.minimum(soles[:, 0, 2], soles[:, 1, 2])

@@ -15,25 +15,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import OnlineSetup, Parameters, Reference, online_method
+from surefoot.calibration import Parameters, Reference, online_method
+from surefoot.calibration._setup import setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.select import select
 from surefoot.wrappers.contacts import CONTACT_MARGIN
-from surefoot.wrappers.self_calibration import USUAL_LENGTH
+from surefoot.wrappers.foot_length import foot_length
 from surefoot.wrappers.source import check_stream, wants_fresh
-from surefoot.wrappers.starting_map import starting_map
+from surefoot.wrappers.starting_map import StartingMap
 from surefoot.wrappers.vector.beliefs import BatchBeliefs
 from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan
-from surefoot.wrappers.vector.devices import Seeds, seed_numbers
 from surefoot.wrappers.vector.feet import BatchFeet
 from surefoot.wrappers.vector.nominal import BatchNominal
+from surefoot.wrappers.vector.seeds import Seeds, seed_numbers, seed_of_each
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-OF_SETUP = ("foot_length", "force_threshold", "plausible_weights")
-"""Options that are told the calibrator and not its method."""
 
 
 class BatchCalibration:
@@ -79,33 +77,26 @@ class BatchCalibration:
         options: Mapping[str, Any],
     ) -> None:
         check_stream("VectorSelfCalibration", stream)
-        errors = {"bench_scale_error": bench_scale_error, "bench_offset_error": bench_offset_error}
-        for name, value in errors.items():
-            if not 0.0 <= value < float("inf"):
-                raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
         drawing, instruments, dt = sensors.drawing, sensors.instruments, sensors.meaning.dt
         if len(drawing.feet) != 2:
             raise ValueError(
                 f"Calibration while walking needs a robot on two feet, got the feet {drawing.feet}."
             )
         self._sensors, self._fresh, self._stream = sensors, fresh, stream
-        self._initial = starting_map(initial, instruments.channels)
-        self._bench_error = (bench_scale_error, bench_offset_error)
+        self._initial = StartingMap(initial, instruments.nominal, bench_scale_error, bench_offset_error)
         self._model = BatchNominal(drawing, sensors.count, mass_error=mass_error, com_offset=com_offset)
         self._mass = self._model.drawn_mass
         delay = sensors.telemetry.delay
         needed = ceil(delay + 2.5 - instruments.age / dt - 1e-9)
         self.lag = max(needed, CONTACT_MARGIN) if lag is None else lag
-        self._setup = OnlineSetup(
-            layout=instruments.layout,
+        self._setup, own = setup_from_options(
+            instruments.layout,
             mass=self._mass,
-            initial=Parameters(np.ones(instruments.channels), np.zeros(instruments.channels)),
+            initial=None,
             dt=dt,
             lag=self.lag,
-            **_sized(sensors),
-            **{name: options[name] for name in OF_SETUP if name in options},
+            options=foot_length(instruments.layout, drawing) | dict(options),
         )
-        own = {name: value for name, value in options.items() if name not in OF_SETUP}
         self._method = online_method(method, self._setup, **own)
         self.feet = BatchFeet(sensors.count, instruments.layout, self._mass, drawing.flaw)
         self._beliefs = self._make_beliefs(averaged=True)
@@ -137,7 +128,7 @@ class BatchCalibration:
         learnt = self._state is not None
         if not learnt:
             self._beliefs = self._make_beliefs(self._sensors.averaged)
-        each = [seed] * count if seed is None or isinstance(seed, int) else list(seed)
+        each = seed_of_each(seed, count)
         drawn = (self._sensors.drawn | self._fresh).tolist()
         wanted = [wants_fresh(choice, own, new, learnt) for own, new in zip(each, drawn, strict=True)]
         self._begin(mask, mask & np.array(wanted), rng)
@@ -230,26 +221,13 @@ class BatchCalibration:
     def _start(self, rng: np.random.Generator) -> Floats:
         """Find the maps to start from, (scale, offset) of each robot, shape (2, N, K)."""
         shape = self._map.shape
-        if self._initial == "bench":
+        if self._initial.of_bench:
             true = self._sensors.true_parameters()
-            drawn = rng.standard_normal(shape)
-            scale_error, offset_error = self._bench_error
-            found = Parameters(1.0 + scale_error * drawn[0], offset_error * drawn[1])
-            return np.stack(found.after(true))
-        nominal = self._sensors.instruments.nominal
-        known = self._initial if isinstance(self._initial, Parameters) else nominal
-        return np.broadcast_to(np.stack(known)[:, None], shape)
+            return np.stack(self._initial.off(true, rng.standard_normal(shape)))
+        return np.broadcast_to(np.stack(self._initial.known)[:, None], shape)
 
     def _make_beliefs(self, averaged: bool) -> BatchBeliefs:
         sensors = self._sensors
         age = self.lag * sensors.meaning.dt + sensors.instruments.age
         telemetry = sensors.telemetry
         return BatchBeliefs(self._model, telemetry.layout, sensors.meaning.dt, telemetry.delay, averaged, age)
-
-
-def _sized(sensors: BatchSensors) -> dict[str, Any]:
-    """Tell how long a foot is where the channels have no places of their own."""
-    if all(foot.position_cell_sole is not None for foot in sensors.instruments.layout.feet):
-        return {}
-    places = sensors.drawing.position_cell_sole
-    return {"foot_length": USUAL_LENGTH if places is None else float(np.ptp(places[..., 0], axis=1).max())}

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Reference
-from surefoot.wrappers.contacts import CONTACT_MARGIN, DOWN, FALLING, FLAT, LIFTED
+from surefoot.wrappers.contacts import CONTACT_MARGIN, COS_FLAT, DOWN, FALLING, LIFTED, planned_window
 
 Mask = NDArray[np.bool_]
 
@@ -20,9 +20,9 @@ class BatchPlan:
     """
 
     def __init__(self, count: int, lag: int) -> None:
-        self._needed = CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag)
+        self._needed, kept = planned_window(lag)
         none = np.zeros((count, 4), dtype=np.int64)
-        self._runs = deque([none], maxlen=max(lag - CONTACT_MARGIN, 0) + 1)
+        self._runs = deque([none], maxlen=kept)
 
     def restart(self, mask: Mask) -> None:
         """Forget what some robots planned, shape (N,)."""
@@ -71,7 +71,7 @@ class BatchKinematics:
         force = reference.accelerometer
         # NaN, where nothing is known, compares as false.
         carried = (np.einsum("ni,ni->n", force, force) > FALLING * FALLING)[:, None]
-        flat = reference.R_level_sole[..., 2, 2] > 1.0 - 0.5 * FLAT * FLAT
+        flat = reference.R_level_sole[..., 2, 2] > COS_FLAT
         seen = np.concatenate([carried & (above < DOWN) & flat, carried & (above > LIFTED)], axis=1)
         self._runs = (self._runs + 1) * seen
         sure = self._runs > CONTACT_MARGIN

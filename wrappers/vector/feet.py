@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from surefoot.calibration import FeetLayout
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
-from surefoot.wrappers.foot_view import COP_BOUND, DEFAULT, FootView
+from surefoot.envs.observation import COP_BOUND
+from surefoot.wrappers.foot_view import DEFAULT, FootView
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.sensors import Encoders, Imu, Link
+from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
-from surefoot.wrappers.instruments import FootDevice
 from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.devices import choose_devices
 from surefoot.wrappers.vector.sensors import BatchSensors

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs import RobotDrawing
-from surefoot.wrappers.nominal import NominalModel
+from surefoot.wrappers.nominal import NominalModel, update_posture
 
 Floats = NDArray[np.float64]
 
@@ -52,13 +52,7 @@ class BatchNominal:
 
     def __init__(self, drawing: RobotDrawing, count: int, *, mass_error: float, com_offset: float) -> None:
         sites = (drawing.imu, drawing.soles[0], drawing.soles[1])
-        self._robot = NominalModel(
-            drawing.spec(),
-            mass_error=mass_error,
-            com_offset=com_offset,
-            sites=sites,
-            torso=drawing.torso,
-        )
+        self._robot = NominalModel.of_drawing(drawing, mass_error=mass_error, com_offset=com_offset)
         self.drawn_mass = self._robot.mass
         self.mass: Floats = np.full(count, self.drawn_mass)
         world = mujoco.MjSpec()
@@ -111,10 +105,7 @@ class BatchNominal:
         self._position[:] = position
         self._velocity[:] = velocity
         self._spin[:] = spin
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_comVel(model, data)
-        mujoco.mj_subtreeVel(model, data)
+        update_posture(model, data)
         sites, torso = self._sites, self._torso
         # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
         axes = self._turn[sites[:, 1:]].swapaxes(-1, -2).reshape(len(torso), 6, 3)

@@ -14,8 +14,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from surefoot.calibration import Parameters
 from surefoot.sensors import Encoders, Imu, Link
+from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
-from surefoot.wrappers.instruments import FootDevice
 from surefoot.wrappers.self_calibration import BELIEF_STREAM
 from surefoot.wrappers.vector.calibration import BatchCalibration
 from surefoot.wrappers.vector.devices import choose_devices

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.wrappers.self_calibration import BELIEF_STREAM
-from surefoot.wrappers.source import split_options
+from surefoot.wrappers.source import find_sensors, split_options
 from surefoot.wrappers.vector.calibration import BatchCalibration
 from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
 
@@ -69,7 +69,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         **options: Any,
     ) -> None:
         super().__init__(env)
-        self._sensors = _vector_sensors(env).sensors
+        self._sensors = find_sensors(env, VectorSelfCalibration, VectorFootSensors, VectorWrapper).sensors
         self.calibration = BatchCalibration(
             self._sensors,
             method,
@@ -125,21 +125,3 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
 
     def _told(self, infos: Infos) -> Infos:
         return {**infos, "surefoot": {**infos["surefoot"], **self.calibration.info()}}
-
-
-def _vector_sensors(env: Any) -> VectorFootSensors:
-    """Find the sensors among the wrappers."""
-    below = env
-    while isinstance(below, VectorWrapper):
-        if isinstance(below, VectorSelfCalibration):
-            raise TypeError(
-                "VectorSelfCalibration found another VectorSelfCalibration below it; one is enough, wrap "
-                f"once: VectorSelfCalibration(VectorFootSensors(env)). Got {env}."
-            )
-        if isinstance(below, VectorFootSensors):
-            return below
-        below = below.env
-    raise TypeError(
-        "VectorSelfCalibration calibrates the counts of VectorFootSensors and found none below it; wrap in "
-        f"this order: VectorSelfCalibration(VectorFootSensors(env)). Got {env}."
-    )

@@ -5,7 +5,6 @@ ends of two steps. All robots draw from one stream, so that what a robot's senso
 robots there are and on its place among them, and on nothing else.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,8 @@ from surefoot.sensors.select import batch_axes, select
 from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
 from surefoot.wrappers.instruments import Instruments
 from surefoot.wrappers.source import wants_fresh
-from surefoot.wrappers.vector.devices import Devices, Seeds, seed_numbers
+from surefoot.wrappers.vector.devices import Devices
+from surefoot.wrappers.vector.seeds import Seeds, seed_numbers, seed_of_each
 from surefoot.wrappers.vector.telemetry import BatchTelemetry
 from surefoot.wrappers.vector.truth_row import RowMeaning, read_rows
 
@@ -156,7 +156,7 @@ class BatchSensors:
 
     def wanting(self, mask: Mask, seed: Seeds, choice: str | None) -> Mask:
         """Tell which robots get new sensors at a reset, shape (N,)."""
-        each = list(seed) if isinstance(seed, Sequence) else [seed] * self.count
+        each = seed_of_each(seed, self.count)
         drawn = self._state is not None
         wanted: Mask = mask & np.array([wants_fresh(choice, own, self.fresh, drawn) for own in each])
         return wanted

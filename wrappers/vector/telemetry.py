@@ -13,14 +13,11 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY
 from surefoot.sensors import Corruption, Encoders, Imu, Link, encoders, imu
 from surefoot.sensors.select import batch_axes, select
-from surefoot.wrappers.attitude import INTEGRAL_GAIN, PROPORTIONAL_GAIN
-from surefoot.wrappers.telemetry import VELOCITY_TIME_CONSTANT, TelemetryLayout
+from surefoot.wrappers.attitude import INTEGRAL_GAIN, LEAST_SQUARE, MOST_SQUARE, PROPORTIONAL_GAIN
+from surefoot.wrappers.telemetry import TelemetryLayout, velocity_smoothing
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-LEAST_FORCE, MOST_FORCE = 24.0, 217.0
-"""Squares of the specific force in m^2/s^4 between which an accelerometer tells what is up: 0.5 to 1.5 g."""
 
 
 class BatchTelemetry:
@@ -56,8 +53,7 @@ class BatchTelemetry:
         self.delay = round(link.delay / dt)
         self._count, self._dt, self._tilts = count, dt, tilts
         self._imu, self._encoders = imu(imu_config), encoders(encoder_config)
-        exact = encoder_config.resolution == 0.0 and encoder_config.noise_std == 0.0
-        self._smoothing = 1.0 if exact else dt / (dt + VELOCITY_TIME_CONSTANT)
+        self._smoothing = velocity_smoothing(encoder_config, dt)
         self._ring: Floats = np.zeros((self.delay + 1, count, self.layout.size))
         self._now = 0
         self._imu_state: Any = None
@@ -174,7 +170,7 @@ class BatchAttitude:
         """Turn on by one sample, shape (N, 3) each."""
         spin = gyroscope - self.bias
         square = np.einsum("ni,ni->n", accelerometer, accelerometer)
-        trusted = (square > LEAST_FORCE) & (square < MOST_FORCE)
+        trusted = (square > LEAST_SQUARE) & (square < MOST_SQUARE)
         weight = np.where(trusted, 1.0 / np.sqrt(np.where(trusted, square, 1.0)), 0.0)
         error = cross(self.up, accelerometer * weight[:, None])
         self.bias += (INTEGRAL_GAIN * dt) * error

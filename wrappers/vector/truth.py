@@ -7,12 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs import RobotDrawing
-from surefoot.envs.truth import CONTACT_FORCE
+from surefoot.envs.instrument_info import TOLD
+from surefoot.envs.truth import CONTACT_FORCE, cop_in_sole
 
 Floats = NDArray[np.float64]
-
-NAMES = ("force_cell", "vgrf", "cop_world", "cop_foot", "com", "wrench_sole")
-"""What ``infos["surefoot"]["truth"]`` holds."""
 
 
 class BatchTruth(Mapping[str, Floats]):
@@ -31,7 +29,7 @@ class BatchTruth(Mapping[str, Floats]):
 
     def __getitem__(self, name: str) -> Floats:
         truth = self._truth
-        if name not in NAMES:
+        if name not in TOLD:
             raise KeyError(name)
         if name == "force_cell":
             flawed = self._drawing.position_cell_sole is None
@@ -45,8 +43,7 @@ class BatchTruth(Mapping[str, Floats]):
         if name == "vgrf":
             return vertical
         if name == "cop_foot":
-            load = np.where(wrench[..., 2] > CONTACT_FORCE, wrench[..., 2], np.nan)
-            return np.stack([-wrench[..., 4] / load, wrench[..., 3] / load], axis=-1)
+            return cop_in_sole(wrench)
         torque = np.einsum("nfij,nfj->nfi", R, wrench[..., 3:])
         place = truth.position_sole[..., :2] * vertical[..., None]
         moment = place + np.stack([-torque[..., 1], torque[..., 0]], axis=-1)
@@ -55,7 +52,7 @@ class BatchTruth(Mapping[str, Floats]):
         return cop
 
     def __iter__(self) -> Iterator[str]:
-        return iter(NAMES)
+        return iter(TOLD)
 
     def __len__(self) -> int:
-        return len(NAMES)
+        return len(TOLD)

@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.feet_layout import FOOT_WIDTH, TORSO_WIDTH
-from surefoot.wrappers.foot_sensors import TRUE_KEYS
+from surefoot.wrappers.raw_view import TRUE_KEYS
 from surefoot.wrappers.source import find_source, with_source
+from surefoot.wrappers.telemetry import MEASURED
 
 TRUTH_KEY = "surefoot_truth"
 """Name of the row in an observation."""
-
-MEASURED = ("joint_position", "joint_velocity", "tilt", "gyroscope")
-"""Parts of a state that telemetry can tell, where the environment names them."""
 
 
 class RowMeaning(NamedTuple):
@@ -35,7 +33,8 @@ class RowMeaning(NamedTuple):
         feet: Number of feet F.
         joints: Names of the J hinge joints.
         dt: Duration of a control step in s.
-        state: Where (name, start, stop) of :data:`MEASURED` lie in ``observation["state"]``, or nothing.
+        state: Where (name, start, stop) of what telemetry can tell (``MEASURED``) lie in
+            ``observation["state"]``, or nothing.
     """
 
     columns: int

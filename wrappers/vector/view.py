@@ -81,11 +81,8 @@ class BatchView:
         if "foot_raw" in space.spaces:
             raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
         self._sensors = sensors
-        low, high = sensors.instruments.code_range
-        with np.errstate(over="ignore"):
-            counts = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         parts = {key: part for key, part in space.spaces.items() if key != TRUTH_KEY}
-        self.space = spaces.Dict(parts | {"foot_raw": counts})
+        self.space = spaces.Dict(parts | {"foot_raw": sensors.instruments.space})
         layout = sensors.telemetry.layout
         self._measured = [
             (slice(start, stop), getattr(layout, name)) for name, start, stop in sensors.meaning.state

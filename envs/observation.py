@@ -1,0 +1,126 @@
+"""What a robot on two feet shows that follows a pattern: its state and its feet, part by part with bounds."""
+
+from math import atan2, cos, sin
+from typing import Any, Final
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+
+Observation = dict[str, NDArray[Any]]
+
+FORCE_BOUND: Final = 1000.0
+"""Largest force that is shown in N, but of heavy robots."""
+
+COP_BOUND: Final = 1.0
+"""Largest coordinate of a centre of pressure that is shown in m."""
+
+
+class ObservationTable:
+    """The parts of an observation in their order, with their bounds.
+
+    Args:
+        joints: Number J of hinge joints.
+        force_bound: Largest force of a cell that is shown in N.
+
+    Attributes:
+        space: The observation space.
+        state_layout: Where each part lies in the state vector.
+        size: Length of the state vector.
+    """
+
+    def __init__(self, joints: int, force_bound: float) -> None:
+        bounds = {
+            "joint_position": (joints, np.pi),
+            "joint_velocity": (joints, 50.0),
+            "tilt": (2, np.pi),
+            "gyroscope": (3, 50.0),
+            "com_reference": (2, 1.0),
+            "com_reference_velocity": (2, 2.0),
+            "cop_reference": (2, 1.0),
+            "stance": (2, 1.0),
+            "phase": (2, 1.0),
+        }
+        self.state_layout: dict[str, slice] = {}
+        end = 0
+        for name, (size, _) in bounds.items():
+            self.state_layout[name] = slice(end, end + size)
+            end += size
+        self.size = end
+        self._high = np.concatenate([np.full(n, high, dtype=np.float32) for n, high in bounds.values()])
+        self._low = -self._high
+        self._low[self.state_layout["stance"]] = 0.0
+        self._force_bound = force_bound
+        self.space: Any = spaces.Dict(
+            {
+                "state": spaces.Box(self._low.copy(), self._high.copy(), dtype=np.float32),
+                "foot_force": spaces.Box(-force_bound, force_bound, (8,), dtype=np.float32),
+                "cop_foot": spaces.Box(-COP_BOUND, COP_BOUND, (2, 2), dtype=np.float32),
+                "cop": spaces.Box(-COP_BOUND, COP_BOUND, (2,), dtype=np.float32),
+                "cop_valid": spaces.MultiBinary(3),
+            }
+        )
+
+    def bounded(
+        self,
+        state: NDArray[np.float32],
+        force_cell: NDArray[np.float64],
+        cop_foot: list[list[float]],
+        cop: list[float],
+        valid: list[bool],
+    ) -> Observation:
+        """Bring what is shown into its bounds.
+
+        Args:
+            state: Its parts in the units of their names, shape (size,); it is changed.
+            force_cell: Forces of the cells in N, shape (8,).
+            cop_foot: Centres of pressure of both feet in the sole frames in m, shape (2, 2).
+            cop: Centre of pressure of both feet in the level frame in m, shape (2,).
+            valid: Whether the total, the left and the right centre of pressure are defined, shape (3,).
+        """
+        np.maximum(state, self._low, out=state)
+        np.minimum(state, self._high, out=state)
+        return {
+            "state": state,
+            "foot_force": _clipped(force_cell, self._force_bound),
+            "cop_foot": _clipped(cop_foot, COP_BOUND),
+            "cop": _clipped(cop, COP_BOUND),
+            "cop_valid": np.array(valid, dtype=np.int8),
+        }
+
+
+def command_state(command: Command) -> list[float]:
+    """Tell the parts of the state that are commanded, from ``com_reference`` to ``phase``, shape (10,).
+
+    Places are in the level frame of the commanded soles: its origin is midway between them, and its heading
+    the mean of theirs.
+    """
+    soles = command.position_sole.tolist()
+    left, right = command.yaw_sole.tolist()
+    middle_x, middle_y = 0.5 * (soles[0][0] + soles[1][0]), 0.5 * (soles[0][1] + soles[1][1])
+    heading = atan2(sin(left) + sin(right), cos(left) + cos(right))
+    com, velocity, cop = command.com.tolist(), command.com_velocity.tolist(), command.cop.tolist()
+    angle = 2.0 * np.pi * command.phase
+    return [
+        *turned(com[0] - middle_x, com[1] - middle_y, heading),
+        *turned(velocity[0], velocity[1], heading),
+        *turned(cop[0] - middle_x, cop[1] - middle_y, heading),
+        *command.stance.tolist(),
+        sin(angle),
+        cos(angle),
+    ]
+
+
+def turned(x: float, y: float, heading: float) -> list[float]:
+    """Turn a vector of the world about the vertical into a frame with a heading in rad."""
+    c, s = cos(heading), sin(heading)
+    return [c * x + s * y, c * y - s * x]
+
+
+def _clipped(value: Any, bound: float) -> NDArray[np.float32]:
+    clipped = np.array(value, dtype=np.float32)
+    np.maximum(clipped, -bound, out=clipped)
+    np.minimum(clipped, bound, out=clipped)
+    return clipped

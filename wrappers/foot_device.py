@@ -1,0 +1,39 @@
+"""What can be under a foot, as a user gives it; needs no simulator."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from surefoot.sensors import PRESETS, ForceTorque, LoadCells, from_mapping, preset, resolve
+
+FootDevice = LoadCells | ForceTorque
+"""What can be under a foot."""
+
+
+def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
+    """Make a configuration of a preset's name, a mapping or a configuration, of either kind.
+
+    A mapping is of load cells, or of six-axis sensors if only those have all of its keys.
+
+    Raises:
+        ValueError: If the name or a key of the mapping is unknown, or a value is refused.
+        TypeError: If it is none of the three.
+    """
+    if isinstance(config, ForceTorque):
+        return config
+    if isinstance(config, str) and config not in PRESETS[LoadCells]:
+        if config in PRESETS[ForceTorque]:
+            return preset(config, ForceTorque)
+        names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
+        raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")
+    if (
+        isinstance(config, Mapping)
+        and not set(config) <= _keys(LoadCells)
+        and set(config) <= _keys(ForceTorque)
+    ):
+        return from_mapping(ForceTorque, config)
+    return resolve(config, LoadCells)
+
+
+def _keys(kind: type[FootDevice]) -> set[str]:
+    return {field.name for field in fields(kind)}

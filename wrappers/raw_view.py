@@ -1,0 +1,111 @@
+"""What is observed of sensors instead of truth: counts under the feet, and telemetry in the state."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surefoot.sensors.link import Packets
+from surefoot.wrappers.instruments import Instruments
+from surefoot.wrappers.telemetry import MEASURED, TelemetryLayout
+
+TRUE_KEYS = ("foot_force", "cop", "cop_foot", "cop_valid")
+"""Parts of an observation that only truth can tell; readings take their place."""
+
+
+class RawView:
+    """Shows readings instead of truth, and holds the last ones that arrived.
+
+    Args:
+        instruments: What is under the feet.
+        shown: What the environment shows; what is no ``Dict`` becomes its ``"state"``.
+        state_layout: Where parts of ``"state"`` lie that telemetry tells; ``None`` leaves it as it is.
+        env: Who shows it, for messages.
+
+    Attributes:
+        space: What is shown.
+
+    Raises:
+        TypeError: If readings are shown already.
+    """
+
+    def __init__(
+        self,
+        instruments: Instruments,
+        shown: spaces.Space[Any],
+        state_layout: Mapping[str, slice] | None,
+        env: Any,
+    ) -> None:
+        self._was_dict = isinstance(shown, spaces.Dict)
+        parts = dict(shown.spaces) if isinstance(shown, spaces.Dict) else {"state": shown}
+        if "foot_raw" in parts:
+            raise TypeError(
+                "FootSensors found 'foot_raw' among the observations: it is the first wrapper around an "
+                f"environment that it reads, and one is enough; got {env}."
+            )
+        kept = {key: part for key, part in parts.items() if key not in TRUE_KEYS}
+        self.space = spaces.Dict(kept | {"foot_raw": instruments.space})
+        self._state_layout = state_layout
+        if state_layout is not None:
+            state: Any = kept["state"]
+            self._bounds = state.low, state.high
+        self._measured: list[tuple[slice, slice]] = []
+        self._newest: NDArray[np.float64]
+        self._zero_code = instruments.zero_code.astype(np.float32)
+        self.forget()
+
+    def forget(self) -> None:
+        """Hold the readings of unloaded sensors until others arrive."""
+        self._held = self._zero_code
+
+    def listen(self, layout: TelemetryLayout) -> None:
+        """Learn where the measured parts of the state lie in a packet."""
+        if self._state_layout is not None:
+            self._measured = _overwritten(self._state_layout, layout)
+
+    def show(self, observation: Any, raw: NDArray[np.float64], packets: Packets) -> dict[str, Any]:
+        """Show one step; the environment's arrays are not changed.
+
+        Args:
+            observation: What the environment shows.
+            raw: The feet's readings in counts, shape (K,); NaN where none arrived.
+            packets: Telemetry that arrived, in order.
+        """
+        if not self._was_dict:
+            return {"state": observation, "foot_raw": self._counts(raw)}
+        seen = {key: part for key, part in observation.items() if key not in TRUE_KEYS}
+        if self._state_layout is not None:
+            if packets:
+                self._newest = packets[-1].values
+            state = seen["state"].copy()
+            for where, measured in self._measured:
+                state[where] = self._newest[measured]
+            low, high = self._bounds
+            np.maximum(state, low, out=state)
+            seen["state"] = np.minimum(state, high, out=state)
+        seen["foot_raw"] = self._counts(raw)
+        return seen
+
+    def _counts(self, raw: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Show the last reading of each channel that arrived."""
+        counts = raw.astype(np.float32)
+        missing = np.isnan(counts)
+        if missing.any():
+            counts[missing] = self._held[missing]
+        self._held = counts
+        return counts.copy()
+
+
+def _overwritten(layout: Mapping[str, slice], packet: TelemetryLayout) -> list[tuple[slice, slice]]:
+    """Pair the measured parts of the state with those of a packet, neighbours joined."""
+    joined: list[tuple[slice, slice]] = []
+    for name in MEASURED:
+        where, source = layout[name], getattr(packet, name)
+        if joined and joined[-1][0].stop == where.start and joined[-1][1].stop == source.start:
+            last_where, last_source = joined.pop()
+            where = slice(last_where.start, where.stop)
+            source = slice(last_source.start, source.stop)
+        joined.append((where, source))
+    return joined
