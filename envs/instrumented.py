@@ -65,7 +65,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         untouched: Why the model was left alone; empty if it was not.
 
     Raises:
-        TypeError: If the environment does not run on MuJoCo, or ``feet`` is a single name.
+        TypeError: If the environment does not run on MuJoCo, ``feet`` is a single name, or ``cells`` or
+            ``soles`` name no feet.
         ValueError: If feet cannot be told, a body does not exist, names are taken, cells are asked for on a
             foot without area, or the description is of another robot.
     """
@@ -82,6 +83,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         in_place: bool | None = None,
         prefix: str = "surefoot/",
     ) -> None:
+        _check_types(cells, soles)
         # An MjSpec cannot be copied deeply; everything else is recorded as a copy.
         gym.utils.RecordConstructorArgs.__init__(
             self,
@@ -204,6 +206,20 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
                 f"{type(self._base).__name__} made itself another model or data at a reset, so that its feet "
                 "are not watched any more; wrap it anew, or let it change its model's numbers instead."
             )
+
+
+def _check_types(cells: Any, soles: Any) -> None:
+    """Refuse what names no feet."""
+    if cells is not None and not isinstance(cells, Mapping):
+        raise TypeError(
+            "'cells' must map the bodies of feet to places of four cells, {'left_foot': [(x, y), ...], ...}; "
+            f"got a {type(cells).__name__}."
+        )
+    if not isinstance(soles, (bool, np.bool_, Mapping)):
+        raise TypeError(
+            "'soles' must be True, or map the bodies of feet to (length, width, thickness) in m; "
+            f"got a {type(soles).__name__}."
+        )
 
 
 def _refuse(env: gym.Env[Any, Any], prefix: str) -> None:

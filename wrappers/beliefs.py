@@ -96,6 +96,11 @@ class Beliefs:
         self._run = 0
         self._clock, self._seen = 0.0, 0
 
+    @property
+    def force_bias(self) -> NDArray[np.float64]:
+        """What the robot takes for an error of its accelerometer in m/s^2, shape (3,)."""
+        return self._odometry.force_bias
+
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in packets:

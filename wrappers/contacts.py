@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
+from surefoot.wrappers.odometry import FREE_FALL
 
 CONTACT_MARGIN = 4
 """Samples by which a planned stance or swing must hold before and after one to be sure of it: joints follow
@@ -28,9 +29,6 @@ FLAT = 0.03
 COS_FLAT = 1.0 - 0.5 * FLAT * FLAT
 """Its cosine, to second order."""
 
-FALLING = 0.5 * GRAVITY
-"""Specific force in m/s^2 below which nothing is sure: the robot may be in the air."""
-
 
 def planned_window(lag: int) -> tuple[int, int]:
     """Tell how long a plan must have held by then to be sure of it, so many samples later.
@@ -42,6 +40,20 @@ def planned_window(lag: int) -> tuple[int, int]:
         Samples that it must have held, and samples for which it is kept in mind how long it had.
     """
     return CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag), max(lag - CONTACT_MARGIN, 0) + 1
+
+
+LEANING = 0.4 * GRAVITY
+"""Mean believed acceleration in m/s^2 from which a robot is not upright: half a radian off the vertical."""
+
+LEAN_TIME = 0.25
+"""Time constant in s of that mean, longer than a push or a landing."""
+
+LARGEST_FORCE_BIAS = 1.5
+"""Supposed error of an accelerometer in m/s^2 that is none, but gravity from another side."""
+
+LOWEST = 0.7
+"""Height of the centre of mass above the lower sole, as a share of the highest in this episode, below which a
+robot may rest on more than its feet."""
 
 
 class Plan:
@@ -95,7 +107,7 @@ class Kinematics:
         fx, fy, fz = reference.accelerometer.tolist()
         low = min(left, right)
         # NaN, where nothing is known yet, compares as false.
-        carried = fx * fx + fy * fy + fz * fz > FALLING * FALLING
+        carried = fx * fx + fy * fy + fz * fz > FREE_FALL * FREE_FALL
         seen = [
             carried and height - low < DOWN and slope > COS_FLAT
             for height, slope in ((left, slope_left), (right, slope_right))
@@ -104,3 +116,41 @@ class Kinematics:
         self._runs = [run + 1 if now else 0 for run, now in zip(self._runs, seen, strict=True)]
         sure = [run > CONTACT_MARGIN for run in self._runs]
         return np.array(sure[:2]), np.array(sure[2:])
+
+
+class Upright:
+    """Tells whether a robot is one that stands, walks or runs: only then do its feet carry all of it.
+
+    Who leans far, lies or sits rests on more than its soles, and what it takes for level is not: its own
+    weight and motion tell nothing about its feet then. The mean acceleration that a robot believes to have is
+    small while it is upright, and as large as gravity is off its supposed vertical when it is not.
+
+    Args:
+        dt: Time between samples in s.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._share = dt / (dt + LEAN_TIME)
+        self._mean = (0.0, 0.0, 0.0)
+        self._highest = 0.0
+
+    def at(self, reference: Reference, force_bias: NDArray[np.float64]) -> bool:
+        """Take in the robot's beliefs of one moment, and tell of it.
+
+        Args:
+            reference: The beliefs, of samples that follow each other; NaN, where nothing is known, passes.
+            force_bias: What the robot takes for an error of its accelerometer in m/s^2, shape (3,).
+        """
+        x, y, z = reference.com_acceleration.tolist()
+        if x != x:
+            return True
+        share, (mx, my, mz) = self._share, self._mean
+        self._mean = mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
+        bx, by, bz = force_bias.tolist()
+        height = float(reference.com[2]) - min(reference.position_sole[:, 2].tolist())
+        self._highest = max(self._highest, height)
+        return bool(
+            mx * mx + my * my + mz * mz < LEANING * LEANING
+            and bx * bx + by * by + bz * bz < LARGEST_FORCE_BIAS * LARGEST_FORCE_BIAS
+            and height > LOWEST * self._highest
+        )

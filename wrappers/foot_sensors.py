@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import ceil
 from os import PathLike
 from typing import Any, SupportsFloat
 
@@ -129,14 +130,16 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.source: Source = source
         devices = [foot_device(given) for given in (config, ankles) if given is not None]
         if severity != 1.0:
-            devices = [scaled(device, severity) for device in devices]
+            devices = [scaled(device, float(severity)) for device in devices]
         self.instruments = Instruments(tuple(devices), source.drawing)
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
-        broken = [self._fault(fault) for fault in faults]
-        self._broken = channel_faults(broken, self.instruments) if broken else None
+        if isinstance(faults, (str, Mapping)):
+            raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
+        self._faults = [self._fault(fault) for fault in faults]
+        self._broken = channel_faults(self._faults, self.instruments) if self._faults else None
         layout = getattr(source, "state_layout", None) if measure_state else None
         self._measures = layout is not None
-        self._view = RawView(self.instruments, self.env.observation_space, layout, self.env)
+        self._view = RawView(self.instruments, source, layout, self.env)
         self.observation_space = self._view.space
         self._link_by_name = isinstance(link, str)
         self._fresh, self._stream = fresh, stream
@@ -147,8 +150,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.packets: Packets = ()
         self.time = 0.0
         self.telemetry: Telemetry
-        self._raw: NDArray[np.float64]
-        self._telemetry_state: TelemetryState
+        self._raw: NDArray[np.float64] | None = None
+        self._telemetry_state: TelemetryState | None = None
+        self._clock: float | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -175,16 +179,17 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             self.telemetry = self._make_telemetry(dt, len(truth.time))
         self.drawn_anew = wants_fresh(asked.get("sensors"), seed, self._fresh, self._hardware is not None)
         self._switch_on(truth)
-        self.time = 0.0
-        return self._view.show(observation, self._raw, self.packets), info
+        self.time, self._clock = 0.0, None
+        return self._view.show(observation, self.raw, self.packets), info
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and read the sensors."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         truth, dt = self.source.truth, self.telemetry.dt
+        self._check_clock(float(truth.time[-1]), dt)
         self.time += dt
         self._read(truth, dt)
-        if self._listening:
+        if self._telemetry_state is not None:
             self.packets, self._telemetry_state = self.telemetry.advance(
                 truth.joint_position,
                 np.concatenate((truth.accelerometer, truth.gyroscope), axis=1),
@@ -192,11 +197,13 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
                 self._telemetry_state,
                 self._telemetry_rng,
             )
-        return self._view.show(observation, self._raw, self.packets), reward, terminated, truncated, info
+        return self._view.show(observation, self.raw, self.packets), reward, terminated, truncated, info
 
     @property
     def raw(self) -> NDArray[np.float64]:
         """The feet's last reading in counts, in double precision, shape (K,); NaN: none arrived."""
+        if self._raw is None:
+            raise gym.error.ResetNeeded("There are no readings before the first reset().")
         return self._raw
 
     def listen(self) -> None:
@@ -228,7 +235,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             ValueError: If the file is of another robot, or of other sensors.
         """
         self._hardware = load_state(path, self._now(), **self._notes())
-        if self._listening:
+        if self._telemetry_state is not None:
             computer = self._telemetry_state.computer._replace(**self._hardware.telemetry._asdict())
             self._telemetry_state = self._telemetry_state._replace(computer=computer)
 
@@ -241,7 +248,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def _now(self) -> HardwareState:
         """What the hardware is now, telemetry's part included."""
         hardware = self._devices
-        if not self._listening:
+        if self._telemetry_state is None:
             return hardware
         computer = self._telemetry_state.computer
         return hardware._replace(telemetry=Hardware(computer.imu, computer.encoders))
@@ -251,7 +258,23 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             "robot": robot_note(self.source),
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
             "channels": " ".join(self.instruments.layout.channel_names),
+            "faults": "; ".join(map(repr, self._faults)) or "none",
+            "telemetry": "none" if self._telemetry_state is None else "an IMU and encoders, which are read",
         }
+
+    def _check_clock(self, time: float, dt: float) -> None:
+        """Refuse steps that are longer or shorter than the environment says: all rates would be wrong.
+
+        Raises:
+            RuntimeError: If two steps that follow each other do not lie dt apart.
+        """
+        before, self._clock = self._clock, time
+        if before is not None and abs(time - before - dt) > 0.01 * dt:
+            raise RuntimeError(
+                f"A step of {self.env} took {time - before:g} s of simulated time, but its dt is {dt:g} s; "
+                "put whatever repeats or skips steps around FootSensors, and give an environment of your own "
+                "the attribute 'dt' or 'frame_skip'."
+            )
 
     def _switch_on(self, truth: Any) -> None:
         """Draw fresh sensors, or take those that there are, and let every chip and the link deliver once."""
@@ -263,7 +286,12 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             self._view.forget()
         settled = self.instruments.settled(truth, self._devices.instruments)
         self._hardware = self._devices._replace(instruments=settled)
-        self._read(truth, max(self.telemetry.dt, self.instruments.slowest))
+        dt = self.telemetry.dt
+        self._read(truth, max(dt, self.instruments.slowest))
+        # What is on its way, or averaged over the past, would be of another episode.
+        memory = self.instruments.memory
+        for _ in range(1 + ceil(memory / dt) if memory else 0):
+            self._read(truth, dt)
         if self._listening:
             # At the reset a robot hangs just above its footprints; packets before tell of one that stood.
             inertial = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])

@@ -186,6 +186,7 @@ class Instruments:
         zero_code: Readings without load by the data sheets in counts, shape (K,).
         code_range: Lowest and highest readings in counts, shape (K,) each.
         space: Box of the readings in counts, shape (K,).
+        memory: For how long readings go on that were of a load before, in s: filters and wires.
         slowest: The longest time between two conversions in s.
         age: How old a reading is on average when it is taken, in s; the cells' where there are both.
 
@@ -224,6 +225,7 @@ class Instruments:
         with np.errstate(over="ignore"):
             self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         self.age = self.parts[0].age
+        self.memory = max(_memory(part.config) for part in self.parts)
         rates = [part.config.rate for part in self.parts if isinstance(part, CellsUnderFeet)]
         self.slowest = max((1.0 / rate[0] for rate in rates if rate is not None), default=0.0)
 
@@ -287,6 +289,15 @@ class Instruments:
 
 def _name(part: CellsUnderFeet | SensorsInAnkles) -> str:
     return "ankles" if isinstance(part, SensorsInAnkles) else "cells"
+
+
+def _memory(config: FootDevice) -> float:
+    """Tell how long a reading of a load before may still come, in s."""
+    wire = config.wire
+    latest: float = wire.delay + 6.0 * wire.jitter
+    if isinstance(config, LoadCells) and config.rate is not None and config.settling > 1:
+        latest += config.settling / config.rate[0]
+    return latest
 
 
 def _weight(foot: FootLayout) -> Floats:

@@ -27,6 +27,9 @@ REST_TIME = 10.0
 """Time in s over which the specific force must point up and be g, for the robot does not go on getting
 faster: what is left is the accelerometer's bias."""
 
+FREE_FALL = 0.5 * GRAVITY
+"""Specific force in m/s^2 below which a robot falls freely, which says nothing of an accelerometer's bias."""
+
 SOLE_HEIGHT = 0.003
 """Height in m above the lower sole at which the other one no longer tells what is level."""
 
@@ -103,9 +106,11 @@ class Odometry:
         norm = 1.0 / sqrt(u * u + v * v + w * w)
         u, v, w = self._forward = u * norm, v * norm, w * norm
 
-        share = max(1.0 / self._count, period / REST_TIME)
         R = np.array(((u, v, w), (y * w - z * v, z * u - x * w, x * v - y * u), (x, y, z)))
-        self.force_bias = self.force_bias + share * (force - GRAVITY * R[2] - self.force_bias)
+        fx, fy, fz = force.tolist()
+        if fx * fx + fy * fy + fz * fz > FREE_FALL * FREE_FALL:
+            share = max(1.0 / self._count, period / REST_TIME)
+            self.force_bias = self.force_bias + share * (force - GRAVITY * R[2] - self.force_bias)
         return R
 
     def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:

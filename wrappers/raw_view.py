@@ -20,7 +20,7 @@ class RawView:
 
     Args:
         instruments: What is under the feet.
-        shown: What the environment shows; what is no ``Dict`` becomes its ``"state"``.
+        source: What records the truth; what it shows says what only truth can tell.
         state_layout: Where parts of ``"state"`` lie that telemetry tells; ``None`` leaves it as it is.
         env: Who shows it, for messages.
 
@@ -28,16 +28,18 @@ class RawView:
         space: What is shown.
 
     Raises:
-        TypeError: If readings are shown already.
+        TypeError: If readings are shown already, or truth is where it cannot be taken out.
     """
 
     def __init__(
         self,
         instruments: Instruments,
-        shown: spaces.Space[Any],
+        source: Any,
         state_layout: Mapping[str, slice] | None,
         env: Any,
     ) -> None:
+        shown, own = env.observation_space, source.observation_space
+        _check_order(shown, own, env)
         self._was_dict = isinstance(shown, spaces.Dict)
         parts = dict(shown.spaces) if isinstance(shown, spaces.Dict) else {"state": shown}
         if "foot_raw" in parts:
@@ -74,12 +76,12 @@ class RawView:
             packets: Telemetry that arrived, in order.
         """
         if not self._was_dict:
-            return {"state": observation, "foot_raw": self._counts(raw)}
-        seen = {key: part for key, part in observation.items() if key not in TRUE_KEYS}
+            return {"state": _own(observation), "foot_raw": self._counts(raw)}
+        seen = {key: _own(part) for key, part in observation.items() if key not in TRUE_KEYS}
         if self._state_layout is not None:
             if packets:
                 self._newest = packets[-1].values
-            state = seen["state"].copy()
+            state = seen["state"]
             for where, measured in self._measured:
                 state[where] = self._newest[measured]
             low, high = self._bounds
@@ -96,6 +98,23 @@ class RawView:
             counts[missing] = self._held[missing]
         self._held = counts
         return counts.copy()
+
+
+def _check_order(shown: spaces.Space[Any], own: spaces.Space[Any], env: Any) -> None:
+    """Refuse observations in which truth was mixed with what may be seen, before it is taken out."""
+    if not isinstance(own, spaces.Dict) or not set(own.spaces) & set(TRUE_KEYS):
+        return
+    state = shown["state"] if isinstance(shown, spaces.Dict) and "state" in shown.spaces else None
+    if state is None or state.shape != own["state"].shape:
+        raise TypeError(
+            "FootSensors takes the truth out of an observation and must see it as the environment shows it; "
+            f"wrap in this order, and whatever changes observations around it: FootSensors(env). Got {env}."
+        )
+
+
+def _own(part: Any) -> Any:
+    """Copy an array: an environment may hand out its own."""
+    return part.copy() if isinstance(part, np.ndarray) else part
 
 
 def _overwritten(layout: Mapping[str, slice], packet: TelemetryLayout) -> list[tuple[slice, slice]]:

@@ -1,6 +1,7 @@
 """Lets a robot calibrate its feet while it walks, with what it knows of itself."""
 
 from collections.abc import Mapping, Sequence
+from math import ceil
 from os import PathLike
 from typing import Any, SupportsFloat
 
@@ -12,11 +13,11 @@ from surefoot.calibration import FootCalibrator, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.state import load_state, save_state
 from surefoot.wrappers.beliefs import Beliefs, nothing
-from surefoot.wrappers.contacts import Kinematics, Plan
-from surefoot.wrappers.foot_length import foot_length
+from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
 from surefoot.wrappers.lag import check_lag, usual_lag
+from surefoot.wrappers.layout_options import layout_options
 from surefoot.wrappers.learnt import Learnt
 from surefoot.wrappers.nominal import NominalModel
 from surefoot.wrappers.source import check_stream, find_sensors, robot_note, split_options, wants_fresh
@@ -133,7 +134,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             )
         self._model = NominalModel.of_drawing(drawing, mass_error=mass_error, com_offset=com_offset)
         self.layout = sensors.instruments.layout
-        self._options = foot_length(self.layout, drawing) | options
+        self._options = layout_options(self.layout, drawing, method) | options
         self._lag, self._fresh = lag, fresh
         # A calibrator is made at a reset; one now refuses bad options before the first step.
         self._calibrator(start.known, 1.0 / 80.0, lag or 0)
@@ -177,13 +178,13 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         if wants_fresh(asked.get("calibration"), seed, always, self._made):
             self._forget(telemetry)
         else:
-            # What lies before the reset belongs to another episode.
-            self._held = self._late + 1
+            self._hold()
         self.beliefs = Beliefs(
             self._model, telemetry.layout, telemetry.period, telemetry.link.delay, telemetry.averaged
         )
         self.beliefs.update(sensors.packets)
         self._plan, self._kinematics = Plan(self._late), Kinematics()
+        self._upright = Upright(telemetry.dt)
         self._view.restart()
         return self._calibrate(observation, info), info
 
@@ -219,8 +220,11 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._model.masses = learnt.masses
         self.calibrator = self._calibrator(learnt.initial, self.calibrator.setup.dt, self._late)
         self.calibrator.state = learnt.state
-        # Its last samples are not those before the next one.
-        self._held = self._late + 1
+        self._hold()
+
+    def _hold(self) -> None:
+        """Learn nothing until the oldest sample is of what comes now: what lies before is another story."""
+        self._held = self._late + 1 + ceil(self._age / self._sensors.telemetry.dt)
 
     def _learnt(self) -> Learnt:
         if not self._made:
@@ -264,17 +268,23 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         return observation | self._view.show(estimate, self.beliefs.soles(sensors.time))
 
     def _believed(self) -> Reference:
-        """Say what the calibrator is told: nothing while it is frozen, or its samples are of two episodes."""
+        """Say what the calibrator is told.
+
+        That is nothing while it is frozen, its samples are of two episodes, or the robot is not upright.
+        """
         command: Any = getattr(self._sensors.source, "command", None)
         if command is not None:
             contacts = self._plan.at(command.stance, command.swing)
         if self.frozen or self._held:
             self._held = max(self._held - 1, 0)
             return nothing(2)
+        if command is None:
+            contacts = np.zeros(2, dtype=bool), np.zeros(2, dtype=bool)
+        reference = self.beliefs.reference(self.reference_time, *contacts)
+        if not self._upright.at(reference, self.beliefs.force_bias):
+            return nothing(2)
         if command is not None:
-            return self.beliefs.reference(self.reference_time, *contacts)
-        unsure = np.zeros(2, dtype=bool)
-        reference = self.beliefs.reference(self.reference_time, unsure, unsure)
+            return reference
         stance, swing = self._kinematics.at(reference)
         return reference._replace(stance=stance, swing=swing)
 

@@ -1,6 +1,7 @@
 """Where among wrappers the truth comes from, and how a reset is asked to keep or to change devices."""
 
 from collections.abc import Mapping
+from hashlib import sha256
 from typing import Any, Protocol, TypeVar, cast
 
 import gymnasium as gym
@@ -39,6 +40,11 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
     """Find the outermost environment or wrapper that records its truth; ``None`` if there is none."""
     below: gym.Env[Any, Any] = env
     while True:
+        if hasattr(type(below), "row_meaning") or "row_meaning" in vars(below):
+            raise TypeError(
+                "TruthRow shows truth to the wrappers of a vector environment: put it around each copy, and "
+                f"VectorFootSensors around them all. Got {env}."
+            )
         if hasattr(type(below), "drawing") or "drawing" in vars(below):
             return cast(Source, below)
         if not isinstance(below, gym.Wrapper):
@@ -48,7 +54,10 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
 
 def robot_note(source: Source) -> str:
     """Tell which robot it is, to be kept with what is saved of it."""
-    return f"{source.drawing.torso} with {', '.join(source.joint_names)}"
+    drawing = source.drawing
+    places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
+    mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
+    return f"{drawing.torso} with {', '.join(source.joint_names)}, drawing {mark}"
 
 
 def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -> Sensors:

@@ -319,3 +319,15 @@ def test_a_single_row_reads_as_many_do():
     single = np.concatenate([truth.wrench_sole for truth in rows])
     assert np.abs(single).max() > 10.0
     np.testing.assert_allclose(batch.wrench_sole, single, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"cells": [(0.0, 0.0)]}, "'cells' must map the bodies of feet to places of four cells"),
+        ({"soles": ["left_foot"]}, "'soles' must be True, or map the bodies of feet"),
+    ],
+)
+def test_options_that_name_no_feet_are_refused(options, text):
+    with pytest.raises(TypeError, match=text):
+        InstrumentedEnv(gym.make("Humanoid-v5"), **options)

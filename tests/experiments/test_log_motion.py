@@ -56,7 +56,7 @@ class _Recorded:
             force.append(base.truth.force_cell[-1].copy())
             references.append(env.reference)
             moments.append(env.reference_time)
-        telemetry, config = sensors.telemetry, sensors.config
+        telemetry, config = sensors.telemetry, sensors.instruments.parts[0].config
         where = telemetry.layout
         columns = {"time_s": [packet.arrival for packet in packets]}
         values = np.array([packet.values for packet in packets])
@@ -490,7 +490,7 @@ DRAWINGS = {
     "no XML": ("<mujoco><worldbody>", "the model 'robot.xml' cannot be used: XML parse error"),
     "a slider": (
         MJCF.replace('<joint name="left_hip" axis="0 1 0"/>', '<joint name="left_hip" type="slide"/>'),
-        "the model 'robot.xml' cannot be used: The robot must hang on one free joint and have hinge joints",
+        "the model 'robot.xml' cannot be used: A nominal model needs a robot that floats on one free joint",
     ),
     "a torso that hangs on another body": (
         MJCF.replace('<body name="base" pos="0 0 0.3">', '<body name="lift"><body name="base">').replace(

@@ -222,9 +222,72 @@ def test_a_home_made_biped_needs_two_lines(stilts: str) -> None:
     assert start > 2.0
 
 
+def test_a_robot_that_is_dropped_learns_when_it_stands(stilts: str) -> None:
+    class Dropped(Stilts):
+        def reset_model(self):
+            qpos = self.init_qpos.copy()
+            qpos[2] += 0.15
+            self.set_state(qpos, self.init_qvel)
+            return self.data.qpos[7:].repeat(3)[:10].copy()
+
+    env = SelfCalibration(FootSensors(Dropped(stilts), {"capacity": 60.0}))
+    env.reset(seed=0)
+    told = []
+    for _ in range(300):
+        env.step(np.zeros(4))
+        told.append(np.isfinite(env.reference.com).all())
+    assert not all(told)
+    assert all(told[100:])
+
+
 def test_feet_that_do_not_exist_are_refused_with_those_that_do(stilts: str) -> None:
     with pytest.raises(ValueError, match=r"got \['toes'\]; the model's bodies are .*'left_foot'"):
         FootSensors(Stilts(stilts), feet=("toes",))
     instrumented = InstrumentedEnv(Stilts(stilts))
     with pytest.raises(ValueError, match=r"\['feet'\] tell how to put sensors into a robot, but"):
         FootSensors(instrumented, feet=("left_foot", "right_foot"))
+
+
+def test_a_step_that_is_longer_than_it_says_is_refused(stilts: str) -> None:
+    class Repeat(gym.Wrapper):
+        def step(self, action):
+            self.env.step(action)
+            return self.env.step(action)
+
+    env = FootSensors(Repeat(Stilts(stilts)), "perfect")
+    env.reset(seed=0)
+    env.step(np.zeros(4))
+    with pytest.raises(
+        RuntimeError, match=r"took 0.04 s of simulated time, but its dt is 0.02 s; put whatever"
+    ):
+        env.step(np.zeros(4))
+    outside = Repeat(FootSensors(Stilts(stilts), "perfect"))
+    outside.reset(seed=0)
+    for _ in range(3):
+        outside.step(np.zeros(4))
+
+
+def test_an_environments_own_arrays_stay_its_own(stilts: str) -> None:
+    class Careless(Stilts):
+        def step(self, action):
+            super().step(action)
+            return self.data.qpos[:10], 0.0, False, False, {}
+
+    env = FootSensors(Careless(stilts), "perfect")
+    env.reset(seed=0)
+    first, second = (env.step(np.zeros(4))[0]["state"] for _ in range(2))
+    assert not np.shares_memory(first, second)
+    assert not np.shares_memory(second, env.unwrapped.data.qpos)
+
+
+@pytest.mark.parametrize(
+    "mix",
+    [
+        gym.wrappers.FlattenObservation,
+        lambda env: gym.wrappers.FilterObservation(env, ["cop"]),
+        lambda env: gym.wrappers.FrameStackObservation(env, 3),
+    ],
+)
+def test_truth_is_not_taken_out_of_a_mixture(mix: Any) -> None:
+    with pytest.raises(TypeError, match=r"wrap in this order, .*: FootSensors\(env\)"):
+        FootSensors(mix(gym.make("surefoot/NaoStand-v0")))

@@ -6,7 +6,7 @@ import pytest
 
 from surefoot.calibration import Reference
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.contacts import CONTACT_MARGIN, Kinematics
+from surefoot.wrappers.contacts import CONTACT_MARGIN, Kinematics, Upright
 
 
 def believed(left: float, right: float, *, roll: float = 0.0, force: float = 9.81) -> Reference:
@@ -86,3 +86,51 @@ def test_kinematics_agree_with_the_plan_of_a_walk_and_never_contradict_the_conta
     assert carried[swings].max() < 2.0, "a foot that surely swings carries nothing"
     stands = sure[:, 4:6].any(axis=1)
     assert stands.mean() > 0.6
+
+
+def leaning(angle: float, height: float = 0.8) -> Reference:
+    """What a robot believes that leans with its feet: gravity comes from the side."""
+    off = 9.81 * np.array([np.sin(angle), 0.0, np.cos(angle) - 1.0])
+    moment = believed(0.0, 0.0)
+    return moment._replace(com_acceleration=off, com=np.array([0.0, 0.0, height]))
+
+
+@pytest.mark.parametrize(
+    ("moment", "bias", "upright"),
+    [
+        (leaning(0.0), 0.0, True),
+        (leaning(0.3), 0.0, True),
+        (leaning(0.6), 0.0, False),
+        (leaning(1.5), 0.0, False),
+        (leaning(0.0), 0.5, True),
+        (leaning(0.0), 5.0, False),
+        (leaning(0.0, 0.6), 0.0, True),
+        (leaning(0.0, 0.4), 0.0, False),
+        (leaning(float("nan")), 5.0, True),
+    ],
+)
+def test_who_leans_lies_or_sits_is_not_upright(moment: Reference, bias: float, upright: bool) -> None:
+    gate = Upright(0.02)
+    for _ in range(100):
+        gate.at(leaning(0.0), np.zeros(3))
+    seen = [gate.at(moment, np.array([bias, 0.0, 0.0])) for _ in range(60)]
+    assert seen[-1] == upright
+
+
+def test_a_push_is_no_fall() -> None:
+    gate = Upright(0.0125)
+    hard = believed(0.0, 0.0)._replace(com_acceleration=np.array([6.0, 0.0, 0.0]), com=np.array([0, 0, 0.8]))
+    seen = [gate.at(hard if 40 <= k < 48 else leaning(0.0), np.zeros(3)) for k in range(100)]
+    assert all(seen)
+
+
+@pytest.mark.parametrize("name", ["Humanoid-v5", "HumanoidStandup-v5"])
+def test_nothing_is_learnt_from_a_robot_that_lies(name: str) -> None:
+    options = {"terminate_when_unhealthy": False} if name == "Humanoid-v5" else {}
+    env = SelfCalibration(FootSensors(gym.make(name, **options), "icub-force-torque"))
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(500):
+        env.step(rng.uniform(-0.4, 0.4, 17).astype(np.float32))
+    start = env.env.instruments.nominal.scale
+    np.testing.assert_allclose(env.estimate.scale, start, rtol=0.02)

@@ -1,12 +1,13 @@
 """Hardware and what was learnt of it over the episodes of a robot's life."""
 
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from surefoot.sensors import HX711_LOAD_CELLS, Fault
+from surefoot.sensors import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS, Fault, Wire
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 STILL = np.zeros(11, dtype=np.float32)
@@ -74,7 +75,8 @@ def test_what_was_learnt_is_kept_and_nothing_is_learnt_across_a_reset(make_bare)
     assert np.abs(learnt.offset - env.env.instruments.nominal.offset).max() > 0.1
     _, info = env.reset()
     late = info["surefoot"]["lag"]
-    for _ in range(late + 1):
+    # The lag, the sample between two episodes, and a reading's own age.
+    for _ in range(late + 2):
         np.testing.assert_allclose(env.estimate.scale, learnt.scale, rtol=1e-9)
         assert np.isnan(env.reference.com).all()
         steps(env, 1)
@@ -214,3 +216,48 @@ def test_faults_in_words_and_readings_that_do_not_arrive(make_bare) -> None:
     assert (np.array(seen)[30:, 5] == HX711_LOAD_CELLS.zero_code).all()
     with pytest.raises(ValueError, match="left/front-left"):
         FootSensors(make_bare(STAND), faults=["at t=1 s cell left/9 dies"])
+
+
+def test_one_may_listen_later(make_bare) -> None:
+    sensed = FootSensors(gym.make("Humanoid-v5"), "icub-force-torque")
+    with pytest.raises(gym.error.ResetNeeded, match="no readings before the first reset"):
+        _ = sensed.raw
+    sensed.reset(seed=0)
+    env = SelfCalibration(sensed)
+    env.reset()
+    for _ in range(12):
+        env.step(np.zeros(17, dtype=np.float32))
+    assert np.isfinite(env.estimate.force).all()
+
+
+def test_readings_of_the_old_episode_do_not_reach_the_new_one(make_bare) -> None:
+    env = FootSensors(make_bare(STAND), replace(PERFECT_LOAD_CELLS, wire=Wire(delay=0.1, under_way=12)))
+    env.reset(seed=0)
+    while not env.step(np.full(11, 1.0, dtype=np.float32))[2]:
+        pass
+    fallen = env.raw.copy()
+    env.reset()
+    standing = env.source.truth.force_cell[-1]
+    assert np.abs(fallen - standing).max() > 3.0
+    # A tenth of a second is eight steps.
+    for _ in range(7):
+        np.testing.assert_allclose(env.raw, standing, atol=1e-6)
+        env.step(STILL)
+
+
+def test_files_of_another_body_or_with_other_faults_are_refused(tmp_path, make_bare) -> None:
+    env = FootSensors(make_bare(STAND), faults=["at t=1 s cell left/2 dies"])
+    env.reset(seed=0)
+    env.save(tmp_path / "a.npz")
+    other = FootSensors(make_bare(STAND), faults=["at t=1 s cell left/1 dies"])
+    other.reset(seed=0)
+    with pytest.raises(ValueError, match="was saved for faults 'Fault"):
+        other.load(tmp_path / "a.npz")
+    humanoid = FootSensors(
+        gym.make("surefoot/Exercise-v0", robot="nao"), faults=["at t=1 s cell left/2 dies"]
+    )
+    humanoid.reset(seed=0)
+    with pytest.raises(ValueError, match="was saved for robot 'torso with"):
+        humanoid.load(tmp_path / "a.npz")
+    with pytest.raises(TypeError, match="'faults' must be a sequence of faults"):
+        FootSensors(make_bare(STAND), faults="at t=1 s cell left/2 dies")

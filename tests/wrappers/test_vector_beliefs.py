@@ -8,11 +8,11 @@ from surefoot.envs.drawing import draw_nao
 from surefoot.sensors.link import Packet
 from surefoot.wrappers.attitude import UPRIGHT, update
 from surefoot.wrappers.beliefs import Beliefs
-from surefoot.wrappers.contacts import Kinematics, Plan
+from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.nominal import NominalModel
 from surefoot.wrappers.telemetry import TelemetryLayout
 from surefoot.wrappers.vector.beliefs import BatchBeliefs
-from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan
+from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan, BatchUpright
 from surefoot.wrappers.vector.nominal import BatchNominal
 from surefoot.wrappers.vector.telemetry import BatchAttitude
 
@@ -182,3 +182,48 @@ def test_contacts_by_kinematics_are_those_of_the_scalar_class():
             np.testing.assert_array_equal((found[0][i], found[1][i]), expected)
             seen += [expected[0].sum(), expected[1].sum()]
     assert (seen > 50).all()
+
+
+def test_who_is_upright_is_told_as_by_the_scalar_class():
+    rng = np.random.default_rng(6)
+    batch, alone = BatchUpright(ROBOTS, PERIOD), [Upright(PERIOD) for _ in range(ROBOTS)]
+    told = []
+    for step in range(600):
+        # One leans away for a while, one sits down, and all stumble and have an odd accelerometer.
+        leans, sits, odd = 100 < step < 180, 250 < step < 300, 400 < step < 420
+        com = np.zeros((ROBOTS, 3))
+        com[:, 2] = np.where(np.array([False, sits, False]), 0.15, 0.26) + 0.01 * rng.normal(size=ROBOTS)
+        acceleration = 2.0 * rng.normal(size=(ROBOTS, 3)) + [[6.0 * leans, 0.0, 0.0]] + [[0.0], [1.0], [-6.0]]
+        soles = np.zeros((ROBOTS, 2, 3))
+        soles[..., 2] = 0.01 * rng.random((ROBOTS, 2))
+        if rng.random() < 0.1:
+            lost = rng.random(ROBOTS) < 0.5
+            com[lost], acceleration[lost], soles[lost] = np.nan, np.nan, np.nan
+        reference = Reference(
+            com=com,
+            com_acceleration=acceleration,
+            angular_momentum_rate=np.zeros((ROBOTS, 3)),
+            position_sole=soles,
+            R_level_sole=np.tile(np.eye(3), (ROBOTS, 2, 1, 1)),
+            stance=np.zeros((ROBOTS, 2), dtype=bool),
+            swing=np.zeros((ROBOTS, 2), dtype=bool),
+            accelerometer=np.zeros((ROBOTS, 3)),
+            gyroscope=np.zeros((ROBOTS, 3)),
+        )
+        bias = rng.normal(size=(ROBOTS, 3)) * (2.0 if odd else 0.2)
+        found = batch.at(reference, bias)
+        expected = [
+            own.at(Reference(*(part[i] for part in reference)), bias[i]) for i, own in enumerate(alone)
+        ]
+        np.testing.assert_array_equal(found, expected)
+        told.append(found)
+    share = np.mean(told, axis=0)
+    assert 0.7 < share[0] < 0.9, share
+    assert 0.6 < share[1] < 0.82, share
+    assert share[2] < 0.3, share
+    low = np.array([[0.0, 0.0, 0.1]] * ROBOTS)
+    squat = Reference(*(np.zeros_like(part) for part in reference))._replace(com=low)
+    settled = BatchUpright(ROBOTS, PERIOD)
+    settled.at(squat._replace(com=3.0 * low), 0.0 * low)
+    settled.restart(np.array([False, True, False]))
+    np.testing.assert_array_equal(settled.at(squat, 0.0 * low), [False, True, False])

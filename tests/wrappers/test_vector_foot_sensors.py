@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import surefoot  # noqa: F401
-from surefoot.sensors import Corruption, LoadCells
+from surefoot.sensors import Corruption, LoadCells, Wire, preset
 from surefoot.wrappers import FootSensors
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY, TruthRow
@@ -100,8 +100,8 @@ def test_hardware_outlives_episodes_and_drifts_once_a_sample(mode):
             felt.reset(options={"reset_mask": done})
             np.testing.assert_array_equal(felt.sensors.state.error[:, ~done], before.error[:, ~done])
     np.testing.assert_array_equal(felt.sensors.state.period, drawn)
-    # A robot that is put back within a step has a last and a first sample in it.
-    assert set(spans) == ({1, 2} if mode is AutoresetMode.SAME_STEP else {1})
+    # Where robots begin within a step, their chips deliver once besides.
+    assert set(spans) == ({1} if mode is AutoresetMode.DISABLED else {1, 2})
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
@@ -220,6 +220,8 @@ def test_what_does_not_fit_is_refused_at_the_door():
         VectorFootSensors(bare)
     with pytest.raises(TypeError, match="one is enough"):
         TruthRow(TruthRow(_walk()))
+    with pytest.raises(TypeError, match="TruthRow"):
+        FootSensors(TruthRow(_walk()))
     copies = _copies()
     with pytest.raises(ValueError, match="no foot sensor preset 'hx712'"):
         VectorFootSensors(copies, "hx712")
@@ -246,6 +248,112 @@ def test_what_does_not_fit_is_refused_at_the_door():
     other = [lambda: TruthRow(_walk()), lambda: TruthRow(_other())]
     with pytest.raises(ValueError, match=r"copies \[1\] are of another"):
         VectorFootSensors(SyncVectorEnv(other))
+
+
+@pytest.mark.parametrize(
+    "memory",
+    [{}, {"settling": 3, "wire": Wire(delay=0.06, jitter=0.005)}, {"rate": None, "wire": Wire(delay=0.06)}],
+    ids=["clock", "filter and wire", "wire alone"],
+)
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_no_reading_of_a_new_episode_tells_of_the_dead_one(mode, memory):
+    cells = replace(preset("perfect", LoadCells), **({"rate": (10.0, 10.0)} | memory))
+    felt = VectorFootSensors(_copies(mode), cells)
+    since: list[list[Any]] = [[] for _ in range(ROBOTS)]
+
+    def follow(seen: Any, infos: Any, begun: Any) -> int:
+        force, starts = infos["surefoot"]["truth"]["force_cell"], 0
+        for robot, loads in enumerate(since):
+            if begun[robot]:
+                # The weight of the dead episode is more than anything that the new one begins with.
+                starts += bool(loads) and loads[-1].sum() > force[robot].sum() + 5.0
+                loads.clear()
+                np.testing.assert_allclose(seen["foot_raw"][robot], force[robot], atol=1e-4)
+            loads.append(force[robot])
+            assert (seen["foot_raw"][robot] >= np.min(loads, axis=0) - 1e-4).all()
+            assert (seen["foot_raw"][robot] <= np.max(loads, axis=0) + 1e-4).all()
+        return starts
+
+    everyone = np.ones(ROBOTS, dtype=bool)
+    follow(*felt.reset(seed=5), everyone)
+    done, starts = ~everyone, 0
+    for _ in range(3 * EPISODE):
+        before = done
+        seen, _, terminated, truncated, infos = felt.step(ACTIONS)
+        done = terminated | truncated
+        begun = {AutoresetMode.NEXT_STEP: before, AutoresetMode.SAME_STEP: done}.get(mode, ~everyone)
+        starts += follow(seen, infos, begun)
+        if mode is AutoresetMode.DISABLED and done.any():
+            seen, infos = felt.reset(options={"reset_mask": done.copy()})
+            starts += follow(seen, infos, done)
+    assert starts >= 5
+    before = [len(loads) for loads in since]
+    follow(*felt.reset(), everyone)
+    assert max(before) > 1
+
+
+def test_truth_that_was_mixed_into_other_parts_is_refused_below_the_row():
+    with pytest.raises(TypeError, match=r"(?s)wrap in this order.*FlattenObservation"):
+        TruthRow(gym.wrappers.FlattenObservation(_walk()))
+    with pytest.raises(TypeError, match=r"but found Dict\('cop'.*wrap in this order"):
+        TruthRow(gym.wrappers.FilterObservation(_walk(), ["cop"]))
+    with pytest.raises(TypeError, match=r"but found a state of shape \(2, "):
+        TruthRow(gym.wrappers.FrameStackObservation(_walk(), 2))
+    assert set(TruthRow(gym.wrappers.FilterObservation(_walk(), ["state"])).observation_space) == {
+        "state",
+        TRUTH_KEY,
+    }
+
+
+def test_an_environment_may_hand_out_its_own_buffer():
+    class Buffered(gym.Wrapper[Any, Any, Any, Any]):
+        """Writes each observation over the one before."""
+
+        def __init__(self, env: gym.Env[Any, Any]) -> None:
+            super().__init__(env)
+            self._buffer: dict[str, Any] = {}
+
+        def _write(self, seen: dict[str, Any]) -> dict[str, Any]:
+            for key, part in seen.items():
+                self._buffer.setdefault(key, part.copy())[...] = part
+            return self._buffer
+
+        def reset(self, **options: Any) -> Any:
+            seen, info = self.env.reset(**options)
+            return self._write(seen), info
+
+        def step(self, action: Any) -> Any:
+            seen, *rest = self.env.step(action)
+            return self._write(seen), *rest
+
+    mode = AutoresetMode.SAME_STEP
+    plain = VectorFootSensors(SyncVectorEnv([lambda: TruthRow(_walk(EPISODE))], autoreset_mode=mode))
+    reused = VectorFootSensors(
+        SyncVectorEnv([lambda: TruthRow(Buffered(_walk(EPISODE)))], autoreset_mode=mode)
+    )
+    for env in (plain, reused):
+        env.reset(seed=3)
+    for _ in range(EPISODE):
+        one, other = (env.step(ACTIONS[:1]) for env in (plain, reused))
+    np.testing.assert_array_equal(one[0]["state"], other[0]["state"])
+    final = one[4]["final_obs"][0]["state"]
+    np.testing.assert_array_equal(other[4]["final_obs"][0]["state"], final)
+    assert (final != one[0]["state"][0]).any()
+
+
+def test_feet_without_area_have_no_centre_of_pressure_in_the_truth_either():
+    copies = SyncVectorEnv([lambda: TruthRow(gym.make("Humanoid-v5"), keep_info=True)] * 2)
+    felt = VectorFootSensors(copies, "icub-force-torque")
+    felt.reset(seed=0)
+    pressed = 0
+    for _ in range(20):
+        *_, infos = felt.step(np.zeros((2, 17), dtype=np.float32))
+        told = infos["surefoot"]["truth"]
+        pressed += int((told["wrench_sole"][..., 2] > 50.0).sum())
+        assert np.isnan(told["cop_foot"]).all()
+    assert pressed > 5
+    for i, copy in enumerate(copies.envs):
+        np.testing.assert_allclose(copy.env.truth.vgrf(), told["vgrf"][i])
 
 
 def _other() -> gym.Env[Any, Any]:

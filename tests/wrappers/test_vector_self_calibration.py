@@ -140,6 +140,69 @@ def test_what_was_learnt_outlives_episodes_in_all_modes(mode):
     assert (before != start).any(axis=1).all()
 
 
+def test_a_seed_repeats_all_on_the_same_object():
+    env = _vector()
+
+    def run(**options: Any) -> list[Any]:
+        seen, infos = env.reset(seed=4, **options)
+        assert set(infos["surefoot"]) == {"truth", "parameters", "lag"}
+        shown = []
+        for _ in range(60):
+            shown.append({**seen, "scale": env.calibration.parameters.scale})
+            seen, *_ = env.step(ACTIONS)
+        return shown
+
+    first, again = run(), run()
+    masked = run(options={"reset_mask": np.ones(ROBOTS, dtype=bool)})
+    for one, *others in zip(first, again, masked, strict=True):
+        for other in others:
+            for key, part in one.items():
+                np.testing.assert_array_equal(part, other[key], err_msg=key)
+    assert (first[-1]["scale"] != first[0]["scale"]).any()
+
+
+def test_nothing_is_learnt_from_a_robot_that_is_not_upright():
+    env = _vector()
+    env.reset(seed=3)
+    batch = env.calibration
+    nominal = batch.parameters
+    told = batch._upright.at
+
+    def lying(reference: Reference, bias: Any) -> Any:
+        return told(reference, bias) & np.array([True, False, True])
+
+    batch._upright.at = lying
+    for _ in range(150):
+        *_, infos = env.step(ACTIONS)
+        assert np.isnan(infos["surefoot"]["reference"].com[1]).all()
+        assert not infos["surefoot"]["reference"].stance[1].any()
+    learnt = (batch.parameters.scale != nominal.scale).any(axis=1)
+    np.testing.assert_array_equal(learnt, [True, False, True])
+    assert np.isfinite(infos["surefoot"]["reference"].com[[0, 2]]).all()
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_old_readings_are_waited_for_alike_in_all_modes(mode):
+    cells = {"rate": (10.0, 11.0), "settling": 2}
+    copies = SyncVectorEnv(_functions(12), autoreset_mode=mode)
+    env = VectorSelfCalibration(VectorFootSensors(copies, cells), lag=8)
+    env.reset(seed=2)
+    # An age of 0.095 s is 8 samples, which the reference is older than its lag.
+    wait, run = 8 + 8, 0
+    done = np.zeros(ROBOTS, dtype=bool)
+    for _ in range(60):
+        begun = done
+        *_, terminated, truncated, infos = env.step(ACTIONS)
+        done = terminated | truncated
+        run = 0 if mode is AutoresetMode.NEXT_STEP and begun[2] else run + 1
+        unknown = np.isnan(infos["surefoot"]["reference"].com[2]).any()
+        assert unknown == (run <= wait), run
+        if mode is AutoresetMode.DISABLED and done.any():
+            env.reset(options={"reset_mask": done.copy()})
+        if mode is not AutoresetMode.NEXT_STEP and done[2]:
+            run = 0
+
+
 def test_references_of_a_robot_that_was_reset_are_of_its_new_episode_only():
     env = _vector(12, AutoresetMode.SAME_STEP)
     env.reset(seed=2)

@@ -79,6 +79,11 @@ class BatchBeliefs:
         self._now = 0
         self._before: Floats | None = None
 
+    @property
+    def force_bias(self) -> Floats:
+        """What the robots take for errors of their accelerometers in m/s^2, shape (N, 3)."""
+        return self._odometry.force_bias
+
     def update(self, packet: Floats, begun: Mask | None = None) -> None:
         """Take in one packet of each robot.
 

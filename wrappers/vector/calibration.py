@@ -20,11 +20,11 @@ from surefoot.calibration._setup import setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.select import select
 from surefoot.wrappers.contacts import CONTACT_MARGIN
-from surefoot.wrappers.foot_length import foot_length
+from surefoot.wrappers.layout_options import layout_options
 from surefoot.wrappers.source import check_stream, wants_fresh
 from surefoot.wrappers.starting_map import StartingMap
 from surefoot.wrappers.vector.beliefs import BatchBeliefs
-from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan
+from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan, BatchUpright
 from surefoot.wrappers.vector.feet import BatchFeet
 from surefoot.wrappers.vector.nominal import BatchNominal
 from surefoot.wrappers.vector.seeds import Seeds, seed_numbers, seed_of_each
@@ -95,7 +95,7 @@ class BatchCalibration:
             initial=None,
             dt=dt,
             lag=self.lag,
-            options=foot_length(instruments.layout, drawing) | dict(options),
+            options=layout_options(instruments.layout, drawing, method) | dict(options),
         )
         self._method = online_method(method, self._setup, **own)
         self.feet = BatchFeet(sensors.count, instruments.layout, self._mass, drawing.flaw)
@@ -105,9 +105,12 @@ class BatchCalibration:
         everyone = (sensors.count, instruments.channels)
         self._map: Floats = np.zeros((2, *everyone))
         self._share: Floats = np.ones((sensors.count, 1))
+        # Samples of an episode, its first included, until the oldest that a reference is about is of it.
+        self._wait = self.lag + 1 + ceil(instruments.age / dt - 1e-9)
         self._held = np.zeros(sensors.count, dtype=np.int64)
         self._plan = BatchPlan(sensors.count, self.lag)
         self._kinematics = BatchKinematics(sensors.count)
+        self._upright = BatchUpright(sensors.count, dt)
         self._state: Any = None
         self.parameters: Parameters
         self.reference: Reference
@@ -123,8 +126,9 @@ class BatchCalibration:
         """
         count, numbers = self._sensors.count, seed_numbers(seed)
         rng = np.random.default_rng([self._stream, *numbers]) if numbers else self._rng
-        if mask is None:
-            mask, self._rng = np.ones(count, dtype=bool), rng
+        mask = np.ones(count, dtype=bool) if mask is None else mask
+        if mask.all():
+            self._rng = rng
         learnt = self._state is not None
         if not learnt:
             self._beliefs = self._make_beliefs(self._sensors.averaged)
@@ -140,7 +144,7 @@ class BatchCalibration:
         assert readings.packet is not None
         if begun is not None:
             self._forget(sensors.drawn | (begun & self._fresh), self._rng)
-            self._put_back(begun)
+            self._put_back(begun, self._wait)
             self.feet.restart(begun)
         self._beliefs.update(readings.packet, begun)
         share, (scale, offset) = self._share, self._map
@@ -164,21 +168,31 @@ class BatchCalibration:
         """Take in robots that were put back within the step that ended their episode, after the sensors."""
         self._begin(mask, self._sensors.drawn | (mask & self._fresh), self._rng)
 
-    def info(self) -> dict[str, Any]:
-        """Say what is known besides, by the names that the wrapper for one robot has."""
+    def info(self, stepped: bool) -> dict[str, Any]:
+        """Say what is known besides, by the names that the wrapper for one robot has.
+
+        Args:
+            stepped: Whether it is of a step, and not of a reset, in which nothing is calibrated.
+        """
         told = {"parameters": self.parameters, "lag": self.lag}
-        if hasattr(self, "estimate"):
+        if stepped:
             estimate = self.estimate
             told |= {"flags": estimate.flags, "vgrf": estimate.vgrf, "reference": self.reference}
         return told
 
     def _believed(self, contacts: Floats) -> Reference:
-        """Say what the calibrator is told: nothing of robots whose samples are of two episodes."""
+        """Say what the calibrator is told.
+
+        That is nothing of robots whose samples are of two episodes, or which are not upright.
+        """
         unknown, none = self._held > 0, np.zeros((len(contacts), 2), dtype=bool)
         self._held = np.maximum(self._held - 1, 0)
         planned = contacts[0, 0] == contacts[0, 0]
         stance, swing = self._plan.at(contacts > 0.5) if planned else (none, none)
         reference = self._beliefs.reference(stance, swing, unknown)
+        silent = unknown | ~self._upright.at(reference, self._beliefs.force_bias)
+        if silent.any():
+            reference = _silenced(reference, silent)
         if planned:
             return reference
         stance, swing = self._kinematics.at(reference)
@@ -189,16 +203,17 @@ class BatchCalibration:
         readings = self._sensors.readings
         assert readings.packet is not None
         self._forget(forget, rng)
-        self._put_back(mask)
+        self._put_back(mask, self._wait - 1)
         self._beliefs.restart(readings.packet, mask)
         self.feet.restart(mask)
         force = self.parameters.scale * readings.raw + self.parameters.offset
         self.feet.apply(mask, force, *self._beliefs.soles())
 
-    def _put_back(self, mask: Mask) -> None:
-        self._held[mask] = self.lag + 1
+    def _put_back(self, mask: Mask, wait: int) -> None:
+        self._held[mask] = wait
         self._plan.restart(mask)
         self._kinematics.restart(mask)
+        self._upright.restart(mask)
 
     def _forget(self, mask: Mask, rng: np.random.Generator) -> None:
         """Draw what some robots are wrong about, and begin from their starting maps."""
@@ -209,7 +224,8 @@ class BatchCalibration:
         self._map = np.where(mask[:, None], self._start(rng), self._map)
         raw = self._sensors.readings.raw
         fresh = self._method.init(raw)
-        if self._state is None:
+        if self._state is None or mask.all():
+            # Nothing of what robots share is left, either.
             self._state = fresh
             self.parameters = Parameters(*self._map)
             return
@@ -231,3 +247,12 @@ class BatchCalibration:
         age = self.lag * sensors.meaning.dt + sensors.instruments.age
         telemetry = sensors.telemetry
         return BatchBeliefs(self._model, telemetry.layout, sensors.meaning.dt, telemetry.delay, averaged, age)
+
+
+def _silenced(reference: Reference, mask: Mask) -> Reference:
+    """Take out what some robots believe, shape (N,): NaN, and of no foot whether it stands or swings."""
+    parts = []
+    for part in reference:
+        where = mask.reshape(-1, *[1] * (part.ndim - 1))
+        parts.append(part & ~where if part.dtype == bool else np.where(where, np.nan, part))
+    return Reference(*parts)

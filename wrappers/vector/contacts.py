@@ -6,8 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Reference
-from surefoot.wrappers.contacts import CONTACT_MARGIN, COS_FLAT, DOWN, FALLING, LIFTED, planned_window
+from surefoot.wrappers.contacts import (
+    CONTACT_MARGIN,
+    COS_FLAT,
+    DOWN,
+    LARGEST_FORCE_BIAS,
+    LEAN_TIME,
+    LEANING,
+    LIFTED,
+    LOWEST,
+    planned_window,
+)
+from surefoot.wrappers.odometry import FREE_FALL
 
+Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
@@ -70,9 +82,51 @@ class BatchKinematics:
         above = height - np.minimum(height[:, :1], height[:, 1:])
         force = reference.accelerometer
         # NaN, where nothing is known, compares as false.
-        carried = (np.einsum("ni,ni->n", force, force) > FALLING * FALLING)[:, None]
+        carried = (np.einsum("ni,ni->n", force, force) > FREE_FALL * FREE_FALL)[:, None]
         flat = reference.R_level_sole[..., 2, 2] > COS_FLAT
         seen = np.concatenate([carried & (above < DOWN) & flat, carried & (above > LIFTED)], axis=1)
         self._runs = (self._runs + 1) * seen
         sure = self._runs > CONTACT_MARGIN
         return sure[:, :2], sure[:, 2:]
+
+
+class BatchUpright:
+    """Tells whether robots are ones that stand, walk or run, so that their feet carry all of them.
+
+    Args:
+        count: Number of robots N.
+        dt: Time between samples in s.
+    """
+
+    def __init__(self, count: int, dt: float) -> None:
+        self._share = dt / (dt + LEAN_TIME)
+        self._mean: Floats = np.zeros((count, 3))
+        self._highest: Floats = np.zeros(count)
+
+    def restart(self, mask: Mask) -> None:
+        """Forget how some robots held themselves, shape (N,)."""
+        self._mean[mask], self._highest[mask] = 0.0, 0.0
+
+    def at(self, reference: Reference, force_bias: Floats) -> Mask:
+        """Take in the robots' beliefs of one moment, and tell of it.
+
+        Args:
+            reference: The beliefs, of samples that follow each other; NaN, where nothing is known, passes.
+            force_bias: What they take for errors of their accelerometers in m/s^2, shape (N, 3).
+
+        Returns:
+            Robots that are upright, shape (N,).
+        """
+        acceleration = reference.com_acceleration
+        known = acceleration[:, 0] == acceleration[:, 0]
+        height = reference.com[:, 2] - reference.position_sole[..., 2].min(axis=1)
+        change = self._share * (acceleration - self._mean)
+        self._mean = np.where(known[:, None], self._mean + change, self._mean)
+        self._highest = np.where(known, np.maximum(self._highest, height), self._highest)
+        upright: Mask = (
+            (np.einsum("ni,ni->n", self._mean, self._mean) < LEANING * LEANING)
+            & (np.einsum("ni,ni->n", force_bias, force_bias) < LARGEST_FORCE_BIAS * LARGEST_FORCE_BIAS)
+            & (height > LOWEST * self._highest)
+        )
+        upright |= ~known
+        return upright

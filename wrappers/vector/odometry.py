@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.wrappers.odometry import REST_TIME, SOLE_HEIGHT, SPIN_BIAS_TIME, TILT_TIME
+from surefoot.wrappers.odometry import FREE_FALL, REST_TIME, SOLE_HEIGHT, SPIN_BIAS_TIME, TILT_TIME
 from surefoot.wrappers.vector.telemetry import cross
 
 Floats = NDArray[np.float64]
@@ -74,7 +74,8 @@ class BatchOdometry:
         self._forward = ahead = _unit(ahead)
 
         R: Floats = np.stack([ahead, cross(up, ahead), up], axis=1)
-        share = np.maximum(known, period / REST_TIME)
+        carried = np.einsum("ni,ni->n", force, force)[:, None] > FREE_FALL * FREE_FALL
+        share = np.where(carried, np.maximum(known, period / REST_TIME), 0.0)
         self.force_bias = self.force_bias + share * (force - GRAVITY * up - self.force_bias)
         return R
 

@@ -23,11 +23,12 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     ``"cop"`` (N, 2) and ``"cop_valid"`` (N, 3) as :class:`~surefoot.wrappers.SelfCalibration` has them for
     one robot. The robots are calibrated by one calibrator for all, each with errors of its own beliefs.
 
-    ``infos["surefoot"]`` gains ``"parameters"``, ``"flags"`` (N, K), ``"vgrf"`` (N, 2) N, ``"reference"`` and
-    ``"lag"``.
+    ``infos["surefoot"]`` gains ``"parameters"`` and ``"lag"``, and at steps ``"flags"`` (N, K), ``"vgrf"``
+    (N, 2) N and ``"reference"``: a reset only applies what was learnt to the first readings.
 
-    What was learnt is kept when a robot is reset, and nothing is learnt from samples of two episodes. A reset
-    with a seed, or one that draws sensors anew, forgets it, ``fresh=True`` forgets at each reset, and
+    What was learnt is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
+    robots that are not upright (:class:`~surefoot.wrappers.contacts.Upright`). A reset with a seed, or one
+    that draws sensors anew, forgets what was learnt, ``fresh=True`` forgets at each reset, and
     ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one.
 
     Args:
@@ -107,7 +108,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         mask = None if rest is None else rest.get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)
         self.calibration.reset(mask, seed, asked.get("calibration"))
-        return {**observations, **self.calibration.feet.shown}, self._told(infos)
+        return {**observations, **self.calibration.feet.shown}, self._told(infos, False)
 
     def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Step all robots and calibrate by one sample."""
@@ -121,7 +122,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
             infos = {**infos, "final_obs": finals}
             calibration.restart(restarted)
         shown = {**observations, **calibration.feet.shown}
-        return shown, rewards, terminations, truncations, self._told(infos)
+        return shown, rewards, terminations, truncations, self._told(infos, True)
 
-    def _told(self, infos: Infos) -> Infos:
-        return {**infos, "surefoot": {**infos["surefoot"], **self.calibration.info()}}
+    def _told(self, infos: Infos, stepped: bool) -> Infos:
+        return {**infos, "surefoot": {**infos["surefoot"], **self.calibration.info(stepped)}}

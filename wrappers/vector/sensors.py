@@ -5,6 +5,7 @@ ends of two steps. All robots draw from one stream, so that what a robot's senso
 robots there are and on its place among them, and on nothing else.
 """
 
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,6 +86,10 @@ class BatchSensors:
             load_cells(devices.feet) if isinstance(devices.feet, LoadCells) else force_torque(devices.feet)
         )
         self._axes = batch_axes(self._device, self.instruments.channels)
+        # Every chip delivers at least once, and what is averaged or on its way runs through.
+        longest = max(meaning.dt, self.instruments.slowest)
+        self._opening = [longest] + [meaning.dt] * ceil(self.instruments.memory / meaning.dt - 1e-9)
+        self._remembers = self.instruments.slowest > 0.0 or len(self._opening) > 1
         self.telemetry = BatchTelemetry(
             count,
             len(meaning.joints),
@@ -142,14 +147,13 @@ class BatchSensors:
             seed: What they were reset with.
             choice: ``"fresh"`` or ``"keep"``, if it was asked for.
         """
-        everyone = mask is None
         mask = self._everyone if mask is None else mask
         numbers = seed_numbers(seed)
         feet, telemetry = self._rng, self._telemetry_rng
         if numbers:
             feet = np.random.default_rng([self._stream, *numbers])
             telemetry = np.random.default_rng([self._stream, *numbers, TELEMETRY_STREAM])
-            if everyone:
+            if mask.all():
                 self._rng, self._telemetry_rng = feet, telemetry
         self._begin(rows, mask, self.wanting(mask, seed, choice), feet, telemetry)
         self.stepped, self.begun, self.restarted = self.readings, None, None
@@ -169,17 +173,14 @@ class BatchSensors:
             begun: Robots that were reset instead of stepped, shape (N,), or ``None``.
         """
         force, before = self._look(rows), self._state
-        dt = self.meaning.dt
-        raw, self._state = self._device.apply(force, before, self._rng, dt)
+        raw, self._state = self._device.apply(force, before, self._rng, self.meaning.dt)
         self.begun, self.restarted, self.drawn = begun, None, self._everyone & False
         if begun is not None and self.fresh:
-            fresh = self._primed(self._device.init(self._shape, self._rng), force)
-            first, fresh = self._device.apply(force, fresh, self._rng, max(dt, self.instruments.slowest))
-            raw = np.where(begun[:, None], first, raw)
-            self._state = select(begun, fresh, self._state, self._axes)
             self.drawn = begun
-            if self._listening:
-                self.telemetry.draw(begun, self._telemetry_rng)
+            before = self._drawn(begun, before, self._rng, self._telemetry_rng)
+        # An instrument that remembers nothing has read the first moment already.
+        if begun is not None and (self.fresh or self._remembers):
+            raw = self._opened(force, begun, before, self._rng, raw)
         if self._listening:
             self.telemetry.measure(*self._felt(), begun, self._telemetry_rng)
         self._keep(raw, rows)
@@ -223,20 +224,8 @@ class BatchSensors:
     ) -> None:
         """Read the robots in ``mask`` for the first time; those ``wanted`` with new sensors."""
         force = self._look(rows)
-        if wanted.any():
-            fresh = self._device.init(self._shape, rng)
-            both = self._state is not None
-            self._state = select(wanted, fresh, self._state, self._axes) if both else fresh
-            if self._listening:
-                self.telemetry.draw(wanted, telemetry_rng)
-        # Every chip delivers at least once.
-        longest = max(self.meaning.dt, self.instruments.slowest)
-        raw, state = self._device.apply(force, self._primed(self._state, force), rng, longest)
-        if mask.all():
-            self._state = state
-        else:
-            self._state = select(mask, state, self._state, self._axes)
-            raw = np.where(mask[:, None], raw, self.readings.raw)
+        state = self._drawn(wanted, self._state, rng, telemetry_rng) if wanted.any() else self._state
+        raw = self._opened(force, mask, state, rng, None if mask.all() else self.readings.raw)
         if self._listening:
             if self._started:
                 self.telemetry.remeasure(mask, *self._felt(), telemetry_rng)
@@ -254,9 +243,41 @@ class BatchSensors:
             return force
         return truth.wrench_ankle.reshape(self.count, -1)
 
-    def _primed(self, state: Any, force: Floats) -> Any:
-        """Have cells been loaded as they are now before: nothing joins this moment to the one before."""
-        return state._replace(previous=force[:, -1] + 0.0) if self._cells else state
+    def _drawn(
+        self, wanted: Mask, state: Any, rng: np.random.Generator, telemetry_rng: np.random.Generator
+    ) -> Any:
+        """Give the robots that want them new sensors; the state of the feet's is returned."""
+        fresh = self._device.init(self._shape, rng)
+        if self._listening:
+            self.telemetry.draw(wanted, telemetry_rng)
+        return fresh if wanted.all() or state is None else select(wanted, fresh, state, self._axes)
+
+    def _opened(
+        self, force: Floats, mask: Mask, state: Any, rng: np.random.Generator, raw: Floats | None
+    ) -> Floats:
+        """Let the sensors of robots that begin feel the load of now until no reading is of another.
+
+        Args:
+            force: What is felt now.
+            mask: These robots, shape (N,).
+            state: What their sensors were before.
+            rng: Where noise comes from.
+            raw: The others' readings, shape (N, K); ``None`` without others.
+
+        Returns:
+            Readings of all.
+        """
+        if self._cells:
+            # Nothing joins this moment to the one before.
+            state = state._replace(previous=force[:, -1] + 0.0)
+        first = force
+        for dt in self._opening:
+            first, state = self._device.apply(force, state, rng, dt)
+        if raw is None:
+            self._state = state
+            return first
+        self._state = select(mask, state, self._state, self._axes)
+        return np.where(mask[:, None], first, raw)
 
     def _felt(self) -> tuple[Floats, Floats, Floats]:
         truth = self.truth

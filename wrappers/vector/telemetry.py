@@ -194,4 +194,4 @@ def _drawn(
 ) -> Any:
     """Draw devices for all robots and give them to those in the mask."""
     fresh = device.init(shape, rng)
-    return fresh if state is None else select(mask, fresh, state, batch_axes(device, shape[1]))
+    return fresh if state is None or mask.all() else select(mask, fresh, state, batch_axes(device, shape[1]))

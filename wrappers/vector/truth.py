@@ -43,13 +43,21 @@ class BatchTruth(Mapping[str, Floats]):
         if name == "vgrf":
             return vertical
         if name == "cop_foot":
-            return cop_in_sole(wrench)
+            return np.where(self._has_area[:, None], cop_in_sole(wrench), np.nan)
         torque = np.einsum("nfij,nfj->nfi", R, wrench[..., 3:])
         place = truth.position_sole[..., :2] * vertical[..., None]
         moment = place + np.stack([-torque[..., 1], torque[..., 0]], axis=-1)
         load = vertical.sum(axis=1)
         cop: Floats = moment.sum(axis=1) / np.where(load > CONTACT_FORCE, load, np.nan)[:, None]
         return cop
+
+    @property
+    def _has_area(self) -> NDArray[np.bool_]:
+        """Which feet have an area to press on, shape (F,)."""
+        layout = getattr(self._truth, "layout", None)
+        if layout is None:
+            return np.ones(len(self._drawing.feet), dtype=bool)
+        return np.array([not foot.flaw for foot in layout.feet])
 
     def __iter__(self) -> Iterator[str]:
         return iter(TOLD)

@@ -8,6 +8,7 @@ sees it.
 The row is what the simulator's sensors read; what it means is worked out for all robots at once.
 """
 
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -68,20 +69,22 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         row_averaged: Whether the IMU's columns are means over a step; known after a reset.
 
     Raises:
-        TypeError: If the environment is not built on MuJoCo, or there is another row below.
+        TypeError: If the environment is not built on MuJoCo, there is another row below, or a wrapper below
+            has made something else of an observation with truth in it.
     """
 
     def __init__(self, env: gym.Env[Any, Any], *, averaged: bool = True, keep_info: bool = False) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, averaged=averaged, keep_info=keep_info)
+        if isinstance(env.observation_space, spaces.Dict) and TRUTH_KEY in env.observation_space.spaces:
+            raise TypeError(f"TruthRow found another TruthRow below it; one is enough. Got {env}.")
         gym.Wrapper.__init__(self, with_source(env))
         source = find_source(self.env)
         assert source is not None
         self._source: Any = source
+        _check_order(self.env, source)
         space = self.env.observation_space
         self._flat = not isinstance(space, spaces.Dict)
         parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {"state": space}
-        if TRUTH_KEY in parts:
-            raise TypeError(f"TruthRow found another TruthRow below it; one is enough. Got {env}.")
         self.row_meaning = _meaning(source)
         self._averaged, self._keep_info = averaged, keep_info
         self.row_averaged = self._plans = False
@@ -116,7 +119,8 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         return self._observe(observation), reward, terminated, truncated, self._info(info)
 
     def _observe(self, observation: Any) -> dict[str, Any]:
-        seen = {"state": observation} if self._flat else {key: observation[key] for key in self._kept}
+        parts = {"state": observation} if self._flat else observation
+        seen = {key: _own(parts[key]) for key in self._kept}
         meaning, source = self.row_meaning, self._source
         truth, columns = source.truth, meaning.columns
         row = np.empty(meaning.size)
@@ -148,6 +152,26 @@ def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
         key: :attr:`TruthRow.row_key`.
     """
     return FeetTruth(rows, key) if hasattr(key, "feet") else Truth(rows, key)
+
+
+def _check_order(env: gym.Env[Any, Any], source: Any) -> None:
+    """Refuse observations in which truth was mixed with what may be seen, before it is taken out."""
+    if getattr(source, "state_layout", None) is None:
+        return
+    shown, own = env.observation_space, source.observation_space["state"]
+    state = shown.spaces.get("state") if isinstance(shown, spaces.Dict) else None
+    if state is None or state.shape != own.shape:
+        found = shown if state is None else f"a state of shape {state.shape}"
+        raise TypeError(
+            "TruthRow takes the truth out of an observation and must see it as the environment shows it, a "
+            f"Dict with a 'state' of shape {own.shape}, but found {found}; wrap in this order, and whatever "
+            f"changes observations around the vector environment: TruthRow(env). Got {env}."
+        )
+
+
+def _own(part: Any) -> Any:
+    """Copy a part of an observation: an environment may hand out its own."""
+    return part.copy() if isinstance(part, np.ndarray) else deepcopy(part)
 
 
 def _meaning(source: Any) -> RowMeaning:
