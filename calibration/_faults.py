@@ -9,6 +9,11 @@ Three things give a channel away:
   (it is out), it is the other way round (flipped), or two are exchanged (swapped). One that explains what is
   otherwise unexplained, and much better than any about other channels, is accepted.
 
+The robot may also have been given a load, which no channel is to blame for. That is another mass and another
+centre of mass, constant from then on: both are fitted to the residuals since all began to seem wrong, and
+what they leave is held against what the hypotheses about channels leave. While a robot stands quite still,
+a load and a broken cell look alike, and neither is accepted. Otherwise the one that explains it alone is.
+
 A channel that is out is reconstructed (:mod:`surefoot.calibration._stand_in`); flipped and swapped ones are
 put right, as if the cable were plugged in again. What was learnt in the last seconds is forgotten then,
 because it was learnt from wrong readings. A channel that agrees with its reconstruction again comes back.
@@ -18,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
+from numpy.typing import NDArray
 
 from surefoot.calibration._constants import Constants, namespace_of
 from surefoot.calibration._moment_rows import Misfit
@@ -50,7 +56,22 @@ _RELIEF = 0.4
 """Share of it that may be left by a hypothesis that is accepted."""
 
 _CONTRAST = 0.6
-"""The same against the best hypothesis about other channels."""
+"""The same against the best hypothesis about other channels, and against a load."""
+
+_LOAD_CONTRAST = 0.4
+"""The same of a load against the best hypothesis about any channel."""
+
+_NOISE = 1.0
+"""Mean square that noise leaves: added before a load is compared, as what explains all is not told apart."""
+
+_LOAD_BLOCKS = 3.0
+"""Blocks after which a load is believed: while it is put on it is none that stays the same."""
+
+_LOOSE = 3.0
+"""How many times the standard deviation of a change a load may make."""
+
+_LIGHTER = 0.02
+"""Share of its mass that a robot may seem to lack under a load: what it never carried it cannot put down."""
 
 _LEAST_ERROR = 0.1
 """Error of a force in body weights that a fault amounts to at least, for the motion to tell of it."""
@@ -70,8 +91,10 @@ class FaultState(NamedTuple):
         leaps: Samples in a row that were held for leaping, shape (..., K).
         trust: Blocks in which nothing seemed wrong, shape (...).
         doubt: Blocks since something seemed wrong, 0 while nothing does, shape (...).
-        scores: Mean squared residuals of these blocks without a fault, and by each hypothesis, shape
-            (..., 1 + H).
+        scores: Mean squared residuals of these blocks without a fault, by each hypothesis, and with a load,
+            shape (..., 1 + H + 1).
+        size: Largest error of a force in N over these blocks, by each hypothesis, shape (..., H).
+        load: Normal equations of a load over these blocks, the right-hand side last, shape (..., 3, 4).
         moments: How cells share loads, shape (..., K, K).
         lost: Channels that are out (0 or 1), shape (..., K).
         kind: Flags of what is wrong with each channel, shape (..., K).
@@ -87,6 +110,8 @@ class FaultState(NamedTuple):
     trust: Array
     doubt: Array
     scores: Array
+    size: Array
+    load: Array
     moments: Array
     lost: Array
     kind: Array
@@ -103,10 +128,12 @@ class Faults:
     Args:
         setup: What the method was told about the robot.
         leap: Change of a reading in one sample in body weights that no foot makes.
+        change: Standard deviations of what a load changes, (centre of mass in foot lengths (2), mass), shape
+            (3,).
         memory: Blocks that shares of load are remembered for.
     """
 
-    def __init__(self, setup: OnlineSetup, leap: float, memory: float) -> None:
+    def __init__(self, setup: OnlineSetup, leap: float, change: NDArray[np.float64], memory: float) -> None:
         K = setup.layout.channels
         self.stand_in = StandIn(setup, memory)
         self._leap, self._weight, self._channels = leap * setup.weight, setup.weight, K
@@ -133,6 +160,8 @@ class Faults:
             # Putting a channel right is preferred to losing it.
             np.where(np.arange(len(about)) < K, 1.15, 1.0),
             np.arange(len(about)),
+            np.diag(1.0 / np.maximum(_LOOSE * change, 1e-3) ** 2),
+            _LOOSE * change,
         )
 
     def init(self, raw: Array, resting: Array) -> FaultState:
@@ -145,7 +174,9 @@ class Faults:
             leaps=xp.zeros(raw.shape, dtype=xp.int64, device=device) + LONGEST_LEAP,
             trust=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
             doubt=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
-            scores=xp.zeros((*raw.shape[:-1], 1 + self._hypotheses), dtype=raw.dtype, device=device),
+            scores=xp.zeros((*raw.shape[:-1], self._hypotheses + 2), dtype=raw.dtype, device=device),
+            size=xp.zeros((*raw.shape[:-1], self._hypotheses), dtype=raw.dtype, device=device),
+            load=xp.zeros((*raw.shape[:-1], 3, 4), dtype=raw.dtype, device=device),
             moments=self.stand_in.init(zero),
             lost=zero,
             kind=xp.zeros(raw.shape, dtype=xp.int64, device=device),
@@ -176,7 +207,7 @@ class Faults:
         if not bool(xp.any(leaping)):
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
         # A foot that lands moves several of its cells.
-        *_, same_foot, _, _, _ = self._constants.like(force)
+        *_, same_foot, _, _, _, _, _ = self._constants.like(force)
         others = xp.max(step[..., None, :] * same_foot, axis=-1)
         leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
         leaps = xp.where(leaping, state.leaps + 1, xp.where(read, 0, state.leaps))
@@ -193,7 +224,7 @@ class Faults:
             read: Whether they were read (0 or 1), shape (..., n, K).
         """
         xp = namespace_of(force)
-        *_, same_foot, cells, _, _ = self._constants.like(force)
+        *_, same_foot, cells, _, _, _, _ = self._constants.like(force)
         high, low = xp.max(force, axis=-2), xp.min(force, axis=-2)
         spread = high - low
         flat = spread == 0.0
@@ -218,7 +249,9 @@ class Faults:
         reading: Array,
         gain: Array,
         force: Array,
-    ) -> tuple[FaultState, Array]:
+        loads: Array,
+        mass: Array,
+    ) -> tuple[FaultState, Array, Array]:
         """Hold hypotheses against the robot's motion.
 
         Args:
@@ -228,18 +261,20 @@ class Faults:
             reading: Forces by the starting map of each row in N, shape (..., m, K).
             gain: Gains a, shape (..., K).
             force: Calibrated forces of each row in N, shape (..., m, K).
+            loads: Columns of what a load changes, (centre of mass (2), mass), shape (..., m, 3).
+            mass: Believed mass over the estimated one, less 1, shape (...).
 
         Returns:
-            The state, and whether something was found (bool), shape (...).
+            The state; and, both of shape (...), whether a fault was found (bool), and whether it is a load.
         """
         residual, there = misfit.residual, misfit.there
         xp, K = namespace_of(residual), self._channels
-        possible, related, identity, about, _, _, handicap, order = self._constants.like(residual)
+        possible, related, identity, about, _, _, handicap, order, _, _ = self._constants.like(residual)
         nothing = misfit.mean
         state = state._replace(trust=state.trust + xp.astype(nothing < 0.5 * _SUSPICION, residual.dtype))
         # Most of the time nothing is wrong with anybody, and no hypothesis needs to be tried.
         if not bool(xp.any((nothing > _SUSPICION) | (state.doubt > 0.5))):
-            return state, nothing < 0.0
+            return state, nothing < 0.0, nothing < 0.0
         alone, _ = self.stand_in.others(state.moments, state.lost)
         said = force @ alone.mT
         scaled = channel_rows * gain[..., None, :]
@@ -251,10 +286,16 @@ class Faults:
         felt = [channel_rows, scaled, scaled[..., first] - scaled[..., second]]
         felt = xp.concat([*felt, scaled[..., first] + scaled[..., second]], axis=-1)
         size = xp.max(xp.abs(errors) * there[..., None], axis=-2)
-        mean = xp.concat([nothing[..., None], misfit.mean_with(felt * errors)], axis=-1)
 
         # The block in which a fault begins is half right: what counts are those behind it.
         doubt = state.doubt + (state.doubt > 0.5)
+        # Sums go on from the second whole block.
+        load = state.load * xp.astype(doubt > 2.5, residual.dtype)[..., None, None]
+        load, change, plausible = self._load(load, misfit, loads, mass)
+        most = xp.maximum(state.size * xp.astype(doubt > 1.5, residual.dtype)[..., None], size)
+        changes = xp.concat([felt * errors, change[..., None]], axis=-1)
+        mean = xp.concat([nothing[..., None], misfit.mean_with(changes)], axis=-1)
+
         whole = xp.where(doubt > 1.5, doubt - 1.0, 1.0)[..., None]
         scores = xp.where(doubt[..., None] > 1.5, state.scores + (mean - state.scores) / whole, 0.0)
         begins = (doubt < 0.5) & (mean[..., 0] > _SUSPICION)
@@ -265,25 +306,28 @@ class Faults:
         now = scores[..., 0]
         heard = 1.0 - xp.astype((state.lost @ about.mT) > 0.5, residual.dtype)
         # What small errors of the reference could be as well is not put down to a channel.
-        telling = size > _LEAST_ERROR * self._weight
-        each = xp.where((possible * heard > 0.5) & telling, scores[..., 1:] * handicap, 1e9)
+        least_error = _LEAST_ERROR * self._weight
+        each = xp.where(possible * heard > 0.5, scores[..., 1:-1] * handicap, 1e9)
+        # Between its turns a broken cell carries little, and still explains what was wrong in them.
+        channels = xp.min(xp.where(most > least_error, each, 1e9), axis=-1)
+        each = xp.where(size > least_error, each, 1e9)
+        loaded = xp.where(plausible, scores[..., -1], 1e9)
         best = xp.argmin(each, axis=-1)
         chosen = xp.astype(best[..., None] == order, residual.dtype)
         least = xp.min(each, axis=-1)
         rivals = xp.where(chosen @ related > 0.5, 1e9, each)
         rival = xp.min(rivals, axis=-1)
-        found = (
-            (doubt > 1.5)
-            & (state.trust >= TRUST)
-            & (now > _SUSPICION)
-            & (least < _RELIEF * now)
-            & (least < _CONTRAST * rival)
-        )
+        ripe = (doubt > 1.5) & (state.trust >= TRUST) & (now > _SUSPICION)
+        found = ripe & (least < _RELIEF * now) & (least < _CONTRAST * rival)
+        found = found & (least + _NOISE < _CONTRAST * (loaded + _NOISE))
+        taken = ripe & ~found & (doubt >= _LOAD_BLOCKS) & (loaded < _RELIEF * now)
+        taken = taken & (loaded + _NOISE < _LOAD_CONTRAST * (channels + _NOISE))
         accepted = chosen * xp.astype(found, residual.dtype)[..., None]
 
-        state = state._replace(scores=scores, doubt=xp.where(found, 0.0, doubt))
+        state = state._replace(scores=scores, doubt=xp.where(found | taken, 0.0, doubt))
+        state = state._replace(size=most, load=load, trust=xp.where(taken, TRUST, state.trust))
         if not bool(xp.any(found)):
-            return state, found
+            return state, found, taken
         pairs, out, flipped = len(self._first), accepted[..., :K], accepted[..., K : 2 * K]
         straight, crossed = accepted[..., 2 * K : 2 * K + pairs], accepted[..., 2 * K + pairs :]
         state = self._lose(state, out > 0.5, int(Flag.DEAD) * (out > 0.5))
@@ -297,7 +341,28 @@ class Faults:
         kind = state.kind ^ (int(Flag.FLIPPED) * (flipped > 0.5))
         kind = kind ^ (int(Flag.SWAPPED) * exchanged)
         wiring = turn @ exchange @ state.wiring
-        return state._replace(wiring=wiring, kind=kind, altered=1), found
+        return state._replace(wiring=wiring, kind=kind, altered=1), found, taken
+
+    def _load(self, sums: Array, misfit: Misfit, loads: Array, mass: Array) -> tuple[Array, Array, Array]:
+        """Fit a load to all blocks since something seemed wrong.
+
+        Args:
+            sums: Normal equations of the blocks before, shape (..., 3, 4).
+            misfit: What the m rows of this block leave unexplained.
+            loads: Columns of what a load changes, shape (..., m, 3).
+            mass: Believed mass over the estimated one, less 1, shape (...).
+
+        Returns:
+            The normal equations with this block, what the load does to its residuals, shape (..., m), and
+            whether there can be such a load (bool), shape (...).
+        """
+        xp = namespace_of(loads)
+        *_, loose, largest = self._constants.like(loads)
+        both = xp.concat([loads, misfit.residual[..., None]], axis=-1)
+        sums = sums + (loads * (misfit.there / misfit.variance)[..., None]).mT @ both
+        fit = xp.linalg.solve(sums[..., :3] + loose, sums[..., 3:])
+        plausible = xp.all(xp.abs(fit[..., 0]) <= largest, axis=-1) & (mass + fit[..., 2, 0] < _LIGHTER)
+        return sums, -(loads @ fit)[..., 0], plausible
 
     def suspects(self, state: FaultState, misfit: Misfit) -> Array:
         """Tell whether to wait with learning, as something has begun to seem wrong (bool), shape (...)."""

@@ -105,7 +105,13 @@ class MomentStream:
         self.rows = MomentRows(setup, config, unknowns)
         self._front_end = FrontEnd(setup)
         self._uncertainty = Uncertainty(setup, unknowns)
-        self._faults = Faults(setup, config.leap, config.stand_in_memory / (config.every * setup.dt))
+        self._load = [unknowns.com.start, unknowns.com.start + 1, unknowns.mass]
+        self._faults = Faults(
+            setup,
+            config.leap,
+            unknowns.change[self._load],
+            config.stand_in_memory / (config.every * setup.dt),
+        )
         self._keep_every = max(1, round(_KEPT / (config.every * setup.dt)))
         self._length = config.every + 2 * config.settle
         self._constants = Constants(
@@ -226,7 +232,7 @@ class MomentStream:
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        return self._watch(state, faults, mean, block, places, misfit), step
+        return self._watch(state, faults, mean, block, rows, places, misfit), step
 
     def _learnt(self, covariance: Array, learnt: Array) -> Array:
         """Tell which unknowns to estimate; the mass only while it is much less sure than it began."""
@@ -253,6 +259,7 @@ class MomentStream:
         faults: FaultState,
         before: Array,
         block: Block,
+        rows: Rows,
         places: Array,
         misfit: Misfit,
     ) -> MomentState:
@@ -261,13 +268,21 @@ class MomentStream:
         reading = self.rows.readings(block)
         force = unknowns.force(before[..., None, :], reading, self._constants.like(before)[5])
         fresh = xp.any(faults.lost != state.faults.lost, axis=-1)
-        faults, found = self._faults.contradicted(
-            faults, misfit, places, reading, unknowns.own_gains(before), force
+        faults, found, loaded = self._faults.contradicted(
+            faults,
+            misfit,
+            places,
+            reading,
+            unknowns.own_gains(before),
+            force,
+            rows.H[..., self._load],
+            before[..., unknowns.mass],
         )
         found = found | fresh
         used = xp.all(block.use > 0.5, axis=-1) & ~found
         faults = self._faults.learn(faults, force, used)
-        state = state._replace(faults=faults)
+        more = xp.where(loaded[..., None, None], self._constants.like(before)[-1], 0.0)
+        state = state._replace(faults=faults, covariance=state.covariance + more)
         if bool(xp.any(found)):
             old_mean, old_covariance = state.kept_mean[..., 0, :], state.kept_covariance[..., 0, :, :]
             state = state._replace(

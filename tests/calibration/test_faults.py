@@ -11,6 +11,7 @@ from surefoot.calibration import GRAVITY, Flag, Parameters, Reference, replay
 
 ROBOTS = 8
 AT = round(20.0 / DT)
+EARLY = round(8.0 / DT)
 IN_TIME = round(1.2 / DT)
 SETTLED = round(1.5 / DT)
 BAD = Faults.bad()
@@ -108,6 +109,15 @@ class Broken:
         return 1e3 * np.sqrt((away**2).sum(axis=-1).mean(axis=0))
 
 
+def added_load(log, share, ahead):
+    """What a load of a share of the weight, some m ahead of the centre of mass, adds to each cell in N."""
+    place = np.concatenate([foot.position_cell_sole[:, 0] for foot in LAYOUT.feet])
+    arm = np.repeat(np.ptp(place.reshape(2, 4), axis=1) / 2.0, 4)
+    front = np.where(place > np.repeat(place.reshape(2, 4).mean(axis=1), 4), 1.0, -1.0)
+    carried = np.repeat(log.force.reshape(-1, 2, 4).sum(axis=-1), 4, axis=1)
+    return share * (log.force + carried * front * ahead / (4.0 * arm))
+
+
 def forces(log):
     """A log's readings in newtons: the starting map is then the identity."""
     return NOMINAL.force(log.raw)
@@ -193,6 +203,21 @@ def test_exchanged_channels_are_put_right(broken, kind):
     lost = (broken.flags[kind] & int(Flag.LOST | Flag.FLIPPED | Flag.DEAD)) > 0
     assert not lost.any()
     assert broken.wrong_cop(kind)[found].max() < PUT_RIGHT
+
+
+@pytest.mark.parametrize(
+    ("share", "ahead", "at"), [(0.06, 0.03, AT), (0.12, 0.06, AT), (0.12, -0.06, AT), (0.12, 0.03, EARLY)]
+)
+def test_a_load_that_is_put_on_is_no_fault(broken, share, ahead, at):
+    logs = [walk(seed, 0.1, 24.0, 2.0, BAD) for seed in WHO]
+    more = np.stack([added_load(log, share, ahead) / log.correction.scale for log in logs], axis=1)
+    raw, cop = broken.healthy.copy(), broken.true_cop.copy()
+    raw[at:] += more[at:]
+    cop[at:, :, 0] += share / (1.0 + share) * ahead
+    estimate = calibrated(raw, broken.reference)
+    assert not (estimate.flags & int(WRONG)).any()
+    away = estimate.cop[at + SETTLED :] - cop[at + SETTLED :]
+    assert 1e3 * np.sqrt((away**2).sum(axis=-1).mean(axis=0)).max() < PUT_RIGHT
 
 
 def test_a_channel_that_comes_back_is_taken_in_again(broken):
