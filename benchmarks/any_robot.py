@@ -16,21 +16,8 @@ from numpy.typing import NDArray
 
 import surefoot  # noqa: F401
 from surefoot.calibration import GRAVITY
-from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
+from surefoot.sensors import HX711_LOAD_CELLS, sized
 from surefoot.wrappers import FootSensors, SelfCalibration
-
-NAO_WEIGHT = 5.305 * GRAVITY
-
-
-def sized(weight: float) -> LoadCells:
-    """Size the cells for a robot of a weight in N."""
-    cells, factor = HX711_LOAD_CELLS, weight / NAO_WEIGHT
-    return replace(
-        cells,
-        capacity=cells.capacity * factor,
-        initial_zero_std=0.03 * weight,
-        zero_drift=cells.zero_drift * factor,
-    )
 
 
 def placed(force: NDArray[np.float64], cells: NDArray[np.float64], truth: object) -> NDArray[np.float64]:
@@ -46,11 +33,12 @@ def run(robot: str, seed: int, method: str, duration: float, settle: float) -> t
     env = gym.make("surefoot/Exercise-v0", robot=robot, duration=duration)
     body: object = env.unwrapped
     weight = float(body.model.body_subtreemass[0]) * GRAVITY  # type: ignore[attr-defined]
-    sensed = FootSensors(env, sized(weight))
+    cells = replace(sized(HX711_LOAD_CELLS, weight), initial_zero_std=0.03 * weight)
+    sensed = FootSensors(env, cells)
     calibrated = SelfCalibration(sensed, method)
     calibrated.reset(seed=seed)
-    nominal, cells = sensed.instruments.nominal, sensed.source.drawing.position_cell_sole
-    assert cells is not None
+    nominal, places = sensed.instruments.nominal, sensed.source.drawing.position_cell_sole
+    assert places is not None
     still = np.zeros(env.action_space.shape or (), dtype=np.float32)
     errors, done = [], False
     while not done:
@@ -63,7 +51,7 @@ def run(robot: str, seed: int, method: str, duration: float, settle: float) -> t
             continue
         raw = nominal.scale * sensed.raw + nominal.offset
         force = np.asarray(calibrated.estimate.force)
-        off = [np.linalg.norm(placed(one, cells, truth) - cop) for one in (raw, force)]
+        off = [np.linalg.norm(placed(one, places, truth) - cop) for one in (raw, force)]
         errors.append([*off, force.sum() - truth.force_cell[-1].sum()])
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     return float(rms[0]), float(rms[1]), float(rms[2])

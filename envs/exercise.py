@@ -52,6 +52,8 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         robot: "g1", "t1", "op3", "nao", the path of an MJCF file with robot and floor, or such a
             ``mujoco.MjSpec``. A robot of one's own stands upright in the keyframe "home", "stand" or
             "standing" or in its zero pose, heading along x, with a position motor for each joint of its legs.
+            Give a name or a path where ``env.spec`` is needed, to make the environment again or to save it:
+            an ``MjSpec`` cannot be copied into it, and ``env.spec`` is ``None`` then.
         feet: Names of the feet's bodies, the left one first; None to guess.
         duration: Length of an episode in s, or ``None`` for no end.
         amplitude: Least and largest share of each sway and squat that an episode draws, at most 1.

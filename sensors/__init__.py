@@ -45,6 +45,7 @@ from surefoot.sensors.presets import (
 from surefoot.sensors.quantize import quantize, saturate
 from surefoot.sensors.schedule import CELLS, FEET, cell_names, parse_fault
 from surefoot.sensors.severity import scaled
+from surefoot.sensors.size import sized
 from surefoot.sensors.spikes import spikes
 from surefoot.sensors.stale_repeats import RepeatState, stale_repeats
 from surefoot.sensors.strain_gauge_config import FTSENS_SN039, FTSENS_SN142, StrainGauges
@@ -56,7 +57,7 @@ from surefoot.sensors.strain_gauges import (
     true_response,
 )
 from surefoot.sensors.temperature import ThermalState, thermal_drift
-from surefoot.sensors.wire import Wire, WireState, wire
+from surefoot.sensors.wire import Wire, WireState, check_wire, wire
 from surefoot.sensors.wrong_words import wrong_words
 
 __all__ = [
@@ -109,6 +110,7 @@ __all__ = [
     "cell_names",
     "chain",
     "channel_faults",
+    "check_wire",
     "creep",
     "drawn_nonlinearity",
     "drift",
@@ -140,6 +142,7 @@ __all__ = [
     "scaled",
     "send",
     "shift_zero",
+    "sized",
     "spikes",
     "stale_repeats",
     "static_counts",

@@ -102,7 +102,8 @@ def settle(window: Array, signal: Array, number: Array, finished: Array, most: i
     """Average the last conversions of chips, of which a block brings any number.
 
     Of several conversions in one block only the last one's signal is known; the others are taken on the
-    straight line from the last one before the block.
+    straight line from the last one before the block. A signal that is not finite makes its own mean NaN; in
+    the window the one before stands in its place.
 
     Args:
         window: The last n conversions, shape (n, ..., K): the newest one's signal, NaN before the first, and
@@ -117,7 +118,8 @@ def settle(window: Array, signal: Array, number: Array, finished: Array, most: i
     """
     xp, length = namespace(signal), window.shape[0]
     before, *lags = (window[row] for row in range(length))
-    signal, came = xp.where(finished, signal, before), number + 1.0
+    sound = xp.isfinite(signal)
+    signal, came = xp.where(finished & sound, signal, before), number + 1.0
     step = before - signal
     step = xp.where(xp.isnan(step), 0.0 * came, step) / limit(came, 1.0, float("inf"))
     for push in range(min(most, length - 1)):
@@ -130,7 +132,8 @@ def settle(window: Array, signal: Array, number: Array, finished: Array, most: i
             change += lag
             moved.append(change)
         lags = moved
-    return signal + sum(lags[1:], lags[0]) / length, xp.stack([signal, *lags])
+    mean = xp.where(sound, signal + sum(lags[1:], lags[0]) / length, float("nan"))
+    return mean, xp.stack([signal, *lags])
 
 
 def most_conversions(rate: tuple[float, float], dt: float) -> int:

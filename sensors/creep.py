@@ -51,7 +51,7 @@ def check_creep(config: Any) -> None:
 def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruption[CreepState]:
     """Let readings creep after the load, up or down.
 
-    A reading counts as the load since the reading before.
+    A reading counts as the load since the reading before; one that is not finite leaves no trace.
 
     Args:
         shares: How much each exponential adds in the end, in shares of the load; negative ones creep back.
@@ -78,12 +78,14 @@ def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruptio
     def apply(reading: Array, state: CreepState, rng: Rng, dt: float) -> tuple[Array, CreepState]:
         if not count:
             return reading + 0.0, state
-        yielded, read = [], reading
+        xp, yielded, read = namespace(reading), [], reading
+        felt = xp.isfinite(reading)
         for share, constant, part in zip(
             shares, time_constants, cast_like(state.yielded, reading), strict=True
         ):
-            yielded.append(part - expm1(-dt / constant) * (reading - part))
+            followed = part - expm1(-dt / constant) * (reading - part)
+            yielded.append(xp.where(felt, followed, part))
             read = read + share * yielded[-1]
-        return read, CreepState(namespace(reading).stack(yielded))
+        return read, CreepState(xp.stack(yielded))
 
     return Corruption(init, apply)

@@ -36,6 +36,9 @@ from surefoot.sensors.wire import DIRECT, Wire, wire
 AXES = 6
 """Channels of a sensor."""
 
+MOST_ERROR = 0.25
+"""Largest spread of a gain and five cross-talks together at which all sensors can be inverted."""
+
 
 @dataclass(frozen=True)
 class ForceTorque:
@@ -121,7 +124,7 @@ class ForceTorque:
             f"be zero if and only if resolution_force ({self.resolution_force!r}) is",
         )
         require(
-            self.initial_gain_std + 5.0 * self.cross_talk_std <= 0.25,
+            self.initial_gain_std + 5.0 * self.cross_talk_std <= MOST_ERROR,
             self,
             "cross_talk_std",
             "keep initial_gain_std + 5 cross_talk_std within 0.25, or some sensors could not be inverted",

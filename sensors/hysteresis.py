@@ -46,7 +46,8 @@ def hysteresis(
 ) -> Corruption[HysteresisState]:
     """Let readings lag behind the load by a share of its swing, however large the swing and however slow.
 
-    Cycles larger than the full scale, which no instrument should see, keep the width of the full scale's.
+    Cycles larger than the full scale, which no instrument should see, keep the width of the full scale's. A
+    reading that is not finite leaves no trace.
 
     Args:
         share: Width of a loop at mid-load over the peak-to-peak swing of the load; 0 changes nothing.
@@ -95,7 +96,8 @@ def hysteresis(
             return reading + 0.0, state
         xp, plays = namespace(reading), cast_like(state.plays, reading)
         full = scale.like(reading)
-        load = reading / full
+        # The smallest play lies within the slack of all others: fed to them, it moves none.
+        load = xp.where(xp.isfinite(reading), reading / full, plays[-1])
         if xp is np:
             slack = slacks.like(reading, reading.ndim)
             plays = np.maximum(load - slack, np.minimum(load + slack, plays))

@@ -123,6 +123,9 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     The spring elements are stepped once a block, at the load of its last conversion; one that a chip
     finishes without the host looking leaves no trace in them.
 
+    Of cells that remember loads (``mechanics``, ``settling``) a conversion of one that is not finite reads
+    NaN and leaves no trace; the next block goes on from the last finite load.
+
     Args:
         config: The instrument.
     """
@@ -138,6 +141,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     average = moving_average(settling)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
     way = _wire(config) if config.wire.acts else None
+    remembers = element is not None or settling > 1
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LoadCellState:
         if not shape or shape[-1] != config.channels:
@@ -166,16 +170,20 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             state = state._replace(**{name: cast_like(getattr(state, name), block) for name in _OWN})
         xp = namespace(block)
         period, due, previous, held, error, thermal, window, felt, brought = state
+        if remembers:
+            block = xp.where(xp.isfinite(block), block, float("nan"))
         load = last = block[..., -1, :] + 0.0
         drawn = number = finished = last
         if rate is not None:
             number, at, due = latest_conversion(period, due, dt)
             finished = number >= 0.0
             position = at * (block.shape[-2] / dt)
-            if element or settling > 1:
+            if remembers:
                 # A chip that finishes no conversion goes on from what its cell feels.
                 position = limit(position, 0.0, float("inf"))
             load = interpolate(block, previous, position)
+            if remembers:
+                last = xp.where(xp.isnan(last), previous, last)
         if element:
             load, felt = element.apply(load, felt, rng, dt)
         if drawn_per_step:

@@ -10,6 +10,7 @@ Every part is off where its field is zero, costs nothing then and draws nothing.
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from surefoot.sensors._arrays import namespace
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.creep import check_creep, creep
@@ -73,7 +74,7 @@ class Mechanics:
         )
         require_positive(self, "safe_overload")
         require(self.nonlinearity < 1.0 / 12.0, self, "nonlinearity", "be below 1/12")
-        require(self.hysteresis <= 0.15, self, "hysteresis", "be at most 0.15")
+        require(self.hysteresis < 0.125, self, "hysteresis", "be below 1/8")
         require(self.overload_share <= 1.0, self, "overload_share", "be at most 1")
         check_creep(self)
 
@@ -114,6 +115,8 @@ class MechanicsState(NamedTuple):
 def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
     """Build the spring elements of cells; readings are loads in N, shape (..., K).
 
+    A load that is not finite, as of a simulation that blew up, comes out as NaN and leaves no trace.
+
     Args:
         config: The elements and their mounting.
         capacity: Rated load of a cell in N.
@@ -144,7 +147,8 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
         return off._replace(**{name: stage.init(shape, rng, dtype) for name, stage in on.items()})
 
     def apply(load: Array, state: MechanicsState, rng: Rng, dt: float) -> tuple[Array, MechanicsState]:
-        after = {}
+        after, xp = {}, namespace(load)
+        load = xp.where(xp.isfinite(load), load, float("nan"))
         for name, stage in on.items():
             load, after[name] = stage.apply(load, getattr(state, name), rng, dt)
         return load, off._replace(**after)

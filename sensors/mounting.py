@@ -45,7 +45,7 @@ def mounting(
 
     An impact begins where the foot's load, the sum of its channels, changes by more than the threshold from
     one reading to the next, and lasts as long as it does: one jump each, however many readings that takes.
-    A reading that was lost is passed over.
+    A reading that was lost or is not finite is passed over.
 
     Args:
         threshold: Change between two readings beyond which there is an impact, in the unit of the readings;
@@ -80,8 +80,9 @@ def mounting(
         by_foot = xp.reshape(reading, (*before.shape, cells))
         # Added up one by one: libraries are slow at short sums.
         load = sum((by_foot[..., cell] for cell in range(1, cells)), by_foot[..., 0])
+        lost = ~xp.isfinite(load)
         # Neither the first reading nor one without a value is compared: NaN exceeds nothing.
-        hit = xp.abs(load - before) > threshold
+        hit = (xp.abs(load - before) > threshold) & ~lost
         start = hit & (impact < 0.5)
 
         def jump(few: Array) -> Array:
@@ -90,7 +91,7 @@ def mounting(
 
         if moving:
             zero = change_rows(zero, start, jump)
-        load, hit = xp.where(xp.isnan(load), before, load), cast_like(hit, reading)
+        load, hit = xp.where(lost, before, load), cast_like(hit, reading)
         return reading + zero, MountingState(zero, load, hit)
 
     return Corruption(init, apply)

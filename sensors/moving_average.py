@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors._arrays import cast_like, namespace
+from surefoot.sensors._arrays import cast_like, namespace, on_host
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled
 
@@ -35,8 +35,8 @@ class MovingAverageState(NamedTuple):
 def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corruption[MovingAverageState]:
     """Average over the last readings, which must be equally far apart in time.
 
-    A reading that is NaN makes its own output NaN (in a block also those after it) and spoils no later call:
-    there the next reading takes its place.
+    A reading that is not finite makes its own output NaN and spoils no other: the one before it, or at the
+    start the one after it, takes its place.
 
     Args:
         count: Over how many readings n; 1 changes nothing.
@@ -77,12 +77,27 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
         xp = namespace(reading)
         block = xp.moveaxis(reading, -2, 0) if blocks else reading[None]
         window = cast_like(state.window, reading)
+        came = xp.isfinite(block)
+        if not on_host(block) or not xp.all(came):
+            block = _filled_up(xp, block, came, window[-1])
         rows = xp.concat([xp.where(xp.isnan(window), block[:1], window), block])
         # The kernel is its own mirror image: the oldest row comes first either way.
         averaged = weights[0] * rows[: block.shape[0]]
         for number, weight in enumerate(weights[1:], start=1):
             averaged = averaged + weight * rows[number : number + block.shape[0]]
+        averaged = xp.where(came, averaged, float("nan"))
         kept = MovingAverageState(rows[block.shape[0] :])
         return (xp.moveaxis(averaged, 0, -2) if blocks else averaged[0]), kept
 
     return Corruption(init, apply)
+
+
+def _filled_up(xp: Any, block: Array, came: Array, before: Array) -> Array:
+    """Put the reading before, or at the start the one after, in the place of each one that did not come."""
+    rows = []
+    for row, here in zip(block, came, strict=True):
+        before = xp.where(here, row, before)
+        rows.append(before)
+    for index in range(len(rows) - 2, -1, -1):
+        rows[index] = xp.where(xp.isnan(rows[index]), rows[index + 1], rows[index])
+    return xp.stack(rows)

@@ -35,7 +35,7 @@ class OverloadState(NamedTuple):
 def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
     """Shift the zero for good after a load beyond the safe overload, towards that load.
 
-    The shift shows from the reading on that is too large.
+    The shift shows from the reading on that is too large; one that is not finite leaves no trace.
 
     Args:
         share: How much of the excess stays; from 0, which changes nothing, to 1.
@@ -72,7 +72,8 @@ def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
             return reading + share * (highest + lowest), OverloadState(excesses)
         most = table.like(reading)
         excess = reading - limit(reading, -most, most)
-        # What is NaN is neither more nor less.
+        # What is not finite is neither more nor less.
+        excess = xp.where(xp.isfinite(excess), excess, 0.0 * most)
         highest = xp.where(excess > highest, excess, highest)
         lowest = xp.where(excess < lowest, excess, lowest)
         return reading + share * (highest + lowest), OverloadState(xp.stack([highest, lowest]))

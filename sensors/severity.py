@@ -4,15 +4,19 @@ What scales are the *errors*: spreads, noises, walks, coefficients, shares, dela
 the instrument *is*: how many channels it has, their ranges, resolution, rate and coding, the law by which
 it warms up. An instrument of severity 0 therefore still rounds, clips and has a clock of its own.
 :data:`ERRORS` and :data:`IDENTITY` say which is which, field by field.
+
+Some errors end somewhere: no wire repeats more than all of its readings. Severities above 1 take these up to
+:data:`LIMITS` and no further, while all others go on.
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import ceil
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 from surefoot.sensors.encoders import Encoders
-from surefoot.sensors.force_torque import ForceTorque
+from surefoot.sensors.force_torque import MOST_ERROR, ForceTorque
 from surefoot.sensors.imu import Imu
 from surefoot.sensors.link import Link
 from surefoot.sensors.load_cell_config import LoadCells
@@ -96,6 +100,19 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
 )
 """Fields that are errors, by the configuration's class: they scale. Zero stands for none of each."""
 
+LIMITS: Mapping[type, Mapping[str, float]] = MappingProxyType(
+    {
+        Mechanics: {"nonlinearity": 0.08, "hysteresis": 0.12, "overload_share": 1.0},
+        Wire: {"wrong_words": 1.0, "stale_repeats": 0.95, "packet_loss": 0.95, "gap_share": 0.95},
+        StrainGauges: {"gain_error_std": 0.5, "cross_talk_std": 0.5, "hysteresis": 0.08},
+    }
+)
+"""Where a severity above 1 leaves off scaling a field: beyond, readings would fall under a growing load
+(nonlinearity, hysteresis), more would stay of an overload than there was, more readings be wrong than there
+are, none be news, or a sensor lose an axis. A configuration that is beyond already stays as it is. The gains
+and the cross-talk of a :class:`~surefoot.sensors.ForceTorque` have one limit together, 0.25 for
+``initial_gain_std + 5 cross_talk_std``, at which both leave off."""
+
 IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
         LoadCells: (
@@ -113,6 +130,7 @@ IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "temperature_rise",
         ),
         Mechanics: ("creep_time_constants", "impact_threshold", "safe_overload"),
+        # What is under way gets more room where the delay grows.
         Wire: ("spike_size", "gap_length", "under_way"),
         ForceTorque: (
             "sensors",
@@ -152,7 +170,8 @@ def scaled(config: Config, severity: float) -> Config:
 
     Args:
         config: The configuration of severity 1; it is not changed.
-        severity: Factor of every error: 0 leaves none, 1 the configuration as it is, 2 doubles them.
+        severity: Factor of every error: 0 leaves none, 1 the configuration as it is, 2 doubles them, but for
+            those that have reached their :data:`LIMITS`. Every preset can be of any severity up to 5.
 
     Raises:
         ValueError: If the severity is negative, or so large that an error is refused.
@@ -165,10 +184,12 @@ def scaled(config: Config, severity: float) -> Config:
     """
     if not 0.0 <= severity < float("inf"):
         raise ValueError(f"'severity' must be finite and not negative, got {severity}.")
-    kind = type(config)
+    severity, kind = float(severity), type(config)
     if kind not in ERRORS:
         raise TypeError(f"{kind.__name__} has no severity; {[known.__name__ for known in ERRORS]} have.")
     errors = {name: _times(getattr(config, name), severity) for name in ERRORS[kind]}
+    if severity > 1.0:
+        errors |= _limited(config, errors, severity)
     try:
         worse: Config = replace(config, **errors)  # type: ignore[type-var]
     except ValueError as refused:
@@ -182,3 +203,19 @@ def _times(value: Any, factor: float) -> Any:
     if type(value) in ERRORS:
         return scaled(value, factor)
     return tuple(factor * part for part in value) if isinstance(value, tuple) else factor * value
+
+
+def _limited(config: Any, errors: Mapping[str, Any], severity: float) -> dict[str, Any]:
+    """Find what becomes of the errors that end somewhere."""
+    limits = LIMITS.get(type(config), {})
+    found = {name: min(errors[name], max(most, getattr(config, name))) for name, most in limits.items()}
+    if isinstance(config, ForceTorque):
+        together = config.initial_gain_std + 5.0 * config.cross_talk_std
+        if severity * together > MOST_ERROR:
+            # A hair less, or rounding could take it over the limit.
+            factor = max(1.0, MOST_ERROR * (1.0 - 1e-12) / together)
+            names = ("initial_gain_std", "cross_talk_std")
+            found |= {name: factor * getattr(config, name) for name in names}
+    if isinstance(config, Wire) and config.late:
+        found["under_way"] = ceil(severity * config.under_way)
+    return found

@@ -8,7 +8,7 @@ lost is NaN. Every part is off where its field is zero, costs nothing then and d
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,6 +86,35 @@ DIRECT = Wire()
 """A wire at the end of which everything arrives, right and at once."""
 
 
+class Wired(Protocol):
+    """An instrument with a wire: :class:`~surefoot.sensors.LoadCells`, for instance."""
+
+    @property
+    def wire(self) -> Wire:
+        """What happens to a code on its way to the host."""
+
+
+def check_wire(config: Wire | Wired, dt: float) -> None:
+    """Refuse a wire that cannot hold what is under way, before the first step would.
+
+    Args:
+        config: The wire, or an instrument that has one.
+        dt: Time between readings in s.
+
+    Raises:
+        ValueError: If more readings are under way than ``under_way``; the message says how many are.
+
+    >>> from surefoot.sensors import preset
+    >>> check_wire(preset("hx711-bar-cells"), dt=0.0125)
+    """
+    on = config if isinstance(config, Wire) else config.wire
+    if on.late and on.delay >= on.under_way * dt:
+        raise ValueError(
+            f"Of readings {dt:.3g} s apart that are {on.delay:.3g} s late, more are under way than "
+            f"Wire.under_way = {on.under_way}; give at least {int(on.delay / dt) + 2}."
+        )
+
+
 class WireState(NamedTuple):
     """A wire in use; ``()`` for every part that is off or remembers nothing.
 
@@ -124,7 +153,7 @@ def wire(
 
     Raises:
         ValueError: If words of an instrument without a converter are to be wrong; from ``apply`` if readings
-            follow each other so fast that more are under way than the wire holds.
+            follow each other so fast that more are under way than the wire holds (see :func:`check_wire`).
     """
     if config.wrong_words and not bits:
         raise ValueError("Wire.wrong_words must be 0 for an instrument without a converter: it has no words.")
@@ -148,11 +177,7 @@ def wire(
         return off._replace(**{name: stage.init(shape, rng, dtype) for name, stage in on.items()})
 
     def apply(counts: Array, state: WireState, rng: Rng, dt: float) -> tuple[Array, WireState]:
-        if config.late and config.delay >= config.under_way * dt:
-            raise ValueError(
-                f"Of readings {dt:.3g} s apart that are {config.delay:.3g} s late, more are under way than "
-                f"Wire.under_way = {config.under_way}; give at least {int(config.delay / dt) + 2}."
-            )
+        check_wire(config, dt)
         after = {}
         for name, stage in on.items():
             counts, after[name] = stage.apply(counts, getattr(state, name), rng, dt)

@@ -12,7 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.state import load_state, save_state
-from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, resolve, scaled
+from surefoot.sensors import (
+    Encoders,
+    Fault,
+    Imu,
+    Link,
+    channel_faults,
+    check_wire,
+    parse_fault,
+    resolve,
+    scaled,
+)
 from surefoot.sensors.link import Packets
 from surefoot.wrappers.foot_device import FootDevice, foot_device
 from surefoot.wrappers.hardware import HardwareState
@@ -131,6 +141,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         devices = [foot_device(given) for given in (config, ankles) if given is not None]
         if severity != 1.0:
             devices = [scaled(device, float(severity)) for device in devices]
+        for device in devices:
+            check_wire(device, float(source.dt))
         self.instruments = Instruments(tuple(devices), source.drawing)
         self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
         if isinstance(faults, (str, Mapping)):

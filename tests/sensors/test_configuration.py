@@ -120,7 +120,7 @@ def test_anything_else_is_refused() -> None:
         ),
         (lambda: ForceTorque(wire=0.0), "ForceTorque.wire must be a Wire, got 0.0"),
         (lambda: Mechanics(nonlinearity=0.1), "Mechanics.nonlinearity must be below 1/12, got 0.1"),
-        (lambda: Mechanics(hysteresis=0.2), "Mechanics.hysteresis must be at most 0.15, got 0.2"),
+        (lambda: Mechanics(hysteresis=0.2), "Mechanics.hysteresis must be below 1/8, got 0.2"),
         (lambda: Mechanics(creep_shares=(0.1,)), "must hold a positive time for each of the 1 creep_shares"),
         (lambda: Mechanics(overload_share=1.5), "Mechanics.overload_share must be at most 1, got 1.5"),
         (lambda: Mechanics(safe_overload=0.0), "Mechanics.safe_overload must be finite and positive"),

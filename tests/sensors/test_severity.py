@@ -1,6 +1,6 @@
 """How bad an instrument is: every field is an error or not, none is forgotten, and errors scale."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,13 +12,14 @@ from surefoot.sensors import (
     Link,
     LoadCells,
     Mechanics,
-    StrainGauges,
     Wire,
+    check_wire,
+    force_torque,
     load_cells,
     preset,
     scaled,
 )
-from surefoot.sensors.severity import ERRORS, IDENTITY
+from surefoot.sensors.severity import ERRORS, IDENTITY, LIMITS
 
 BAD = preset("hx711-bar-cells")
 DEVICES = {kind: list(named.values()) for kind, named in PRESETS.items()} | {
@@ -54,7 +55,7 @@ def test_no_severity_leaves_the_errors_of_the_perfect_device(kind):
 def test_severity_one_is_the_configuration_and_others_are_in_proportion(kind):
     for config in DEVICES[kind]:
         assert scaled(config, 1.0) == config
-        for severity in (0.3, 1.3):
+        for severity in (0.3, 1.2):
             worse = scaled(config, severity)
             for name in ERRORS[kind]:
                 if type(getattr(config, name)) in ERRORS:
@@ -62,7 +63,61 @@ def test_severity_one_is_the_configuration_and_others_are_in_proportion(kind):
                     continue
                 expected = severity * np.array(getattr(config, name))
                 np.testing.assert_allclose(getattr(worse, name), expected, rtol=1e-14)
-            assert all(getattr(worse, name) == getattr(config, name) for name in IDENTITY[kind])
+            room = {"under_way"} if severity > 1.0 else set()
+            assert all(getattr(worse, name) == getattr(config, name) for name in set(IDENTITY[kind]) - room)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [(kind, name) for kind, named in PRESETS.items() for name in named], ids=str
+)
+def test_every_preset_can_be_five_times_as_bad_and_reads(kind, name):
+    config, last = preset(name, kind), None
+    for severity in (1.5, 2.0, 5.0):
+        worse = scaled(config, severity)
+        assert worse != last or name == "perfect"
+        last = worse
+    if kind in (LoadCells, ForceTorque):
+        device = (load_cells if kind is LoadCells else force_torque)(worse)
+        rng, shape = np.random.default_rng(0), (20, config.channels)
+        state = device.init(shape, rng)
+        for _ in range(40):
+            loads = np.full((20, 2, config.channels) if kind is LoadCells else shape, 10.0)
+            read, state = device.apply(loads, state, rng, 1 / 80)
+        assert np.isfinite(read).any()
+
+
+def test_errors_that_end_somewhere_stop_there_and_others_go_on():
+    worse = scaled(preset("nao-fsr"), 3.0)
+    assert (worse.wire.stale_repeats, worse.mechanics.hysteresis, worse.initial_gain_std) == (
+        0.95,
+        0.12,
+        3.0 * 0.3,
+    )
+    for kind, limits in LIMITS.items():
+        assert set(limits) <= set(ERRORS[kind])
+        hopeless = scaled(replace(kind(), **dict.fromkeys(limits, 1e-3)), 1e6)
+        assert {name: getattr(hopeless, name) for name in limits} == dict(limits)
+    beyond = Wire(stale_repeats=0.99)
+    assert scaled(beyond, 2.0) == beyond
+    both = scaled(ForceTorque(), 3.0)
+    assert both.initial_gain_std + 5.0 * both.cross_talk_std == pytest.approx(0.25, rel=1e-9)
+    assert both.initial_gain_std / both.cross_talk_std == pytest.approx(8.0)
+    assert both.noise_force == pytest.approx(0.36)
+
+
+def test_what_comes_later_finds_room_on_the_wire():
+    late = preset("hx711-bar-cells")
+    with pytest.raises(ValueError, match=r"under way than Wire.under_way = 4; give at least 10"):
+        check_wire(replace(late, wire=replace(late.wire, delay=0.1)), 1 / 80)
+    check_wire(scaled(late, 5.0), 1 / 80)
+    assert scaled(Wire(), 5.0).under_way == Wire().under_way
+
+
+@pytest.mark.parametrize("severity", [0.0, 0.5, 2.0, 5.0])
+def test_a_severity_of_another_type_makes_the_same_device(severity):
+    for name in PRESETS[LoadCells]:
+        config = preset(name)
+        assert repr(scaled(config, np.float64(severity))) == repr(scaled(config, severity))
 
 
 def test_cells_of_twice_the_severity_are_twice_as_far_off():
@@ -86,7 +141,7 @@ def test_what_no_severity_can_be_is_refused():
         scaled(Link(), float("nan"))
     with pytest.raises(TypeError, match=r"dict has no severity; \['LoadCells', 'Mechanics'"):
         scaled({}, 1.0)
-    with pytest.raises(ValueError, match=r"severity of 4\.0 is more .* StrainGauges\.gain_error_std must be"):
-        scaled(StrainGauges(), 4.0)
-    with pytest.raises(ValueError, match=r"severity of 3\.0 is more .* ForceTorque"):
-        scaled(ForceTorque(), 3.0)
+    with pytest.raises(
+        ValueError, match=r"severity of 1e\+308 is more .* LoadCells\.initial_zero_std must be"
+    ):
+        scaled(LoadCells(initial_zero_std=1e3), 1e308)

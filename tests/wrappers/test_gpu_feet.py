@@ -1,5 +1,6 @@
 """Foot sensors of a batch of robots on torch tensors."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from surefoot.sensors import (
     LoadCells,
     Wire,
     load_cells,
+    parse_fault,
 )
 from surefoot.wrappers.gpu.batch import flat, mask_of
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
@@ -296,3 +298,74 @@ def test_a_module_stays_where_it_was_made():
     with pytest.raises(RuntimeError, match="device='meta'"):
         policy.to("meta")
     assert "num_envs=5" in repr(feet)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("fresh", [False, True])
+@pytest.mark.parametrize("name", ["hx711-load-cells", "hx711-bar-cells", "nao-fsr", "icub-force-torque"])
+def test_a_robot_that_blew_up_reads_again(name, fresh, value):
+    feet = make(replace(make(name).config, wire=Wire()))
+    for _ in range(6):
+        feet(forces(feet))
+    blown = forces(feet)
+    blown[2] = value
+    read = [feet(blown), *(feet(forces(feet, k)) for k in range(12))]
+    assert torch.isfinite(torch.stack(read)[:, [0, 1, 3, 4]]).all()
+    # An infinite load drives cells without a memory to the rail.
+    assert any(torch.isnan(one[2]).any() for one in read) or value > 0.0
+    assert torch.isfinite(read[-1][2]).all()
+    feet(blown)
+    feet.reset([2], fresh=fresh)
+    # A reset robot's first reading is of its own load alone.
+    assert torch.isfinite(feet(forces(feet))).all()
+
+
+def test_faults_may_be_words_and_mappings():
+    words = make(faults=["at t=0.1 s cell left/2 dies"])
+    mapping = make(faults=[{"kind": "dead", "channel": 1, "start": 0.1}])
+    given = make(faults=[parse_fault("at t=0.1 s cell left/front-right dies")])
+    for k in range(8):
+        force = forces(words, k)
+        read = words(force)
+        assert torch.equal(read, mapping(force))
+        assert torch.equal(read, given(force))
+    assert (words.newtons(read)[:, 1].abs() < 1e-3).all()
+    assert words.state_dict()["_extra_state"]["identity"] == given.state_dict()["_extra_state"]["identity"]
+    ankles = make("icub-force-torque", faults=["at t=0 s cell right/fz dies"])
+    assert (ankles(torch.full((N, 12), 9.0))[:, 8] == 0.0).all()
+    with pytest.raises(ValueError, match="There is no cell 'middle/2'"):
+        make(faults=["at t=1 s cell middle/2 dies"])
+    with pytest.raises(ValueError, match="Fault has no field"):
+        make(faults=[{"kind": "dead", "cell": 1}])
+
+
+def test_one_robot_may_be_named_by_its_number():
+    for number in (2, torch.tensor(2), np.int64(2), -3):
+        assert mask_of(number, N, torch.device("cpu")).tolist() == [False, False, True, False, False]
+    feet, other = make(), make()
+    for module, ids in ((feet, 2), (other, [2])):
+        module(forces(module))
+        module.reset(ids, fresh=True)
+    assert torch.equal(feet(forces(feet)), other(forces(other)))
+    with pytest.raises(ValueError, match="'env_ids' must name robots from 0 to 4, got 5"):
+        feet.reset(5)
+    with pytest.raises(TypeError, match="'env_ids' must be whole numbers of robots"):
+        feet.reset(1.5)
+
+
+def test_no_graph_is_kept_and_a_module_can_be_copied():
+    feet = make("hx711-bar-cells")
+    force = forces(feet).requires_grad_()
+    for _ in range(3):
+        assert not feet(2.0 * force).requires_grad
+    assert not any(leaf.requires_grad for leaf in flat(feet._state) if isinstance(leaf, torch.Tensor))
+    twin = copy.deepcopy(feet)
+    for k in range(3):
+        torch.testing.assert_close(
+            twin(forces(feet, k)), feet(forces(feet, k)), rtol=0, atol=0, equal_nan=True
+        )
+
+
+def test_a_wire_too_short_is_refused_when_the_module_is_made():
+    with pytest.raises(ValueError, match=r"readings 0\.002 s apart .* Wire\.under_way = 4; give at least 12"):
+        FootSensorsModule("hx711-bar-cells", N, dt=0.002)

@@ -261,3 +261,8 @@ def test_files_of_another_body_or_with_other_faults_are_refused(tmp_path, make_b
         humanoid.load(tmp_path / "a.npz")
     with pytest.raises(TypeError, match="'faults' must be a sequence of faults"):
         FootSensors(make_bare(STAND), faults="at t=1 s cell left/2 dies")
+
+
+def test_a_wire_that_is_too_short_is_refused_at_the_door(make_bare) -> None:
+    with pytest.raises(ValueError, match="under_way"):
+        FootSensors(make_bare(STAND), {"wire": {"delay": 0.2, "under_way": 3}})

@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-RobotIds = Tensor | slice | Sequence[int] | None
-"""Robots as managers name them: their numbers, a mask (bool), a slice, or ``None`` for all."""
+RobotIds = Tensor | slice | Sequence[int] | int | None
+"""Robots as managers name them: their numbers or one, a mask (bool), a slice, or ``None`` for all."""
 
 Counter = Callable[[], int]
 """Tells the number of the simulation step, such as ``lambda: env.common_step_counter``."""
@@ -25,14 +25,23 @@ def mask_of(env_ids: RobotIds, num_envs: int, device: torch.device) -> Tensor:
         True for those who are meant, shape (N,).
 
     Raises:
+        TypeError: If numbers are not whole.
         ValueError: If a number is not one of a robot, or a mask is not of all robots.
     """
     mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
     if env_ids is None:
         return ~mask
     if not isinstance(env_ids, slice):
-        # An empty list would become a tensor of floats.
-        env_ids = torch.as_tensor(env_ids, dtype=None if len(env_ids) else torch.long, device=device)
+        env_ids = torch.as_tensor(env_ids, device=device)
+        if env_ids.ndim == 0:
+            env_ids = env_ids[None]
+        if not len(env_ids):
+            # An empty list becomes a tensor of floats.
+            env_ids = env_ids.to(torch.long)
+        if env_ids.is_floating_point():
+            raise TypeError(
+                f"'env_ids' must be whole numbers of robots, a mask (bool), a slice or None, got {env_ids}."
+            )
         if env_ids.dtype == torch.bool and env_ids.shape != mask.shape:
             raise ValueError(
                 f"A mask of robots must have shape ({num_envs},), got {tuple(env_ids.shape)}; give their "
@@ -112,7 +121,7 @@ class BatchModule(nn.Module):
         return not again
 
     def _bring(self, values: Tensor, name: str, tails: tuple[tuple[str, ...], ...], channels: int) -> Tensor:
-        """Check a batch of values and bring it to the module's dtype.
+        """Check a batch of values and bring it to the module's dtype, without its graph.
 
         Raises:
             TypeError: If they are no tensor.
@@ -134,7 +143,7 @@ class BatchModule(nn.Module):
                 f"'{name}' is on {values.device}, but the module on {self.device}; make it with "
                 f"device='{values.device}'."
             )
-        return values.to(self.dtype)
+        return values.detach().to(self.dtype)
 
     def _apply(self, fn: Any, recurse: bool = True) -> Any:
         """Refuse to be moved: neither the state nor the random stream can follow.

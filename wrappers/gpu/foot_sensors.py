@@ -4,7 +4,7 @@
     counts = feet(force, step=env.common_step_counter)      # (N, K), or (N, S, K) for S substeps of a step
     feet.reset(env_ids)                                     # as managers call it
 
-Nothing is copied to the host. torch is imported here and by the other ``torch_`` modules alone.
+Nothing is copied to the host. torch is imported by the modules of this package alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,11 +16,16 @@ from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
 from surefoot.sensors import (
+    CELLS,
+    FEET,
     Fault,
     LoadCells,
     channel_faults,
+    check_wire,
     force_torque,
     load_cells,
+    parse_fault,
+    resolve,
     scaled,
     true_map,
 )
@@ -42,6 +47,9 @@ class FootSensorsModule(BatchModule):
     ``fresh=True`` it gets others. Either way converters with a clock run through under the first load of
     the new episode, so that no reading tells of the one before, even when asked again within the same step.
 
+    **Loads that are not finite**, as of a simulation that blew up, read NaN at the robot that has them and
+    are forgotten at its next finite ones. Forces come in without their graph: nothing is differentiated.
+
     **Chance.** One generator on the device, seeded, draws for the whole batch: the same seed, calls and
     resets give the same readings on the same device, but what one robot reads depends on how many there are.
 
@@ -55,7 +63,9 @@ class FootSensorsModule(BatchModule):
         severity: Factor of all errors: 0 for none, 1 for the configuration's; see
             :func:`surefoot.sensors.scaled`.
         faults: Faults of single channels, the same for all robots, by the time since a robot's sensors
-            were drawn.
+            were drawn: words (:func:`~surefoot.sensors.parse_fault`; feet are left and right, more than two
+            have numbers; axes of six-axis sensors are "cell left/fz"), :class:`~surefoot.sensors.Fault` or
+            mappings of its fields.
         counter: Tells the number of the simulation step.
 
     Attributes:
@@ -65,7 +75,8 @@ class FootSensorsModule(BatchModule):
         nominal: The map that a robot may know, by the data sheet, shape (K,) each: where a calibrator starts.
 
     Raises:
-        ValueError: If a preset is unknown, a value is refused or a fault cannot happen.
+        ValueError: If a preset is unknown, a value is refused, a fault cannot happen, or more readings are
+            under way than the wire holds (:func:`~surefoot.sensors.check_wire`).
 
     >>> feet = FootSensorsModule("perfect", 2, dt=0.02)
     >>> feet(torch.full((2, 8), 6.5)).tolist()[0]
@@ -82,7 +93,7 @@ class FootSensorsModule(BatchModule):
         seed: int = 0,
         dt: float = 1.0 / 50.0,
         severity: float = 1.0,
-        faults: Sequence[Fault] = (),
+        faults: Sequence[str | Fault | Mapping[str, Any]] = (),
         counter: Counter | None = None,
     ) -> None:
         super().__init__(num_envs, device, dtype, dt, counter)
@@ -94,9 +105,12 @@ class FootSensorsModule(BatchModule):
         self._cells: Any = (
             load_cells(self.config) if isinstance(self.config, LoadCells) else force_torque(self.config)
         )
-        self._faults = channel_faults(faults, self.config) if faults else None
-        self._fault_notes = repr(tuple(faults))
+        broken = tuple(_fault(fault, self.config) for fault in faults)
+        self._faults = channel_faults(broken, self.config) if broken else None
+        self._fault_notes = repr(broken)
         self._opening = _opening(self.config, self.dt)
+        for _, apart in [(1, self.dt), *self._opening]:
+            check_wire(self.config, apart)
         self._slope = torch.as_tensor(self.config.slope, dtype=dtype, device=self.device)
         axes = batch_axes(self._cells, self.channels)
         self._axes = (axes, () if self._faults is None else batch_axes(self._faults, self.channels))
@@ -127,12 +141,12 @@ class FootSensorsModule(BatchModule):
         advances, before, returned = self._begins(step), self._state, self._returned
         plain, first = [(block, self.dt)], self._first(block)
         if self._reading is None:
-            reading, state = self._read(first, before)
+            reading, state = self._read(first, self._rid(before, block))
         else:
             reading, state = self._read(plain, before) if advances else (self._reading, before)
             # Sensors that remember no load read the step itself as their first.
             if returned is not None and (len(self._opening) > 0 or not advances):
-                opened, begun = self._read(first, before)
+                opened, begun = self._read(first, self._rid(before, block))
                 reading = torch.where(returned[:, None], opened, reading)
                 state = select(returned, begun, state, self._axes)
         self._reading, self._state, self._returned = reading, state, None
@@ -209,6 +223,14 @@ class FootSensorsModule(BatchModule):
         faults = () if self._faults is None else self._faults.init(shape, self._generator, self.dtype)
         return cells, faults
 
+    def _rid(self, state: Any, block: Tensor) -> Any:
+        """Let loads of before an episode that were not finite count as its own."""
+        if not self._blocks:
+            return state
+        cells, faults = state
+        known = torch.isfinite(cells.previous)
+        return cells._replace(previous=torch.where(known, cells.previous, block[:, -1])), faults
+
     def _first(self, block: Tensor) -> list[tuple[Tensor, float]]:
         """Say how long the last load of a block must have been there to be an episode's first reading."""
         if not self._opening:
@@ -226,6 +248,20 @@ class FootSensorsModule(BatchModule):
         if self._faults is not None:
             counts, faults = self._faults.apply(counts, faults, self._generator, self.dt)
         return counts, (cells, faults)
+
+
+AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+"""Channels of a six-axis sensor as faults name them."""
+
+
+def _fault(given: str | Fault | Mapping[str, Any], config: FootDevice) -> Fault:
+    """Make a fault of what a user gives."""
+    if not isinstance(given, str):
+        return resolve(given, Fault)
+    cells = CELLS if isinstance(config, LoadCells) else AXES
+    feet = config.channels // len(cells)
+    names = FEET[:feet] if feet <= len(FEET) else [str(number) for number in range(1, feet + 1)]
+    return parse_fault(given, names, cells)
 
 
 def _opening(config: FootDevice, dt: float) -> list[tuple[int, float]]:

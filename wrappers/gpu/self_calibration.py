@@ -179,7 +179,7 @@ class SelfCalibrationModule(BatchModule):
         return self._method.update(self._state, counts, reference, self.dt)
 
     def _belief(self, name: str, values: Tensor) -> Tensor:
-        """Check one field of a reference and bring it to the module's dtype."""
+        """Check one field of a reference and bring it to the module's dtype, without its graph."""
         if not isinstance(values, Tensor):
             raise TypeError(f"'reference.{name}' must be a torch tensor, got {type(values).__name__}.")
         if values.device != self.device:
@@ -187,7 +187,7 @@ class SelfCalibrationModule(BatchModule):
                 f"'reference.{name}' is on {values.device}, but the module on {self.device}; make the module "
                 f"with device='{values.device}'."
             )
-        return values if values.dtype == torch.bool else values.to(self.dtype)
+        return values if values.dtype == torch.bool else values.detach().to(self.dtype)
 
     def _identity(self) -> dict[str, Any]:
         setup = self.setup

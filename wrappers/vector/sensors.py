@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, true_map
+from surefoot.sensors import ForceTorque, LoadCells, check_wire, force_torque, load_cells, true_map
 from surefoot.sensors.select import batch_axes, select
 from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
 from surefoot.wrappers.instruments import Instruments
@@ -79,6 +79,7 @@ class BatchSensors:
         fresh: bool,
     ) -> None:
         self.count, self.drawing, self.meaning = count, drawing, meaning
+        check_wire(devices.feet, meaning.dt)
         self.instruments = Instruments((devices.feet,), drawing)
         self._devices = devices
         self._cells = isinstance(devices.feet, LoadCells)
