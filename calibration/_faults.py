@@ -9,10 +9,10 @@ Three things give a channel away:
   (it is out), it is the other way round (flipped), or two are exchanged (swapped). One that explains what is
   otherwise unexplained, and much better than any about other channels, is accepted.
 
-The robot may also have been given a load, which no channel is to blame for. That is another mass and another
-centre of mass, constant from then on: both are fitted to the residuals since all began to seem wrong, and
-what they leave is held against what the hypotheses about channels leave. While a robot stands quite still,
-a load and a broken cell look alike, and neither is accepted. Otherwise the one that explains it alone is.
+The robot may also have been given a load, which no channel is to blame for
+(:mod:`surefoot.calibration._load_rival`). What it leaves is held against what the hypotheses about channels
+leave. While a robot stands quite still, a load and a broken cell look alike, and neither is accepted.
+Otherwise the one that explains it alone is.
 
 A channel that is out is reconstructed (:mod:`surefoot.calibration._stand_in`); flipped and swapped ones are
 put right, as if the cable were plugged in again. What was learnt in the last seconds is forgotten then,
@@ -26,6 +26,7 @@ from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
 from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._load_rival import LoadRival
 from surefoot.calibration._moment_rows import Misfit
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration._stand_in import StandIn
@@ -66,12 +67,6 @@ _NOISE = 1.0
 
 _LOAD_BLOCKS = 3.0
 """Blocks after which a load is believed: while it is put on it is none that stays the same."""
-
-_LOOSE = 3.0
-"""How many times the standard deviation of a change a load may make."""
-
-_LIGHTER = 0.02
-"""Share of its mass that a robot may seem to lack under a load: what it never carried it cannot put down."""
 
 _LEAST_ERROR = 0.1
 """Error of a force in body weights that a fault amounts to at least, for the motion to tell of it."""
@@ -136,6 +131,7 @@ class Faults:
     def __init__(self, setup: OnlineSetup, leap: float, change: NDArray[np.float64], memory: float) -> None:
         K = setup.layout.channels
         self.stand_in = StandIn(setup, memory)
+        self._rival = LoadRival(change)
         self._leap, self._weight, self._channels = leap * setup.weight, setup.weight, K
         cells = np.nonzero(self.stand_in.cells)[0]
         pairs = [(i, j) for i in cells for j in cells if i < j]
@@ -160,8 +156,6 @@ class Faults:
             # Putting a channel right is preferred to losing it.
             np.where(np.arange(len(about)) < K, 1.15, 1.0),
             np.arange(len(about)),
-            np.diag(1.0 / np.maximum(_LOOSE * change, 1e-3) ** 2),
-            _LOOSE * change,
         )
 
     def init(self, raw: Array, resting: Array) -> FaultState:
@@ -207,7 +201,7 @@ class Faults:
         if not bool(xp.any(leaping)):
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
         # A foot that lands moves several of its cells.
-        *_, same_foot, _, _, _, _, _ = self._constants.like(force)
+        *_, same_foot, _, _, _ = self._constants.like(force)
         others = xp.max(step[..., None, :] * same_foot, axis=-1)
         leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
         leaps = xp.where(leaping, state.leaps + 1, xp.where(read, 0, state.leaps))
@@ -224,7 +218,7 @@ class Faults:
             read: Whether they were read (0 or 1), shape (..., n, K).
         """
         xp = namespace_of(force)
-        *_, same_foot, cells, _, _, _, _ = self._constants.like(force)
+        *_, same_foot, cells, _, _ = self._constants.like(force)
         high, low = xp.max(force, axis=-2), xp.min(force, axis=-2)
         spread = high - low
         flat = spread == 0.0
@@ -269,7 +263,7 @@ class Faults:
         """
         residual, there = misfit.residual, misfit.there
         xp, K = namespace_of(residual), self._channels
-        possible, related, identity, about, _, _, handicap, order, _, _ = self._constants.like(residual)
+        possible, related, identity, about, _, _, handicap, order = self._constants.like(residual)
         nothing = misfit.mean
         state = state._replace(trust=state.trust + xp.astype(nothing < 0.5 * _SUSPICION, residual.dtype))
         # Most of the time nothing is wrong with anybody, and no hypothesis needs to be tried.
@@ -291,7 +285,7 @@ class Faults:
         doubt = state.doubt + (state.doubt > 0.5)
         # Sums go on from the second whole block.
         load = state.load * xp.astype(doubt > 2.5, residual.dtype)[..., None, None]
-        load, change, plausible = self._load(load, misfit, loads, mass)
+        load, change, plausible = self._rival.fit(load, misfit, loads, mass)
         most = xp.maximum(state.size * xp.astype(doubt > 1.5, residual.dtype)[..., None], size)
         changes = xp.concat([felt * errors, change[..., None]], axis=-1)
         mean = xp.concat([nothing[..., None], misfit.mean_with(changes)], axis=-1)
@@ -342,27 +336,6 @@ class Faults:
         kind = kind ^ (int(Flag.SWAPPED) * exchanged)
         wiring = turn @ exchange @ state.wiring
         return state._replace(wiring=wiring, kind=kind, altered=1), found, taken
-
-    def _load(self, sums: Array, misfit: Misfit, loads: Array, mass: Array) -> tuple[Array, Array, Array]:
-        """Fit a load to all blocks since something seemed wrong.
-
-        Args:
-            sums: Normal equations of the blocks before, shape (..., 3, 4).
-            misfit: What the m rows of this block leave unexplained.
-            loads: Columns of what a load changes, shape (..., m, 3).
-            mass: Believed mass over the estimated one, less 1, shape (...).
-
-        Returns:
-            The normal equations with this block, what the load does to its residuals, shape (..., m), and
-            whether there can be such a load (bool), shape (...).
-        """
-        xp = namespace_of(loads)
-        *_, loose, largest = self._constants.like(loads)
-        both = xp.concat([loads, misfit.residual[..., None]], axis=-1)
-        sums = sums + (loads * (misfit.there / misfit.variance)[..., None]).mT @ both
-        fit = xp.linalg.solve(sums[..., :3] + loose, sums[..., 3:])
-        plausible = xp.all(xp.abs(fit[..., 0]) <= largest, axis=-1) & (mass + fit[..., 2, 0] < _LIGHTER)
-        return sums, -(loads @ fit)[..., 0], plausible
 
     def suspects(self, state: FaultState, misfit: Misfit) -> Array:
         """Tell whether to wait with learning, as something has begun to seem wrong (bool), shape (...)."""

@@ -18,7 +18,8 @@ from surefoot.envs.exercise_observation import ExerciseObserver
 from surefoot.envs.exercise_robot import prepare_robot
 from surefoot.envs.feet_truth import FeetTruth
 from surefoot.envs.observation import FORCE_BOUND, Observation
-from surefoot.envs.options import check_render_mode, checked_range, positive
+from surefoot.envs.options import check_render_mode, checked_action, checked_range, positive
+from surefoot.envs.rendering import check_size
 
 CONTROL_STEP: Final = 0.02
 """Duration of a step in s, up to the simulation's own step: a whole number of the 2 ms and 1.25 ms with which
@@ -137,12 +138,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.state_layout = self._observer.state_layout
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._leg_motors),), dtype=np.float32)
         self.render_mode = render_mode
-        most = int(self.model.vis.global_.offwidth), int(self.model.vis.global_.offheight)
-        if not (0 < width <= most[0] and 0 < height <= most[1]):
-            raise ValueError(
-                f"'width' and 'height' must be positive and at most {most[0]} x {most[1]} pixels, got "
-                f"{width} x {height}."
-            )
+        check_size(self.model, width, height)
         self._size = width, height
         self._renderer: MujocoRenderer | None = None
         self.truth: FeetTruth
@@ -191,7 +187,12 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         if self._tick is None:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
-        residual = self._checked(action)
+        residual = checked_action(
+            action,
+            self.leg_motor_names,
+            "a residual for each leg motor",
+            "zeros leave the exercise alone",
+        )
         correction = self._balance.correction(self.truth, self.command)
         self._tick += 1
         self.command = self._motion.command(self._tick * self.dt)
@@ -242,19 +243,6 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _limited(self, target: NDArray[np.float64]) -> NDArray[np.float64]:
         limited: NDArray[np.float64] = np.minimum(np.maximum(target, self._low), self._high)
         return limited
-
-    def _checked(self, action: Any) -> NDArray[np.float64]:
-        residual = np.asarray(action, dtype=np.float64)
-        if residual.shape != self.action_space.shape:
-            raise ValueError(
-                f"An action has shape {self.action_space.shape}, a residual for each leg motor "
-                f"{self.leg_motor_names}; got shape {residual.shape}."
-            )
-        if not np.isfinite(residual).all():
-            raise ValueError(
-                f"An action must be finite, got {residual.tolist()}; zeros leave the exercise alone."
-            )
-        return np.minimum(np.maximum(residual, -1.0), 1.0)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the robot: a frame (height, width, 3); nothing without a render mode."""

@@ -64,8 +64,8 @@ class ExerciseObserver:
         state = self._state(truth, joint_velocity, command)
         return self._table.bounded(state, force_cell, self._cop_foot, self._cop, valid), {
             "force_cell": force_cell.copy(),
-            "vgrf": np.array(vgrf),
-            "cop_world": np.array(cop_world),
+            "vgrf": vgrf,
+            "cop_world": cop_world,
             "cop_foot": cop_foot,
             "com": truth.com[-1].copy(),
             "wrench_sole": wrench.copy(),

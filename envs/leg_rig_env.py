@@ -20,7 +20,7 @@ from surefoot.envs.leg_rig import (
     sensor_frames,
 )
 from surefoot.envs.leg_rig_drive import HipDrive
-from surefoot.envs.options import check_render_mode, positive
+from surefoot.envs.options import check_render_mode, checked_action, positive
 from surefoot.envs.rendering import Marker, SceneRenderer
 
 CONTROL_STEP = 0.1
@@ -216,7 +216,8 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self._limbs:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
         model, data = self.model, self.data
-        for target in self._drive.follow(self._checked(action) * self._top_speed):
+        wanted = checked_action(action, HIP_JOINTS, "a speed for each of", "zeros hold the leg still")
+        for target in self._drive.follow(wanted * self._top_speed):
             data.ctrl[:] = target
             mujoco.mj_step(model, data)
         # Sensors lag the state by one substep unless they are evaluated again, under the command of the next.
@@ -227,17 +228,6 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self.render_mode == "human":
             self.render()
         return self._observation(), reward, False, False, self._info(truth)
-
-    def _checked(self, action: Any) -> NDArray[np.float64]:
-        wanted = np.asarray(action, dtype=np.float64)
-        if wanted.shape != self.action_space.shape:
-            raise ValueError(
-                f"An action has shape {self.action_space.shape}, a speed for each of {HIP_JOINTS}; "
-                f"got shape {wanted.shape}."
-            )
-        if not np.isfinite(wanted).all():
-            raise ValueError(f"An action must be finite, got {wanted.tolist()}; zeros hold the leg still.")
-        return np.clip(wanted, -1.0, 1.0)
 
     def _gain(self, truth: dict[str, Any]) -> float:
         """Take the posture's row into the information; return the gain in its log-determinant."""

@@ -14,6 +14,7 @@ from surefoot.envs.drawing import RobotDrawing, draw_nao
 from surefoot.envs.nao_observation import NaoObserver, Observation
 from surefoot.envs.options import (
     check_render_mode,
+    checked_action,
     checked_range,
     checked_stiffness,
     checked_time_constant,
@@ -345,18 +346,12 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         return observation, sum(terms.values()), self._fallen(), truncated, info
 
     def _checked(self, action: Any) -> NDArray[np.float64]:
-        residual = np.asarray(action, dtype=np.float64)
-        if residual.shape != self.action_space.shape:
-            raise ValueError(
-                f"An action has shape {self.action_space.shape}, a residual for each leg motor {LEG_MOTORS}; "
-                f"got shape {residual.shape}."
-            )
-        if not np.isfinite(residual).all():
-            raise ValueError(
-                f"An action must be finite, got {residual.tolist()}; a policy that returns NaN has diverged, "
-                "zeros leave the pattern alone."
-            )
-        return np.minimum(np.maximum(residual, -1.0), 1.0)
+        return checked_action(
+            action,
+            LEG_MOTORS,
+            "a residual for each leg motor",
+            "a policy that returns NaN has diverged, zeros leave the pattern alone",
+        )
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the robot and the markers: a frame (height, width, 3), or a window in "human" mode."""

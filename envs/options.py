@@ -4,6 +4,9 @@ from collections.abc import Sequence
 from math import isfinite, nan
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 def positive(name: str, value: float, *, or_zero: bool = False) -> float:
     """Refuse what is not a finite and positive (or, where it may be, zero) number."""
@@ -42,6 +45,26 @@ def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
             f"front-right, rear-left, rear-right), got {value!r}; eight ones make all cells equal."
         )
     return numbers
+
+
+def checked_action(action: Any, names: tuple[str, ...], each: str, cure: str) -> NDArray[np.float64]:
+    """Refuse what is no action, and clip what is one to -1 ... 1.
+
+    Args:
+        action: What was given.
+        names: What it moves.
+        each: What it says of each, for the message.
+        cure: What to do about one that is not finite.
+
+    Raises:
+        ValueError: If it has another shape or is not finite.
+    """
+    numbers = np.asarray(action, dtype=np.float64)
+    if numbers.shape != (len(names),):
+        raise ValueError(f"An action has shape {(len(names),)}, {each} {names}; got shape {numbers.shape}.")
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"An action must be finite, got {numbers.tolist()}; {cure}.")
+    return np.minimum(np.maximum(numbers, -1.0), 1.0)
 
 
 def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:

@@ -35,12 +35,7 @@ class SceneRenderer:
         cameras = [model.camera(i).name for i in range(model.ncam)]
         if camera not in cameras:
             raise ValueError(f"The robot's model has no camera '{camera}'; choose one of {cameras}.")
-        most_wide, most_high = int(model.vis.global_.offwidth), int(model.vis.global_.offheight)
-        if not (0 < width <= most_wide and 0 < height <= most_high):
-            raise ValueError(
-                f"'width' and 'height' must be positive and at most {most_wide} x {most_high} pixels, "
-                f"got {width} x {height}."
-            )
+        check_size(model, width, height)
         self._model, self._data = model, data
         self._camera, self._width, self._height = camera, width, height
         self._renderer: MujocoRenderer | None = None
@@ -97,6 +92,16 @@ class SceneRenderer:
         if self._renderer is not None:
             self._renderer.close()  # type: ignore[no-untyped-call]
             self._renderer = None
+
+
+def check_size(model: mujoco.MjModel, width: int, height: int) -> None:
+    """Refuse a size of frames that a model has no buffer for."""
+    most_wide, most_high = int(model.vis.global_.offwidth), int(model.vis.global_.offheight)
+    if not (0 < width <= most_wide and 0 < height <= most_high):
+        raise ValueError(
+            f"'width' and 'height' must be positive and at most {most_wide} x {most_high} pixels, "
+            f"got {width} x {height}."
+        )
 
 
 def _require_screen() -> None:

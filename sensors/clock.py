@@ -13,7 +13,7 @@ from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
 from surefoot.sensors._arrays import cast_like, limit, namespace
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain, check_whole
 from surefoot.sensors.randomness import filled, uniform
 
 
@@ -174,8 +174,7 @@ def sample_and_hold(
         ValueError: If the rates are not positive and in order, or the number is not a positive whole one.
     """
     check_rate(rate)
-    if not isinstance(settling, int) or isinstance(settling, bool) or settling < 1:
-        raise ValueError(f"'settling' must be a positive whole number, got {settling!r}.")
+    check_whole(settling=settling)
     converter = converter or chain()
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ClockState:

@@ -33,6 +33,14 @@ def require_positive(config: object, *names: str) -> None:
         require(number and 0.0 < value < float("inf"), config, name, "be finite and positive")
 
 
+def require_whole(config: object, *names: str) -> None:
+    """Refuse fields that are not positive whole numbers."""
+    for name in names:
+        value = getattr(config, name)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        require(whole and value > 0, config, name, "be a positive whole number")
+
+
 def from_mapping(kind: type[Config], mapping: Mapping[str, Any]) -> Config:
     """Make a configuration of a mapping, such as ``dataclasses.asdict`` and JSON hand back.
 

@@ -78,3 +78,10 @@ def check_not_negative(**values: float) -> None:
     for name, value in values.items():
         if not value >= 0.0 or value == float("inf"):
             raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
+
+
+def check_whole(**values: int) -> None:
+    """Refuse what is no positive whole number, naming it."""
+    for name, value in values.items():
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise ValueError(f"'{name}' must be a positive whole number, got {value!r}.")

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
-from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.drift import PER_SQRT_MINUTE
 from surefoot.sensors.randomness import normal
@@ -99,8 +99,7 @@ class ForceTorque:
 
     def __post_init__(self) -> None:
         """Refuse what no instrument can be."""
-        whole = isinstance(self.sensors, int) and not isinstance(self.sensors, bool) and self.sensors > 0
-        require(whole, self, "sensors", "be a positive whole number")
+        require_whole(self, "sensors")
         require_positive(self, "full_scale_force", "full_scale_torque")
         require_not_negative(
             self,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
 from surefoot.sensors.drift import PER_SQRT_MINUTE
 from surefoot.sensors.mechanics import CELLS_OF_A_FOOT, IDEAL, Mechanics
 from surefoot.sensors.wire import DIRECT, Wire
@@ -135,8 +135,7 @@ class LoadCells:
             "rate",
             "be None or (lowest, highest) with 0 < lowest <= highest",
         )
-        whole = isinstance(self.settling, int) and not isinstance(self.settling, bool)
-        require(whole and self.settling > 0, self, "settling", "be a positive whole number")
+        require_whole(self, "settling")
         require(isinstance(self.mechanics, Mechanics), self, "mechanics", "be a Mechanics")
         require(
             not self.mechanics.jumps or self.channels % CELLS_OF_A_FOOT == 0,

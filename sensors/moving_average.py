@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.sensors._arrays import cast_like, namespace, on_host
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_whole
 from surefoot.sensors.randomness import filled
 
 
@@ -57,9 +57,7 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
     >>> read
     [0.0, 2.0, 4.0, 6.0, 8.0]
     """
-    for name, number in (("count", count), ("order", order)):
-        if not isinstance(number, int) or isinstance(number, bool) or number < 1:
-            raise ValueError(f"'{name}' must be a positive whole number, got {number!r}.")
+    check_whole(count=count, order=order)
     kernel = np.ones(1)
     for _ in range(order):
         kernel = np.convolve(kernel, np.full(count, 1.0 / count))

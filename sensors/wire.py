@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.sensors.burst_gaps import burst_gaps
-from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.link import latency
 from surefoot.sensors.spikes import spikes
@@ -64,8 +64,7 @@ class Wire:
         """Refuse what no wire can be."""
         require_not_negative(self, *(name for name in self.__dataclass_fields__ if name != "under_way"))
         require_positive(self, "gap_length")
-        whole = isinstance(self.under_way, int) and not isinstance(self.under_way, bool)
-        require(whole and self.under_way > 0, self, "under_way", "be a positive whole number")
+        require_whole(self, "under_way")
         require(self.wrong_words <= 1.0, self, "wrong_words", "be at most 1")
         for name in ("stale_repeats", "packet_loss", "gap_share"):
             require(getattr(self, name) < 1.0, self, name, "be below 1")
