@@ -4,7 +4,17 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from surefoot.sensors import PRESETS, ForceTorque, LoadCells, from_mapping, preset, resolve
+from surefoot.sensors import (
+    PRESETS,
+    Corruption,
+    ForceTorque,
+    LoadCells,
+    force_torque,
+    from_mapping,
+    load_cells,
+    preset,
+    resolve,
+)
 
 FootDevice = LoadCells | ForceTorque
 """What can be under a foot."""
@@ -33,6 +43,11 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
     ):
         return from_mapping(ForceTorque, config)
     return resolve(config, LoadCells)
+
+
+def foot_corruption(config: FootDevice) -> Corruption[Any]:
+    """Make what turns true loads into the readings of either kind."""
+    return load_cells(config) if isinstance(config, LoadCells) else force_torque(config)
 
 
 def _keys(kind: type[FootDevice]) -> set[str]:

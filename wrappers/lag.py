@@ -18,6 +18,17 @@ def usual_lag(telemetry: Telemetry, age: float) -> int:
     return max(ceil(needed / telemetry.dt), CONTACT_MARGIN)
 
 
+def held_samples(lag: int, age: float, dt: float) -> int:
+    """Tell for how many samples of an episode a reference may still be about the one before.
+
+    Args:
+        lag: How many samples ago a reference describes the feet.
+        age: As of :func:`usual_lag`.
+        dt: Time between samples in s.
+    """
+    return lag + 1 + ceil(age / dt - 1e-9)
+
+
 def check_lag(lag: int, telemetry: Telemetry, age: float) -> None:
     """Refuse a lag so long that the packets it needs would no longer be kept.
 

@@ -1,6 +1,7 @@
 """What is observed of sensors instead of truth: counts under the feet, and telemetry in the state."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -76,8 +77,8 @@ class RawView:
             packets: Telemetry that arrived, in order.
         """
         if not self._was_dict:
-            return {"state": _own(observation), "foot_raw": self._counts(raw)}
-        seen = {key: _own(part) for key, part in observation.items() if key not in TRUE_KEYS}
+            return {"state": own_copy(observation), "foot_raw": self._counts(raw)}
+        seen = {key: own_copy(part) for key, part in observation.items() if key not in TRUE_KEYS}
         if self._state_layout is not None:
             if packets:
                 self._newest = packets[-1].values
@@ -112,9 +113,9 @@ def _check_order(shown: spaces.Space[Any], own: spaces.Space[Any], env: Any) -> 
         )
 
 
-def _own(part: Any) -> Any:
-    """Copy an array: an environment may hand out its own."""
-    return part.copy() if isinstance(part, np.ndarray) else part
+def own_copy(part: Any) -> Any:
+    """Copy a part of an observation: an environment may hand out its own."""
+    return part.copy() if isinstance(part, np.ndarray) else deepcopy(part)
 
 
 def _overwritten(layout: Mapping[str, slice], packet: TelemetryLayout) -> list[tuple[slice, slice]]:

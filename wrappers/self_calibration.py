@@ -1,7 +1,6 @@
 """Lets a robot calibrate its feet while it walks, with what it knows of itself."""
 
 from collections.abc import Mapping, Sequence
-from math import ceil
 from os import PathLike
 from typing import Any, SupportsFloat
 
@@ -16,7 +15,7 @@ from surefoot.wrappers.beliefs import Beliefs, nothing
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
-from surefoot.wrappers.lag import check_lag, usual_lag
+from surefoot.wrappers.lag import check_lag, held_samples, usual_lag
 from surefoot.wrappers.layout_options import layout_options
 from surefoot.wrappers.learnt import Learnt
 from surefoot.wrappers.nominal import NominalModel
@@ -136,6 +135,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.layout = sensors.instruments.layout
         self._options = layout_options(self.layout, drawing, method) | options
         self._lag, self._fresh = lag, fresh
+        self._age = sensors.instruments.age
         # A calibrator is made at a reset; one now refuses bad options before the first step.
         self._calibrator(start.known, 1.0 / 80.0, lag or 0)
         self._view = FootView(show, self.layout, self._model.mass, drawing.flaw)
@@ -224,7 +224,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     def _hold(self) -> None:
         """Learn nothing until the oldest sample is of what comes now: what lies before is another story."""
-        self._held = self._late + 1 + ceil(self._age / self._sensors.telemetry.dt)
+        self._held = held_samples(self._late, self._age, self._sensors.telemetry.dt)
 
     def _learnt(self) -> Learnt:
         if not self._made:
@@ -245,7 +245,6 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         rng = self._rng
         self._model.draw(rng)
         initial = self._initial(rng)
-        self._age = self._sensors.instruments.age
         self._late = usual_lag(telemetry, self._age) if self._lag is None else self._lag
         check_lag(self._late, telemetry, self._age)
         self.calibrator = self._calibrator(initial, telemetry.dt, self._late)

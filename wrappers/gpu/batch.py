@@ -1,5 +1,6 @@
 """What torch modules over batches of robots have in common: who is meant, which step it is, what is kept."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -58,7 +59,7 @@ def mask_of(env_ids: RobotIds, num_envs: int, device: torch.device) -> Tensor:
     return mask
 
 
-class BatchModule(nn.Module):
+class BatchModule(nn.Module, ABC):
     """A module that holds the state of N robots and steps with a simulator.
 
     Its state is a value that each step replaces, so that it is no buffer of the module's: it goes into
@@ -98,7 +99,9 @@ class BatchModule(nn.Module):
         self.device = torch.empty(0, device=device).device
         self.counter = counter
         self._last: int | None = None
+        self._returned: Tensor | None = None
 
+    @abstractmethod
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
         """Begin new episodes with robots; see the modules.
 
@@ -106,7 +109,6 @@ class BatchModule(nn.Module):
             env_ids: Robots that begin one; all by default.
             fresh: Whether nothing of theirs is kept.
         """
-        raise NotImplementedError
 
     def extra_repr(self) -> str:
         """Tell what the module is of."""
@@ -119,6 +121,22 @@ class BatchModule(nn.Module):
         again = step is not None and step == self._last
         self._last = step
         return not again
+
+    def _note_returned(self, env_ids: RobotIds) -> Tensor:
+        """Remember until the next call robots that begin episodes, and mark them, shape (N,)."""
+        mask = mask_of(env_ids, self.num_envs, self.device)
+        self._returned = mask if self._returned is None else self._returned | mask
+        return mask
+
+    def _saved_steps(self) -> dict[str, Any]:
+        """Hand over which step it is and who begins episodes."""
+        return {"returned": self._returned, "last": self._last}
+
+    def _restore_steps(self, saved: dict[str, Any]) -> None:
+        """Go on from what :meth:`_saved_steps` handed over."""
+        returned = saved["returned"]
+        self._returned = None if returned is None else returned.to(self.device, copy=True)
+        self._last = saved["last"]
 
     def _bring(self, values: Tensor, name: str, tails: tuple[tuple[str, ...], ...], channels: int) -> Tensor:
         """Check a batch of values and bring it to the module's dtype, without its graph.

@@ -22,16 +22,14 @@ from surefoot.sensors import (
     LoadCells,
     channel_faults,
     check_wire,
-    force_torque,
-    load_cells,
     parse_fault,
     resolve,
     scaled,
     true_map,
 )
 from surefoot.sensors.select import batch_axes, select
-from surefoot.wrappers.foot_device import FootDevice, foot_device
-from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
+from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
+from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, restored, saved_leaves
 
 __all__ = ["FootSensorsModule"]
 
@@ -102,9 +100,7 @@ class FootSensorsModule(BatchModule):
         self.channels = self.config.channels
         self.nominal = Parameters(1.0 / self.config.slope, -self.config.zero_code / self.config.slope)
         self._blocks = isinstance(self.config, LoadCells)
-        self._cells: Any = (
-            load_cells(self.config) if isinstance(self.config, LoadCells) else force_torque(self.config)
-        )
+        self._cells = foot_corruption(self.config)
         broken = tuple(_fault(fault, self.config) for fault in faults)
         self._faults = channel_faults(broken, self.config) if broken else None
         self._fault_notes = repr(broken)
@@ -118,7 +114,6 @@ class FootSensorsModule(BatchModule):
         self._generator.manual_seed(seed)
         self._state = self._draw()
         self._reading: Tensor | None = None
-        self._returned: Tensor | None = None
 
     def forward(self, force: Tensor, step: int | None = None) -> Tensor:
         """Read the sensors.
@@ -162,10 +157,9 @@ class FootSensorsModule(BatchModule):
         Raises:
             ValueError: If there is no such robot.
         """
-        mask = mask_of(env_ids, self.num_envs, self.device)
+        mask = self._note_returned(env_ids)
         if fresh:
             self._state = select(mask, self._draw(), self._state, self._axes)
-        self._returned = mask if self._returned is None else self._returned | mask
 
     def newtons(self, counts: Tensor) -> Tensor:
         """Take counts to N (and N m) by the data sheet: what a robot without a calibrator believes."""
@@ -188,8 +182,7 @@ class FootSensorsModule(BatchModule):
             "leaves": saved_leaves(self._state),
             "generator": self._generator.get_state(),
             "reading": None if self._reading is None else self._reading.clone(),
-            "returned": self._returned,
-            "last": self._last,
+            **self._saved_steps(),
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
@@ -201,10 +194,9 @@ class FootSensorsModule(BatchModule):
         self._check_saved(state, self._identity())
         self._state = restored(self._state, state["leaves"], self.device)
         self._generator.set_state(state["generator"].cpu())
-        reading, returned = state["reading"], state["returned"]
+        reading = state["reading"]
         self._reading = None if reading is None else reading.to(self.device, copy=True)
-        self._returned = None if returned is None else returned.to(self.device, copy=True)
-        self._last = state["last"]
+        self._restore_steps(state)
 
     def _identity(self) -> dict[str, Any]:
         return {

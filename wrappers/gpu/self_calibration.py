@@ -85,7 +85,6 @@ class SelfCalibrationModule(BatchModule):
         )
         self._state = self._fresh
         self._estimate: Estimate | None = None
-        self._returned: Tensor | None = None
 
     def forward(self, counts: Tensor, reference: Reference, step: int | None = None) -> Estimate:
         """Take in one sample of all robots.
@@ -125,9 +124,8 @@ class SelfCalibrationModule(BatchModule):
         Raises:
             ValueError: If there is no such robot.
         """
-        mask = mask_of(env_ids, self.num_envs, self.device)
+        mask = self._note_returned(env_ids)
         self._state = (select if fresh else put_back)(mask, self._fresh, self._state)
-        self._returned = mask if self._returned is None else self._returned | mask
 
     def freeze(self, frozen: bool = True) -> None:
         """Stop learning, or go on: what was learnt is applied either way, and stays bit for bit meanwhile.
@@ -154,8 +152,7 @@ class SelfCalibrationModule(BatchModule):
             "identity": self._identity(),
             "leaves": saved_leaves(self._state),
             "estimate": None if estimate is None else saved_leaves(tuple(estimate)),
-            "returned": self._returned,
-            "last": self._last,
+            **self._saved_steps(),
             "frozen": self.frozen,
         }
 
@@ -167,11 +164,11 @@ class SelfCalibrationModule(BatchModule):
         """
         self._check_saved(state, self._identity())
         self._state = restored(self._fresh, state["leaves"], self.device)
-        estimate, returned = state["estimate"], state["returned"]
+        estimate = state["estimate"]
         parts = () if estimate is None else restored(tuple(estimate), estimate, self.device)
         self._estimate = Estimate(*parts) if parts else None
-        self._returned = None if returned is None else returned.to(self.device, copy=True)
-        self._last, self.frozen = state["last"], state["frozen"]
+        self._restore_steps(state)
+        self.frozen = state["frozen"]
 
     def _update(self, counts: Tensor, reference: Reference) -> tuple[Any, Estimate]:
         if self.frozen:

@@ -20,6 +20,7 @@ from surefoot.calibration._setup import setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.select import select
 from surefoot.wrappers.contacts import CONTACT_MARGIN
+from surefoot.wrappers.lag import held_samples
 from surefoot.wrappers.layout_options import layout_options
 from surefoot.wrappers.source import check_stream, wants_fresh
 from surefoot.wrappers.starting_map import StartingMap
@@ -53,6 +54,7 @@ class BatchCalibration:
     Attributes:
         lag: How many samples ago a reference describes the feet.
         feet: What is observed of the feet, and the feet's observations.
+        parameters: The robots' maps now, shape (N, K).
         reference: What the calibrator was last told.
         estimate: What it last said, in real units.
 
@@ -105,8 +107,7 @@ class BatchCalibration:
         everyone = (sensors.count, instruments.channels)
         self._map: Floats = np.zeros((2, *everyone))
         self._share: Floats = np.ones((sensors.count, 1))
-        # Samples of an episode, its first included, until the oldest that a reference is about is of it.
-        self._wait = self.lag + 1 + ceil(instruments.age / dt - 1e-9)
+        self._wait = held_samples(self.lag, instruments.age, dt)
         self._held = np.zeros(sensors.count, dtype=np.int64)
         self._plan = BatchPlan(sensors.count, self.lag)
         self._kinematics = BatchKinematics(sensors.count)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import ForceTorque, LoadCells, check_wire, force_torque, load_cells, true_map
+from surefoot.sensors import ForceTorque, LoadCells, check_wire, true_map
 from surefoot.sensors.select import batch_axes, select
+from surefoot.wrappers.foot_device import foot_corruption
 from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
 from surefoot.wrappers.instruments import Instruments
 from surefoot.wrappers.source import wants_fresh
@@ -83,9 +84,7 @@ class BatchSensors:
         self.instruments = Instruments((devices.feet,), drawing)
         self._devices = devices
         self._cells = isinstance(devices.feet, LoadCells)
-        self._device: Any = (
-            load_cells(devices.feet) if isinstance(devices.feet, LoadCells) else force_torque(devices.feet)
-        )
+        self._device = foot_corruption(devices.feet)
         self._axes = batch_axes(self._device, self.instruments.channels)
         # Every chip delivers at least once, and what is averaged or on its way runs through.
         longest = max(meaning.dt, self.instruments.slowest)
@@ -182,7 +181,7 @@ class BatchSensors:
         # An instrument that remembers nothing has read the first moment already.
         if begun is not None and (self.fresh or self._remembers):
             raw = self._opened(force, begun, before, self._rng, raw)
-        if self._listening:
+        if self._started:
             self.telemetry.measure(*self._felt(), begun, self._telemetry_rng)
         self._keep(raw, rows)
         self.stepped = self.readings
@@ -231,6 +230,9 @@ class BatchSensors:
             if self._started:
                 self.telemetry.remeasure(mask, *self._felt(), telemetry_rng)
             else:
+                if not wanted.any():
+                    # The feet's sensors were drawn before anybody listened.
+                    self.telemetry.draw(self._everyone, telemetry_rng)
                 self.telemetry.measure(*self._felt(), self._everyone, telemetry_rng)
                 self._started = True
         self.drawn = wanted
@@ -286,5 +288,5 @@ class BatchSensors:
         return truth.joint_position, inertial, truth.R_world_torso[:, 2]
 
     def _keep(self, raw: Floats, rows: Floats) -> None:
-        packet = self.telemetry.packet.copy() if self._listening else None
+        packet = self.telemetry.packet.copy() if self._started else None
         self.readings = Readings(raw, packet, rows[:, self.meaning.columns :].copy())

@@ -8,7 +8,6 @@ sees it.
 The row is what the simulator's sensors read; what it means is worked out for all robots at once.
 """
 
-from copy import deepcopy
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.feet_layout import FOOT_WIDTH, TORSO_WIDTH
-from surefoot.wrappers.raw_view import TRUE_KEYS
+from surefoot.wrappers.raw_view import TRUE_KEYS, own_copy
 from surefoot.wrappers.source import find_source, with_source
 from surefoot.wrappers.telemetry import MEASURED
 
@@ -120,7 +119,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     def _observe(self, observation: Any) -> dict[str, Any]:
         parts = {"state": observation} if self._flat else observation
-        seen = {key: _own(parts[key]) for key in self._kept}
+        seen = {key: own_copy(parts[key]) for key in self._kept}
         meaning, source = self.row_meaning, self._source
         truth, columns = source.truth, meaning.columns
         row = np.empty(meaning.size)
@@ -167,11 +166,6 @@ def _check_order(env: gym.Env[Any, Any], source: Any) -> None:
             f"Dict with a 'state' of shape {own.shape}, but found {found}; wrap in this order, and whatever "
             f"changes observations around the vector environment: TruthRow(env). Got {env}."
         )
-
-
-def _own(part: Any) -> Any:
-    """Copy a part of an observation: an environment may hand out its own."""
-    return part.copy() if isinstance(part, np.ndarray) else deepcopy(part)
 
 
 def _meaning(source: Any) -> RowMeaning:
