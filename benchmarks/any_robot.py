@@ -9,6 +9,7 @@ the centre of pressure of both feet together against the contacts of the simulat
 
 import argparse
 from dataclasses import replace
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -20,9 +21,9 @@ from surefoot.sensors import HX711_LOAD_CELLS, sized
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 
-def placed(force: NDArray[np.float64], cells: NDArray[np.float64], truth: object) -> NDArray[np.float64]:
+def placed(force: NDArray[np.float64], cells: NDArray[np.float64], truth: Any) -> NDArray[np.float64]:
     """Find the centre of pressure in the world that forces of cells stand for, under the true soles."""
-    soles, R = truth.position_sole[-1], truth.R_world_sole[-1]  # type: ignore[attr-defined]
+    soles, R = truth.position_sole[-1], truth.R_world_sole[-1]
     places = soles[:, None] + np.einsum("fij,fkj->fki", R, cells)
     loads = force.reshape(places.shape[:2])
     return np.asarray((loads[..., None] * places)[..., :2].sum(axis=(0, 1)) / loads.sum())
@@ -31,8 +32,8 @@ def placed(force: NDArray[np.float64], cells: NDArray[np.float64], truth: object
 def run(robot: str, seed: int, method: str, duration: float, settle: float) -> tuple[float, float, float]:
     """Exercise once: RMS errors of the centre of pressure, raw and calibrated, in m, and of the force."""
     env = gym.make("surefoot/Exercise-v0", robot=robot, duration=duration)
-    body: object = env.unwrapped
-    weight = float(body.model.body_subtreemass[0]) * GRAVITY  # type: ignore[attr-defined]
+    body: Any = env.unwrapped
+    weight = float(body.model.body_subtreemass[0]) * GRAVITY
     cells = replace(sized(HX711_LOAD_CELLS, weight), initial_zero_std=0.03 * weight)
     sensed = FootSensors(env, cells)
     calibrated = SelfCalibration(sensed, method)

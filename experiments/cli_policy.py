@@ -34,9 +34,10 @@ def train(
     try:
         if export is not None:
             from surefoot.experiments.policy_export import export_zip
+            from surefoot.experiments.policy_train import POLICY
 
-            export_zip(export, out / "policy.npz", trusted=trusted)
-            typer.echo(f"Policy: {out / 'policy.npz'}")
+            export_zip(export, out / POLICY, trusted=trusted)
+            typer.echo(f"Policy: {out / POLICY}")
             return
         given: dict[str, Any] = {} if steps is None else {"steps": steps}
         options = TrainOptions(sensors=sensors, seed=seed, **given)
@@ -55,7 +56,7 @@ def _train(out: Path, options: Any, restart: bool) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from surefoot.experiments.policy_card import write_card
-    from surefoot.experiments.policy_train import Trainer, forget
+    from surefoot.experiments.policy_train import POLICY, Trainer, forget
 
     if restart:
         forget(out)
@@ -87,7 +88,7 @@ def _train(out: Path, options: Any, restart: bool) -> None:
         fail(f"stopped; the same command goes on from the last checkpoint in '{out}'.")
     finally:
         trainer.close()
-    typer.echo(f"Policy: {out / 'policy.npz'}\nCard: {write_card(out)}")
+    typer.echo(f"Policy: {out / POLICY}\nCard: {write_card(out)}")
 
 
 def evaluate(
@@ -123,6 +124,7 @@ def evaluate(
     from surefoot.experiments.policy_evaluate import COP_INPUTS, count_episodes, run_episodes
     from surefoot.experiments.policy_scores import episodes_frame, score_table
     from surefoot.experiments.policy_shipped import shipped_policy
+    from surefoot.experiments.policy_train import POLICY
 
     inputs = COP_INPUTS if uses_cop else COP_INPUTS[:1]
     feeds, severities = feed or list(FEEDS), severity or [1.0]
@@ -140,7 +142,7 @@ def evaluate(
                 frame.to_parquet(part, index=False)
             with atomic_path(out / EVALUATION) as part:
                 table.to_frame().to_csv(part, index=False)
-            if (out / "policy.npz").exists():
+            if (out / POLICY).exists():
                 typer.echo(f"Card: {write_card(out)}")
     except (ValueError, FileNotFoundError) as error:
         fail(str(error))

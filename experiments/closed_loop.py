@@ -16,7 +16,7 @@ from surefoot.controllers import Stabiliser
 from surefoot.experiments.walkers import STAND_TIME, make_walker
 from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
 
-__all__ = ["LoopRun", "Moment", "cells_of", "run_loop", "walk_moments"]
+__all__ = ["LoopRun", "Moment", "cells_of", "rms", "run_loop", "walk_moments"]
 
 
 class Moment(NamedTuple):
@@ -160,10 +160,11 @@ def run_loop(feed: str, *, speed: float, seed: int, duration: float, severity: f
         error.append(moment.cop_error)
         tracking.append(moment.tracking)
         time, fell = moment.time, moment.fell
-    return LoopRun(severity, speed, seed, feed, fell, time, _rms(error), _rms(tracking))
+    return LoopRun(severity, speed, seed, feed, fell, time, rms(error), rms(tracking))
 
 
-def _rms(values: list[float]) -> float:
+def rms(values: list[float]) -> float:
+    """Root mean square of the finite values; NaN if there is none."""
     array = np.array(values)
     array = array[np.isfinite(array)]
     return float(np.sqrt(np.mean(array**2))) if len(array) else float("nan")

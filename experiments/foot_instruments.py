@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
@@ -116,11 +117,7 @@ class FootInstruments:
                 blocks.append(np.zeros((part.channels, part.channels)))
                 preload.append(np.zeros(part.channels))
         order = self._all.order
-        talk = np.zeros((self._all.channels, self._all.channels))
-        end = 0
-        for block in blocks:
-            talk[end : end + len(block), end : end + len(block)] = block
-            end += len(block)
+        talk = block_diag(*blocks)
         self.about = {
             "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
             "truth_preload": self._all.joined(preload).tolist(),

@@ -19,7 +19,19 @@ from surefoot.experiments.walkers import TruthTap
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-__all__ = ["FEEDS", "PARTS", "PolicyView", "TrueCop", "input_matrix", "input_names", "make_feed"]
+__all__ = [
+    "EXPECTED_LOADS",
+    "FEEDS",
+    "PARTS",
+    "PolicyView",
+    "TrueCop",
+    "input_matrix",
+    "input_names",
+    "make_feed",
+]
+
+EXPECTED_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.08, "com_change": 0.015})
+"""Options that tell a calibration what loads the robot is to expect, never which one it gets."""
 
 FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
     {
@@ -28,8 +40,7 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
         "bench": {"method": "none", "initial": "bench"},
         "quasi-static": {"method": "quasi-static"},
         "window": {"method": "window"},
-        # The robot is told what loads it is to expect, never which one it gets.
-        "surefoot": {"method": "surefoot", "mass_change": 0.08, "com_change": 0.015},
+        "surefoot": {"method": "surefoot", **EXPECTED_LOADS},
     }
 )
 """What a policy may be given for the centre of pressure, and the options of :class:`SelfCalibration`."""

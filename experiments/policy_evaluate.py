@@ -6,7 +6,7 @@ back. What is scored begins after the quiet stand, in which nobody acts.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.experiments.policy_env import make_feed
 from surefoot.experiments.policy_options import TRAINING_SEEDS
 
-__all__ = ["COP_INPUTS", "Controller", "EpisodeResult", "count_episodes", "run_episode", "run_episodes"]
+__all__ = ["COP_INPUTS", "EpisodeResult", "count_episodes", "run_episode", "run_episodes"]
 
 COP_INPUTS = ("felt", "frozen", "swapped", "shuffled")
 """What is done to the centre of pressure that a controller is given: nothing; held at what it was at the end
@@ -22,16 +22,6 @@ of the quiet stand; another episode's at the same time; that of another episode 
 
 DONOR = 500_000
 """What is added to an episode's seed to get that of the episode whose centre of pressure it is given."""
-
-
-class Controller(Protocol):
-    """Turns observations into actions, and can forget an episode."""
-
-    def reset(self) -> None:
-        """Forget the last episode."""
-
-    def __call__(self, observation: Mapping[str, Any], /) -> NDArray[np.float32]:
-        """Answer an observation by an action, shape (11,)."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +52,7 @@ class EpisodeResult:
 
 
 def run_episode(
-    policy: Controller | Callable[[Mapping[str, Any]], NDArray[np.float32]],
+    policy: Callable[[Mapping[str, Any]], NDArray[np.float32]],
     feed: str,
     seed: int,
     severity: float = 1.0,

@@ -7,7 +7,7 @@ pressure, a coloured one that which the controller is given.
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from ctypes.util import find_library
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,17 @@ from surefoot.experiments._files import atomic_path
 from surefoot.experiments.closed_loop import Moment, walk_moments
 from surefoot.experiments.style import look_of
 
-__all__ = ["Film", "Reel", "film_walk", "join_reels", "prepare_rendering", "shoot", "watch_walk"]
+__all__ = [
+    "Film",
+    "Reel",
+    "film_walk",
+    "join_reels",
+    "mark_cop",
+    "prepare_rendering",
+    "shoot",
+    "watch_walk",
+    "write_film",
+]
 
 FRAMES_PER_SECOND = 16
 WIDTH, HEIGHT, BELOW = 480, 352, 176
@@ -121,7 +131,7 @@ def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
     frames = np.concatenate([_extended(reel.frames, count) for reel in (left, right)], axis=2)
     falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
     shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else count // 2
-    path = _write(folder / "walk.mp4", frames)
+    path = write_film(folder / "walk.mp4", frames)
     still = folder / "walk.png"
     with atomic_path(still) as part:
         Image.fromarray(frames[min(shown, count - 1)]).save(part)
@@ -142,7 +152,7 @@ def film_walk(
             f"nothing can be drawn here ({reel.problem}); install an OpenGL driver such as libegl1 and "
             "libgl1-mesa-dri, or set MUJOCO_GL."
         )
-    return _write(path, reel.frames)
+    return write_film(path, reel.frames)
 
 
 def watch_walk(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> None:
@@ -153,28 +163,34 @@ def watch_walk(feed: str, *, speed: float, seed: int, duration: float, severity:
     """
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
-    colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
     options: dict[str, Any] = {"render_mode": "human", "severity": severity}
     for moment in walk_moments(feed, speed=speed, seed=seed, duration=duration, **options):
-        dots = ((moment.true_cop_world, np.zeros(3), 0.008), (moment.fed_cop_world, colour, 0.010))
-        moment.bare.markers = [
-            ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
-        ]
+        mark_cop(feed, moment)
 
 
-def _has_screen() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+def mark_cop(feed: str, moment: Moment) -> None:
+    """Put dots on the ground: the true centre of pressure (black) and the fed one, in its feed's colour."""
+    colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
+    dots = ((moment.true_cop_world, np.zeros(3), 0.008), (moment.fed_cop_world, colour, 0.010))
+    moment.bare.markers = [
+        ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
+    ]
 
 
-def _write(path: Path, frames: NDArray[np.uint8]) -> Path:
+def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], quality: int = 7) -> Path:
+    """Write pictures of shape (height, width, 3) to an .mp4, atomically; quality from 0 to 10."""
     with atomic_path(path) as part:
-        writer = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=7)
+        writer: Any = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=quality)
         try:
             for frame in frames:
                 writer.append_data(frame)
         finally:
             writer.close()
     return path
+
+
+def _has_screen() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _extended(frames: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:

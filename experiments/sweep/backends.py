@@ -240,7 +240,7 @@ class _Failure:
 def _reached(name: str, address: str | None) -> Iterator[None]:
     try:
         yield
-    except (OSError, ConnectionError, TimeoutError) as error:
+    except OSError as error:
         raise ValueError(f"No {name} cluster is reached at {address}: {error}.") from error
 
 

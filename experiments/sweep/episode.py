@@ -18,7 +18,7 @@ import surefoot
 from surefoot.controllers import zero_action
 from surefoot.envs.nao import CONTROL_STEP
 from surefoot.experiments.arena_walks import source_hash
-from surefoot.experiments.closed_loop import Moment
+from surefoot.experiments.closed_loop import Moment, rms
 from surefoot.experiments.sweep.controllers import Controller, controller_hash, load_controller
 from surefoot.experiments.walkers import TruthTap
 from surefoot.sensors import LoadCells, resolve, scaled
@@ -226,8 +226,8 @@ def _outcome(cell: Cell) -> dict[str, Any]:
         "steps": steps,
         "time": now,
         "fell": bool(fell),
-        "cop_error": _rms(errors),
-        "cop_tracking": _rms(tracking),
+        "cop_error": rms(errors),
+        "cop_tracking": rms(tracking),
         "digest": digest.hexdigest()[:32],
     }
 
@@ -246,9 +246,3 @@ def _row(cell: Cell, outcome: Mapping[str, Any], error: str, wall_time: float) -
         **versions(),
         "spec": cell.to_json(),
     }
-
-
-def _rms(values: list[float]) -> float:
-    array = np.array(values)
-    array = array[np.isfinite(array)]
-    return float(np.sqrt(np.mean(array**2))) if len(array) else float("nan")

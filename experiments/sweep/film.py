@@ -1,18 +1,15 @@
 """Single episodes on film."""
 
 from pathlib import Path
-from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
-from surefoot.experiments._files import atomic_path
 from surefoot.experiments.style import look_of
 from surefoot.experiments.sweep.controllers import short_name
 from surefoot.experiments.sweep.episode import Cell, Step, cell_steps
-from surefoot.experiments.video import FRAMES_PER_SECOND, prepare_rendering
+from surefoot.experiments.video import FRAMES_PER_SECOND, mark_cop, prepare_rendering, write_film
 
 __all__ = ["film_cell"]
 
@@ -51,23 +48,12 @@ def film_cell(path: Path, cell: Cell, *, until: float | None = None) -> Path:
             f"nothing can be drawn here ({type(error).__name__}: {error}); install an OpenGL driver such as "
             "libegl1 and libgl1-mesa-dri, or set MUJOCO_GL."
         ) from error
-    with atomic_path(path) as part:
-        writer: Any = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=6)
-        try:
-            for frame in frames:
-                writer.append_data(frame)
-        finally:
-            writer.close()
-    return path
+    return write_film(path, frames, quality=6)
 
 
 def _frame(cell: Cell, step: Step) -> NDArray[np.uint8]:
     moment = step.moment
-    colour = np.array(ImageColor.getrgb(look_of(cell.feed).colour)) / 255.0
-    dots = ((moment.true_cop_world, np.zeros(3), 0.008), (moment.fed_cop_world, colour, 0.010))
-    moment.bare.markers = [
-        ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
-    ]
+    mark_cop(cell.feed, moment)
     picture = Image.fromarray(moment.bare.render())
     draw = ImageDraw.Draw(picture)
     draw.rectangle((0, 0, WIDTH, 24), fill="white")

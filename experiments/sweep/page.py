@@ -110,7 +110,7 @@ class SweepPage:
         standing = figures.survival_curves(self._path(f"survival_{name}"), part)
         return Section(
             name,
-            self.titles[name][:1].upper() + self.titles[name][1:],
+            self.outcomes[name].title,
             tables=(self.outcomes[name],),
             figures=(
                 ReportFigure(severity, "Return and falls", _CAPTIONS["severity"]),

@@ -166,7 +166,7 @@ def plan_from_toml(path: Path, **changes: Any) -> SweepPlan:
                 options[name] = float(options[name])
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}; axes are lists, 'seeds' a list or how many.") from error
-    return replace(SweepPlan(), **{**options, **changes, "own": own})
+    return SweepPlan(**{**options, **changes, "own": own})
 
 
 def _own_scenario(path: Path, name: str, table: Any) -> SweepScenario:

@@ -111,8 +111,9 @@ def _try_out(cells: list[Cell]) -> None:
     hardest = sorted(cells, key=lambda cell: cell.severity)
     # The last of a kind stays: of each scenario and of each controller the cell with the worst feet.
     kinds = {(name, getattr(cell, name)): cell for cell in hardest for name in ("scenario", "controller")}
-    for number in sorted({cell.number for cell in kinds.values()}):
-        check_cell(next(cell for cell in hardest if cell.number == number))
+    tried = {cell.number: cell for cell in kinds.values()}
+    for number in sorted(tried):
+        check_cell(tried[number])
 
 
 def rows_of(crew: Workers, job: Job, cells: list[Cell]) -> Iterator[dict[str, Any]]:

@@ -13,6 +13,7 @@ from gymnasium.envs.registration import registry
 
 from surefoot.experiments import arena_scenarios
 from surefoot.experiments.arena_walks import INSTANT, Walk
+from surefoot.experiments.policy_env import EXPECTED_LOADS
 from surefoot.experiments.walkers import FEEDS, STAND_TIME
 
 __all__ = ["SCENARIOS", "SWEEP_FEEDS", "SweepScenario", "scenario_named"]
@@ -120,8 +121,7 @@ def _table() -> dict[str, SweepScenario]:
             "balance",
             "balance under a payload and pushes",
             _BALANCE,
-            # The robot is told what loads it is to expect, never which one it gets.
-            methods={"surefoot": {"mass_change": 0.08, "com_change": 0.015}},
+            methods={"surefoot": dict(EXPECTED_LOADS)},
         ),
     )
     return {scenario.name: scenario for scenario in (*walked, *own)}

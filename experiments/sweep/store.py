@@ -93,7 +93,7 @@ class SweepStore:
 
     def frame(self) -> Frame:
         """All rows as a data frame, by cell."""
-        return pd.DataFrame([self.rows[number] for number in sorted(self.rows)])
+        return _by_cell(self.rows)
 
     def _path(self, name: str) -> Path:
         return self.folder / name
@@ -158,8 +158,12 @@ def read_results(path: Path) -> Frame:
         rows = _read_rows(path)
         if not rows:
             raise SweepError(f"'{path}' holds no results of a sweep.")
-        return pd.DataFrame([rows[number] for number in sorted(rows)])
+        return _by_cell(rows)
     return _read_table(path)
+
+
+def _by_cell(rows: Mapping[int, dict[str, Any]]) -> Frame:
+    return pd.DataFrame([rows[number] for number in sorted(rows)])
 
 
 def _read_rows(folder: Path) -> dict[int, dict[str, Any]]:
