@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import surefoot
-from surefoot.experiments import cli_bench, cli_calibrate, cli_policy, cli_sweep
+from surefoot.experiments import cli_bench, cli_calibrate, cli_evaluate, cli_sweep, cli_train
 from surefoot.experiments._cli import console, fail
 
 __all__ = ["app"]
@@ -20,8 +20,8 @@ app = typer.Typer(
 )
 app.add_typer(cli_calibrate.app, name="calibrate")
 app.add_typer(cli_bench.app, name="bench")
-app.command()(cli_policy.train)
-app.command()(cli_policy.evaluate)
+app.command()(cli_train.train)
+app.command()(cli_evaluate.evaluate)
 app.command()(cli_sweep.sweep)
 app.command()(cli_sweep.replay)
 

@@ -13,7 +13,7 @@ from gymnasium.envs.registration import registry
 
 from surefoot.experiments import arena_scenarios
 from surefoot.experiments.arena_walks import INSTANT, Walk
-from surefoot.experiments.policy_env import EXPECTED_LOADS
+from surefoot.experiments.policy.env import EXPECTED_LOADS
 from surefoot.experiments.walkers import FEEDS, STAND_TIME
 
 __all__ = ["SCENARIOS", "SWEEP_FEEDS", "SweepScenario", "scenario_named"]

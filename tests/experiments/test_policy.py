@@ -12,20 +12,20 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.controllers import PolicyFileError, PolicyNetwork, zero_action
-from surefoot.experiments.policy_card import write_card
-from surefoot.experiments.policy_env import FEEDS, PARTS, PolicyView, input_names, make_feed
-from surefoot.experiments.policy_evaluate import COP_INPUTS, EpisodeResult, run_episode, run_episodes
-from surefoot.experiments.policy_export import export_zip, network_of
-from surefoot.experiments.policy_options import TRAINING_SEEDS, TrainOptions
-from surefoot.experiments.policy_scores import (
+from surefoot.experiments.policy.card import write_card
+from surefoot.experiments.policy.env import FEEDS, PARTS, PolicyView, input_names, make_feed
+from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult, run_episode, run_episodes
+from surefoot.experiments.policy.export import export_zip, network_of
+from surefoot.experiments.policy.options import TRAINING_SEEDS, TrainOptions
+from surefoot.experiments.policy.scores import (
     episodes_frame,
     loss_won_back,
     paired_difference,
     score_table,
     survival,
 )
-from surefoot.experiments.policy_shipped import SHIPPED, shipped_policy
-from surefoot.experiments.policy_train import Trainer, TrainingError, forget
+from surefoot.experiments.policy.shipped import SHIPPED, shipped_policy
+from surefoot.experiments.policy.train import Trainer, TrainingError, forget
 
 pytest.importorskip("stable_baselines3")
 pytestmark = pytest.mark.filterwarnings("ignore:.*unconventional shape")
@@ -318,11 +318,11 @@ def test_what_is_shipped_fits_the_task():
 def test_the_commands(trained, tmp_path):
     import typer
 
-    from surefoot.experiments import cli_policy
+    from surefoot.experiments import cli_evaluate, cli_train
 
     app = typer.Typer()
-    app.command()(cli_policy.train)
-    app.command()(cli_policy.evaluate)
+    app.command()(cli_train.train)
+    app.command()(cli_evaluate.evaluate)
     call = CliRunner().invoke
     answer = call(app, ["train", "--out", str(trained[0]), "--seed", "1"])
     assert answer.exit_code == 2

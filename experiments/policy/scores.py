@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from surefoot.experiments.policy_env import FEEDS
-from surefoot.experiments.policy_evaluate import COP_INPUTS, EpisodeResult
+from surefoot.experiments.policy.env import FEEDS
+from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult
 from surefoot.experiments.score import Interval, mean_interval
 from surefoot.experiments.tables import Table, with_interval
 

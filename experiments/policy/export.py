@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
-from surefoot.experiments.policy_env import PARTS, PolicyView, make_feed
+from surefoot.experiments.policy.env import PARTS, PolicyView, make_feed
 
 __all__ = ["export_policy", "export_zip", "network_of"]
 

@@ -7,7 +7,7 @@ from surefoot.controllers.policy import PolicyNetwork
 __all__ = ["SHIPPED", "shipped_policy"]
 
 SHIPPED = ("true", "randomised")
-"""What they were trained on, see :data:`surefoot.experiments.policy_options.SENSORS`."""
+"""What they were trained on, see :data:`surefoot.experiments.policy.options.SENSORS`."""
 
 
 def shipped_policy(sensors: str = "true") -> PolicyNetwork:
@@ -24,6 +24,6 @@ def shipped_policy(sensors: str = "true") -> PolicyNetwork:
             f"There is no shipped policy '{sensors}'. Available: {', '.join(map(repr, SHIPPED))}."
         )
     with as_file(
-        files("surefoot.experiments").joinpath("policies", f"balance-{sensors}", "policy.npz")
+        files("surefoot.experiments.policy").joinpath("files", f"balance-{sensors}", "policy.npz")
     ) as path:
         return PolicyNetwork.load(path)

@@ -9,9 +9,9 @@ import pandas as pd
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
 from surefoot.experiments._files import atomic_path, write_text
-from surefoot.experiments.policy_env import input_names
-from surefoot.experiments.policy_options import TRAINING_SEEDS
-from surefoot.experiments.policy_train import CURVE, POLICY
+from surefoot.experiments.policy.env import input_names
+from surefoot.experiments.policy.options import TRAINING_SEEDS
+from surefoot.experiments.policy.train import CURVE, POLICY
 
 __all__ = ["draw_curve", "write_card"]
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.policy_env import make_feed
-from surefoot.experiments.policy_options import TRAINING_SEEDS
+from surefoot.experiments.policy.env import make_feed
+from surefoot.experiments.policy.options import TRAINING_SEEDS
 
 __all__ = ["COP_INPUTS", "EpisodeResult", "count_episodes", "run_episode", "run_episodes"]
 
@@ -29,7 +29,7 @@ class EpisodeResult:
     """How one episode went, from the end of the quiet stand on.
 
     Attributes:
-        feed: What was fed back, see :data:`surefoot.experiments.policy_env.FEEDS`.
+        feed: What was fed back, see :data:`surefoot.experiments.policy.env.FEEDS`.
         cop_input: What was done to it, one of :data:`COP_INPUTS`.
         severity: Factor of the sensors' errors.
         seed: Of the episode and of its sensors.
@@ -66,9 +66,9 @@ def run_episode(
         policy: A :class:`~surefoot.controllers.PolicyNetwork`, a stabiliser, or any function of observations;
             if it has a ``reset``, it is called when the quiet stand is over, so that what a controller
             integrates begins there.
-        feed: What is fed back, see :data:`surefoot.experiments.policy_env.FEEDS`.
+        feed: What is fed back, see :data:`surefoot.experiments.policy.env.FEEDS`.
         seed: Of the episode and its sensors, below
-            :data:`~surefoot.experiments.policy_options.TRAINING_SEEDS`.
+            :data:`~surefoot.experiments.policy.options.TRAINING_SEEDS`.
         severity: Factor of all errors of the feet's sensors.
         cop_input: One of :data:`COP_INPUTS`.
         **env_options: Of :class:`~surefoot.envs.nao_balance.NaoBalanceEnv`.

@@ -17,9 +17,9 @@ import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments._files import atomic_path, write_text
-from surefoot.experiments.policy_env import PolicyView, make_feed
-from surefoot.experiments.policy_export import network_of
-from surefoot.experiments.policy_options import REWARD_SCALE, TRAINING_TASK, TrainOptions
+from surefoot.experiments.policy.env import PolicyView, make_feed
+from surefoot.experiments.policy.export import network_of
+from surefoot.experiments.policy.options import REWARD_SCALE, TRAINING_TASK, TrainOptions
 
 __all__ = ["Trainer", "TrainingError", "forget"]
 
@@ -36,7 +36,7 @@ def training_env(severity: float, sensors: str) -> gym.Env[Any, Any]:
 
     Args:
         severity: Of its sensors.
-        sensors: One of :data:`~surefoot.experiments.policy_options.SENSORS`.
+        sensors: One of :data:`~surefoot.experiments.policy.options.SENSORS`.
     """
     from stable_baselines3.common.monitor import Monitor
 
