@@ -33,6 +33,9 @@ FORMAT = "surefoot-policy-1"
 LARGEST_FILE = 2**20
 """Size in bytes beyond which a file is no policy."""
 
+LARGEST_UNPACKED = 8 * LARGEST_FILE
+"""Size in bytes beyond which what a file unpacks to is no policy."""
+
 _REQUIRED = (
     "format",
     "parts",
@@ -199,7 +202,7 @@ class PolicyNetwork:
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 held = {name: archive[name] for name in archive.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        except Exception as error:  # Whatever a damaged archive raises; nothing of it is executed.
             raise PolicyFileError(f"'{path}' cannot be read as a policy file: {error}.") from error
         return cls._from(held, path, engage_after)
 
@@ -296,19 +299,26 @@ class PolicyNetwork:
 
 
 def refuse_pickles(path: Path) -> None:
-    """Refuse a Stable-Baselines3 zip by its contents, whatever it is called.
+    """Refuse what is no archive of arrays by its contents, whatever it is called.
 
     Raises:
-        PolicyFileError: If it is one; the message says what to do with it.
+        PolicyFileError: If it is no archive, a Stable-Baselines3 zip, or one that unpacks to far more than
+            a policy; the message says what to do with it.
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        return
-    if "data" in names or "policy.pth" in names:
+            sizes = {member.filename: member.file_size for member in archive.infolist()}
+    except Exception as error:  # Whatever a damaged archive raises.
+        raise PolicyFileError(
+            f"'{path}' cannot be read as a policy file, an archive of arrays (.npz): {error}."
+        ) from error
+    if "data" in sizes or "policy.pth" in sizes:
         raise PolicyFileError(
             f"'{path}' is a Stable-Baselines3 zip, which holds pickled objects: opening it runs whatever its "
             "maker put there. If you trust who made it, turn it into a file of numbers once: "
             f"surefoot train --export {path} --trusted."
+        )
+    if sum(sizes.values()) > LARGEST_UNPACKED:
+        raise PolicyFileError(
+            f"'{path}' unpacks to {sum(sizes.values())} bytes; a policy has less than {LARGEST_UNPACKED}."
         )

@@ -223,14 +223,15 @@ def _read_bare(path: Path) -> dict[str, Any]:
         raise LogError(f"{path}: no such file; motion.table gives its path from the log.")
     try:
         return _arrays(pq.read_table(path) if path.suffix == ".parquet" else csv.read_csv(path))
-    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
+    except (pa.ArrowException, OSError) as error:
         raise LogError(f"{path.name}: not a readable table ({str(error).splitlines()[0]}).") from None
 
 
 def _read_parquet(path: Path) -> tuple[dict[str, Any], Any]:
     try:
         table = pq.read_table(path)
-    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
+        columns = _arrays(table)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise LogError(f"{path.name}: not a readable Parquet file ({str(error).splitlines()[0]}).") from None
     metadata = table.schema.metadata or {}
     if METADATA_KEY not in metadata:
@@ -238,7 +239,7 @@ def _read_parquet(path: Path) -> tuple[dict[str, Any], Any]:
             f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
             "write the log with surefoot.experiments.write_log (see docs/log-format.md)."
         )
-    return _arrays(table), _parse(metadata[METADATA_KEY].decode(), path.name)
+    return columns, _parse(metadata[METADATA_KEY], path.name)
 
 
 def _read_csv(path: Path) -> tuple[dict[str, Any], Any]:
@@ -250,17 +251,17 @@ def _read_csv(path: Path) -> tuple[dict[str, Any], Any]:
         )
     try:
         table = csv.read_csv(path)
-    except (pa.ArrowInvalid, OSError) as error:
+    except (pa.ArrowException, OSError) as error:
         raise LogError(f"{path.name}: not a readable CSV file ({str(error).splitlines()[0]}).") from None
-    return _arrays(table), _parse(side.read_text(encoding="utf-8"), side.name)
+    return _arrays(table), _parse(side.read_bytes(), side.name)
 
 
 def _arrays(table: pa.Table) -> dict[str, Any]:
     return {name: table.column(name).to_numpy() for name in table.column_names}
 
 
-def _parse(text: str, name: str) -> Any:
+def _parse(text: bytes, name: str) -> Any:
     try:
         return json.loads(text)
-    except json.JSONDecodeError as error:
+    except ValueError as error:
         raise LogError(f"{name}: the description is not JSON: {error}.") from None

@@ -177,8 +177,14 @@ def _read_rows(folder: Path) -> dict[int, dict[str, Any]]:
             # Only the last line can be half written: the next is not begun before it is on the disk.
             if not line.endswith(b"\n"):
                 break
-            row = json.loads(line)
-            rows[int(row["cell"])] = row
+            try:
+                row = json.loads(line)
+                rows[int(row["cell"])] = row
+            except (ValueError, KeyError, TypeError) as error:
+                raise SweepError(
+                    f"{journal} is damaged ({error}): {line[:60]!r}. Delete this line to go on; its cell is "
+                    "run again."
+                ) from error
     return rows
 
 

@@ -218,6 +218,24 @@ def test_a_state_of_another_setup_and_files_of_another_kind_are_refused(log, tmp
             first.load(tmp_path / name)
 
 
+def test_a_damaged_file_is_refused_whatever_is_damaged(log, tmp_path):
+    calibrator = make()
+    calibrator.update(log.raw[0], rows(log)[0])
+    calibrator.save(tmp_path / "feet.npz")
+    whole = (tmp_path / "feet.npz").read_bytes()
+    rng, refused = np.random.default_rng(0), 0
+    for _ in range(200):
+        broken = bytearray(whole)
+        for place in rng.integers(len(whole), size=rng.integers(1, 20)):
+            broken[place] = rng.integers(256)
+        (tmp_path / "feet.npz").write_bytes(bytes(broken))
+        try:
+            calibrator.load(tmp_path / "feet.npz")
+        except ValueError as error:
+            refused += "feet.npz" in str(error)
+    assert refused > 150
+
+
 def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
     options = {"zero_phase": True, "mass": MASS, "initial": NOMINAL}
     raw, missing = log.raw.copy(), log.raw.copy()

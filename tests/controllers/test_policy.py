@@ -171,6 +171,35 @@ def test_it_refuses_files_of_another_kind(tmp_path):
     assert json.loads(str(good["notes"])) == {"seed": 0}
 
 
+def test_whatever_is_damaged_it_is_refused_or_read(tmp_path):
+    make().save(tmp_path / "good.npz")
+    whole = (tmp_path / "good.npz").read_bytes()
+    rng = np.random.default_rng(0)
+    outcomes = {"read": 0, "refused": 0}
+    for _ in range(300):
+        broken = bytearray(whole)
+        for place in rng.integers(len(whole), size=rng.integers(1, 20)):
+            broken[place] = rng.integers(256)
+        (tmp_path / "bad.npz").write_bytes(bytes(broken))
+        try:
+            PolicyNetwork.load(tmp_path / "bad.npz")
+            outcomes["read"] += 1
+        except PolicyFileError as error:
+            outcomes["refused"] += 1
+            assert "bad.npz" in str(error)
+    assert outcomes["refused"] > 200
+
+
+def test_a_small_file_that_unpacks_to_a_large_one_is_refused(tmp_path):
+    np.savez_compressed(tmp_path / "bomb.npz", weight_0=np.zeros(2**24))
+    assert (tmp_path / "bomb.npz").stat().st_size < 2**20
+    with pytest.raises(PolicyFileError, match=r"unpacks to 134217856 bytes; a policy has less than 8388608"):
+        PolicyNetwork.load(tmp_path / "bomb.npz")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    with pytest.raises(PolicyFileError, match=r"cannot be read as a policy file, an archive of arrays"):
+        PolicyNetwork.load(tmp_path / "array.npy")
+
+
 def test_a_stable_baselines_zip_is_not_opened_whatever_it_is_called(tmp_path):
     with zipfile.ZipFile(tmp_path / "model.npz", "w") as archive:
         archive.writestr("data", pickle.dumps(Mischief()))

@@ -267,6 +267,21 @@ def test_half_a_line_is_cut_off(tmp_path: Path) -> None:
     assert not (tmp_path / JOURNAL).read_bytes()
 
 
+def test_a_damaged_journal_is_named_and_kept(tmp_path: Path) -> None:
+    with SweepStore(tmp_path).opened(SHORT.fingerprint, {}) as store:
+        for cell in SHORT.grid[:3]:
+            store.add(made(cell))
+        lines = (tmp_path / JOURNAL).read_bytes().splitlines(keepends=True)
+    (tmp_path / RESULTS).unlink()
+    damaged = lines[0] + lines[1][:30] + b"\n" + lines[2]
+    (tmp_path / JOURNAL).write_bytes(damaged)
+    with pytest.raises(SweepError, match=r"is damaged .* Delete this line to go on; its cell is run again"):
+        run_sweep(SHORT, tmp_path, backend="here", job=made)
+    assert (tmp_path / JOURNAL).read_bytes() == damaged
+    (tmp_path / JOURNAL).write_bytes(lines[0] + lines[2])
+    assert run_sweep(SHORT, tmp_path, backend="here", job=made).computed == 4
+
+
 def test_a_full_disk_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real, lines = store_module._write_all, iter(range(100))
 
