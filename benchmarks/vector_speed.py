@@ -18,7 +18,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from wrapper_speed import shares
+from stepping import shares
 
 import surefoot  # noqa: F401
 from surefoot.envs import InstrumentedEnv

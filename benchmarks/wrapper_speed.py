@@ -8,15 +8,12 @@ them; the medians over rounds are compared. Time is that of the process, and of 
 """
 
 import argparse
-import cProfile
-import pstats
-import time
-from collections.abc import Callable
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from stepping import interleaved, shares, step
 
 import surefoot  # noqa: F401
 from surefoot.envs import InstrumentedEnv
@@ -43,30 +40,6 @@ def stacks(name: str, speed: float, config: str, methods: list[str]) -> dict[str
     return found
 
 
-def step(env: gym.Env[Any, Any], steps: int) -> float:
-    """Step on and tell the time of one step in s."""
-    action = np.zeros(env.action_space.shape or (), dtype=np.float32)
-    begin = time.process_time()
-    for _ in range(steps):
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            env.reset()
-    return (time.process_time() - begin) / steps
-
-
-def shares(run: Callable[[], Any], deepest: int = 18) -> None:
-    """Print where the time of a run goes."""
-    profile = cProfile.Profile()
-    profile.runcall(run)
-    statistics = pstats.Stats(profile)
-    total = sum(row[2] for row in statistics.stats.values())  # type: ignore[attr-defined]
-    rows = sorted(statistics.stats.items(), key=lambda row: -row[1][2])  # type: ignore[attr-defined]
-    for (file, line, name), (_, calls, own, cumulative, _) in rows[:deepest]:
-        where = f"{Path(file).parent.name}/{Path(file).name}:{line}" if line else ""
-        share, whole = 100 * own / total, 100 * cumulative / total
-        print(f"  {share:5.1f} % own  {whole:5.1f} % in all  {calls:7d} x  {name} {where}")
-
-
 def main() -> None:
     """Print a table of step times, and where the time goes."""
     layout = argparse.RawDescriptionHelpFormatter
@@ -84,10 +57,8 @@ def main() -> None:
     for env in envs.values():
         env.reset(seed=0)
         step(env, 200)
-    times: dict[str, list[float]] = {name: [] for name in envs}
-    for _ in range(arguments.rounds):
-        for name, env in envs.items():
-            times[name].append(step(env, arguments.steps))
+    runs = {name: partial(step, env, arguments.steps) for name, env in envs.items()}
+    times = interleaved(runs, arguments.rounds)
     median = {name: float(np.median(taken)) for name, taken in times.items()}
     print(f"{'environment':34s} {'us/step':>9s} {'of bare':>9s} {'added us':>9s}")
     for name, taken in median.items():

@@ -1,7 +1,8 @@
 """What keeps the array API cheap in a loop that runs at every sample; private.
 
 Finding an array's library and converting constants to its kind cost microseconds at every call, as much as
-the arithmetic of one sample: a loop on a robot pays for them once.
+the arithmetic of one sample: a loop on a robot pays for them once. So do some of NumPy's functions before
+they hand on to the methods that they stand for.
 """
 
 from typing import Any
@@ -24,6 +25,49 @@ def namespace_of(array: Array) -> Any:
     if _PLAIN_NUMPY and isinstance(array, np.ndarray | np.generic):
         return np
     return array_api_compat.array_namespace(array)
+
+
+def shaped(array: Array, shape: tuple[int, ...]) -> Array:
+    """Reshape an array: ``reshape`` with a short way for NumPy."""
+    if isinstance(array, np.ndarray):
+        return array.reshape(shape)
+    return array_api_compat.array_namespace(array).reshape(array, shape)
+
+
+def cast(array: Array, dtype: Any) -> Array:
+    """Copy an array in another dtype: ``astype`` with a short way for NumPy."""
+    if isinstance(array, np.ndarray | np.generic):
+        return array.astype(dtype)
+    return array_api_compat.array_namespace(array).astype(array, dtype)
+
+
+def all_along(flags: Array) -> Array:
+    """Tell whether all along the last axis are true: ``all`` with a short way for NumPy."""
+    if isinstance(flags, np.ndarray):
+        return np.logical_and.reduce(flags, axis=-1)
+    return array_api_compat.array_namespace(flags).all(flags, axis=-1)
+
+
+def any_along(flags: Array) -> Array:
+    """Tell whether any along the last axis is true: ``any`` with a short way for NumPy."""
+    if isinstance(flags, np.ndarray):
+        return np.logical_or.reduce(flags, axis=-1)
+    return array_api_compat.array_namespace(flags).any(flags, axis=-1)
+
+
+def anywhere(flags: Array) -> bool:
+    """Tell whether any of all flags is true: ``bool(any)`` with a short way for NumPy."""
+    if isinstance(flags, np.ndarray):
+        return bool(flags.any())
+    return bool(array_api_compat.array_namespace(flags).any(flags))
+
+
+def surely(flags: Array) -> bool:
+    """Tell whether all are true, where looking costs next to nothing: with NumPy; else ``False``.
+
+    What is nearly always so may take a shorter way to the same numbers then.
+    """
+    return isinstance(flags, np.ndarray | np.generic) and bool(flags.all() if flags.ndim else flags)
 
 
 class Constants:

@@ -25,7 +25,7 @@ import numpy as np
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._constants import Constants, anywhere, namespace_of
 from surefoot.calibration._load_rival import LoadRival
 from surefoot.calibration._moment_rows import Misfit
 from surefoot.calibration._setup import OnlineSetup
@@ -198,7 +198,7 @@ class Faults:
             read = (xp.abs(state.wiring) @ xp.astype(read, force.dtype)[..., None])[..., 0] > 0.5
         step = xp.abs(force - state.last)
         leaping = step > self._leap
-        if not bool(xp.any(leaping)):
+        if not anywhere(leaping):
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
         # A foot that lands moves several of its cells.
         *_, same_foot, _, _, _ = self._constants.like(force)

@@ -17,7 +17,8 @@ import numpy as np
 from array_api_compat import device as device_of
 
 from surefoot.calibration._arrays import check_floating
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._centres import LEVER_MAP, centres
+from surefoot.calibration._constants import Constants, all_along, cast, namespace_of, shaped, surely
 from surefoot.calibration._motion import LARGEST_REFERENCE, Motions
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration.estimate import Estimate, Flag
@@ -30,9 +31,7 @@ LONGEST_GAP = 5.0
 """Time between samples, in nominal ones, beyond which they no longer belong together."""
 
 
-_LEVER_MAP = np.zeros((6, 3))
-_LEVER_MAP[[2, 4, 3], [0, 1, 2]] = 1.0, -1.0, 1.0
-"""Takes a wrench to (f_z, -t_y, t_x)."""
+_MISSING, _OUT_OF_RANGE, _REFERENCE = int(Flag.MISSING), int(Flag.OUT_OF_RANGE), int(Flag.REFERENCE)
 
 
 class FrontState(NamedTuple):
@@ -115,7 +114,7 @@ class FrontEnd:
             offset,
             *self.plausible,
             setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T,
-            _LEVER_MAP,
+            LEVER_MAP,
             self.motions.resting,
         )
 
@@ -188,23 +187,28 @@ class FrontEnd:
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
 
         read = (raw >= low) & (raw <= high)
-        held = xp.where(read, raw, state.raw)
+        heard = surely(read)
+        held = raw.copy() if heard else xp.where(read, raw, state.raw)
         force, sure = scale * held + offset, read
         if repair is not None:
             force, sure = repair(force, read)
-        newest = xp.concat([force, xp.astype(sure, raw.dtype)], axis=-1)
+        newest = xp.concat([force, cast(sure, raw.dtype)], axis=-1)
         history = xp.concat([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
         past, past_read = history[..., 0, :K], history[..., 0, K:] > 0.5
 
         flat = self.motions.flatten(reference, raw)
-        sound = xp.all(xp.abs(flat) <= LARGEST_REFERENCE, axis=-1)
-        motion = xp.where(sound[..., None], flat, state.motion)
+        sound = all_along(xp.abs(flat) <= LARGEST_REFERENCE)
+        known = surely(sound)
+        motion = flat if known else xp.where(sound[..., None], flat, state.motion)
         usable = sound & False if gap else sound
-        good = usable & xp.all(past_read, axis=-1)
+        good = usable & all_along(past_read)
         clean = (state.clean + 1) * good
 
-        wrong = xp.where(raw == raw, int(Flag.OUT_OF_RANGE), int(Flag.MISSING))
-        flags = wrong * (~read) | int(Flag.REFERENCE) * (~sound)[..., None]
+        if heard and known:
+            flags = np.zeros(raw.shape, dtype=np.int64)
+        else:
+            wrong = xp.where(raw == raw, _OUT_OF_RANGE, _MISSING)
+            flags = wrong * (~read) | _REFERENCE * (~sound)[..., None]
         sample = Sample(
             force=force,
             rows=self.motions.rows(motion),
@@ -246,7 +250,7 @@ class FrontEnd:
             force,
             correction_scale * scale,
             correction_scale * offset + correction_offset,
-            status,
+            status if isinstance(status, int) else status[..., None],
             covariance,
         )
 
@@ -266,39 +270,24 @@ class FrontEnd:
             force: Its calibrated forces in N, shape (..., K).
             scale: Newtons per unit of the reading, shape (..., K).
             offset: Force that a reading of zero stands for in N, shape (..., K).
-            status: Flags that all channels share, shape (...), or of each, shape (..., K).
+            status: Flags of each channel, or of all alike, shape (..., K) or (..., 1).
             covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
         """
         xp, feet = namespace_of(force), self._feet
         _, _, _, _, wrench_map, lever_map, _ = self._constants.like(force)
-        wrench = xp.reshape(xp.matmul(force, wrench_map), (*force.shape[:-1], feet, 6))
+        wrench = shaped(xp.matmul(force, wrench_map), (*force.shape[:-1], feet, 6))
         moments = xp.matmul(sample.rows, force[..., None, :, None])[..., 0]
-        total = _sum_feet(moments, feet)
-        # One division for the centres of both soles and of all, as (Fz, n_x, n_y).
-        parts = xp.concat([xp.matmul(wrench, lever_map), total[..., None, :]], axis=-2)
-        fz = parts[..., :1]
-        loaded = fz > self._threshold
-        loaded = xp.concat(
-            [loaded[..., :-1, :], loaded[..., -1:, :] & sample.known[..., None, None]], axis=-2
-        )
-        cop = xp.where(loaded, parts[..., 1:] / xp.where(loaded, fz, 1.0), xp.nan)
-        if not isinstance(status, int) and status.ndim < force.ndim:
-            status = status[..., None]
+        cop, loaded = centres(wrench, moments, sample.known, self._threshold, lever_map)
         return Estimate(
             force=force,
             wrench=wrench,
             vgrf=moments[..., 0],
             cop=cop[..., -1, :],
             cop_foot=cop[..., :-1, :],
-            cop_valid=loaded[..., -1, 0],
-            cop_foot_valid=loaded[..., :-1, 0],
+            cop_valid=loaded[..., -1],
+            cop_foot_valid=loaded[..., :-1],
             scale=scale,
             offset=offset,
             covariance=covariance,
             flags=sample.flags | status,
         )
-
-
-def _sum_feet(values: Array, feet: int) -> Array:
-    """Sum over the feet's axis, the last but one: cheaper than ``sum`` for one or two."""
-    return values[..., 0, :] if feet == 1 else values[..., 0, :] + values[..., 1, :]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._constants import Constants, any_along, cast, namespace_of
 from surefoot.calibration._faults import TRUST, Faults, FaultState
 from surefoot.calibration._front_end import FrontEnd, FrontState, Sample
 from surefoot.calibration._kalman import KalmanStep, kalman_step
@@ -168,9 +168,9 @@ class MomentStream:
 
         front, sample = self._front_end.observe(state.front, raw, reference, dt, repair)
         pending = state.pending * 0.0 if sample.gap else state.pending
-        stand = xp.any(sample.stance, axis=-1)[..., None]
+        stand = any_along(sample.stance)[..., None]
         notes = xp.concat([sample.read, sample.swing, stand, sample.sound[..., None]], axis=-1)
-        newest = xp.concat([sample.past, sample.motion, xp.astype(notes, raw.dtype)], axis=-1)
+        newest = xp.concat([sample.past, sample.motion, cast(notes, raw.dtype)], axis=-1)
         pending = xp.concat([pending[..., 1:, :], newest[..., None, :]], axis=-2)
         state = state._replace(front=front, step=state.step + 1, pending=pending, faults=faults)
         if sample.gap and 0.0 < dt < float("inf"):
@@ -180,11 +180,9 @@ class MomentStream:
             state = state._replace(covariance=state.covariance + walk)
         if state.step % self.config.every:
             nothing = 0.0 * state.noise[..., 0]
-            estimate = self._estimate(state, sample, kinds)
-            return state, estimate._replace(nis=nothing + xp.nan, nis_rows=nothing)
+            return state, self._estimate(state, sample, kinds, nothing + xp.nan, nothing)
         state, step = self._learn(state)
-        estimate = self._estimate(state, sample, kinds | state.faults.kind)
-        return state, estimate._replace(nis=step.nis, nis_rows=step.rows)
+        return state, self._estimate(state, sample, kinds | state.faults.kind, step.nis, step.rows)
 
     def _learn(self, state: MomentState) -> tuple[MomentState, KalmanStep]:
         """Update the unknowns by the block that is full."""
@@ -379,15 +377,18 @@ class MomentStream:
         surplus = xp.mean(xp.reshape(surplus, (*noise.shape[:-1], -1, self.rows.kinds)), axis=-2)
         return xp.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
 
-    def _estimate(self, state: MomentState, sample: Sample, kinds: Array) -> Estimate:
+    def _estimate(
+        self, state: MomentState, sample: Sample, kinds: Array, nis: Array, nis_rows: Array
+    ) -> Estimate:
         """Apply the map to the newest sample, and say how sure it is."""
         unknowns = self.unknowns
         *_, unit, scale, offset, _ = self._constants.like(sample.force)
-        force = unknowns.force(state.mean, sample.force, unit)
+        a, b = unknowns.own_gains(state.mean), state.mean[..., unknowns.offset] * unit
+        force = a * sample.force + b if unknowns.diagonal else unknowns.force(state.mean, sample.force, unit)
         faults = state.faults if state.faults.altered else None
         if faults is not None:
             force = (faults.spare @ force[..., None])[..., 0]
-        a, b = unknowns.own_gains(state.mean), state.mean[..., unknowns.offset] * unit
-        estimate = self._front_end.report(sample, force, a * scale, a * offset + b, state.status)
-        estimate = estimate._replace(flags=estimate.flags | kinds)
-        return self._uncertainty.add(estimate, sample, state)
+        status = state.status[..., None] | kinds
+        estimate = self._front_end.report(sample, force, a * scale, a * offset + b, status)
+        sure = self._uncertainty.told(estimate, sample, state)
+        return estimate._replace(**sure, nis=nis, nis_rows=nis_rows)

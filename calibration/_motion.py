@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._constants import Constants, namespace_of, shaped
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY, Reference
@@ -97,14 +97,14 @@ class Motions:
             reference.angular_momentum_rate,
             reference.accelerometer,
             reference.gyroscope,
-            xp.reshape(reference.position_sole, (*batch, 3 * self._feet)),
-            xp.reshape(reference.R_level_sole, (*batch, 9 * self._feet)),
+            shaped(reference.position_sole, (*batch, 3 * self._feet)),
+            shaped(reference.R_level_sole, (*batch, 9 * self._feet)),
         )
         if any(part.dtype != like.dtype for part in parts):
             # Clipped before they are converted, as what overflows would warn; it is refused all the same.
             limit = 2 * LARGEST_REFERENCE
             parts = tuple(xp.astype(xp.clip(part, -limit, limit), like.dtype) for part in parts)
-        return xp.concat(list(parts), axis=-1)
+        return xp.concat(parts, axis=-1)
 
     def unflatten(self, motion: Array, stance: Array, swing: Array) -> Reference:
         """Say a flat motion as a reference again, with contacts of its own."""
@@ -134,7 +134,7 @@ class Motions:
         """
         xp, (_, quarter_turn) = namespace_of(motion), self._constants.like(motion)
         threshold, mass, weight, feet = self._threshold, self._mass, self._weight, self._feet
-        soles = xp.reshape(motion[..., 15 : self._soles], (*motion.shape[:-1], feet, 3))
+        soles = shaped(motion[..., 15 : self._soles], (*motion.shape[:-1], feet, 3))
         com_xy = motion[..., :2]
         if self._quasi_static:
             vgrf, cop = 0.0 * motion[..., 2] + weight, com_xy
@@ -160,13 +160,13 @@ class Motions:
         """
         xp, (row_map, _) = namespace_of(motion), self._constants.like(motion)
         batch, feet = tuple(motion.shape[:-1]), self._feet
-        position = xp.reshape(motion[..., 15 : self._soles], (*batch, feet, 3))
-        rotation = xp.reshape(motion[..., self._soles :], (*batch, feet, 9))
+        position = shaped(motion[..., 15 : self._soles], (*batch, feet, 3))
+        rotation = shaped(motion[..., self._soles :], (*batch, feet, 9))
         up = rotation[..., 6:9]
-        lever = xp.reshape(position[..., :2, None] * up[..., None, :], (*batch, feet, 6))
+        lever = shaped(position[..., :2, None] * up[..., None, :], (*batch, feet, 6))
         features = xp.concat([up, lever, rotation[..., :6]], axis=-1)
-        rows = xp.matmul(xp.reshape(features, (*batch, 15 * feet)), row_map)
-        return xp.reshape(rows, (*batch, feet, 3, self._channels))
+        rows = xp.matmul(shaped(features, (*batch, 15 * feet)), row_map)
+        return shaped(rows, (*batch, feet, 3, self._channels))
 
 
 def _row_map(layout: FeetLayout) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._constants import Constants, namespace_of, surely
 from surefoot.calibration._front_end import Sample
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration._unknowns import Unknowns
@@ -61,8 +61,8 @@ class Uncertainty:
         own = xp.linalg.diagonal(learnt)
         return xp.stack([own[..., :K], 2.0 * xp.linalg.diagonal(learnt[..., :K, K:]), own[..., K:]], axis=-2)
 
-    def add(self, estimate: Estimate, sample: Sample, state: Any) -> Estimate:
-        """Say of an estimate how sure it is.
+    def told(self, estimate: Estimate, sample: Sample, state: Any) -> dict[str, Array]:
+        """Say of an estimate how sure it is, by the names of its fields.
 
         Args:
             estimate: The estimate.
@@ -88,13 +88,15 @@ class Uncertainty:
                 covariance = state.covariance[..., :known, :known]
             variance = variances(to_force, covariance) + state.faults.spare_std**2
             row = rows @ to_force
-        turned = to_cop(row, estimate.cop, xp.where(estimate.cop_valid, load, 1.0))
-        return estimate._replace(
-            covariance=state.learnt,
-            force_std=xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
-            cop_covariance=turned @ covariance @ turned.mT,
-            matrix=None if unknowns.diagonal else self._matrix(state.mean),
-        )
+        if not surely(estimate.cop_valid):
+            load = xp.where(estimate.cop_valid, load, 1.0)
+        turned = to_cop(row, estimate.cop, load)
+        return {
+            "covariance": state.learnt,
+            "force_std": xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
+            "cop_covariance": turned @ covariance @ turned.mT,
+            "matrix": None if unknowns.diagonal else self._matrix(state.mean),
+        }
 
     def to_force(self, force: Array, *, plain: bool = False) -> Array:
         """Write forces by what they are known by.

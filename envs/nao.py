@@ -215,7 +215,8 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._pushes = Pushes(self.model, push_impulse, push_interval, CONTROL_STEP)
         self._motor_of_joint = motor_of_joint(self.model)
         self._low, self._high = self.model.actuator_ctrlrange.T.copy()
-        self._largest_move = self.model.actuator_user[:, 0] * CONTROL_STEP
+        self._fastest = self.model.actuator_user[:, 0] * CONTROL_STEP
+        self._fastest_back = -self._fastest
         self._fraction = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
         self._leg = slice(0, len(LEG_MOTORS))
         self._torso = self.model.body("torso").id
@@ -322,7 +323,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         target = self.command.joint_target.astype(np.float64)
         target[self._leg] += self._action_scale * residual
         target = np.minimum(np.maximum(target, self._low), self._high)
-        move = np.minimum(np.maximum(target - self._target, -self._largest_move), self._largest_move)
+        move = np.minimum(np.maximum(target - self._target, self._fastest_back), self._fastest)
 
         model, data, mj_step = self.model, self.data, mujoco.mj_step
         sensordata, ctrl = data.sensordata, data.ctrl

@@ -1,7 +1,7 @@
 """The robot balances with a load that it does not know: only its feet tell where it stands."""
 
 from collections.abc import Sequence
-from math import atan2, cos, exp, hypot, sin
+from math import atan2, exp, hypot
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,13 @@ from surefoot.envs.command import Command
 from surefoot.envs.nao import CONTROL_STEP
 from surefoot.envs.nao_observation import Observation
 from surefoot.envs.nao_stand import NaoStandEnv
-from surefoot.envs.options import checked_range, positive
+from surefoot.envs.observation import turned
+from surefoot.envs.surprise import Surprise, refuse_planned_payload
 
 COP_SCALE = 0.015
 """Error of the centre of pressure in m at which its reward is down to 1/e."""
 
-PAYLOAD_LOW = (-0.08, -0.12, 0.0)
-PAYLOAD_HIGH = (0.10, 0.12, 0.10)
+PAYLOAD_BOX = ((-0.08, -0.12, 0.0), (0.10, 0.12, 0.10))
 """Corners of the box in the torso's frame within which a payload's centre of mass lies, in m."""
 
 LARGEST_SWAY = 0.04
@@ -82,51 +82,44 @@ class NaoBalanceEnv(NaoStandEnv):
         push_interval: float = 4.0,
         **options: Any,
     ) -> None:
-        if "payload" in options:
-            raise TypeError(
-                "NaoBalanceEnv draws its payload: give 'payload_mass' and 'payload_time' in place of "
-                "'payload'."
-            )
+        refuse_planned_payload("NaoBalanceEnv", options)
         bounds = tuple(float(part) for part in sway)
         if len(bounds) != 2 or not all(0.0 <= part <= LARGEST_SWAY for part in bounds):
             raise ValueError(
                 f"'sway' must be bounds (forward, left) between 0 and {LARGEST_SWAY} m, which keep the robot "
                 f"over its feet; got {list(sway)}."
             )
-        self._payload_mass = checked_range("payload_mass", payload_mass)
-        self._payload_time = checked_range("payload_time", payload_time)
-        self.stand_time = positive("stand_time", stand_time, or_zero=True)
-        self._stand_ticks = round(self.stand_time / CONTROL_STEP)
+        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX)
+        self.stand_time = self._surprise.stand_time
         self._bounds = (bounds[0], bounds[1])
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
         self._pushes.quiet_time = self.stand_time
+        self._gravity = -float(self.model.opt.gravity[2])
 
     def _start(self, options: dict[str, Any]) -> None:
-        rng = self.np_random
-        self._random_sway = RandomSway(self._bounds, self.stand_time, rng)
-        mass = rng.uniform(*self._payload_mass)
-        time = self.stand_time + rng.uniform(*self._payload_time)
-        self._payload.plan(mass, time, rng.uniform(PAYLOAD_LOW, PAYLOAD_HIGH).tolist())
+        self._random_sway = RandomSway(self._bounds, self.stand_time, self.np_random)
+        self._surprise.draw(self._payload, self.np_random)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Balance on for 1/80 s; see :meth:`NaoEnv.step`."""
-        if self._tick is not None and self._tick < self._stand_ticks:
+        if self._tick is not None and self._tick < self._surprise.stand_ticks:
             action = np.zeros_like(self._checked(action), dtype=np.float32)
         return super().step(action)
 
     def _command(self, tick: int) -> Command:
-        if tick <= self._stand_ticks:
+        if tick <= self._surprise.stand_ticks:
             return self._still
-        where, speed, curve = self._random_sway.at(tick * CONTROL_STEP)
-        forward, left = (where / self._follow).tolist()
-        com = self._com + np.array([*where, 0.0])
-        height = com[2] / -float(self.model.opt.gravity[2])
+        (forward, left), speed, (bend_x, bend_y) = self._random_sway.at(tick * CONTROL_STEP)
+        follow_x, follow_y = self._follow
+        x, y, z = self._com.tolist()
+        x, y = x + forward, y + left
+        height = z / self._gravity
         return self._still._replace(
-            joint_target=self._swayed(forward, left),
-            com=com,
-            com_velocity=np.array([*speed, 0.0]),
-            com_acceleration=np.array([*curve, 0.0]),
-            cop=com[:2] - height * curve,
+            joint_target=self._swayed(forward / follow_x, left / follow_y),
+            com=np.array((x, y, z)),
+            com_velocity=np.array((*speed, 0.0)),
+            com_acceleration=np.array((bend_x, bend_y, 0.0)),
+            cop=np.array((x - height * bend_x, y - height * bend_y)),
         )
 
     def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
@@ -139,9 +132,12 @@ class NaoBalanceEnv(NaoStandEnv):
 
     def _cop_error(self, cop_world: NDArray[np.float64]) -> float:
         """Distance between a centre of pressure and the commanded one, both as the soles see them, in m."""
-        sole, axes = self.truth.position_sole[-1, :, :2].mean(axis=0), self.truth.R_world_sole[-1, :, :2, 0]
-        heading = atan2(axes[0, 1] + axes[1, 1], axes[0, 0] + axes[1, 0])
-        x, y = (cop_world - sole).tolist()
-        c, s = cos(heading), sin(heading)
-        planned_x, planned_y = (self.command.cop - self.command.position_sole[:, :2].mean(axis=0)).tolist()
-        return hypot(c * x + s * y - planned_x, c * y - s * x - planned_y)
+        (x, y), (planned_x, planned_y) = cop_world.tolist(), self.command.cop.tolist()
+        left, right = self.truth.position_sole[-1].tolist()
+        planned_left, planned_right = self.command.position_sole.tolist()
+        (ahead_x, ahead_y), (also_x, also_y) = self.truth.R_world_sole[-1, :, :2, 0].tolist()
+        x, y = x - 0.5 * (left[0] + right[0]), y - 0.5 * (left[1] + right[1])
+        planned_x -= 0.5 * (planned_left[0] + planned_right[0])
+        planned_y -= 0.5 * (planned_left[1] + planned_right[1])
+        x, y = turned(x, y, atan2(ahead_y + also_y, ahead_x + also_x))
+        return hypot(x - planned_x, y - planned_y)

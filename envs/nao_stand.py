@@ -43,8 +43,11 @@ class NaoStandEnv(NaoEnv):
         super().__init__(**options)
         self._sway = amplitude
         self._rate = 2.0 * pi / positive("sway_period", sway_period)
-        self._motor = {name: i for i, name in enumerate(self.motor_names)}
+        motor = {name: i for i, name in enumerate(self.motor_names)}
+        joints = ("AnklePitch", "HipPitch", "AnkleRoll", "HipRoll")
+        self._swaying = [[motor[side + joint] for joint in joints] for side in "LR"]
         self._posture = self.model.key("stand").ctrl.copy()
+        self._height = LEG_LENGTH * cos(self._posture[motor["LAnklePitch"]])
         self._com, self._position_sole = self._stand(self._posture)
         pelvis = 0.01
         # How far the centre of mass follows the pelvis, forward and left.
@@ -64,16 +67,15 @@ class NaoStandEnv(NaoEnv):
         return data.subtree_com[self._torso] - (soles.mean(axis=0) * (1.0, 1.0, 0.0)), soles
 
     def _swayed(self, forward: float, left: float) -> NDArray[np.float64]:
-        posture: NDArray[np.float64] = self._posture.copy()
-        height = LEG_LENGTH * cos(posture[self._motor["LAnklePitch"]])
-        pitch, roll = forward / height, left / height
-        for side in "LR":
+        posture = self._posture.tolist()
+        pitch, roll = forward / self._height, left / self._height
+        for ankle_pitch, hip_pitch, ankle_roll, hip_roll in self._swaying:
             # A positive ankle pitch turns the toes down, or, with the sole on the ground, the leg backwards.
-            posture[self._motor[f"{side}AnklePitch"]] -= pitch
-            posture[self._motor[f"{side}HipPitch"]] += pitch
-            posture[self._motor[f"{side}AnkleRoll"]] += roll
-            posture[self._motor[f"{side}HipRoll"]] -= roll
-        return posture
+            posture[ankle_pitch] -= pitch
+            posture[hip_pitch] += pitch
+            posture[ankle_roll] += roll
+            posture[hip_roll] -= roll
+        return np.array(posture)
 
     def _sine(self, tick: int) -> tuple[float, float, float]:
         """A sine that fades in over its first period, with its first two derivatives in time."""

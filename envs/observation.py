@@ -82,11 +82,14 @@ class ObservationTable:
         """
         np.maximum(state, self._low, out=state)
         np.minimum(state, self._high, out=state)
+        force = force_cell.astype(np.float32)
+        np.maximum(force, -self._force_bound, out=force)
+        np.minimum(force, self._force_bound, out=force)
         return {
             "state": state,
-            "foot_force": _clipped(force_cell, self._force_bound),
-            "cop_foot": _clipped(cop_foot, COP_BOUND),
-            "cop": _clipped(cop, COP_BOUND),
+            "foot_force": force,
+            "cop_foot": np.array([_bounded(place) for place in cop_foot], dtype=np.float32),
+            "cop": np.array(_bounded(cop), dtype=np.float32),
             "cop_valid": np.array(valid, dtype=np.int8),
         }
 
@@ -119,8 +122,6 @@ def turned(x: float, y: float, heading: float) -> list[float]:
     return [c * x + s * y, c * y - s * x]
 
 
-def _clipped(value: Any, bound: float) -> NDArray[np.float32]:
-    clipped = np.array(value, dtype=np.float32)
-    np.maximum(clipped, -bound, out=clipped)
-    np.minimum(clipped, bound, out=clipped)
-    return clipped
+def _bounded(place: list[float]) -> list[float]:
+    """Bring the coordinates of a centre of pressure in m into their bounds."""
+    return [min(max(part, -COP_BOUND), COP_BOUND) for part in place]

@@ -4,7 +4,7 @@ Their channels follow each other foot by foot: (left cells, left ankle, right ce
 level foot at rest weighs below its ankle counts as part of that sensor's zero, as it does for a calibrator.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -35,8 +35,8 @@ class InstrumentsState(NamedTuple):
         ankles: State of the six-axis sensors, or ``()``.
     """
 
-    cells: Any
-    ankles: Any
+    cells: Any = ()
+    ankles: Any = ()
 
 
 class CellsUnderFeet:
@@ -46,9 +46,14 @@ class CellsUnderFeet:
         config: The cells.
         drawing: The robot.
 
+    Attributes:
+        name: Where their state stands in :class:`InstrumentsState`.
+
     Raises:
         ValueError: If a foot has no place for cells, or their numbers differ.
     """
+
+    name: Final = "cells"
 
     def __init__(self, config: LoadCells, drawing: RobotDrawing) -> None:
         places, below = drawing.position_cell_sole, drawing.below_cells
@@ -107,9 +112,14 @@ class SensorsInAnkles:
         config: The sensors.
         drawing: The robot.
 
+    Attributes:
+        name: Where their state stands in :class:`InstrumentsState`.
+
     Raises:
         ValueError: If there are more or fewer of them than feet.
     """
+
+    name: Final = "ankles"
 
     def __init__(self, config: ForceTorque, drawing: RobotDrawing) -> None:
         below = drawing.below_ankle
@@ -231,8 +241,7 @@ class Instruments:
 
     def init(self, rng: np.random.Generator) -> InstrumentsState:
         """Draw instruments."""
-        states = {_name(part): part.init(rng) for part in self.parts}
-        return InstrumentsState(states.get("cells", ()), states.get("ankles", ()))
+        return InstrumentsState(**{part.name: part.init(rng) for part in self.parts})
 
     def read(
         self, truth: Any, state: InstrumentsState, rng: np.random.Generator, dt: float
@@ -248,24 +257,22 @@ class Instruments:
         Returns:
             Counts, shape (K,), and the state.
         """
-        readings = []
+        readings: list[Floats] = []
+        after: dict[str, Any] = {}
         for part in self.parts:
-            name = _name(part)
-            reading, own = part.read(truth, getattr(state, name), rng, dt)
-            state = state._replace(**{name: own})
+            reading, after[part.name] = part.read(truth, getattr(state, part.name), rng, dt)
             readings.append(reading)
-        return readings[0] if self._one else self.joined(readings), state
+        return readings[0] if self._one else self.joined(readings), InstrumentsState(**after)
 
     def settled(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
         """Let a state follow the loads that are there now, when a robot is put onto its feet anew."""
         for part in self.parts:
-            name = _name(part)
-            state = state._replace(**{name: part.settled(truth, getattr(state, name))})
+            state = state._replace(**{part.name: part.settled(truth, getattr(state, part.name))})
         return state
 
     def true_map(self, state: InstrumentsState) -> Parameters:
         """Tell the map that would undo their errors now: truth, to score calibrators against."""
-        return self._parameters([part.true_map(getattr(state, _name(part))) for part in self.parts])
+        return self._parameters([part.true_map(getattr(state, part.name)) for part in self.parts])
 
     def joined(self, parts: list[Floats]) -> Floats:
         """Put one row a device into one row, foot by foot."""
@@ -285,10 +292,6 @@ class Instruments:
                 for start, k in zip(starts, per_foot, strict=True)
             ]
         )
-
-
-def _name(part: CellsUnderFeet | SensorsInAnkles) -> str:
-    return "ankles" if isinstance(part, SensorsInAnkles) else "cells"
 
 
 def _memory(config: FootDevice) -> float:

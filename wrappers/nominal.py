@@ -75,6 +75,7 @@ class NominalModel:
         self._spin = data.qvel[3:6]
         self._com, self._momentum = data.subtree_com[self._torso], data.subtree_angmom[self._torso]
         self._sites = np.array([self._model.site(name).id for name in sites])
+        self._soles = self._sites[1:]
         self._site_position = data.site_xpos
         # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
         self._site_axes = data.site_xmat.reshape(3, 3, 3).swapaxes(1, 2)
@@ -142,9 +143,8 @@ class NominalModel:
         self._qvel[:] = velocity
         self._spin[:] = spin
         update_posture(model, data)
-        sites = self._sites
-        axes = self._site_axes[sites[1:]].reshape(6, 3)
-        return self._com, self._momentum, self._site_position[sites], axes
+        axes = self._site_axes[self._soles].reshape(6, 3)
+        return self._com, self._momentum, self._site_position[self._sites], axes
 
 
 def update_posture(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -110,14 +110,16 @@ class Odometry:
         fx, fy, fz = force.tolist()
         if fx * fx + fy * fy + fz * fz > FREE_FALL * FREE_FALL:
             share = max(1.0 / self._count, period / REST_TIME)
-            self.force_bias = self.force_bias + share * (force - GRAVITY * R[2] - self.force_bias)
+            bx, by, bz = self.force_bias.tolist()
+            bx, by = bx + share * (fx - GRAVITY * x - bx), by + share * (fy - GRAVITY * y - by)
+            self.force_bias = np.array((bx, by, bz + share * (fz - GRAVITY * z - bz)))
         return R
 
     def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:
         """Tell which way is up by the lower sole, or by both where they are level with each other."""
-        left, right = axes[2].tolist(), axes[5].tolist()
+        _, _, left, _, _, right = axes.tolist()
         x, y, z = self.up
-        dx, dy, dz = (sites[1] - sites[2]).tolist()
-        above = (dx * x + dy * y + dz * z) / SOLE_HEIGHT
+        _, (lx, ly, lz), (rx, ry, rz) = sites.tolist()
+        above = ((lx - rx) * x + (ly - ry) * y + (lz - rz) * z) / SOLE_HEIGHT
         weight = 0.5 * max(0.0, min(2.0, 1.0 - above))
         return [weight * a + (1.0 - weight) * b for a, b in zip(left, right, strict=True)]

@@ -175,7 +175,7 @@ def test_whatever_is_damaged_it_is_refused_or_read(tmp_path):
     make().save(tmp_path / "good.npz")
     whole = (tmp_path / "good.npz").read_bytes()
     rng = np.random.default_rng(0)
-    outcomes = {"read": 0, "refused": 0}
+    refusals = []
     for _ in range(300):
         broken = bytearray(whole)
         for place in rng.integers(len(whole), size=rng.integers(1, 20)):
@@ -183,11 +183,10 @@ def test_whatever_is_damaged_it_is_refused_or_read(tmp_path):
         (tmp_path / "bad.npz").write_bytes(bytes(broken))
         try:
             PolicyNetwork.load(tmp_path / "bad.npz")
-            outcomes["read"] += 1
         except PolicyFileError as error:
-            outcomes["refused"] += 1
-            assert "bad.npz" in str(error)
-    assert outcomes["refused"] > 200
+            refusals.append(str(error))
+    assert len(refusals) > 200
+    assert all("bad.npz" in refusal for refusal in refusals)
 
 
 def test_a_small_file_that_unpacks_to_a_large_one_is_refused(tmp_path):

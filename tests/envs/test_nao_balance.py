@@ -47,7 +47,7 @@ def test_a_sway_is_still_first_and_its_derivatives_are_its_derivatives():
         np.testing.assert_array_equal(part, 0.0)
     step = 1e-4
     for time in (1.0 + 1e-3, 1.7, 1.0 + FADE_TIME, 4.2, 9.0):
-        before, now, after = (sway.at(time + shift) for shift in (-step, 0.0, step))
+        before, now, after = (np.array(sway.at(time + shift)) for shift in (-step, 0.0, step))
         np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * step), atol=1e-5)
         np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * step), atol=1e-5)
     places = np.array([sway.at(time)[0] for time in np.arange(0.0, 60.0, 0.05)])
