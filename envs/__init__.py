@@ -15,6 +15,7 @@ from surefoot.envs.leg_rig import ADDED_MASSES, AddedMass, load_leg_rig_spec
 from surefoot.envs.leg_rig_env import LegRigEnv
 from surefoot.envs.nao import NaoEnv
 from surefoot.envs.nao_balance import NaoBalanceEnv
+from surefoot.envs.nao_carry import NaoCarryEnv
 from surefoot.envs.nao_stand import NaoStandEnv
 from surefoot.envs.nao_walk import NaoWalkEnv
 from surefoot.envs.plate import SolePlate
@@ -36,6 +37,7 @@ __all__ = [
     "Leg",
     "LegRigEnv",
     "NaoBalanceEnv",
+    "NaoCarryEnv",
     "NaoEnv",
     "NaoStandEnv",
     "NaoWalkEnv",

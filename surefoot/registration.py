@@ -12,6 +12,7 @@ def register_environments() -> None:
         "surefoot/Exercise-v0": ("surefoot.envs.exercise:ExerciseEnv", None),
         "surefoot/LegRig-v0": ("surefoot.envs.leg_rig_env:LegRigEnv", 3000),
         "surefoot/NaoBalance-v0": ("surefoot.envs.nao_balance:NaoBalanceEnv", None),
+        "surefoot/NaoCarry-v0": ("surefoot.envs.nao_carry:NaoCarryEnv", None),
         "surefoot/NaoStand-v0": ("surefoot.envs.nao_stand:NaoStandEnv", None),
         "surefoot/NaoWalk-v0": ("surefoot.envs.nao_walk:NaoWalkEnv", None),
     }.items():
