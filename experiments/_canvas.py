@@ -1,6 +1,6 @@
 """The sheet that every figure of the report is drawn on; private to :mod:`surefoot.experiments`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,10 +46,13 @@ def grid_of(figure: Figure, rows: int, columns: int, **kwargs: Any) -> Any:
     return figure.subplots(rows, columns, squeeze=False, **kwargs)
 
 
-def legend_below(figure: Figure, axes: Axes, columns: int = 6) -> None:
-    """Write one legend for all panels under them."""
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, len(labels)))
+def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6) -> None:
+    """Write one legend for all panels under them, of what is labelled in one of them or in several."""
+    entries: dict[str, Any] = {}
+    for panel in [axes] if isinstance(axes, Axes) else axes:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    figure.legend(entries.values(), entries, loc="outside lower center", ncols=min(columns, len(entries)))
 
 
 def logarithmic(axes: Axes) -> None:

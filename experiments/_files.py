@@ -1,11 +1,12 @@
 """Files that are there whole or not at all; private to :mod:`surefoot.experiments`."""
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["atomic_path", "write_text"]
+__all__ = ["atomic_path", "locked", "write_text"]
 
 
 @contextmanager
@@ -32,3 +33,26 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file atomically, in UTF-8."""
     with atomic_path(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def locked(folder: Path, refusal: Exception) -> Iterator[None]:
+    """Keep others out of a folder for as long as this process lives; a lock of a killed one is gone with it.
+
+    Args:
+        folder: Which one; it is made. Where the system has no such locks, nobody is kept out.
+        refusal: Raised if another process is at work there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        if sys.platform != "win32":
+            import fcntl
+
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise refusal from error
+        yield
+    finally:
+        os.close(file)

@@ -17,8 +17,8 @@ def sweep(
     controller: Annotated[
         list[str] | None,
         typer.Option(
-            help="zero, stabiliser, a policy file .npz, or module:function, which is imported and run; "
-            "again for more."
+            help="zero, stabiliser, shipped, a policy file .npz, or module:function, which is imported and "
+            "run; again for more."
         ),
     ] = None,
     feed: Annotated[

@@ -14,6 +14,7 @@ def train(
     out: Annotated[
         Path, typer.Option(help="Folder of the training; one that was stopped there goes on.")
     ] = Path("out/policy"),
+    task: Annotated[str, typer.Option(help="balance, or walk.")] = "balance",
     sensors: Annotated[
         str, typer.Option(help="CoP trained on: true, or randomised (drifting sensors of every severity).")
     ] = "true",
@@ -28,7 +29,7 @@ def train(
         bool, typer.Option("--trusted", help="The zip's maker is trusted: opening it runs pickled code.")
     ] = False,
 ) -> None:
-    """Train a balance policy by PPO, and write it with its learning curve and a card."""
+    """Train a policy by PPO, and write it with its learning curve and a card."""
     from surefoot.experiments.policy.options import TrainOptions
 
     try:
@@ -36,11 +37,11 @@ def train(
             from surefoot.experiments.policy.export import export_zip
             from surefoot.experiments.policy.train import POLICY
 
-            export_zip(export, out / POLICY, trusted=trusted)
+            export_zip(export, out / POLICY, task=task, trusted=trusted)
             typer.echo(f"Policy: {out / POLICY}")
             return
         given: dict[str, Any] = {} if steps is None else {"steps": steps}
-        options = TrainOptions(sensors=sensors, seed=seed, **given)
+        options = TrainOptions(task=task, sensors=sensors, seed=seed, **given)
         _train(out, options, restart)
     except (ValueError, FileNotFoundError) as error:
         fail(str(error))

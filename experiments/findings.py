@@ -208,7 +208,7 @@ def target_table(
                 name.replace("against baseline", "less than Han's by"),
                 "> 0",
                 _amount(gap, factor, "").strip(),
-                gap.mean > 0 and _apart(gap),
+                gap.mean > 0 and gap.apart,
             )
     row("one update of the window, median (ms)", "< 1", number(update_ms), update_ms < 1)
     for (severity, feed), part in loop.groupby(["severity", "feed"], sort=False):
@@ -234,15 +234,11 @@ def _amount(interval: Interval, factor: float, unit: str) -> str:
 
 def _difference(gap: Interval, factor: float, unit: str) -> str:
     word = "further off" if gap.mean > 0 else "nearer"
-    sure = "" if _apart(gap) else ", which the interval does not tell from nothing"
+    sure = "" if gap.apart else ", which the interval does not tell from nothing"
     return f"{_amount(Interval(abs(gap.mean), gap.half, gap.n), factor, unit)} {word}{sure}"
 
 
 def _verdict(change: Interval, worse: str, better: str) -> str:
-    if not _apart(change):
+    if not change.apart:
         return "no different from raw within the interval"
     return worse if change.mean > 0 else better
-
-
-def _apart(gap: Interval) -> bool:
-    return gap.n > 1 and abs(gap.mean) > gap.half

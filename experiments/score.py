@@ -68,6 +68,11 @@ class Interval(NamedTuple):
     half: float
     n: int
 
+    @property
+    def apart(self) -> bool:
+        """Whether the interval leaves zero out; never below two values."""
+        return self.n > 1 and abs(self.mean) > self.half
+
 
 def cop_world(
     force: NDArray[np.float64],

@@ -33,6 +33,7 @@ _LOOKS = {
     "floor": Look("floor (true map)", "#7f7f7f", ":", "."),
     "reference": Look("reference", "#999933", ":", "*"),
     "none": Look("raw (none)", "#D55E00", "-", "X"),
+    "bench": Look("bench, just before", "#56B4E9", "--", "d"),
     "tare": Look("swing tare", "#009E73", "-", "^"),
     "quasi-static": Look("Han (quasi-static)", "#CC79A7", "-", "s"),
     "window": Look("window (CoP paper)", "#0072B2", "-", "o"),

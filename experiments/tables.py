@@ -10,7 +10,7 @@ from rich.table import Table as RichTable
 
 from surefoot.experiments.score import Interval, mean_interval
 
-__all__ = ["Table", "number", "with_interval"]
+__all__ = ["Table", "interval_text", "number", "with_interval"]
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,15 @@ def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: in
     >>> with_interval([1.0, 2.0, 3.0])
     '2.00 ± 2.48'
     """
-    interval: Interval = mean_interval(values)
+    return interval_text(mean_interval(values), factor, digits)
+
+
+def interval_text(interval: Interval, factor: float = 1.0, digits: int = 3) -> str:
+    """Write a mean with its interval.
+
+    >>> interval_text(Interval(0.0123, 0.0004, 9), 1e3)
+    '12.3 ± 0.4'
+    """
     if interval.n == 0:
         return "–"
     mean = number(factor * interval.mean, digits)

@@ -11,6 +11,7 @@ from surefoot.controllers.posture import POSTURES
 from surefoot.experiments._files import atomic_path, write_text
 from surefoot.experiments.policy.env import input_names
 from surefoot.experiments.policy.options import TRAINING_SEEDS
+from surefoot.experiments.policy.tasks import TASKS, Task, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
 
 __all__ = ["draw_curve", "write_card"]
@@ -18,8 +19,8 @@ __all__ = ["draw_curve", "write_card"]
 FIGURE, CARD, EVALUATION = "curve.png", "card.md", "evaluation.csv"
 
 
-def draw_curve(curve: pd.DataFrame, path: Path) -> Path:
-    """Draw how reward and falls went while training."""
+def draw_curve(curve: pd.DataFrame, path: Path, most: float) -> Path:
+    """Draw how reward, of at most ``most`` a decision, and falls went while training."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -30,7 +31,7 @@ def draw_curve(curve: pd.DataFrame, path: Path) -> Path:
         left.plot(thousands, curve["reward_per_decision"], color="#0072B2", alpha=0.35, linewidth=1)
         smooth = curve["reward_per_decision"].rolling(10, min_periods=1).mean()
         left.plot(thousands, smooth, color="#0072B2")
-        left.set(xlabel="decisions / 1000", ylabel="reward a decision (at most 12)")
+        left.set(xlabel="decisions / 1000", ylabel=f"reward a decision (at most {most:g})")
         falls = 100.0 * curve["fell"].rolling(10, min_periods=1).mean()
         right.plot(thousands, falls, color="#D55E00")
         right.set(xlabel="decisions / 1000", ylabel="episodes that ended in a fall / %")
@@ -50,21 +51,28 @@ def write_card(out: Path) -> Path:
     """
     network = PolicyNetwork.load(out / POLICY)
     curve_path = out / CURVE
-    pieces = [_made(network)]
+    task = _task_of(network)
+    most = task.most * network.hold
+    pieces = [_made(network, task)]
     if curve_path.exists():
         curve = pd.read_csv(curve_path)
-        draw_curve(curve, out / FIGURE)
-        pieces.append(_curve(curve))
+        draw_curve(curve, out / FIGURE, most)
+        pieces.append(_curve(curve, most))
     evaluation = out / EVALUATION
     pieces.append(
         _scores(pd.read_csv(evaluation, dtype=str, keep_default_na=False) if evaluation.exists() else None)
     )
-    pieces.append(_LIMITS)
+    pieces.append(_limits(task))
     write_text(out / CARD, "\n".join(pieces))
     return out / CARD
 
 
-def _made(network: PolicyNetwork) -> str:
+def _task_of(network: PolicyNetwork) -> Task:
+    name = network.notes.get("options", {}).get("task", "balance")
+    return task_named(str(name))
+
+
+def _made(network: PolicyNetwork, task: Task) -> str:
     notes = network.notes
     options: dict[str, Any] = notes.get("options", {})
     shapes = " → ".join(
@@ -76,11 +84,11 @@ def _made(network: PolicyNetwork) -> str:
         "true": "the true centre of pressure, joints and tilt from encoders and IMU with their errors",
         "randomised": "drifting, uncalibrated load cells, of severity 0 to 2",
     }.get(sensors, "feet that nobody wrote down")
-    command = (
-        f"surefoot train --sensors {sensors} --seed {options.get('seed')} --steps {options.get('steps')}"
-    )
+    asked = {"task": task.name} if task.name != next(iter(TASKS)) else {}
+    asked |= {"sensors": sensors} | {name: options.get(name) for name in ("seed", "steps")}
+    command = " ".join(["surefoot train", *(f"--{name} {value}" for name, value in asked.items())])
     looks = ", ".join(f"`{part}` ({size})" for part, size in network.parts.items())
-    return f"""# A balance policy for `{notes.get("task", "an unknown task")}`
+    return f"""# {task.title} for `{notes.get("task", "an unknown task")}`
 
 | | |
 |---|---|
@@ -94,7 +102,7 @@ def _made(network: PolicyNetwork) -> str:
 | options | `{json.dumps(options, sort_keys=True)}` |
 
 **It looks at** {looks} of an observation, in these numbers:
-{", ".join(input_names())}.
+{", ".join(input_names(task))}.
 
 **It commands** the speeds of {len(POSTURES)} postures ({", ".join(POSTURES)}), up to
 {network.drive.speed:g} of a full posture (0.2 rad) a second, which return with a time constant of
@@ -102,14 +110,14 @@ def _made(network: PolicyNetwork) -> str:
 """
 
 
-def _curve(curve: pd.DataFrame) -> str:
+def _curve(curve: pd.DataFrame, most: float) -> str:
     last = curve.tail(20)
     reward, fell = last["reward_per_decision"].mean(), 100 * last["fell"].mean()
     return f"""## Learning curve
 
 ![Reward and falls while training]({FIGURE})
 
-Over the last {len(last)} of {len(curve)} updates, exploring: {reward:.2f} a decision of at most 12,
+Over the last {len(last)} of {len(curve)} updates, exploring: {reward:.2f} a decision of at most {most:g},
 and {fell:.1f} % of the episodes ended in a fall. The numbers are in `{CURVE}`.
 """
 
@@ -130,10 +138,10 @@ from another episode in random order.
 """
 
 
-_LIMITS = """## Limits
+def _limits(task: Task) -> str:
+    return f"""## Limits
 
-* It knows one robot, standing on both feet on flat ground, the loads and pushes of its task, and nothing
-  else. It does not step, and a push that needs a step is a fall.
+* It knows one robot, {task.limits}
 * It was never on a real robot.
 * It leaves the robot alone during the quiet stand, and is to be reset when that is over.
 """

@@ -1,4 +1,4 @@
-"""The balance task as a policy sees it: which feet it stands on, and which numbers go in and out.
+"""A task as a policy sees it: which feet it stands on, and which numbers go in and out.
 
 What is fed back as the centre of pressure is named by a *feed*. Encoders and IMU are the robot's own in all
 of them, so that feeds differ by nothing but the feet.
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robot import motor_of_joint
+from surefoot.experiments.policy.tasks import Task, task_named
 from surefoot.experiments.walkers import TruthTap
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
@@ -47,12 +48,6 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
 
 PARTS = ("state", "cop", "cop_valid")
 """Parts of an observation that a policy looks at, in this order."""
-
-_SCALES = {"tilt": 0.1, "gyroscope": 0.5, "cop_reference": 0.03, "com_reference_velocity": 0.05}
-"""What counts as much of a part of the state, in its own unit."""
-
-HOLD = 4
-"""Steps for which a policy's action holds: it decides at 20 Hz, about as fast as a body can follow."""
 
 _LEGS = 12
 """Hinge joints of both legs, which come first."""
@@ -94,39 +89,43 @@ class TrueCop(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def make_feed(
-    feed: str, *, severity: float = 1.0, env_id: str = "surefoot/NaoBalance-v0", **env_options: Any
+    feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
     """Put the robot on feet of a kind.
 
     Args:
         feed: One of :data:`FEEDS`.
         severity: Factor of all errors of the feet's sensors.
-        env_id: The task.
-        **env_options: Of the task.
+        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
+        **env_options: Of the task's environment.
 
     Returns:
         The environment to step, and the tap that sees the truth beneath its sensors.
 
     Raises:
-        ValueError: If there is no such feed, or an option is refused.
+        ValueError: If there is no such feed or task, or an option is refused.
     """
     if feed not in FEEDS:
         raise ValueError(f"There is no feed '{feed}'. Available: {', '.join(map(repr, FEEDS))}.")
-    tap = TruthTap(gym.make(env_id, disable_env_checker=True, **env_options))
+    tap = TruthTap(gym.make(task_named(task).env_id, disable_env_checker=True, **env_options))
     sensors = FootSensors(tap, "hx711-load-cells", severity=severity, fresh=True)
     options = FEEDS[feed]
     return (TrueCop(sensors, tap) if options is None else SelfCalibration(sensors, **options)), tap
 
 
-def input_matrix(state_layout: Mapping[str, slice], standing: NDArray[np.float64]) -> NDArray[np.float64]:
+def input_matrix(
+    state_layout: Mapping[str, slice], standing: NDArray[np.float64], task: Task
+) -> NDArray[np.float64]:
     """Say which numbers of an observation a policy looks at, and in which units.
 
-    Legs' joints, tilt, gyroscope, the commanded centre of pressure, the felt one, their difference, and
-    whether it is felt. Not the joints' velocities, which encoders tell badly, nor arms and head.
+    Legs' joints, the parts of the state that the task names, the felt centre of pressure, its difference to
+    the commanded one, and whether it is felt. Not the joints' velocities, which encoders tell badly, nor arms
+    and head.
 
     Args:
         state_layout: Where the parts of the state lie.
         standing: Hinge joints of the standing posture in rad, shape (J,).
+        task: Says which parts of the state are looked at.
 
     Returns:
         Inputs = matrix @ (state, cop, cop_valid, 1), shape (N, S + 6).
@@ -144,7 +143,7 @@ def input_matrix(state_layout: Mapping[str, slice], standing: NDArray[np.float64
     joints = state_layout["joint_position"].start
     for joint in range(_LEGS):
         row((joints + joint, 1.0 / _JOINT_SCALE), (one, -standing[joint] / _JOINT_SCALE))
-    for name, scale in _SCALES.items():
+    for name, scale in task.scales.items():
         for column in range(state_layout[name].start, state_layout[name].stop):
             row((column, 1.0 / scale))
     reference = state_layout["cop_reference"].start
@@ -156,11 +155,11 @@ def input_matrix(state_layout: Mapping[str, slice], standing: NDArray[np.float64
     return np.array(rows)
 
 
-def input_names() -> list[str]:
-    """Name the inputs in words, in their order."""
+def input_names(task: Task) -> list[str]:
+    """Name a task's inputs in words, in their order."""
     return [
         f"joint_position of the {_LEGS} leg joints",
-        *_SCALES,
+        *task.scales,
         "cop, and cop less cop_reference",
         "cop_valid",
     ]
@@ -179,21 +178,32 @@ class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
 
     Args:
         env: A feed of :func:`make_feed`.
+        task: The task that the feed is of.
         reward_scale: What rewards are multiplied by.
-        hold: Steps of the environment for which an action holds; their rewards are added up.
+        hold: Steps of the environment for which an action holds, in place of the task's; their rewards are
+            added up.
 
     Attributes:
+        task: As given.
         inputs: Matrix that makes inputs of an observation, shape (N, S + 6).
         drive: Turns actions into residuals.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], reward_scale: float = 1.0, hold: int = HOLD) -> None:
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        task: str = "balance",
+        *,
+        reward_scale: float = 1.0,
+        hold: int | None = None,
+    ) -> None:
         super().__init__(env)
-        self.hold = hold
+        self.task = task_named(task)
+        self.hold = self.task.hold if hold is None else hold
         bare: Any = env.unwrapped
         standing = bare.model.key("stand").ctrl[motor_of_joint(bare.model)]
-        self.inputs = input_matrix(bare.state_layout, standing)
-        self.drive = PostureDrive(posture_matrix(), dt=bare.dt)
+        self.inputs = input_matrix(bare.state_layout, standing, self.task)
+        self.drive = PostureDrive(posture_matrix(), self.task.speed, self.task.memory, bare.dt)
         self._reward_scale = reward_scale
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.inputs),), dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (self.drive.size,), dtype=np.float32)

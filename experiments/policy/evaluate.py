@@ -1,16 +1,17 @@
-"""Score a balance policy on feet of different kinds, on the same episodes.
+"""Score a policy on feet of different kinds, on the same episodes.
 
 Seeds are paired: the same seed gives the same command, payload, pushes, ground and sensors whatever is fed
 back. What is scored begins after the quiet stand, in which nobody acts.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.experiments.controllers_by_name import load_controller
 from surefoot.experiments.policy.env import make_feed
 from surefoot.experiments.policy.options import TRAINING_SEEDS
 
@@ -38,6 +39,8 @@ class EpisodeResult:
         time: Time on its feet in s.
         cop_error: RMSE of the centre of pressure fed back against the true one in m.
         tracking: RMSE of the true centre of pressure against the commanded one in m.
+        controller: Name of what acted, if it was given by name.
+        task: What was to be done, one of :data:`surefoot.experiments.policy.tasks.TASKS`.
     """
 
     feed: str
@@ -49,21 +52,25 @@ class EpisodeResult:
     time: float
     cop_error: float
     tracking: float
+    controller: str = ""
+    task: str = "balance"
 
 
 def run_episode(
-    policy: Callable[[Mapping[str, Any]], NDArray[np.float32]],
+    policy: Callable[[Mapping[str, Any]], NDArray[np.float32]] | str,
     feed: str,
     seed: int,
     severity: float = 1.0,
     *,
     cop_input: str = "felt",
+    task: str = "balance",
     **env_options: Any,
 ) -> EpisodeResult:
-    """Balance once and say how it went.
+    """Run one episode and say how it went.
 
     Args:
-        policy: A :class:`~surefoot.controllers.PolicyNetwork`, a stabiliser, or any function of observations;
+        policy: A :class:`~surefoot.controllers.PolicyNetwork`, a stabiliser, or any function of observations,
+            or the name of one (:mod:`surefoot.experiments.controllers_by_name`);
             if it has a ``reset``, it is called when the quiet stand is over, so that what a controller
             integrates begins there.
         feed: What is fed back, see :data:`surefoot.experiments.policy.env.FEEDS`.
@@ -71,7 +78,8 @@ def run_episode(
             :data:`~surefoot.experiments.policy.options.TRAINING_SEEDS`.
         severity: Factor of all errors of the feet's sensors.
         cop_input: One of :data:`COP_INPUTS`.
-        **env_options: Of :class:`~surefoot.envs.nao_balance.NaoBalanceEnv`.
+        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
+        **env_options: Of the task's environment.
 
     Raises:
         ValueError: If a name does not exist, a seed is one of training's, or the policy does not fit.
@@ -86,7 +94,7 @@ def run_episode(
     if cop_input in ("swapped", "shuffled"):
         donor = [
             (moment.observation["cop"], moment.observation["cop_valid"])
-            for moment in _moments(policy, feed, seed + DONOR, severity, None, env_options)
+            for moment in _moments(policy, feed, seed + DONOR, severity, None, task, env_options)
         ]
         if cop_input == "shuffled":
             order = np.random.default_rng([DONOR, seed]).permutation(len(donor))
@@ -96,7 +104,7 @@ def run_episode(
     error: list[float] = []
     tracking: list[float] = []
     dt = 0.0
-    for moment in _moments(policy, feed, seed, severity, change, env_options):
+    for moment in _moments(policy, feed, seed, severity, change, task, env_options):
         total += moment.reward
         steps, fell, dt = steps + 1, moment.fell, moment.dt
         if moment.truth["cop_valid"][0]:
@@ -104,7 +112,17 @@ def run_episode(
             error.append(float(np.sum((moment.observation["cop"] - true) ** 2)))
             tracking.append(float(np.sum((true - moment.reference) ** 2)))
     return EpisodeResult(
-        feed, cop_input, severity, seed, total, fell, steps * dt, _root_mean(error), _root_mean(tracking)
+        feed,
+        cop_input,
+        severity,
+        seed,
+        total,
+        fell,
+        steps * dt,
+        _root_mean(error),
+        _root_mean(tracking),
+        policy if isinstance(policy, str) else "",
+        task,
     )
 
 
@@ -115,7 +133,9 @@ def run_episodes(
     severities: Sequence[float] = (1.0,),
     *,
     cop_inputs: Sequence[str] = ("felt",),
+    task: str = "balance",
     jobs: int = 1,
+    done: Container[tuple[str, int, float, str]] = (),
     **env_options: Any,
 ) -> Iterator[EpisodeResult]:
     """Run every combination, seed by seed; results come as they are ready, in order.
@@ -126,14 +146,16 @@ def run_episodes(
         seeds: Of the episodes.
         severities: Factors of the sensors' errors.
         cop_inputs: What is done to the centre of pressure, on the true feet; others are fed as felt.
+        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
         jobs: Processes that work at the same time.
-        **env_options: Of the task.
+        done: Feed, seed, severity and what was done to it, of episodes that are not run.
+        **env_options: Of the task's environment.
     """
     from joblib import Parallel, delayed
 
-    cells = _cells(feeds, seeds, severities, cop_inputs)
+    cells = [cell for cell in _cells(feeds, seeds, severities, cop_inputs) if cell not in done]
     yield from Parallel(n_jobs=jobs, return_as="generator")(
-        delayed(run_episode)(policy, feed, seed, severity, cop_input=cop_input, **env_options)
+        delayed(run_episode)(policy, feed, seed, severity, cop_input=cop_input, task=task, **env_options)
         for feed, seed, severity, cop_input in cells
     )
 
@@ -173,11 +195,19 @@ _Change = Callable[[dict[str, Any], int], dict[str, Any]]
 
 
 def _moments(
-    policy: Any, feed: str, seed: int, severity: float, change: _Change | None, env_options: dict[str, Any]
+    policy: Any,
+    feed: str,
+    seed: int,
+    severity: float,
+    change: _Change | None,
+    task: str,
+    env_options: dict[str, Any],
 ) -> Iterator[_Moment]:
-    env, tap = make_feed(feed, severity=severity, **env_options)
+    env, tap = make_feed(feed, severity=severity, task=task, **env_options)
     try:
         bare: Any = env.unwrapped
+        if isinstance(policy, str):
+            policy = load_controller(policy, env)
         fits = getattr(policy, "fits", None)
         if fits is not None:
             fits(env.observation_space, env.action_space)

@@ -64,12 +64,13 @@ def export_policy(
     return network
 
 
-def export_zip(zip_path: Path, path: Path, *, trusted: bool = False) -> PolicyNetwork:
+def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bool = False) -> PolicyNetwork:
     """Turn a Stable-Baselines3 zip into a policy file.
 
     Args:
         zip_path: What ``PPO.save`` wrote, for a model trained on :class:`PolicyView`.
         path: The policy file to write.
+        task: What it was trained for.
         trusted: Whether its maker is trusted: opening such a zip runs pickled code.
 
     Raises:
@@ -89,9 +90,9 @@ def export_zip(zip_path: Path, path: Path, *, trusted: bool = False) -> PolicyNe
         model = PPO.load(zip_path, device="cpu")
     except Exception as error:  # Whatever a damaged pickle raises.
         raise PolicyFileError(f"'{zip_path}' cannot be opened as a Stable-Baselines3 PPO: {error}") from error
-    env, _ = make_feed("true")
+    env, _ = make_feed("true", task=task)
     try:
-        return export_policy(model, PolicyView(env), path, {"from": zip_path.name})
+        return export_policy(model, PolicyView(env, task), path, {"from": zip_path.name})
     finally:
         env.close()
 

@@ -1,24 +1,19 @@
-"""What a training of the balance policy is made of."""
+"""What a training of a policy is made of."""
 
 from dataclasses import asdict, dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-__all__ = ["SENSORS", "TRAINING_SEEDS", "TRAINING_TASK", "TrainOptions"]
+from surefoot.experiments.policy.tasks import task_named
+
+__all__ = ["SENSORS", "TRAINING_SEEDS", "TrainOptions"]
 
 SENSORS = ("true", "randomised")
 """What a policy may be trained on: the true centre of pressure, or drifting sensors of every severity."""
 
 TRAINING_SEEDS = 1_000_000_000
 """Training draws seeds from here on; evaluation takes those below."""
-
-TRAINING_TASK: MappingProxyType[str, Any] = MappingProxyType(
-    {"stand_time": 0.25, "duration": 8.0, "payload_time": (0.1, 1.5), "push_interval": 8.0}
-)
-"""Options of the task while training: without the long stand that calibrators need, and with fewer pushes, by
-which returns differ far more than by anything that a policy tries out."""
 
 LARGEST_SEVERITY = 2.0
 """Severity of the worst sensors of a randomised training."""
@@ -34,6 +29,9 @@ class TrainOptions:
     Raises:
         ValueError: If an option is out of its range, naming it.
     """
+
+    task: str = "balance"
+    """One of :data:`surefoot.experiments.policy.tasks.TASKS`."""
 
     sensors: str = "true"
     """One of :data:`SENSORS`."""
@@ -77,6 +75,7 @@ class TrainOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be trained."""
+        task_named(self.task)
         if self.sensors not in SENSORS:
             raise ValueError(f"'sensors' must be one of {SENSORS}, got {self.sensors!r}.")
         for name in ("steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore"):

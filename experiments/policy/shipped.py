@@ -1,29 +1,34 @@
 """The policies that come with the package."""
 
 from importlib.resources import as_file, files
+from types import MappingProxyType
 
 from surefoot.controllers.policy import PolicyNetwork
+from surefoot.experiments.policy.tasks import task_named
 
 __all__ = ["SHIPPED", "shipped_policy"]
 
-SHIPPED = ("true", "randomised")
-"""What they were trained on, see :data:`surefoot.experiments.policy.options.SENSORS`."""
+SHIPPED = MappingProxyType({"balance": ("true", "randomised"), "walk": ("true",)})
+"""What they were trained on for each task, see :data:`surefoot.experiments.policy.options.SENSORS`."""
 
 
-def shipped_policy(sensors: str = "true") -> PolicyNetwork:
+def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwork:
     """Load one.
 
     Args:
-        sensors: One of :data:`SHIPPED`.
+        sensors: What it was trained on, one of those of its task in :data:`SHIPPED`.
+        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
 
     Raises:
         ValueError: If there is no such policy.
     """
-    if sensors not in SHIPPED:
+    shipped = SHIPPED.get(task_named(task).name, ())
+    if sensors not in shipped:
         raise ValueError(
-            f"There is no shipped policy '{sensors}'. Available: {', '.join(map(repr, SHIPPED))}."
+            f"There is no shipped policy '{sensors}' for the task '{task}'. Available: "
+            f"{', '.join(map(repr, shipped))}."
         )
     with as_file(
-        files("surefoot.experiments.policy").joinpath("files", f"balance-{sensors}", "policy.npz")
+        files("surefoot.experiments.policy").joinpath("files", f"{task}-{sensors}", "policy.npz")
     ) as path:
         return PolicyNetwork.load(path)

@@ -1,4 +1,4 @@
-"""Train the balance policy: PPO of Stable-Baselines3, on checkpoints that hold numbers only.
+"""Train a policy: PPO of Stable-Baselines3, on checkpoints that hold numbers only.
 
 Training goes from checkpoint to checkpoint. At each of them every source of randomness is seeded anew from
 the seed and the number of updates done, so that a training that was stopped and resumed ends with the same
@@ -16,10 +16,11 @@ import gymnasium as gym
 import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments._files import atomic_path, write_text
+from surefoot.experiments._files import atomic_path, locked, write_text
 from surefoot.experiments.policy.env import PolicyView, make_feed
 from surefoot.experiments.policy.export import network_of
-from surefoot.experiments.policy.options import REWARD_SCALE, TRAINING_TASK, TrainOptions
+from surefoot.experiments.policy.options import REWARD_SCALE, TrainOptions
+from surefoot.experiments.policy.tasks import task_named
 
 __all__ = ["Trainer", "TrainingError", "forget"]
 
@@ -31,18 +32,18 @@ class TrainingError(ValueError):
     """A folder cannot be trained in, or a checkpoint cannot be read; the message says why."""
 
 
-def training_env(severity: float, sensors: str) -> gym.Env[Any, Any]:
+def training_env(severity: float, options: TrainOptions) -> gym.Env[Any, Any]:
     """Make one environment of a training.
 
     Args:
         severity: Of its sensors.
-        sensors: One of :data:`~surefoot.experiments.policy.options.SENSORS`.
+        options: The training.
     """
     from stable_baselines3.common.monitor import Monitor
 
-    feed = "true" if sensors == "true" else "none"
-    env, _ = make_feed(feed, severity=severity, **TRAINING_TASK)
-    return Monitor(PolicyView(env, REWARD_SCALE))
+    feed = "true" if options.sensors == "true" else "none"
+    env, _ = make_feed(feed, severity=severity, task=options.task, **task_named(options.task).training)
+    return Monitor(PolicyView(env, options.task, reward_scale=REWARD_SCALE))
 
 
 class Trainer:
@@ -72,7 +73,7 @@ class Trainer:
         self.updates = 0
         self.curve: list[dict[str, float]] = []
         self._claim()
-        makers = [_maker(severity, options.sensors) for severity in options.severities()]
+        makers = [_maker(severity, options) for severity in options.severities()]
         self._envs = DummyVecEnv(makers)
         self._model: Any = PPO(
             "MlpPolicy",
@@ -111,17 +112,22 @@ class Trainer:
 
         Returns:
             The policy, which lies in the folder as ``policy.npz`` as well.
+
+        Raises:
+            TrainingError: If another process trains in the folder.
         """
         options, watch = self.options, _Watch(self, progress)
-        while self.updates < options.updates:
-            self._reseed()
-            until = min(self.updates + options.every, options.updates)
-            self._model.learn(
-                (until - self.updates) * options.steps_per_update,
-                callback=watch.callback(),
-                reset_num_timesteps=False,
-            )
-            self._checkpoint()
+        busy = TrainingError(f"Another training is at work in '{self.out}'; wait for it.")
+        with locked(self.out, busy):
+            while self.updates < options.updates:
+                self._reseed()
+                until = min(self.updates + options.every, options.updates)
+                self._model.learn(
+                    (until - self.updates) * options.steps_per_update,
+                    callback=watch.callback(),
+                    reset_num_timesteps=False,
+                )
+                self._checkpoint()
         network = network_of(self._model, self.view, self._notes())
         with atomic_path(self.out / POLICY) as part:
             network.save(part)
@@ -150,6 +156,9 @@ class Trainer:
             theirs = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise TrainingError(f"'{path}' is damaged: {error}; give another folder.") from error
+        if isinstance(theirs, dict):
+            # A training older than the choice of a task was one for balance.
+            theirs = {"task": "balance", **theirs}
         if theirs != mine:
             changed = {
                 name: (theirs.get(name) if isinstance(theirs, dict) else None, value)
@@ -213,7 +222,7 @@ class Trainer:
 
         packages = ("surefoot", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
         return {
-            "task": "surefoot/NaoBalance-v0",
+            "task": self.view.task.env_id,
             "options": self.options.to_json(),
             "steps": int(self._model.num_timesteps),
             "versions": {name: version(name) for name in packages},
@@ -278,8 +287,8 @@ class _Watch:
             self.progress(trainer.updates, row)
 
 
-def _maker(severity: float, sensors: str) -> Callable[[], gym.Env[Any, Any]]:
-    return lambda: training_env(severity, sensors)
+def _maker(severity: float, options: TrainOptions) -> Callable[[], gym.Env[Any, Any]]:
+    return lambda: training_env(severity, options)
 
 
 def forget(out: Path) -> None:

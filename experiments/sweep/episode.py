@@ -19,7 +19,7 @@ from surefoot.controllers import zero_action
 from surefoot.envs.nao import CONTROL_STEP
 from surefoot.experiments.arena_walks import source_hash
 from surefoot.experiments.closed_loop import Moment, rms
-from surefoot.experiments.sweep.controllers import Controller, controller_hash, load_controller
+from surefoot.experiments.controllers_by_name import Controller, controller_hash, load_controller
 from surefoot.experiments.walkers import TruthTap
 from surefoot.sensors import LoadCells, resolve, scaled
 from surefoot.wrappers.foot_sensors import FootSensors
@@ -55,7 +55,7 @@ class Cell:
 
     Attributes:
         number: Its place in the sweep.
-        controller: Name of the controller (:mod:`surefoot.experiments.sweep.controllers`).
+        controller: Name of the controller (:mod:`surefoot.experiments.controllers_by_name`).
         controller_hash: Of the file behind it, or nothing.
         feed: One of :data:`surefoot.experiments.sweep.scenarios.SWEEP_FEEDS`.
         scenario: Name of the scenario.

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 
 from surefoot.experiments._canvas import figure_at, grid_of, legend_below
 from surefoot.experiments._frames import Frame
+from surefoot.experiments.controllers_by_name import short_name
 from surefoot.experiments.score import mean_interval
 from surefoot.experiments.style import in_order, look_of, short_label
-from surefoot.experiments.sweep.controllers import short_name
 from surefoot.experiments.sweep.statistics import fall_share, survival
 
 __all__ = ["against_severity", "heat_maps", "survival_curves"]
@@ -25,7 +25,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
     """
     controllers = list(rows["controller"].unique())
     severities = sorted(rows[rows["feed"] != "true"]["severity"].unique()) or [0.0]
-    with figure_at(path, max(8.4, 2.9 * len(severities)), 2.5 * len(controllers) + 1.1) as figure:
+    with figure_at(path, max(9.2, 2.9 * len(severities)), 2.5 * len(controllers) + 1.1) as figure:
         panels = grid_of(figure, len(controllers), len(severities), sharex=True, sharey=True)
         for line, controller in zip(panels, controllers, strict=True):
             for axes, severity in zip(line, severities, strict=True):
@@ -38,7 +38,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
             line[0].set_ylabel("share on its feet")
         for axes in panels[-1]:
             axes.set_xlabel("time (s)")
-        legend_below(figure, panels[0, 0])
+        legend_below(figure, panels.ravel())
     return path
 
 
@@ -51,7 +51,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
     """
     controllers = list(rows["controller"].unique())
     with figure_at(path, 8.8, 2.7 * len(controllers) + 0.9) as figure:
-        panels = grid_of(figure, len(controllers), 2, sharex=True)
+        panels = grid_of(figure, len(controllers), 2, sharex=True, sharey="col")
         for line, controller in zip(panels, controllers, strict=True):
             part = rows[rows["controller"] == controller]
             feeds = in_order(part["feed"])
@@ -65,7 +65,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
                 axes.set_title(short_name(controller))
         for axes in panels[-1]:
             axes.set_xlabel("severity")
-        legend_below(figure, panels[0, 0])
+        legend_below(figure, panels.ravel())
     return path
 
 
@@ -111,6 +111,8 @@ def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
     shares = [fall_share(part["fell"]) for part in by_severity]
     if feed == "true":
         line[0].axhline(returns[0].mean, label=look.label, **style)
+        half = np.nan_to_num(returns[0].half)
+        line[0].axhspan(returns[0].mean - half, returns[0].mean + half, color=look.colour, alpha=0.08, lw=0)
         line[1].axhline(shares[0].share, **style)
         return
     means = np.array([interval.mean for interval in returns])

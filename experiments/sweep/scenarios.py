@@ -29,7 +29,8 @@ SWEEP_FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
 """What may be fed back as the centre of pressure, and how it is calibrated: the walkers' feeds, and drifting
 readings by the map that a bench found just before the episode."""
 
-_WALK, _STAND, _BALANCE = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0", "surefoot/NaoBalance-v0"
+_WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
+_BALANCE, _CARRY = "surefoot/NaoBalance-v0", "surefoot/NaoCarry-v0"
 
 _TWO_STEPS = 2.0
 """Shortest walk in s that a pattern is planned for."""
@@ -121,6 +122,12 @@ def _table() -> dict[str, SweepScenario]:
             "balance",
             "balance under a payload and pushes",
             _BALANCE,
+            methods={"surefoot": dict(EXPECTED_LOADS)},
+        ),
+        SweepScenario(
+            "carry",
+            "walking under a payload and pushes",
+            _CARRY,
             methods={"surefoot": dict(EXPECTED_LOADS)},
         ),
     )

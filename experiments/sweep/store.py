@@ -17,13 +17,13 @@ from typing import Any
 
 import pandas as pd
 
-from surefoot.experiments._files import atomic_path, write_text
+from surefoot.experiments._files import atomic_path, locked, write_text
 from surefoot.experiments._frames import Frame
 from surefoot.experiments.sweep.episode import versions
 
 __all__ = ["JOURNAL", "RESULTS", "SweepError", "SweepStore", "read_results"]
 
-RESULTS, JOURNAL, PLAN, LOCK = "results.parquet", "journal.jsonl", "sweep.json", ".lock"
+RESULTS, JOURNAL, PLAN = "results.parquet", "journal.jsonl", "sweep.json"
 
 
 class SweepError(Exception):
@@ -60,8 +60,8 @@ class SweepStore:
             SweepError: If the folder holds another sweep, or is in use, or the disk is full.
         """
         with _clear_errors(self):
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with _locked(self.folder):
+            busy = SweepError(f"Another sweep is at work in '{self.folder}'; wait for it.")
+            with locked(self.folder, busy):
                 self._claim(fingerprint, plan, any_version)
                 self.rows = _read_rows(self.folder)
                 self._fold()
@@ -209,23 +209,6 @@ def _clear_errors(store: SweepStore) -> Iterator[None]:
             f"cannot write to '{store.folder}': {error.strerror or error}. The {len(store.rows)} cells that "
             "were finished are kept; make room, or mend it, and give the same command to go on."
         ) from error
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Keep others out for as long as this process lives; a lock of a killed one is gone with it."""
-    file = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        if sys.platform != "win32":
-            import fcntl
-
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise SweepError(f"Another sweep is at work in '{folder}'; wait for it.") from error
-        yield
-    finally:
-        os.close(file)
 
 
 def _write_all(file: int, data: bytes) -> None:

@@ -1,8 +1,8 @@
 """Tables of a sweep's report."""
 
 from surefoot.experiments._frames import Frame
+from surefoot.experiments.controllers_by_name import short_name
 from surefoot.experiments.style import in_order, short_label
-from surefoot.experiments.sweep.controllers import short_name
 from surefoot.experiments.sweep.statistics import fall_share, half_fall
 from surefoot.experiments.tables import Table, number, with_interval
 

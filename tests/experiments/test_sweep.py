@@ -61,7 +61,7 @@ def broken(cell: Cell) -> dict[str, Any]:
         ({"feeds": ("kalman",)}, "There is no feed 'kalman'. Available: 'true', 'none'"),
         (
             {"controllers": ("pid",)},
-            "There is no controller 'pid'. Available: 'zero', 'stabiliser', a policy",
+            "There is no controller 'pid'. Available: 'zero', 'stabiliser', 'shipped', 'shipped-rand",
         ),
         ({"controllers": ("gone.npz",)}, "There is no policy file 'gone.npz'"),
         ({"controllers": ("no_module:f",)}, "module 'no_module' cannot be imported"),

@@ -1,0 +1,222 @@
+"""An evaluation's page: what was compared, what came of it, and how to repeat it, in one file."""
+
+import shlex
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+from surefoot.experiments._files import atomic_path
+from surefoot.experiments._frames import Frame
+from surefoot.experiments.policy import figures
+from surefoot.experiments.policy.comparison import (
+    difference_table,
+    differences,
+    input_differences,
+    nobody_differences,
+)
+from surefoot.experiments.policy.findings import controller_findings, target_table
+from surefoot.experiments.policy.randomisation import answers, gap_table, trainings, two_by_two
+from surefoot.experiments.policy.scores import controllers_of, in_order, labels, score_table
+from surefoot.experiments.policy.tasks import task_named
+from surefoot.experiments.report import ReportFigure, Section, flat, render_report
+from surefoot.experiments.stages import machine
+from surefoot.experiments.tables import Table
+
+__all__ = ["EvaluationPage"]
+
+_INTRODUCTION = """
+    Controllers on {env_id}. What they are given for the centre of pressure (CoP) differs, and nothing else:
+    the same seed is the same command, load, pushes, ground and sensors for all of them. Severity is a factor
+    of all errors of the feet's load cells; true feet have none, and are run once. Scores begin when the quiet
+    stand is over."""
+
+_FEEDS = """
+    What is fed back: 'true', the simulator's own; 'none', readings of drifting feet as they are; 'bench', by
+    coefficients from a bench just before the episode; 'quasi-static', Han's method; 'window', that of the CoP
+    paper; and 'surefoot'. What was not run is left out."""
+
+_AMOUNT = """
+    {episodes} episodes of {seeds} seeds ({first} to {last}). Intervals are 95 %: of means Student's t, of the
+    loss won back a bootstrap over seeds, of survival Greenwood's."""
+
+_KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomised feet"}
+
+_BUILT_IN = {"stabiliser": ": feedback of the CoP, no learning", "zero": ": nobody acts"}
+
+_CAPTIONS = {
+    "returns": "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity.",
+    "survival": "Share on its feet over time since the quiet stand (Kaplan and Meier) with 95 % bands "
+    "(Greenwood, log-log).",
+    "forest": "Differences of returns between episodes of the same seed, with 95 % intervals. What crosses "
+    "the line at zero may be nothing.",
+}
+
+_RANDOMISATION = """
+    A policy that was trained on randomised sensors has learnt what to make of feet that lie; a calibration
+    makes them lie less. Either can be had without the other."""
+
+_INPUTS = """
+    True feet, but the controller is given a CoP that is held (frozen), that of another episode (swapped), or
+    that of another episode in random order (shuffled). Who uses the CoP loses by it."""
+
+
+_NOBODY = """
+    Returns less those of the zero action, which leaves the robot to its pattern: who acts on feet that lie
+    may do worse than nobody."""
+
+
+class EvaluationPage:
+    """Tables and figures of an evaluation, and the page that holds them.
+
+    Args:
+        frame: Episodes with the columns ``controller`` and ``task``, see
+            :func:`~surefoot.experiments.policy.scores.episodes_frame`.
+        trained: What each controller was trained on; those that were not may be left out.
+        versions: What the episodes were made with, if it is known.
+
+    Raises:
+        ValueError: If there are no episodes, or of several tasks, or one of them twice.
+    """
+
+    def __init__(self, frame: Frame, trained: Mapping[str, str] | None = None, versions: str = "") -> None:
+        _check(frame)
+        self.frame = in_order(frame)
+        self.task = task_named(str(frame["task"].iloc[0]))
+        self.trained = dict(trained or {})
+        self.versions = versions
+        self.controllers = controllers_of(self.frame)
+        self.labels = labels(self.controllers)
+        both = trainings(self.frame, self.trained)
+        found = [] if both is None else answers(self.frame, *both)
+        self.answers = tuple(answer.words() for answer in found)
+        self.randomisation: tuple[Table, ...] = ()
+        if both is not None and found:
+            self.randomisation = tuple(make(self.frame, *both, found) for make in (two_by_two, gap_table))
+        clean = [name for name in self.controllers if self.trained.get(name) == "true"]
+        self.policy = (clean or self.controllers)[0]
+        self.targets = target_table(self.frame, self.policy, found)
+        self.scores = tuple(
+            score_table(
+                self.frame[self.frame["controller"] == name],
+                f"scores_{number}",
+                self.labels[name] + _BUILT_IN.get(name, _KINDS.get(self.trained.get(name, ""), "")),
+            )
+            for number, name in enumerate(self.controllers)
+        )
+        self.differences = differences(self.frame)
+        self.nobody = nobody_differences(self.frame)
+        self.inputs = input_differences(self.frame)
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """All tables, in the order of the page."""
+        found = [self.targets] if self.targets.rows else []
+        found += self.scores
+        if self.differences:
+            found.append(difference_table(self.differences, "differences", "Paired differences of returns"))
+        if self.nobody:
+            found.append(difference_table(self.nobody, "nobody", "What acting is worth"))
+        if self.inputs:
+            found.append(difference_table(self.inputs, "inputs", "What another CoP costs"))
+        return (*found, *self.randomisation)
+
+    def write(self, folder: Path) -> Path:
+        """Draw the figures, save the tables as CSV, and write ``index.html``.
+
+        Args:
+            folder: Where; it is made.
+        """
+        tables = {table.name: table for table in self.tables}
+        for table in tables.values():
+            with atomic_path(folder / "tables" / f"{table.name}.csv") as part:
+                table.to_frame().to_csv(part, index=False)
+        drawn = folder / "figures"
+        drawn.mkdir(parents=True, exist_ok=True)
+        said = [sentence for name in self.controllers for sentence in controller_findings(self.frame, name)]
+        shown = (tables["targets"],) if "targets" in tables else ()
+        sections = [Section("summary", "In short", findings=(*said, *self.answers), tables=shown)]
+        sections.append(self._scores(drawn))
+        for name, title, text, found in (
+            ("differences", "Feet against feet", "", self.differences),
+            ("nobody", "Is acting worth it?", _NOBODY, self.nobody),
+            ("inputs", "Is the CoP used?", _INPUTS, self.inputs),
+        ):
+            if found:
+                path = figures.forest(drawn / f"{name}.png", found)
+                figure = ReportFigure(path, tables[name].title, _CAPTIONS["forest"])
+                said_before = (flat(text),) * bool(text)
+                sections.append(Section(name, title, said_before, tables=(tables[name],), figures=(figure,)))
+        if self.randomisation:
+            sections.append(
+                Section(
+                    "randomisation",
+                    "Is domain randomisation enough?",
+                    (flat(_RANDOMISATION),),
+                    findings=self.answers,
+                    tables=self.randomisation,
+                )
+            )
+        sections.append(self._repeat())
+        made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {machine()}."
+        title = f"surefoot evaluate: {self.task.name}"
+        return render_report(folder / "index.html", title, made, self._introduction(), tuple(sections))
+
+    def _introduction(self) -> tuple[str, ...]:
+        seeds = self.frame["seed"]
+        amount = _AMOUNT.format(
+            episodes=len(self.frame), seeds=seeds.nunique(), first=seeds.min(), last=seeds.max()
+        )
+        return flat(_INTRODUCTION.format(env_id=self.task.env_id)), flat(_FEEDS), flat(amount)
+
+    def _scores(self, drawn: Path) -> Section:
+        felt = self.frame[self.frame["cop_input"] == "felt"]
+        shown: tuple[ReportFigure, ...] = ()
+        if len(felt):
+            shown = (
+                ReportFigure(
+                    figures.returns(drawn / "returns.png", felt), "Return and falls", _CAPTIONS["returns"]
+                ),
+                ReportFigure(
+                    figures.survival_curves(drawn / "survival.png", felt), "Survival", _CAPTIONS["survival"]
+                ),
+            )
+        return Section("scores", "Scores", tables=self.scores, figures=shown)
+
+    def _repeat(self) -> Section:
+        versions = f"The episodes were made with {self.versions}. " if self.versions else ""
+        paragraph = (
+            f"{versions}An episode that is run again comes out the same to the last digit with the same "
+            "versions on the same kind of machine."
+        )
+        return Section("repeat", "Repeat it", (paragraph,), commands=tuple(self.commands()))
+
+    def commands(self) -> list[str]:
+        """Write the commands that run these episodes again: controllers that were run alike share one."""
+        alike: dict[str, list[str]] = {}
+        for name in self.controllers:
+            own = self.frame[self.frame["controller"] == name]
+            first, last = int(own["seed"].min()), int(own["seed"].max())
+            severities = sorted(own[own["feed"] != "true"]["severity"].unique()) or [1.0]
+            options = [f"--task {self.task.name}"]
+            options += [f"--feed {feed}" for feed in dict.fromkeys(own["feed"])]
+            options += [f"--severity {severity:g}" for severity in severities]
+            options += [f"--seeds {last - first + 1} --first-seed {first}"]
+            options += ["--uses-cop"] * bool((own["cop_input"] != "felt").any())
+            alike.setdefault(" ".join(options), []).append(shlex.quote(name))
+        return [f"surefoot evaluate {' '.join(names)} {options}" for options, names in alike.items()]
+
+
+def _check(frame: Frame) -> None:
+    if not len(frame):
+        raise ValueError("There are no episodes to make a page of.")
+    if len(tasks := sorted(set(frame["task"]))) > 1:
+        raise ValueError(f"Episodes of the tasks {', '.join(tasks)} cannot share a page; give those of one.")
+    # True feet know no severity: an episode on them at another one is the same episode again.
+    same = frame.assign(severity=frame["severity"].where(frame["feed"] != "true", 0.0))
+    twice = same[same.duplicated(["controller", "feed", "cop_input", "severity", "seed"])]
+    if len(twice):
+        row = twice.iloc[0]
+        raise ValueError(
+            f"Controller '{row['controller']}', feed '{row['feed']}', severity {row['severity']:g}, seed "
+            f"{row['seed']} is there twice; give controllers of different files different names, NAME=FILE."
+        )
