@@ -16,6 +16,7 @@ Its outputs are speeds of postures, see :mod:`surefoot.controllers.posture`.
 import json
 import zipfile
 from collections.abc import Mapping
+from operator import index
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -224,11 +225,15 @@ class PolicyNetwork:
             )
         try:
             notes = json.loads(str(held["notes"]))
-            parts = dict(zip(held["parts"].tolist(), held["sizes"].tolist(), strict=True))
-            numbers = {name: held[name].astype(np.float64) for name in known - {"format", "parts", "notes"}}
+            sizes = [index(size) for size in held["sizes"].tolist()]
+            parts = dict(zip(held["parts"].tolist(), sizes, strict=True))
+            numbers = {
+                name: held[name].astype(np.float64, casting="same_kind")
+                for name in known - {"format", "parts", "notes"}
+            }
             speed, memory = float(held["posture_speed"]), float(held["posture_memory"])
-            hold, dt = int(held["hold"]), float(held["dt"])
-        except (ValueError, TypeError) as error:
+            hold, dt = index(held["hold"].item()), float(held["dt"])
+        except (ValueError, TypeError, RecursionError) as error:
             raise PolicyFileError(f"'{path}' is damaged: {error}.") from error
         try:
             return cls(
@@ -284,6 +289,8 @@ class PolicyNetwork:
     def _check(self) -> None:
         if not self.weights or len(self.weights) != len(self.biases):
             raise PolicyFileError("A policy has at least one layer, and each layer a weight and a bias.")
+        if not all(size > 0 for size in self.parts.values()):
+            raise PolicyFileError(f"Parts of an observation have at least one number, got {self.parts}.")
         size = sum(self.parts.values())
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if weight.ndim != 2 or weight.shape[1] != size or bias.shape != weight.shape[:1]:

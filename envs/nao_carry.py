@@ -49,7 +49,7 @@ class NaoCarryEnv(NaoPatternEnv):
     | ``reward_alive``, ``reward_progress``, ``reward_upright``, ``reward_action`` | as there |
     | ``reward_cop`` | 3 exp(-(e / 0.012 m)^2), e: centre of pressure less its reference; 0 where undefined |
 
-    Without payload and pushes the pattern alone follows its reference within 3 mm.
+    Without payload and pushes the pattern alone is 2 mm (rms) off its reference, and 10 mm at most.
 
     ## What an episode draws
 

@@ -53,6 +53,8 @@ def locked(folder: Path, refusal: Exception) -> Iterator[None]:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise refusal from error
+            except OSError:
+                pass  # A file system without locks.
         yield
     finally:
         os.close(file)

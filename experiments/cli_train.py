@@ -57,11 +57,9 @@ def _train(out: Path, options: Any, restart: bool) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from surefoot.experiments.policy.card import write_card
-    from surefoot.experiments.policy.train import POLICY, Trainer, forget
+    from surefoot.experiments.policy.train import POLICY, Trainer
 
-    if restart:
-        forget(out)
-    trainer = Trainer(out, options)
+    trainer = Trainer(out, options, restart=restart)
     if trainer.updates:
         console.print(f"Going on after {trainer.updates} of {options.updates} updates.")
     columns = (

@@ -8,6 +8,7 @@ is executed.
 
 import json
 from collections.abc import Callable
+from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -49,9 +50,12 @@ def training_env(severity: float, options: TrainOptions) -> gym.Env[Any, Any]:
 class Trainer:
     """A training in a folder; it goes on where the folder's checkpoint stands.
 
+    No other process trains in it until this training has ended or is closed.
+
     Args:
         out: The folder, which is made.
         options: The training.
+        restart: Forget what the folder holds first.
 
     Attributes:
         updates: Updates done so far.
@@ -59,25 +63,37 @@ class Trainer:
             standard deviation of the actions.
 
     Raises:
-        TrainingError: If the folder holds another training, or its checkpoint is damaged.
+        TrainingError: If another training is at work in the folder, or it holds another one, or its
+            checkpoint is damaged.
         OSError: If it cannot be written to.
     """
 
-    def __init__(self, out: Path, options: TrainOptions) -> None:
+    def __init__(self, out: Path, options: TrainOptions, *, restart: bool = False) -> None:
+        self.out, self.options = out, options
+        self.updates = 0
+        self.curve: list[dict[str, float]] = []
+        busy = TrainingError(f"Another training is at work in '{out}'; wait for it.")
+        with ExitStack() as claimed:
+            claimed.enter_context(locked(out, busy))
+            if restart:
+                forget(out)
+            self._claim()
+            makers = [_maker(severity, options) for severity in options.severities()]
+            self._model, self._envs = self._ppo(makers)
+            if (out / CHECKPOINT).exists():
+                self._restore()
+            self._claimed = claimed.pop_all()
+
+    def _ppo(self, makers: list[Callable[[], gym.Env[Any, Any]]]) -> tuple[Any, Any]:
         import torch
         from stable_baselines3 import PPO
         from stable_baselines3.common.vec_env import DummyVecEnv
 
         torch.set_num_threads(1)
-        self.out, self.options = out, options
-        self.updates = 0
-        self.curve: list[dict[str, float]] = []
-        self._claim()
-        makers = [_maker(severity, options) for severity in options.severities()]
-        self._envs = DummyVecEnv(makers)
-        self._model: Any = PPO(
+        options, envs = self.options, DummyVecEnv(makers)
+        model = PPO(
             "MlpPolicy",
-            self._envs,
+            envs,
             use_sde=True,
             sde_sample_freq=options.explore,
             n_steps=options.rollout,
@@ -93,8 +109,7 @@ class Trainer:
             seed=options.seed,
             device="cpu",
         )
-        if (out / CHECKPOINT).exists():
-            self._restore()
+        return model, envs
 
     @property
     def view(self) -> PolicyView:
@@ -112,30 +127,27 @@ class Trainer:
 
         Returns:
             The policy, which lies in the folder as ``policy.npz`` as well.
-
-        Raises:
-            TrainingError: If another process trains in the folder.
         """
         options, watch = self.options, _Watch(self, progress)
-        busy = TrainingError(f"Another training is at work in '{self.out}'; wait for it.")
-        with locked(self.out, busy):
-            while self.updates < options.updates:
-                self._reseed()
-                until = min(self.updates + options.every, options.updates)
-                self._model.learn(
-                    (until - self.updates) * options.steps_per_update,
-                    callback=watch.callback(),
-                    reset_num_timesteps=False,
-                )
-                self._checkpoint()
+        while self.updates < options.updates:
+            self._reseed()
+            until = min(self.updates + options.every, options.updates)
+            self._model.learn(
+                (until - self.updates) * options.steps_per_update,
+                callback=watch.callback(),
+                reset_num_timesteps=False,
+            )
+            self._checkpoint()
         network = network_of(self._model, self.view, self._notes())
         with atomic_path(self.out / POLICY) as part:
             network.save(part)
+        self._claimed.close()
         return network
 
     def close(self) -> None:
-        """Close the environments."""
+        """Close the environments, and let others train in the folder."""
         self._envs.close()
+        self._claimed.close()
 
     def _learning_rate(self) -> float:
         done = self.updates / self.options.updates

@@ -164,6 +164,17 @@ def test_it_refuses_files_of_another_kind(tmp_path):
     refused("extra")
     np.savez(tmp_path / "bad.npz", **(good | {"notes": np.array("{")}))
     refused("is damaged")
+    for name, value in {
+        "hold": np.array(np.inf),
+        "sizes": np.array([5.5, 2.0, 2.5]),
+        "notes": np.array("[" * 100_000),
+        "weight_0": good["weight_0"] * 1j,
+        "posture_speed": np.array("fast"),
+    }.items():
+        np.savez(tmp_path / "bad.npz", **(good | {name: value}))
+        refused("is damaged")
+    np.savez(tmp_path / "bad.npz", **(good | {"sizes": np.array([12, -4, 2])}))
+    refused("at least one number")
     np.savez(tmp_path / "bad.npz", **(good | {"sizes": np.array([4, 2, 3])}))
     refused("bad.npz': Layer 0")
     (tmp_path / "bad.npz").write_bytes(bytes(2**20 + 1))

@@ -12,7 +12,6 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.controllers import PolicyFileError, PolicyNetwork, zero_action
-from surefoot.experiments._files import locked
 from surefoot.experiments.policy.card import write_card
 from surefoot.experiments.policy.env import FEEDS, PARTS, PolicyView, input_names, make_feed
 from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult, run_episode, run_episodes
@@ -74,13 +73,19 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_policy(trained, tmp_pat
     other.close()
 
 
-def test_one_training_at_a_time_works_in_a_folder(tmp_path):
-    trainer = Trainer(tmp_path, SMALL)
-    busy = r"Another training is at work in '.*'; wait for it\."
-    with locked(tmp_path, OSError()), pytest.raises(TrainingError, match=busy):
-        trainer.run()
-    trainer.close()
-    assert trainer.updates == 0
+def test_one_training_at_a_time_works_in_a_folder(trained, tmp_path):
+    first = Trainer(tmp_path, SMALL)
+    kept = (tmp_path / "options.json").read_bytes()
+    (tmp_path / "policy.npz").write_bytes((trained[0] / "policy.npz").read_bytes())
+    for restart in (False, True):
+        with pytest.raises(TrainingError, match=r"Another training is at work in '.*'; wait for it\."):
+            Trainer(tmp_path, dataclasses.replace(SMALL, seed=1), restart=restart)
+    assert (tmp_path / "options.json").read_bytes() == kept
+    assert (tmp_path / "policy.npz").exists()
+    first.close()
+    again = Trainer(tmp_path, dataclasses.replace(SMALL, seed=1), restart=True)
+    assert not (tmp_path / "policy.npz").exists()
+    again.close()
 
 
 def test_a_full_disk_costs_only_what_came_after_the_checkpoint(trained, tmp_path, monkeypatch):
