@@ -1,5 +1,6 @@
 """``surefoot evaluate``: controllers on true, drifting and calibrated feet."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +12,7 @@ __all__ = ["evaluate"]
 
 
 def evaluate(
+    ctx: typer.Context,
     controllers: Annotated[
         list[str] | None,
         typer.Argument(
@@ -28,7 +30,7 @@ def evaluate(
     severity: Annotated[
         list[float] | None, typer.Option(help="How bad the feet's sensors are; again for more. 1 by default.")
     ] = None,
-    seeds: Annotated[int, typer.Option(help="Episodes of each.", min=2)] = 50,
+    seeds: Annotated[int, typer.Option(help="Episodes of each.", min=1)] = 50,
     first_seed: Annotated[int, typer.Option(help="Seed of the first of them.", min=0)] = 20_000,
     uses_cop: Annotated[
         bool, typer.Option("--uses-cop", help="Also freeze, swap and shuffle the CoP that it is given.")
@@ -36,8 +38,8 @@ def evaluate(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for episodes, scores, a page and, beside a policy, its card; an interrupted "
-            "evaluation goes on."
+            help="Folder for episodes, scores, a page and, beside the policy that is evaluated, its card; an "
+            "interrupted evaluation goes on."
         ),
     ] = None,
     page_of: Annotated[
@@ -53,9 +55,14 @@ def evaluate(
     from rich.progress import track
 
     from surefoot.experiments.policy.evaluate import COP_INPUTS
-    from surefoot.experiments.policy.evaluation import Evaluation, EvaluationFolder, made_with
+    from surefoot.experiments.policy.evaluation import Evaluation
+    from surefoot.experiments.policy.evaluation_folder import EvaluationFolder
 
     if page_of:
+        if given_too := [name for name in ctx.params if _was_given(ctx, name)]:
+            what = given_too[0].replace("_", "-")
+            what = what if what == "controllers" else f"--{what}"
+            fail(f"--page-of runs nothing, and {what} says what to run: give one of the two.")
         _page_of(page_of, out)
         return
     given: dict[str, Any] = {
@@ -70,7 +77,7 @@ def evaluate(
         with EvaluationFolder(out, evaluation).opened() as folder:
             for _ in track(folder.run(jobs), "Episodes", folder.missing, console=console):
                 pass
-        _report(folder.frame, out, made_with(out) if out is not None else "")
+        _report(folder.frame, out, folder.origins)
     except KeyboardInterrupt:
         kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
         typer.echo(f"Stopped.{kept}", err=True)
@@ -81,42 +88,51 @@ def evaluate(
         fail(f"cannot write to '{out}': {error.strerror}; give another folder with --out, or make room.")
 
 
+def _was_given(ctx: typer.Context, name: str) -> bool:
+    """Tell whether the command names something that is to be run."""
+    source = ctx.get_parameter_source(name)
+    return name not in ("page_of", "out") and source is not None and source.name != "DEFAULT"
+
+
 def _page_of(named: list[str], out: Path | None) -> None:
     import pandas as pd
 
-    from surefoot.experiments.policy.evaluation import made_with, read_episodes
+    from surefoot.experiments.policy.episodes import read_episodes
+    from surefoot.experiments.policy.origin import Origin, merged, origins_of
+    from surefoot.experiments.policy.scores import controllers_of
 
     if out is None:
         fail("--page-of needs a folder for the page; give one with --out.")
     try:
         # A path that holds a '=' is a path if it is there.
         parts = [("", "", text) if Path(text).exists() else text.rpartition("=") for text in named]
-        frames = [read_episodes(Path(path), controller) for controller, _, path in parts]
-        versions = dict.fromkeys(made_with(Path(path)) for _, _, path in parts)
-        _report(pd.concat(frames, ignore_index=True), out, "; ".join(filter(None, versions)))
+        frames = []
+        known: dict[str, list[Origin]] = {}
+        for controller, _, path in parts:
+            frames.append(read_episodes(Path(path), controller))
+            found = origins_of(Path(path), controllers_of(frames[-1]), controller)
+            for name, origin in found.items():
+                known.setdefault(name, []).append(origin)
+        origins = {name: merged(name, of) for name, of in known.items()}
+        _report(pd.concat(frames, ignore_index=True), out, origins)
     except (ValueError, FileNotFoundError) as error:
         fail(str(error))
     except OSError as error:
         fail(f"cannot write to '{out}': {error.strerror}; give another folder with --out.")
 
 
-def _report(frame: Any, out: Path | None, versions: str) -> None:
-    """Print the scores and, into a folder, write them, a page, and the card of a policy that lies there."""
-    from surefoot.experiments._files import atomic_path
-    from surefoot.experiments.controllers_by_name import trained_on
-    from surefoot.experiments.policy.card import EVALUATION, write_card
+def _report(frame: Any, out: Path | None, origins: Mapping[str, Any]) -> None:
+    """Print the scores and, into a folder, write them, a page, and the card of a policy that they are of."""
+    from surefoot.experiments.policy.card import own_scores, write_card, write_scores
     from surefoot.experiments.policy.page import EvaluationPage
-    from surefoot.experiments.policy.scores import controllers_of, score_table
+    from surefoot.experiments.policy.scores import score_table
     from surefoot.experiments.policy.train import POLICY
 
-    trained = {name: trained_on(name) for name in controllers_of(frame)}
-    page = EvaluationPage(frame, trained, versions)
-    table = score_table(frame)
-    console.print(table.to_rich())
+    page = EvaluationPage(frame, origins)
+    console.print(score_table(page.frame).to_rich())
     if out is None:
         return
-    with atomic_path(out / EVALUATION) as part:
-        table.to_frame().to_csv(part, index=False)
-    if (out / POLICY).exists():
-        typer.echo(f"Card: {write_card(out)}")
+    write_scores(out, page.frame, origins)
     typer.echo(f"Page: {page.write(out)}")
+    if (out / POLICY).is_file() and own_scores(out) is not None:
+        typer.echo(f"Card: {write_card(out)}")

@@ -14,7 +14,7 @@ given the environment's and returns what answers. What has a ``reset`` is reset 
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from importlib import import_module
 from importlib.resources import files
@@ -30,7 +30,17 @@ from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.policy.shipped import shipped_policy
 from surefoot.experiments.policy.tasks import TASKS
 
-__all__ = ["Controller", "controller_hash", "load_controller", "short_name", "trained_on"]
+__all__ = [
+    "BUILT_IN",
+    "Controller",
+    "check_task",
+    "controller_hash",
+    "drawn_names",
+    "labels",
+    "load_controller",
+    "short_name",
+    "trained_on",
+]
 
 Controller = Callable[[Mapping[str, Any]], NDArray[np.float32]]
 """Answers an observation with an action."""
@@ -40,29 +50,41 @@ _BUILT_IN: Mapping[str, Callable[[Mapping[str, slice]], Controller]] = {
     "stabiliser": Stabiliser,
 }
 
+BUILT_IN = tuple(_BUILT_IN)
+"""Controllers that learnt nothing."""
+
 _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomised"}
 """Policies that come with the package, and what they were trained on."""
 
 _FILES = (".npz", ".zip")
 """Endings of files: a zip of Stable-Baselines3 is refused, with what to do, and not taken for a module."""
 
+_LONGEST_DRAWN = 40
+"""Characters of a name for which a figure has room."""
 
-def load_controller(name: str, env: gym.Env[Any, Any]) -> Controller:
+
+def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = False) -> Controller:
     """Make a controller ready for an episode.
 
     Args:
         name: As in the table above.
         env: What it will control, with all wrappers; ``state_layout`` is that of its ``unwrapped``.
+        same_task: Whether to refuse a policy file that says it was made for another environment, see
+            :func:`check_task`. An evaluation does; a sweep, which puts a policy into circumstances that it
+            was not made for, does not.
 
     Raises:
-        ValueError: If there is no such controller, file, module or function, or it is for another robot.
+        ValueError: If there is no such controller, file, module or function, or it is for another robot or
+            task.
     """
     bare: Any = env.unwrapped
     state_layout = bare.state_layout
     if name in _BUILT_IN:
         return _BUILT_IN[name](state_layout)
     if name in _SHIPPED or name.endswith(_FILES):
-        policy = _policy(name, "" if bare.spec is None else bare.spec.id)
+        policy = _policy(name, _id_of(env))
+        if same_task:
+            check_task(policy, env, name)
         policy.fits(env.observation_space, env.action_space)
         return policy
     function = _imported(name)
@@ -77,8 +99,36 @@ def load_controller(name: str, env: gym.Env[Any, Any]) -> Controller:
     return controller
 
 
-def controller_hash(name: str) -> str:
+def check_task(policy: Any, env: gym.Env[Any, Any], name: str = "") -> None:
+    """Refuse a policy that was made for another task, whose observations may have the same sizes.
+
+    Args:
+        policy: What acts. Only a policy with notes of its making can be refused, and of these only one whose
+            notes name a task: policies from elsewhere need not.
+        env: What it will control.
+        name: What to call it, if it has a name.
+
+    Raises:
+        ValueError: If it was made for another environment; the message names both.
+    """
+    notes = getattr(policy, "notes", None)
+    made_for = notes.get("task") if isinstance(notes, Mapping) else None
+    given = _id_of(env)
+    if not isinstance(made_for, str) or not given or made_for == given:
+        return
+    known = [task.name for task in TASKS.values() if task.env_id == made_for]
+    way_out = f"; evaluate it there, with --task {known[0]}" if known else ""
+    who = f"Policy '{name}'" if name else "The policy"
+    raise ValueError(f"{who} was made for '{made_for}', and this is '{given}'{way_out}.")
+
+
+def controller_hash(name: str, env_id: str = "") -> str:
     """Tell controllers of one name apart: 16 digits of a hash of the file behind it, or nothing.
+
+    Args:
+        name: As in the table above.
+        env_id: Of the environment, which says which of the shipped policies is meant; without one, the hash
+            is that of all of them.
 
     Raises:
         ValueError: If there is no such file or module.
@@ -87,7 +137,8 @@ def controller_hash(name: str) -> str:
         return ""
     if name in _SHIPPED:
         folder = files("surefoot.experiments.policy").joinpath("files")
-        found = (folder.joinpath(f"{task}-{_SHIPPED[name]}", "policy.npz") for task in TASKS)
+        tasks = [task.name for task in TASKS.values() if env_id in ("", task.env_id)]
+        found = (folder.joinpath(f"{task}-{_SHIPPED[name]}", "policy.npz") for task in tasks)
         packed = b"".join(file.read_bytes() for file in found if file.is_file())
         return sha256(packed).hexdigest()[:16]
     if name.endswith(_FILES):
@@ -117,6 +168,46 @@ def trained_on(name: str) -> str:
 def short_name(name: str) -> str:
     """Name a controller where space is short: a file without its folder."""
     return Path(name).stem if name.endswith(_FILES) else name
+
+
+def labels(controllers: Sequence[str]) -> dict[str, str]:
+    """Name controllers briefly, and no two of them alike.
+
+    >>> labels(["a/one.npz", "a/two.npz", "b/two.npz"])
+    {'a/one.npz': 'one', 'a/two.npz': 'a/two.npz', 'b/two.npz': 'b/two.npz'}
+    """
+    short = [short_name(name) for name in controllers]
+    found = {
+        name: brief if short.count(brief) == 1 else name
+        for name, brief in zip(controllers, short, strict=True)
+    }
+    return found if len(set(found.values())) == len(found) else {name: name for name in controllers}
+
+
+def drawn_names(controllers: Sequence[str]) -> dict[str, str]:
+    """Name controllers as a figure can write them, and no two of them alike.
+
+    A line has an end, so that of long names the last characters are left, and a number where these are the
+    same; and a dollar sign begins no formula.
+    """
+    found: dict[str, str] = {}
+    for name, brief in labels(controllers).items():
+        cut, number = _cut(brief, ""), 1
+        while cut in found.values():
+            number += 1
+            cut = _cut(brief, f" ({number})")
+        found[name] = cut
+    return {name: cut.replace("$", r"\$") for name, cut in found.items()}
+
+
+def _cut(text: str, ending: str) -> str:
+    room = _LONGEST_DRAWN - len(ending)
+    return (text if len(text) <= room else f"…{text[1 - room :]}") + ending
+
+
+def _id_of(env: gym.Env[Any, Any]) -> str:
+    spec = env.unwrapped.spec
+    return "" if spec is None else spec.id
 
 
 def _policy(name: str, env_id: str) -> PolicyNetwork:

@@ -6,7 +6,9 @@ from typing import Any
 
 import pandas as pd
 from rich import box
+from rich.markup import escape
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from surefoot.experiments.score import Interval, mean_interval
 
@@ -32,14 +34,17 @@ class Table:
     note: str = ""
 
     def to_rich(self) -> RichTable:
-        """Lay it out for a terminal."""
+        """Lay it out for a terminal; brackets and colons in it are text and mean nothing to rich."""
         table = RichTable(
-            title=self.title, caption=self.note or None, box=box.SIMPLE_HEAD, title_justify="left"
+            title=escape(self.title),
+            caption=escape(self.note) or None,
+            box=box.SIMPLE_HEAD,
+            title_justify="left",
         )
         for i, column in enumerate(self.columns):
-            table.add_column(column, justify="left" if i == 0 else "right")
+            table.add_column(Text(column), justify="left" if i == 0 else "right")
         for row in self.rows:
-            table.add_row(*row)
+            table.add_row(*map(Text, row))
         return table
 
     def to_frame(self) -> pd.DataFrame:

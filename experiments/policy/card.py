@@ -1,6 +1,8 @@
 """The card of a trained policy: what it is, how it was made, how well it does, and what it cannot do."""
 
 import json
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +11,21 @@ import pandas as pd
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
 from surefoot.experiments._files import atomic_path, write_text
+from surefoot.experiments._frames import Frame
+from surefoot.experiments.controllers_by_name import controller_hash
 from surefoot.experiments.policy.env import input_names
 from surefoot.experiments.policy.options import TRAINING_SEEDS
+from surefoot.experiments.policy.origin import Origin
+from surefoot.experiments.policy.scores import controllers_of, score_table, seeds_text
 from surefoot.experiments.policy.tasks import TASKS, Task, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
 
-__all__ = ["draw_curve", "write_card"]
+__all__ = ["draw_curve", "own_scores", "write_card", "write_scores"]
 
 FIGURE, CARD, EVALUATION = "curve.png", "card.md", "evaluation.csv"
+
+_WHOSE = ("controller", "policy file", "task", "seeds")
+"""Columns of the scores' file that say whose scores they are; a card has them of one policy."""
 
 
 def draw_curve(curve: pd.DataFrame, path: Path, most: float) -> Path:
@@ -40,8 +49,61 @@ def draw_curve(curve: pd.DataFrame, path: Path, most: float) -> Path:
     return path
 
 
+def write_scores(out: Path, frame: Frame, origins: Mapping[str, Origin]) -> Path:
+    """Write the scores of an evaluation into a folder, with whose they are.
+
+    Args:
+        out: The folder.
+        frame: Of :func:`~surefoot.experiments.policy.scores.episodes_frame`, of one task.
+        origins: What is known of the controllers.
+    """
+    parts = []
+    for name in controllers_of(frame):
+        own = frame[frame["controller"] == name]
+        scores = score_table(own).to_frame()
+        rows = own.groupby(["feed", "cop_input", "severity"], sort=False)["seed"]
+        whose = (
+            name,
+            origins.get(name, Origin()).file,
+            own["task"].iloc[0],
+            [seeds_text(s) for _, s in rows],
+        )
+        for place, (column, value) in enumerate(zip(_WHOSE, whose, strict=True)):
+            scores.insert(place, column, value)
+        parts.append(scores)
+    with atomic_path(out / EVALUATION) as path:
+        pd.concat(parts).to_csv(path, index=False)
+    return out / EVALUATION
+
+
+def own_scores(out: Path) -> Frame | None:
+    """Read the scores of the policy that lies in a folder.
+
+    Args:
+        out: The folder.
+
+    Returns:
+        What :func:`write_scores` wrote of a controller that is this very file, on the task that it was made
+        for; ``None`` if there is nothing of it: scores of an earlier policy, or of others, are not its own.
+
+    Raises:
+        FileNotFoundError: If there is no policy.
+    """
+    task = _task_of(PolicyNetwork.load(out / POLICY))
+    try:
+        scores: Frame = pd.read_csv(out / EVALUATION, dtype=str, keep_default_na=False)
+    except (FileNotFoundError, ValueError):
+        return None
+    if not set(_WHOSE) <= set(scores.columns):
+        return None
+    own = scores[
+        (scores["policy file"] == controller_hash(str(out / POLICY))) & (scores["task"] == task.name)
+    ]
+    return own[own["controller"] == own["controller"].iloc[0]] if len(own) else None
+
+
 def write_card(out: Path) -> Path:
-    """Write the card of the policy in a folder, with the evaluation that lies there, if one does.
+    """Write the card of the policy in a folder, with its scores if they lie there, see :func:`own_scores`.
 
     Args:
         out: The folder of a finished training.
@@ -58,16 +120,16 @@ def write_card(out: Path) -> Path:
         curve = pd.read_csv(curve_path)
         draw_curve(curve, out / FIGURE, most)
         pieces.append(_curve(curve, most))
-    evaluation = out / EVALUATION
-    pieces.append(
-        _scores(pd.read_csv(evaluation, dtype=str, keep_default_na=False) if evaluation.exists() else None)
-    )
+    pieces.append(_scores(own_scores(out), out, task))
     pieces.append(_limits(task))
     write_text(out / CARD, "\n".join(pieces))
     return out / CARD
 
 
 def _task_of(network: PolicyNetwork) -> Task:
+    for task in TASKS.values():
+        if task.env_id == network.notes.get("task"):
+            return task
     name = network.notes.get("options", {}).get("task", "balance")
     return task_named(str(name))
 
@@ -122,19 +184,26 @@ and {fell:.1f} % of the episodes ended in a fall. The numbers are in `{CURVE}`.
 """
 
 
-def _scores(scores: pd.DataFrame | None) -> str:
+def _scores(scores: Frame | None, out: Path, task: Task) -> str:
     if scores is None:
-        return "## Evaluation\n\nNone yet: `surefoot evaluate` writes it here.\n"
-    lines = ["| " + " | ".join(scores.columns) + " |", "|" + "---|" * len(scores.columns)]
-    lines += ["| " + " | ".join(map(str, row)) + " |" for row in scores.itertuples(index=False)]
+        asked = "" if task.name == next(iter(TASKS)) else f" --task {task.name}"
+        command = f"surefoot evaluate {shlex.quote(str(out / POLICY))}{asked} --out {shlex.quote(str(out))}"
+        return f"## Evaluation\n\nNone yet: `{command}` writes it here.\n"
+    shown = scores.drop(columns=list(_WHOSE))
+    lines = ["| " + " | ".join(shown.columns) + " |", "|" + "---|" * len(shown.columns)]
+    lines += ["| " + " | ".join(map(str, row)) + " |" for row in shown.itertuples(index=False)]
     table = "\n".join(lines)
+    seeds = list(dict.fromkeys(scores["seeds"]))
+    episodes = f"the episodes of the seeds {seeds[0]}, the same for all rows"
+    if len(seeds) > 1:
+        episodes = "episodes that are not the same for all rows"
     return f"""## Evaluation
 
 {table}
 
-Means with 95 % intervals over the same episodes for all rows, from the end of the quiet stand on. *Frozen*,
-*swapped* and *shuffled* rows are the true feet with the policy's input held, taken from another episode, or
-from another episode in random order.
+Means with 95 % intervals over {episodes},
+from the end of the quiet stand on. *Frozen*, *swapped* and *shuffled* rows are the true feet with the
+policy's input held, taken from another episode, or from another episode in random order.
 """
 
 

@@ -6,12 +6,8 @@ A difference is *clear* if its 95 % interval leaves zero out.
 from typing import NamedTuple
 
 from surefoot.experiments._frames import Frame
-from surefoot.experiments.policy.scores import (
-    Run,
-    controllers_of,
-    labels,
-    paired_difference,
-)
+from surefoot.experiments.controllers_by_name import labels
+from surefoot.experiments.policy.scores import Run, controllers_of, paired_difference
 from surefoot.experiments.score import Interval
 from surefoot.experiments.style import short_label
 from surefoot.experiments.tables import Table, interval_text
@@ -124,6 +120,7 @@ def difference_table(found: list[Difference], name: str, title: str) -> Table:
             one.what,
             "–" if one.severity != one.severity else f"{one.severity:g}",
             interval_text(one.interval),
+            str(one.interval.n),
             "yes" if one.interval.apart else "no",
         )
         for one in found
@@ -131,10 +128,11 @@ def difference_table(found: list[Difference], name: str, title: str) -> Table:
     return Table(
         name,
         title,
-        ("controller", "difference", "severity", "return", "clear"),
+        ("controller", "difference", "severity", "return", "seeds", "clear"),
         rows,
-        "Means of differences between episodes of the same seed, with 95 % intervals (Student t); clear: the "
-        "interval leaves zero out.",
+        "Means of differences between episodes of the same seed, over as many seeds as both have, with 95 % "
+        "intervals (Student t); clear: the interval leaves zero out. That happens by chance to one in twenty "
+        f"differences that are nothing, and these are {len(rows)}.",
     )
 
 

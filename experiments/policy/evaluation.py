@@ -1,48 +1,39 @@
-"""An evaluation on the disk: what is compared, and the episodes that were run of it so far.
-
-A folder holds one evaluation. ``evaluation.json`` says which, and with what it was made;
-``episodes.parquet`` is replaced as a whole every few seconds and whenever the work ends, however it ends. The
-same command goes on where it was stopped.
-"""
+"""An evaluation: what is compared, on which episodes, and with what."""
 
 import json
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import pandas as pd
+import numpy as np
 
 import surefoot
-from surefoot.experiments._files import atomic_path, locked, write_text
 from surefoot.experiments._frames import Frame
 from surefoot.experiments.arena_walks import source_hash
-from surefoot.experiments.controllers_by_name import controller_hash, load_controller
+from surefoot.experiments.controllers_by_name import controller_hash, load_controller, trained_on
 from surefoot.experiments.policy.env import FEEDS, make_feed
-from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult, count_episodes, run_episodes
-from surefoot.experiments.policy.options import TRAINING_SEEDS
-from surefoot.experiments.policy.scores import episodes_frame, in_order
+from surefoot.experiments.policy.evaluate import (
+    COP_INPUTS,
+    EpisodeResult,
+    check_seeds,
+    count_episodes,
+    episode_cells,
+    run_episodes,
+)
+from surefoot.experiments.policy.origin import Plan
+from surefoot.experiments.policy.scores import in_order
 from surefoot.experiments.policy.tasks import TASKS, task_named
 
-__all__ = ["EPISODES", "Evaluation", "EvaluationFolder", "read_episodes"]
+__all__ = ["CODE", "Evaluation"]
 
-EPISODES, PLAN = "episodes.parquet", "evaluation.json"
-
-EVERY = 10.0
-"""Time in s between two replacements of the table, so that a long evaluation does not write all the time."""
-
-_CODE = (
-    *("envs", "sensors", "wrappers", "controllers", "calibration", "experiments/walkers.py"),
-    *(f"experiments/policy/{name}.py" for name in ("env", "evaluate", "tasks")),
+CODE = (
+    *("envs", "sensors", "wrappers", "controllers", "calibration"),
+    *(f"experiments/{name}.py" for name in ("walkers", "controllers_by_name")),
+    *(f"experiments/policy/{name}.py" for name in ("env", "evaluate", "options", "shipped", "tasks")),
 )
 """Sources that a score depends on."""
-
-_NUMBERS = ("severity", "seed", "total", "fell", "time", "cop_error", "tracking")
-_NAMES = ("controller", "feed", "cop_input")
 
 
 @dataclass(frozen=True)
@@ -82,11 +73,14 @@ class Evaluation:
             values = getattr(self, name)
             if not values or len(set(values)) < len(values):
                 raise ValueError(f"'{name}' must name at least one and none twice, got {list(values)}.")
-        if not (self.seeds >= 1 and 0 <= self.first_seed <= TRAINING_SEEDS - self.seeds):
-            raise ValueError(
-                f"Seeds must be at least one and lie in 0 to {TRAINING_SEEDS - 1}, got {self.seeds} from "
-                f"{self.first_seed} on: seeds above are training's."
-            )
+        for name, least in (("seeds", 1), ("first_seed", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
+                raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
+        for severity in self.severities:
+            if not (isinstance(severity, int | float) and 0.0 <= severity < float("inf")):
+                raise ValueError(f"A severity must be finite and not negative, got {severity!r}.")
+        check_seeds(self.first_seed, self.first_seed + self.seeds - 1, self.cop_inputs)
         tried = [
             (self.controllers[0], feed, severity) for feed in self.feeds for severity in self.severities[:1]
         ]
@@ -95,7 +89,7 @@ class Evaluation:
         for controller, feed, severity in tried:
             env, _ = make_feed(feed, severity=severity, task=self.task)
             try:
-                load_controller(controller, env)
+                load_controller(controller, env, same_task=True)
             finally:
                 env.close()
 
@@ -132,158 +126,51 @@ class Evaluation:
                 done=there,
             )
 
-    def as_dict(self) -> dict[str, Any]:
-        """Hand it out as plain data, with hashes of the files behind the controllers."""
-        plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return plain | {"files": {name: controller_hash(name) for name in self.controllers}}
+    def files(self) -> dict[str, str]:
+        """Hash the file behind each controller, as it is now."""
+        env_id = task_named(self.task).env_id
+        return {name: controller_hash(name, env_id) for name in self.controllers}
 
+    def plan(self) -> Plan:
+        """Say what is compared and with what, as of now."""
+        plain = json.loads(json.dumps(asdict(self))) | {"files": self.files()}
+        return Plan(plain, _versions(), {name: trained_on(name) for name in self.controllers})
 
-class EvaluationFolder:
-    """The episodes of one evaluation; use it within :meth:`opened`.
-
-    Args:
-        folder: Where they lie; ``None`` keeps them in memory alone.
-        evaluation: What is compared.
-    """
-
-    def __init__(self, folder: Path | None, evaluation: Evaluation) -> None:
-        self.folder = folder
-        self.evaluation = evaluation
-        self._results: list[EpisodeResult] = []
-        self._kept: Frame | None = None
-
-    @contextmanager
-    def opened(self) -> Iterator["EvaluationFolder"]:
-        """Take the folder for this evaluation, and write down what was added whatever happens.
-
-        Raises:
-            ValueError: If it holds another evaluation or files that are damaged, or is in use.
-        """
-        if self.folder is None:
-            yield self
-            return
-        busy = ValueError(f"Another evaluation is at work in '{self.folder}'; wait for it.")
-        with locked(self.folder, busy):
-            self._claim(self.folder)
-            self._written = time.monotonic()
-            try:
-                yield self
-            finally:
-                self._write(self.folder)
-
-    @property
-    def frame(self) -> Frame:
-        """All episodes, see :func:`~surefoot.experiments.policy.scores.in_order`."""
-        if not self._results:
-            return self._kept
-        added = episodes_frame(self._results)
-        return added if self._kept is None else in_order(pd.concat([self._kept, added], ignore_index=True))
-
-    @property
-    def missing(self) -> int:
-        """How many episodes are not there yet."""
-        kept = 0 if self._kept is None else len(self._kept)
-        return len(self.evaluation) - kept - len(self._results)
-
-    def run(self, jobs: int = 1) -> Iterator[EpisodeResult]:
-        """Run what is missing; what is handed out is kept.
+    def own(self, frame: Frame, source: Path) -> Frame:
+        """Take over the episodes of an earlier run of it.
 
         Args:
-            jobs: Processes that work at the same time.
+            frame: The episodes.
+            source: Where they are from.
+
+        Returns:
+            The episodes, with controllers in the order in which they are named now.
+
+        Raises:
+            ValueError: If one is there twice, or is none of this evaluation.
         """
-        for result in self.evaluation.run(self._kept, jobs):
-            self._results.append(result)
-            if self.folder is not None and time.monotonic() - self._written > EVERY:
-                self._write(self.folder)
-                self._written = time.monotonic()
-            yield result
-
-    def _claim(self, folder: Path) -> None:
-        plan, table = folder / PLAN, folder / EPISODES
-        wanted, made_with = self.evaluation.as_dict(), _versions()
-        if not table.is_file() or not plan.is_file():
-            if table.is_file():
+        # True feet know no severity: which of them an episode on them was run at makes no difference.
+        on_true = (frame["feed"] == "true") & frame["severity"].isin(self.severities)
+        frame = frame.assign(severity=np.where(on_true, float(self.severities[0]), frame["severity"]))
+        each = episode_cells(self.feeds, self.numbers, self.severities, self.cop_inputs)
+        cells = {(name, *cell) for name in self.controllers for cell in each}
+        columns = (frame[name] for name in ("controller", "feed", "seed", "severity", "cop_input"))
+        seen = set()
+        for cell, task in zip(zip(*columns, strict=True), frame["task"], strict=True):
+            fits = cell in cells and task == self.task
+            if not fits or cell in seen:
+                what = "twice" if fits else f"of the task '{task}', which is none of this evaluation"
+                name, feed, seed, severity, cop_input = cell
                 raise ValueError(
-                    f"'{folder}' holds episodes without an {PLAN}; give another folder with --out, or make a "
-                    f"page of them with --page-of {table}."
+                    f"'{source}' holds the episode of '{name}' on feed '{feed}' ({cop_input}), severity "
+                    f"{severity:g}, seed {seed}, {what}; give another folder with --out."
                 )
-            write_text(plan, json.dumps({"evaluation": wanted, "versions": made_with}, indent=1) + "\n")
-            return
-        held, versions = _read_plan(plan)
-        if other := [name for name in sorted(wanted.keys() | held) if wanted.get(name) != held.get(name)]:
-            differs = "; ".join(f"{name} {held.get(name)} and not {wanted.get(name)}" for name in other)
-            raise ValueError(
-                f"'{folder}' holds another evaluation: {differs}. Give its options to go on, or another "
-                "folder with --out."
-            )
-        self._kept = read_episodes(table)
-        if versions != made_with and self.missing:
-            differs = ", ".join(
-                f"{name} {versions.get(name)}" for name, now in made_with.items() if versions.get(name) != now
-            )
-            raise ValueError(
-                f"'{folder}' was begun with {differs}, which is not what runs now; give another folder with "
-                "--out."
-            )
-
-    def _write(self, folder: Path) -> None:
-        if self._results:
-            frame = self.frame
-            with atomic_path(folder / EPISODES) as part:
-                frame.to_parquet(part, index=False)
-
-
-def read_episodes(path: Path, controller: str = "") -> Frame:
-    """Read the episodes of an evaluation.
-
-    Args:
-        path: An ``episodes.parquet``, or its folder.
-        controller: Who acted, in place of what the file says; files of older versions say nothing.
-
-    Raises:
-        ValueError: If there are none, or the file is damaged or holds something else.
-    """
-    path = path / EPISODES if path.is_dir() else path
-    if not path.is_file():
-        raise ValueError(f"There is no file of episodes '{path}'; 'surefoot evaluate --out' writes one.")
-    try:
-        frame: Frame = pd.read_parquet(path)
-    except Exception as error:  # Whatever a damaged file raises.
-        raise ValueError(f"'{path}' is no table of Parquet, or is damaged: {error}.") from error
-    if controller or "controller" not in frame or not (frame["controller"] != "").all():
-        frame = frame.assign(controller=controller or "policy")
-    if "task" not in frame:
-        frame = frame.assign(task=next(iter(TASKS)))
-    if missing := [name for name in (*_NAMES, *_NUMBERS) if name not in frame]:
-        raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    for name in _NUMBERS:
-        if not pd.api.types.is_numeric_dtype(frame[name]):
-            raise ValueError(f"'{path}' is no table of episodes: its column '{name}' holds no numbers.")
-    for name, known in (("feed", list(FEEDS)), ("cop_input", list(COP_INPUTS)), ("task", list(TASKS))):
-        if unknown := sorted(set(map(str, frame[name])) - set(known)):
-            raise ValueError(f"'{path}' holds the {name} '{unknown[0]}'. Known: {', '.join(known)}.")
-    return in_order(frame.assign(fell=frame["fell"].astype(bool)))
-
-
-def made_with(path: Path) -> str:
-    """Say with what the episodes of a folder, or a file in one, were made, if it was written down."""
-    plan = (path if path.is_dir() else path.parent) / PLAN
-    if not plan.is_file():
-        return ""
-    return ", ".join(f"{name} {value}" for name, value in _read_plan(plan)[1].items())
-
-
-def _read_plan(path: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    try:
-        made = json.loads(path.read_text(encoding="utf-8"))
-        return dict(made["evaluation"]), dict(made["versions"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"'{path}' does not say what was evaluated ({error}); give another folder with --out."
-        ) from error
+            seen.add(cell)
+        order = list(self.controllers)
+        return in_order(frame.sort_values("controller", key=lambda column: column.map(order.index)))
 
 
 @cache
 def _versions() -> dict[str, str]:
     packages = {name: version(name) for name in ("numpy", "mujoco", "gymnasium")}
-    return {"surefoot": surefoot.__version__, **packages, "code": source_hash(*_CODE)}
+    return {"surefoot": surefoot.__version__, **packages, "code": source_hash(*CODE)}

@@ -7,8 +7,8 @@ import numpy as np
 
 from surefoot.experiments._canvas import figure_at, grid_of, legend_below
 from surefoot.experiments._frames import Frame
+from surefoot.experiments.controllers_by_name import drawn_names
 from surefoot.experiments.policy.comparison import Difference
-from surefoot.experiments.policy.scores import controllers_of, labels
 from surefoot.experiments.sweep import figures
 
 __all__ = ["forest", "returns", "survival_curves"]
@@ -44,7 +44,7 @@ def forest(path: Path, found: Sequence[Difference]) -> Path:
         for i, severity in enumerate(severities)
     ]
     rows = list(dict.fromkeys(one.what for one in found))
-    brief = _drawn(controllers)
+    names = drawn_names(controllers)
     columns = min(2, len(controllers))
     lines = -(-len(controllers) // columns)
     height = (0.16 + 0.2 * max(len(severities), 1)) * len(rows) + 1.2
@@ -71,7 +71,7 @@ def forest(path: Path, found: Sequence[Difference]) -> Path:
             axes.set_yticks(range(len(rows)), rows)
             axes.set_ylim(len(rows) - 0.5, -0.5)
             axes.tick_params(labelbottom=True)
-            axes.set_title(brief[controller])
+            axes.set_title(names[controller])
             axes.set_xlabel("difference of returns")
         if severities:
             legend_below(figure, panels.ravel())
@@ -88,14 +88,4 @@ def _beside(one: Difference, severities: Sequence[float]) -> float:
 def _as_sweep(frame: Frame) -> Frame:
     """Rename what a sweep calls otherwise; what was given another centre of pressure is left out."""
     felt = frame[frame["cop_input"] == "felt"]
-    return felt.assign(
-        controller=felt["controller"].map(_drawn(controllers_of(frame))), **{"return": felt["total"]}
-    )
-
-
-def _drawn(controllers: Sequence[str]) -> dict[str, str]:
-    """Name controllers as a figure can write them: a dollar sign begins no formula, and a line has an end."""
-    return {
-        name: (brief if len(brief) <= 40 else f"…{brief[-39:]}").replace("$", r"\$")
-        for name, brief in labels(controllers).items()
-    }
+    return felt.assign(**{"return": felt["total"]})

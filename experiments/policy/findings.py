@@ -3,13 +3,21 @@
 from collections.abc import Sequence
 
 from surefoot.experiments._frames import Frame
+from surefoot.experiments.controllers_by_name import labels
 from surefoot.experiments.policy.comparison import CALIBRATED, difference, severities_of
-from surefoot.experiments.policy.randomisation import WORSE, Answer
-from surefoot.experiments.policy.scores import Run, controllers_of, labels, survival, won_back
+from surefoot.experiments.policy.randomisation import Answer
+from surefoot.experiments.policy.scores import Run, controllers_of, survival, won_back
+from surefoot.experiments.report import flat
 from surefoot.experiments.score import mean_interval
 from surefoot.experiments.tables import Table, interval_text
 
 __all__ = ["controller_findings", "target_table"]
+
+_NOTE = """
+    Survival and the share of the loss that is won back are judged by the number itself, wherever its interval
+    ends; all else by 95 % intervals. An interval leaves out what is true in one of twenty cases: among many
+    differences, some are clear, and some targets met or missed, by chance. Of what both together are held
+    against, the one is shown that decides."""
 
 
 def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] = ()) -> Table:
@@ -49,21 +57,20 @@ def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] 
                 measured = interval_text(gap)
                 row(f"{at}surefoot less {name}", "> 0, clearly", measured, gap.apart and gap.mean > 0.0)
     for answer in randomisation:
-        gap = min(answer.on_calibration, answer.on_randomisation)
+        alone, gap = answer.deciding
         row(
-            f"severity {answer.severity:g}: randomised and calibrated, less the better of either alone",
+            f"severity {answer.severity:g}: randomised and calibrated, less either alone",
             "not clearly below 0",
-            interval_text(gap),
-            answer.both != WORSE,
+            f"{interval_text(gap)} (less {alone})",
+            not answer.worse,
         )
     gap = difference(own, Run("true"), Run("true", "shuffled"), None)
     if gap is not None:
         reached = gap.apart and gap.mean > 0.0
         row("true CoP felt less shuffled", "> 0, clearly", interval_text(gap), reached)
     columns = ("what", "target", "measured", "reached")
-    return Table(
-        "targets", f"Set out to reach, by {labels(controllers_of(frame))[controller]}", columns, tuple(rows)
-    )
+    title = f"Set out to reach, by {labels(controllers_of(frame))[controller]}"
+    return Table("targets", title, columns, tuple(rows), flat(_NOTE))
 
 
 def controller_findings(frame: Frame, controller: str) -> tuple[str, ...]:

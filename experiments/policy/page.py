@@ -7,6 +7,7 @@ from pathlib import Path
 
 from surefoot.experiments._files import atomic_path
 from surefoot.experiments._frames import Frame
+from surefoot.experiments.controllers_by_name import BUILT_IN, labels
 from surefoot.experiments.policy import figures
 from surefoot.experiments.policy.comparison import (
     difference_table,
@@ -15,8 +16,16 @@ from surefoot.experiments.policy.comparison import (
     nobody_differences,
 )
 from surefoot.experiments.policy.findings import controller_findings, target_table
+from surefoot.experiments.policy.origin import Origin
 from surefoot.experiments.policy.randomisation import answers, gap_table, trainings, two_by_two
-from surefoot.experiments.policy.scores import controllers_of, in_order, labels, score_table
+from surefoot.experiments.policy.scores import (
+    controllers_of,
+    in_order,
+    same_seeds,
+    score_table,
+    seed_ranges,
+    seeds_text,
+)
 from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.report import ReportFigure, Section, flat, render_report
 from surefoot.experiments.stages import machine
@@ -36,8 +45,14 @@ _FEEDS = """
     paper; and 'surefoot'. What was not run is left out."""
 
 _AMOUNT = """
-    {episodes} episodes of {seeds} seeds ({first} to {last}). Intervals are 95 %: of means Student's t, of the
+    {episodes} episodes of {count} seeds ({seeds}). {paired} Intervals are 95 %: of means Student's t, of the
     loss won back a bootstrap over seeds, of survival Greenwood's."""
+
+_PAIRED = "Every row is of the same seeds."
+
+_UNPAIRED = """
+    Not all rows are of the same seeds: differences are taken over those that both sides have, and say how
+    many there are; means beside each other are not of the same episodes."""
 
 _KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomised feet"}
 
@@ -53,12 +68,13 @@ _CAPTIONS = {
 
 _RANDOMISATION = """
     A policy that was trained on randomised sensors has learnt what to make of feet that lie; a calibration
-    makes them lie less. Either can be had without the other."""
+    makes them lie less. Either can be had without the other. All intervals are over the episodes of these two
+    trained policies: how far another training of the same kind, by another seed, would come out from them is
+    in none."""
 
 _INPUTS = """
     True feet, but the controller is given a CoP that is held (frozen), that of another episode (swapped), or
     that of another episode in random order (shuffled). Who uses the CoP loses by it."""
-
 
 _NOBODY = """
     Returns less those of the zero action, which leaves the robot to its pattern: who acts on feet that lie
@@ -71,35 +87,35 @@ class EvaluationPage:
     Args:
         frame: Episodes with the columns ``controller`` and ``task``, see
             :func:`~surefoot.experiments.policy.scores.episodes_frame`.
-        trained: What each controller was trained on; those that were not may be left out.
-        versions: What the episodes were made with, if it is known.
+        origins: What is known of the controllers; those of which nothing is may be left out.
 
     Raises:
         ValueError: If there are no episodes, or of several tasks, or one of them twice.
     """
 
-    def __init__(self, frame: Frame, trained: Mapping[str, str] | None = None, versions: str = "") -> None:
+    def __init__(self, frame: Frame, origins: Mapping[str, Origin] | None = None) -> None:
         _check(frame)
         self.frame = in_order(frame)
         self.task = task_named(str(frame["task"].iloc[0]))
-        self.trained = dict(trained or {})
-        self.versions = versions
         self.controllers = controllers_of(self.frame)
         self.labels = labels(self.controllers)
-        both = trainings(self.frame, self.trained)
+        self.origins = {name: (origins or {}).get(name, Origin()) for name in self.controllers}
+        trained = {name: origin.trained for name, origin in self.origins.items()}
+        both = trainings(self.frame, trained)
         found = [] if both is None else answers(self.frame, *both)
         self.answers = tuple(answer.words() for answer in found)
         self.randomisation: tuple[Table, ...] = ()
         if both is not None and found:
             self.randomisation = tuple(make(self.frame, *both, found) for make in (two_by_two, gap_table))
-        clean = [name for name in self.controllers if self.trained.get(name) == "true"]
-        self.policy = (clean or self.controllers)[0]
-        self.targets = target_table(self.frame, self.policy, found)
+        # What learnt nothing was set no target: of the policies, the one that was trained on true feet.
+        learnt = [name for name in self.controllers if name not in BUILT_IN]
+        clean = [name for name in learnt if trained[name] == "true"]
+        self.targets = target_table(self.frame, (clean or learnt)[0], found) if learnt else None
         self.scores = tuple(
             score_table(
                 self.frame[self.frame["controller"] == name],
                 f"scores_{number}",
-                self.labels[name] + _BUILT_IN.get(name, _KINDS.get(self.trained.get(name, ""), "")),
+                self.labels[name] + _BUILT_IN.get(name, _KINDS.get(trained[name], "")),
             )
             for number, name in enumerate(self.controllers)
         )
@@ -110,7 +126,7 @@ class EvaluationPage:
     @property
     def tables(self) -> tuple[Table, ...]:
         """All tables, in the order of the page."""
-        found = [self.targets] if self.targets.rows else []
+        found = [self.targets] if self.targets is not None and self.targets.rows else []
         found += self.scores
         if self.differences:
             found.append(difference_table(self.differences, "differences", "Paired differences of returns"))
@@ -164,7 +180,10 @@ class EvaluationPage:
     def _introduction(self) -> tuple[str, ...]:
         seeds = self.frame["seed"]
         amount = _AMOUNT.format(
-            episodes=len(self.frame), seeds=seeds.nunique(), first=seeds.min(), last=seeds.max()
+            episodes=len(self.frame),
+            count=seeds.nunique(),
+            seeds=seeds_text(seeds),
+            paired=_PAIRED if same_seeds(self.frame) else _UNPAIRED,
         )
         return flat(_INTRODUCTION.format(env_id=self.task.env_id)), flat(_FEEDS), flat(amount)
 
@@ -183,26 +202,41 @@ class EvaluationPage:
         return Section("scores", "Scores", tables=self.scores, figures=shown)
 
     def _repeat(self) -> Section:
-        versions = f"The episodes were made with {self.versions}. " if self.versions else ""
-        paragraph = (
-            f"{versions}An episode that is run again comes out the same to the last digit with the same "
-            "versions on the same kind of machine."
-        )
-        return Section("repeat", "Repeat it", (paragraph,), commands=tuple(self.commands()))
+        said = [
+            *self._versions(),
+            "An episode that is run again comes out the same to the last digit with the same versions on the "
+            "same kind of machine.",
+        ]
+        if given := [self.labels[name] for name, origin in self.origins.items() if not origin.runs]:
+            said.append(f"No command runs {', '.join(given)}: the episodes were given as files.")
+        return Section("repeat", "Repeat it", (" ".join(said),), commands=tuple(self.commands()))
+
+    def _versions(self) -> list[str]:
+        """Say with what the episodes were made: once if all alike, else of each controller."""
+        versions = {name: origin.versions for name, origin in self.origins.items()}
+        if len(set(versions.values())) == 1:
+            return [f"The episodes were made with {each}." for each in set(versions.values()) if each]
+        return [
+            f"Those of {self.labels[name]} were made with {each or 'versions that nobody wrote down'}."
+            for name, each in versions.items()
+        ]
 
     def commands(self) -> list[str]:
-        """Write the commands that run these episodes again: controllers that were run alike share one."""
+        """Write the commands that run these episodes again: controllers that were run alike share one.
+
+        Who was given as a file of episodes, under a name of its own, cannot be run by it and is left out.
+        """
         alike: dict[str, list[str]] = {}
-        for name in self.controllers:
+        for name in (name for name, origin in self.origins.items() if origin.runs):
             own = self.frame[self.frame["controller"] == name]
-            first, last = int(own["seed"].min()), int(own["seed"].max())
             severities = sorted(own[own["feed"] != "true"]["severity"].unique()) or [1.0]
             options = [f"--task {self.task.name}"]
             options += [f"--feed {feed}" for feed in dict.fromkeys(own["feed"])]
             options += [f"--severity {severity:g}" for severity in severities]
-            options += [f"--seeds {last - first + 1} --first-seed {first}"]
-            options += ["--uses-cop"] * bool((own["cop_input"] != "felt").any())
-            alike.setdefault(" ".join(options), []).append(shlex.quote(name))
+            for first, last in seed_ranges(own["seed"]):
+                each = [*options, f"--seeds {last - first + 1} --first-seed {first}"]
+                each += ["--uses-cop"] * bool((own["cop_input"] != "felt").any())
+                alike.setdefault(" ".join(each), []).append(shlex.quote(name))
         return [f"surefoot evaluate {' '.join(names)} {options}" for options, names in alike.items()]
 
 

@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 from surefoot.experiments._frames import Frame
 from surefoot.experiments.policy.comparison import CALIBRATED, difference, severities_of
-from surefoot.experiments.policy.scores import Run, controllers_of
+from surefoot.experiments.policy.scores import Run, controllers_of, paired_difference
 from surefoot.experiments.score import Interval, mean_interval
 from surefoot.experiments.tables import Table, interval_text
 
-__all__ = ["AS_GOOD", "BETTER", "WORSE", "Answer", "answers", "gap_table", "trainings", "two_by_two"]
+__all__ = ["BETTER", "UNCLEAR", "WORSE", "Answer", "answers", "gap_table", "trainings", "two_by_two"]
 
-BETTER, AS_GOOD, WORSE = "better than either alone", "no worse than either alone", "worse than one alone"
-"""What both together may be."""
+BETTER, UNCLEAR, WORSE = "clearly better than", "not clearly different from", "clearly worse than"
+"""What both together may be, held against either alone, as far as an interval tells."""
 
 
 class Answer(NamedTuple):
@@ -20,6 +20,7 @@ class Answer(NamedTuple):
 
     Attributes:
         severity: Of the sensors.
+        seeds: Those that all four were run with: all differences are over these.
         randomisation: Randomised less clean, both drifting.
         calibration: Calibrated less drifting, both clean.
         choice: Clean on calibrated feet less randomised on drifting ones.
@@ -28,6 +29,7 @@ class Answer(NamedTuple):
     """
 
     severity: float
+    seeds: frozenset[int]
     randomisation: Interval
     calibration: Interval
     choice: Interval
@@ -36,11 +38,28 @@ class Answer(NamedTuple):
 
     @property
     def both(self) -> str:
-        """Whether both together beat either alone, as far as the intervals tell."""
-        gaps = (self.on_calibration, self.on_randomisation)
-        if any(gap.apart and gap.mean < 0.0 for gap in gaps):
-            return WORSE
-        return BETTER if all(gap.apart and gap.mean > 0.0 for gap in gaps) else AS_GOOD
+        """What both together are, held against either alone, as far as the intervals tell."""
+        first, second = _verdict(self.on_calibration), _verdict(self.on_randomisation)
+        if first == second:
+            return f"{first} either alone"
+        return f"{first} calibration alone and {second} randomisation alone"
+
+    @property
+    def deciding(self) -> tuple[str, Interval]:
+        """What both together are held against, and the difference, that decides whether they are worse.
+
+        Worse than nothing is a difference whose interval ends below zero: the one that ends lowest.
+        """
+        gaps = {"calibration": self.on_calibration, "randomisation": self.on_randomisation}
+        # One episode has no interval, and decides nothing.
+        ends = {name: gap.mean + gap.half if gap.n > 1 else float("inf") for name, gap in gaps.items()}
+        lowest = min(ends, key=ends.__getitem__)
+        return lowest, gaps[lowest]
+
+    @property
+    def worse(self) -> bool:
+        """Whether both together are clearly worse than one alone."""
+        return _verdict(self.deciding[1]) == WORSE
 
     @property
     def enough(self) -> str:
@@ -52,10 +71,10 @@ class Answer(NamedTuple):
     def words(self) -> str:
         """Say both with their numbers."""
         return (
-            f"Severity {self.severity:g}: randomisation {self.enough}: calibration alone returns "
-            f"{_more(self.choice)} than it. On drifting feet it returns {_more(self.randomisation)} than "
-            f"clean training; the policy that was trained clean returns {_more(self.calibration)} "
-            f"calibrated than drifting. Both together are {self.both}: they return "
+            f"Severity {self.severity:g}, by these two policies: randomisation {self.enough}: calibration "
+            f"alone returns {_more(self.choice)} than it. On drifting feet it returns "
+            f"{_more(self.randomisation)} than clean training; the policy that was trained clean returns "
+            f"{_more(self.calibration)} calibrated than drifting. Both together are {self.both}: they return "
             f"{_more(self.on_calibration)} than calibration alone and {_more(self.on_randomisation)} than "
             "randomisation alone."
         )
@@ -94,10 +113,16 @@ def answers(frame: Frame, clean: str, randomised: str) -> list[Answer]:
         (calibrated[randomised], drifting[randomised]),
     )
     for severity in severities_of(frame):
-        gaps = [difference(frame, *pair, severity) for pair in pairs]
-        known = [gap for gap in gaps if gap is not None]
-        if len(known) == len(pairs):
-            found.append(Answer(severity, *known))
+        felt = frame[(frame["cop_input"] == "felt") & (frame["severity"] == severity)]
+        ran = [
+            set(felt[(felt["feed"] == feed) & (felt["controller"] == who)]["seed"])
+            for feed in ("none", CALIBRATED)
+            for who in (clean, randomised)
+        ]
+        if seeds := frozenset(int(seed) for seed in set.intersection(*ran)):
+            common = felt[felt["seed"].isin(seeds)]
+            gaps = [paired_difference(common, *pair, severity) for pair in pairs]
+            found.append(Answer(severity, seeds, *gaps))
     return found
 
 
@@ -111,23 +136,27 @@ def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer
         found: What :func:`answers` found.
     """
     felt = frame[frame["cop_input"] == "felt"]
-    cells = [(feed, answer.severity) for answer in found for feed in ("none", CALIBRATED)]
+    true = felt[felt["feed"] == "true"]
+    on_true = set.intersection(*(set(true[true["controller"] == who]["seed"]) for who in (clean, randomised)))
+    cells = [(feed, answer) for answer in found for feed in ("none", CALIBRATED)]
     rows = []
     for what, controller in (("true feet", clean), ("randomised feet", randomised)):
         own = felt[felt["controller"] == controller]
-        row = [mean_interval(own[own["feed"] == "true"]["total"])]
-        row += [
-            mean_interval(own[(own["feed"] == feed) & (own["severity"] == severity)]["total"])
-            for feed, severity in cells
-        ]
+        row = [mean_interval(own[(own["feed"] == "true") & own["seed"].isin(on_true)]["total"])]
+        for feed, answer in cells:
+            cell = own[(own["feed"] == feed) & (own["severity"] == answer.severity)]
+            row.append(mean_interval(cell[cell["seed"].isin(answer.seeds)]["total"]))
         rows.append((what, *(interval_text(cell, digits=4) for cell in row)))
-    headings = [f"{'drifting' if feed == 'none' else 'calibrated'}, {severity:g}" for feed, severity in cells]
+    headings = [
+        f"{'drifting' if feed == 'none' else 'calibrated'}, {answer.severity:g}" for feed, answer in cells
+    ]
     return Table(
         "randomisation",
         "Return by what the policy was trained on, and what it is given",
         ("trained on", "true feet", *headings),
         tuple(rows),
-        "Means with 95 % intervals; numbers beside drifting and calibrated are severities.",
+        "Means with 95 % intervals; numbers beside drifting and calibrated are severities. "
+        f"{_seeds(found)}; true feet: {len(on_true)} that both policies have.",
     )
 
 
@@ -158,8 +187,19 @@ def gap_table(frame: Frame, clean: str, randomised: str, found: Sequence[Answer]
         "What randomisation and calibration are worth",
         ("difference of returns", *(f"severity {answer.severity:g}" for answer in found)),
         tuple(rows),
-        "Means over the same seeds with 95 % intervals (Student t).",
+        f"Means over the same seeds with 95 % intervals (Student t). {_seeds(found)}.",
     )
+
+
+def _seeds(found: Sequence[Answer]) -> str:
+    counts = ", ".join(f"{len(answer.seeds)} at severity {answer.severity:g}" for answer in found)
+    return f"Seeds that all four have: {counts}"
+
+
+def _verdict(gap: Interval) -> str:
+    if not gap.apart:
+        return UNCLEAR
+    return BETTER if gap.mean > 0.0 else WORSE
 
 
 def _more(gap: Interval) -> str:

@@ -1,6 +1,6 @@
 """What the episodes of an evaluation say together: means with intervals, paired by seed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import short_name
+from surefoot.experiments.controllers_by_name import labels
 from surefoot.experiments.policy.env import FEEDS
 from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult
 from surefoot.experiments.score import Interval, mean_interval
@@ -20,10 +20,12 @@ __all__ = [
     "controllers_of",
     "episodes_frame",
     "in_order",
-    "labels",
     "loss_won_back",
     "paired_difference",
+    "same_seeds",
     "score_table",
+    "seed_ranges",
+    "seeds_text",
     "survival",
     "won_back",
 ]
@@ -71,17 +73,36 @@ def controllers_of(frame: Frame) -> list[str]:
     return list(dict.fromkeys(frame["controller"]))
 
 
-def labels(controllers: Sequence[str]) -> dict[str, str]:
-    """Name controllers briefly, and no two of them alike.
+def seed_ranges(seeds: Iterable[int]) -> list[tuple[int, int]]:
+    """Put seeds together that follow each other: first and last of each row of them.
 
-    >>> labels(["a/one.npz", "a/two.npz", "b/two.npz"])
-    {'a/one.npz': 'one', 'a/two.npz': 'a/two.npz', 'b/two.npz': 'b/two.npz'}
+    >>> seed_ranges([7, 3, 1, 2])
+    [(1, 3), (7, 7)]
     """
-    short = [short_name(name) for name in controllers]
-    return {
-        name: brief if short.count(brief) == 1 else name
-        for name, brief in zip(controllers, short, strict=True)
-    }
+    found: list[tuple[int, int]] = []
+    for seed in sorted({int(seed) for seed in seeds}):
+        if found and seed == found[-1][1] + 1:
+            found[-1] = (found[-1][0], seed)
+        else:
+            found.append((seed, seed))
+    return found
+
+
+def seeds_text(seeds: Iterable[int]) -> str:
+    """Name seeds.
+
+    >>> seeds_text([7, 3, 1, 2])
+    '1 to 3, 7'
+    """
+    return ", ".join(
+        str(first) if first == last else f"{first} to {last}" for first, last in seed_ranges(seeds)
+    )
+
+
+def same_seeds(frame: Frame) -> bool:
+    """Tell whether every row of :func:`score_table` is of the same seeds."""
+    keys = [key for key in ("controller", "feed", "cop_input", "severity") if key in frame]
+    return len({frozenset(seeds) for _, seeds in frame.groupby(keys, sort=False)["seed"]}) <= 1
 
 
 def _returns(frame: Frame, run: Run, severity: float | None) -> "pd.Series[float]":
@@ -140,15 +161,20 @@ def loss_won_back(frame: Frame, feed: str, severity: float) -> tuple[float, floa
     Raises:
         ValueError: If no seed was run with all three.
     """
-    runs = [_returns(frame, Run(name), severity) for name in (feed, "none", "true")]
-    both = runs[0].index.intersection(runs[1].index).intersection(runs[2].index)
-    if both.empty:
+    own, drifting, true = _on_common_seeds(frame, feed, severity)
+    if not len(own):
         raise ValueError(f"No seed was run with 'true', 'none' and '{feed}' at severity {severity:g}.")
-    own, drifting, true = (run[both].to_numpy() for run in runs)
-    draws = np.random.default_rng(0).integers(len(both), size=(RESAMPLES, len(both)))
+    draws = np.random.default_rng(0).integers(len(own), size=(RESAMPLES, len(own)))
     won: NDArray[np.float64] = (own - drifting)[draws].mean(axis=1) / (true - drifting)[draws].mean(axis=1)
     low, high = np.quantile(won, [0.025, 0.975])
     return float((own - drifting).mean() / (true - drifting).mean()), float(low), float(high)
+
+
+def _on_common_seeds(frame: Frame, feed: str, severity: float) -> list[NDArray[np.float64]]:
+    """Returns with a feed, with drifting feet and with true ones, of the seeds that all three have."""
+    runs = [_returns(frame, Run(name), severity) for name in (feed, "none", "true")]
+    common = runs[0].index.intersection(runs[1].index).intersection(runs[2].index)
+    return [run[common].to_numpy() for run in runs]
 
 
 def score_table(frame: Frame, name: str = "policy", title: str = "Feet of different kinds") -> Table:
@@ -160,6 +186,10 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
         title: Of the table.
     """
     rows: list[tuple[str, ...]] = []
+    if same_seeds(frame):
+        means = f"Means of {frame['seed'].nunique()} paired episodes"
+    else:
+        means = "Means of as many episodes as 'falls' says, not of the same seeds in all rows,"
     several = "controller" in frame and frame["controller"].nunique() > 1
     parts = [(who, frame[frame["controller"] == who]) for who in controllers_of(frame)] if several else []
     brief = labels([who for who, _ in parts])
@@ -171,8 +201,8 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
         (*("controller",) * several, "CoP fed back", "severity", "return", "loss won back", "falls",
          "time to fall / s", "CoP error / mm", "tracking error / mm"),
         tuple(rows),
-        f"Means of {frame['seed'].nunique()} paired episodes with 95 % intervals; 'loss won back' only where "
-        "drifting feet cost something beyond the interval.",
+        f"{means} with 95 % intervals; 'loss won back' only where drifting feet cost something beyond the "
+        "interval.",
     )  # fmt: skip
 
 
@@ -211,10 +241,10 @@ def won_back(frame: Frame, feed: str, severity: float) -> tuple[float, float, fl
         The share and its interval; ``None`` if it is no calibration, was not run on the same seeds, or
         drifting feet cost nothing beyond the interval.
     """
-    runs = [_returns(frame, Run(name), severity).index for name in (feed, "none", "true")]
-    if feed in ("true", "none") or runs[0].intersection(runs[1]).intersection(runs[2]).empty:
+    if feed in ("true", "none"):
         return None
-    loss = paired_difference(frame, Run("true"), Run("none"), severity)
+    _, drifting, true = _on_common_seeds(frame, feed, severity)
+    loss = mean_interval(true - drifting)
     return loss_won_back(frame, feed, severity) if loss.apart and loss.mean > 0.0 else None
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from surefoot.experiments._canvas import figure_at, grid_of, legend_below
 from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import short_name
+from surefoot.experiments.controllers_by_name import drawn_names
 from surefoot.experiments.score import mean_interval
 from surefoot.experiments.style import in_order, look_of, short_label
 from surefoot.experiments.sweep.statistics import fall_share, survival
@@ -24,6 +24,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
         rows: Of one scenario. True feet, which have no severity, are in every panel.
     """
     controllers = list(rows["controller"].unique())
+    names = drawn_names(controllers)
     severities = sorted(rows[rows["feed"] != "true"]["severity"].unique()) or [0.0]
     with figure_at(path, max(9.2, 2.9 * len(severities)), 2.5 * len(controllers) + 1.1) as figure:
         panels = grid_of(figure, len(controllers), len(severities), sharex=True, sharey=True)
@@ -34,7 +35,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
                 for feed in in_order(part["feed"]):
                     _survival(axes, part[part["feed"] == feed], feed)
                 axes.set_ylim(-0.03, 1.03)
-                axes.set_title(f"{short_name(controller)}, severity {severity:g}")
+                axes.set_title(f"{names[controller]}, severity {severity:g}")
             line[0].set_ylabel("share on its feet")
         for axes in panels[-1]:
             axes.set_xlabel("time (s)")
@@ -50,6 +51,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
         rows: Of one scenario. True feet, which have no severity, are drawn across.
     """
     controllers = list(rows["controller"].unique())
+    names = drawn_names(controllers)
     with figure_at(path, 8.8, 2.7 * len(controllers) + 0.9) as figure:
         panels = grid_of(figure, len(controllers), 2, sharex=True, sharey="col")
         for line, controller in zip(panels, controllers, strict=True):
@@ -62,7 +64,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
             line[1].set_ylabel("share that fell")
             line[1].set_ylim(-0.03, 1.03)
             for axes in line:
-                axes.set_title(short_name(controller))
+                axes.set_title(names[controller])
         for axes in panels[-1]:
             axes.set_xlabel("severity")
         legend_below(figure, panels.ravel())
@@ -78,6 +80,7 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
         titles: What to call each scenario, in order.
     """
     controllers, feeds = list(rows["controller"].unique()), in_order(rows["feed"])
+    names = drawn_names(controllers)
     width, height = max(8.4, 2.1 * len(feeds) + 2.4), len(controllers) * (0.32 * len(titles) + 0.9) + 0.5
     with figure_at(path, width, height) as figure:
         panels = grid_of(figure, len(controllers), len(feeds), sharey=True)
@@ -85,7 +88,7 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
             for axes, feed in zip(line, feeds, strict=True):
                 part = rows[(rows["controller"] == controller) & (rows["feed"] == feed)]
                 _heat(axes, part, titles)
-                axes.set_title(f"{short_name(controller)}: {short_label(feed)}")
+                axes.set_title(f"{names[controller]}: {short_label(feed)}")
         for axes in panels[-1]:
             axes.set_xlabel("severity")
         image = panels[0, 0].images[0]

@@ -1,7 +1,7 @@
 """Tables of a sweep's report."""
 
 from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import short_name
+from surefoot.experiments.controllers_by_name import labels
 from surefoot.experiments.style import in_order, short_label
 from surefoot.experiments.sweep.statistics import fall_share, half_fall
 from surefoot.experiments.tables import Table, number, with_interval
@@ -15,7 +15,7 @@ _MOST_FAILURES = 50
 def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
     """Lay out means and 95 % intervals of one scenario, one row a controller, feed and severity."""
     part = rows[rows["scenario"] == scenario]
-    lines = []
+    names, lines = labels(list(rows["controller"].unique())), []
     for controller, feed in _pairs(part):
         runs = part[(part["controller"] == controller) & (part["feed"] == feed)]
         for severity in sorted(runs["severity"].unique()):
@@ -23,7 +23,7 @@ def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
             share = fall_share(cell["fell"])
             lines.append(
                 (
-                    short_name(controller),
+                    names[controller],
                     short_label(feed),
                     "–" if feed == "true" else f"{severity:g}",
                     str(len(cell)),
@@ -56,14 +56,14 @@ def outcome_table(rows: Frame, scenario: str, title: str) -> Table:
 
 def half_table(rows: Frame, titles: dict[str, str]) -> Table | None:
     """Lay out the severities at which half fall; ``None`` where one severity alone was run."""
-    lines = []
+    names, lines = labels(list(rows["controller"].unique())), []
     for scenario, title in titles.items():
         part = rows[rows["scenario"] == scenario]
         for controller, feed in _pairs(part[part["feed"] != "true"]):
             runs = part[(part["controller"] == controller) & (part["feed"] == feed)]
             found = half_fall(runs)
             if found is not None:
-                lines.append((title, short_name(controller), short_label(feed), found.words()))
+                lines.append((title, names[controller], short_label(feed), found.words()))
     if not lines:
         return None
     return Table(
@@ -77,11 +77,11 @@ def half_table(rows: Frame, titles: dict[str, str]) -> Table | None:
 
 
 def worst_table(worst: Frame) -> Table:
-    """Lay out the worst episodes."""
+    """Lay out the worst episodes, with whole names: those who did not come last are not there."""
     lines = tuple(
         (
             str(row["cell"]),
-            short_name(row["controller"]),
+            row["controller"],
             short_label(row["feed"]),
             row["scenario"],
             f"{row['severity']:g}",

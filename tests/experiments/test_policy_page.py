@@ -1,31 +1,28 @@
 """Controllers held against each other: what is said follows from the episodes, and none of them is lost."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
+from matplotlib.figure import Figure
+from rich.console import Console
 
-from surefoot.controllers import PolicyNetwork, Stabiliser
-from surefoot.experiments.cli import app
-from surefoot.experiments.controllers_by_name import controller_hash, load_controller, trained_on
-from surefoot.experiments.policy import evaluation as evaluations
-from surefoot.experiments.policy.env import make_feed
-from surefoot.experiments.policy.evaluate import EpisodeResult, run_episode
-from surefoot.experiments.policy.evaluation import Evaluation, EvaluationFolder, made_with, read_episodes
+from surefoot.experiments.controllers_by_name import drawn_names, labels
+from surefoot.experiments.policy import figures
+from surefoot.experiments.policy.evaluate import EpisodeResult
 from surefoot.experiments.policy.findings import controller_findings, target_table
+from surefoot.experiments.policy.origin import Origin
 from surefoot.experiments.policy.page import EvaluationPage
-from surefoot.experiments.policy.randomisation import AS_GOOD, BETTER, WORSE, answers
+from surefoot.experiments.policy.randomisation import BETTER, UNCLEAR, WORSE, Answer, answers, two_by_two
 from surefoot.experiments.policy.scores import episodes_frame, score_table, won_back
+from surefoot.experiments.score import Interval
+from surefoot.experiments.sweep import figures as sweep_figures
+from surefoot.experiments.sweep.tables import outcome_table
+from surefoot.experiments.tables import Table
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*unconventional shape")
-
-RUNNER = CliRunner()
-SHORT = {"stand_time": 0.1, "duration": 0.6, "payload_time": (0.1, 0.2)}
 MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "surefoot": 97.0}
-TRAINED = {"clean": "true", "wild": "randomised"}
+TRAINED = {"clean": Origin("1", "true", "surefoot 9.9"), "wild": Origin("2", "randomised", "surefoot 9.9")}
 
 
 def episodes(controller="clean", means=MEANS, severities=(1.0, 2.0), fell=0, cop_inputs=(), seeds=20):
@@ -85,25 +82,46 @@ def test_what_was_not_run_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("wild", "enough", "both"),
     [
-        ({"none": 70.0, "surefoot": 90.0}, "is not enough", WORSE),
-        ({"none": 70.0, "surefoot": 99.0}, "is not enough", BETTER),
-        ({"none": 70.0, "surefoot": 97.0}, "is not enough", AS_GOOD),
-        ({"none": 99.0, "surefoot": 99.9}, "is enough", BETTER),
-        ({"none": 97.0, "surefoot": 97.0}, "cannot be told from calibration alone", AS_GOOD),
+        ({"none": 70.0, "surefoot": 90.0}, "is not enough", (WORSE, BETTER)),
+        ({"none": 70.0, "surefoot": 99.0}, "is not enough", (BETTER, BETTER)),
+        ({"none": 70.0, "surefoot": 97.0}, "is not enough", (UNCLEAR, BETTER)),
+        ({"none": 99.0, "surefoot": 99.9}, "is enough", (BETTER, BETTER)),
+        ({"none": 97.0, "surefoot": 97.0}, "cannot be told from calibration alone", (UNCLEAR, UNCLEAR)),
     ],
 )
 def test_the_answer_on_randomisation_follows_the_numbers(wild, enough, both):
     frame = frame_of(episodes(), episodes("wild", {"true": 95.0, **wild}))
     found = answers(frame, "clean", "wild")
+    calibration, randomisation = both
+    said = (
+        f"{calibration} either alone"
+        if calibration == randomisation
+        else f"{calibration} calibration alone and {randomisation} randomisation alone"
+    )
     assert [answer.severity for answer in found] == [1.0, 2.0]
     assert {answer.enough for answer in found} == {enough}
-    assert {answer.both for answer in found} == {both}
+    assert {answer.both for answer in found} == {said}
     words = found[0].words()
-    assert f"randomisation {enough}" in words
-    assert f"Both together are {both}" in words
+    assert f"by these two policies: randomisation {enough}" in words
+    assert f"Both together are {said}" in words
     assert found[0].choice.mean == pytest.approx(97.0 - wild["none"], abs=1.0)
     target = reached(frame, found=found)
-    assert {target[name] for name in target if "either alone" in name} == {"no" if both == WORSE else "yes"}
+    assert {target[name] for name in target if "either alone" in name} == {"no" if WORSE in both else "yes"}
+
+
+def test_what_is_not_clear_is_not_said_to_be_as_good_and_the_gap_that_decides_is_shown():
+    wide, narrow, some = Interval(-3.0, 5.0, 20), Interval(-1.0, 0.3, 20), Interval(9.0, 1.0, 20)
+    missed = Answer(1.0, frozenset(range(20)), some, some, some, wide, narrow)
+    assert missed.both == f"{UNCLEAR} calibration alone and {WORSE} randomisation alone"
+    met = missed._replace(on_randomisation=some)
+    assert UNCLEAR in met.both
+    assert "no worse" not in met.words()
+    rows = [target_table(frame_of(episodes()), "clean", [each]).rows for each in (missed, met)]
+    shown = [row[1:] for of in rows for row in of if "either alone" in row[0]]
+    assert shown == [
+        ("not clearly below 0", "-1.00 ± 0.30 (less randomisation)", "no"),
+        ("not clearly below 0", "-3.00 ± 5.00 (less calibration)", "yes"),
+    ]
 
 
 def test_a_loss_that_is_none_is_not_won_back():
@@ -126,13 +144,16 @@ def test_the_page_is_one_file_with_everything(tmp_path):
         episodes("wild", {"true": 95.0, "none": 70.0, "surefoot": 90.0}),
         episodes("zero", dict.fromkeys(MEANS, 60.0), fell=3),
     )
-    page = EvaluationPage(frame, TRAINED, "surefoot 9.9")
+    page = EvaluationPage(frame, TRAINED | {"zero": Origin(versions="surefoot 9.9")})
     text = page.write(tmp_path).read_text(encoding="utf-8")
     assert text.count("data:image/png;base64,") == 5
     assert 'src="figures' not in text
     for words in (
         "randomisation is not enough",
-        "The episodes were made with surefoot 9.9",
+        "The episodes were made with surefoot 9.9.",
+        "Every row is of the same seeds.",
+        "over the episodes of these two trained policies",
+        "are judged by the number itself",
         "zero: nobody acts",
         "clean: trained on true feet",
         "3 of 20",
@@ -144,6 +165,7 @@ def test_the_page_is_one_file_with_everything(tmp_path):
     assert names == ["targets", "scores_0", "scores_1", "scores_2", "differences", "nobody", "inputs",
                      "randomisation", "randomisation_differences"]  # fmt: skip
     assert sorted(path.stem for path in (tmp_path / "tables").iterdir()) == sorted(names)
+    assert "these are 16." in page.tables[names.index("differences")].note
     cells = pd.read_csv(tmp_path / "tables" / "randomisation.csv")
     assert list(cells["trained on"]) == ["true feet", "randomised feet"]
     assert float(cells["drifting, 2"][1].split(" ± ")[0]) == pytest.approx(70.0, abs=3.0)
@@ -182,203 +204,125 @@ def test_a_page_of_what_does_not_belong_together_is_refused():
         EvaluationPage(frame[:0])
 
 
-def test_episodes_are_read_or_refused(tmp_path):
-    frame = frame_of(episodes())
-    path = tmp_path / "episodes.parquet"
-    frame.drop(columns=["controller", "task"]).to_parquet(path)
-    assert set(read_episodes(path)["controller"]) == {"policy"}
-    assert set(read_episodes(tmp_path, "shipped")["controller"]) == {"shipped"}
-    frame.to_parquet(path)
-    assert read_episodes(path).equals(frame)
-    for wrong, text in (
-        (frame.drop(columns="total"), "lacks the column 'total'"),
-        (frame.assign(feed="sand"), "holds the feed 'sand'. Known: true, none"),
-        (frame.assign(total="much"), "'total' holds no numbers"),
-    ):
-        wrong.to_parquet(path)
-        with pytest.raises(ValueError, match=text):
-            read_episodes(path)
-    path.write_bytes(b"PAR1 and no more")
-    with pytest.raises(ValueError, match="no table of Parquet, or is damaged"):
-        read_episodes(path)
-    with pytest.raises(ValueError, match="There is no file of episodes"):
-        read_episodes(tmp_path / "nowhere")
-
-
 @pytest.fixture
-def invented(monkeypatch):
-    """Episodes that take no time, and a note of each that was run."""
-    ran = []
-
-    def run(controller, feeds, numbers, severities, *, cop_inputs, task, jobs, done):
-        for seed in numbers:
-            for feed in feeds:
-                cell = (feed, seed, severities[0], cop_inputs[0])
-                if cell not in done:
-                    ran.append((controller, *cell))
-                    total = MEANS[feed] + np.sin(seed + len(feed))
-                    yield EpisodeResult(feed, "felt", severities[0], seed, total, False, 18.0, 0.0, 0.0,
-                                        controller, task)  # fmt: skip
-
-    monkeypatch.setattr(evaluations, "run_episodes", run)
-    return ran
+def undrawn(monkeypatch):
+    """Figures that are not drawn: only the words of a page count."""
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(b"PNG"))
 
 
-def stop_after(count, folder):
-    with folder.opened():
-        for number, _ in enumerate(folder.run(), 1):
-            if number == count:
-                raise KeyboardInterrupt
+def test_rows_of_other_seeds_are_not_called_paired(tmp_path, undrawn):
+    clean, wild = episodes(), episodes("wild", {"true": 95.0, "none": 70.0, "surefoot": 90.0})
+    few = [result for result in wild if result.seed >= 12]
+    page = EvaluationPage(frame_of(clean, few), TRAINED)
+    text = page.write(tmp_path).read_text(encoding="utf-8")
+    assert "Not all rows are of the same seeds" in text
+    assert "Every row is of the same seeds" not in text
+    paired = [score_table(frame_of(*parts)).note for parts in ((clean, few), (clean, wild))]
+    assert ["paired" in note for note in paired] == [False, True]
+    by_name = {table.name: table for table in page.tables}
+    seeds = {(row[0], row[-2]) for row in by_name["differences"].rows}
+    assert seeds == {("clean", "20"), ("wild", "8")}
+    assert {gap.n for answer in answers(page.frame, "clean", "wild") for gap in answer[2:]} == {8}
+    # The policy that was run on more seeds is shown on those that both have.
+    cells = by_name["randomisation"].rows[0]
+    own = page.frame[(page.frame["controller"] == "clean") & (page.frame["severity"] == 2.0)]
+    drifting = own[own["feed"] == "none"].set_index("seed")["total"]
+    assert float(cells[4].split(" ± ")[0]) == pytest.approx(drifting[12:].mean(), abs=0.01)
+    assert drifting[12:].mean() != pytest.approx(drifting.mean(), abs=0.1)
+    assert "8 at severity 1, 8 at severity 2" in by_name["randomisation"].note
+    apart = [result for result in episodes("wild", seeds=40) if result.seed >= 20]
+    assert answers(frame_of(clean, apart), "clean", "wild") == []
+    # Pairs share seeds, all four do not.
+    odd = [r for r in wild if r.feed != "surefoot" or r.seed < 5]
+    held = [r for r in clean if r.feed != "none" or r.seed >= 5]
+    assert answers(frame_of(held, odd), "clean", "wild") == []
+    assert two_by_two(frame_of(clean, apart), "clean", "wild", []).rows[0] == ("true feet", "–")
 
 
-COMPARED = Evaluation(("zero", "stabiliser"), ("true", "none"), seeds=5)
-
-
-def test_an_evaluation_that_was_stopped_goes_on(tmp_path, invented, monkeypatch):
-    folder = EvaluationFolder(tmp_path, COMPARED)
-    assert len(COMPARED) == folder.missing == 20
-    with pytest.raises(KeyboardInterrupt):
-        stop_after(13, folder)
-    assert len(read_episodes(tmp_path)) == 13
-    again = EvaluationFolder(tmp_path, COMPARED)
-    with again.opened():
-        assert again.missing == 7
-        assert len(list(again.run())) == 7
-    assert len(invented) == len(set(invented)) == 20
-    whole = EvaluationFolder(None, COMPARED)
-    with whole.opened():
-        list(whole.run())
-    pd.testing.assert_frame_equal(read_episodes(tmp_path), whole.frame)
-    assert made_with(tmp_path).startswith("surefoot ")
-    # What is whole is not run again, whatever made it.
-    monkeypatch.setattr(evaluations, "_versions", lambda: {"surefoot": "another"})
-    with (done := EvaluationFolder(tmp_path, COMPARED)).opened():
-        assert list(done.run()) == []
-    assert len(done.frame) == 20
-
-
-def test_a_full_disk_costs_only_what_was_not_yet_written(tmp_path, invented, monkeypatch):
-    monkeypatch.setattr(evaluations, "EVERY", -1.0)
-    write, written = pd.DataFrame.to_parquet, []
-
-    def full(frame, path, **options):
-        written.append(path)
-        if len(written) > 6:
-            Path(path).write_bytes(b"half")
-            raise OSError(28, "No space left on device")
-        return write(frame, path, **options)
-
-    monkeypatch.setattr(pd.DataFrame, "to_parquet", full)
-    folder = EvaluationFolder(tmp_path, COMPARED)
-    with pytest.raises(OSError, match="No space left"), folder.opened():
-        list(folder.run())
-    assert len(read_episodes(tmp_path)) == 6
-    assert sorted(path.name for path in tmp_path.glob("[!.]*")) == ["episodes.parquet", "evaluation.json"]
-    answer = RUNNER.invoke(
-        app, ["evaluate", "zero", "--feed", "true", "--seeds", "2", "--out", str(tmp_path / "b")]
+def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
+    # Where all three feeds were run, drifting feet cost nothing; they do only where surefoot was not run.
+    rng = np.random.default_rng(3)
+    noise = rng.normal(0.0, 1.0, (3, 30))
+    cost = np.where(np.arange(30) < 15, 0.0, 100.0)
+    totals = {"true": noise[0], "none": noise[1] - cost, "surefoot": noise[2][:15]}
+    frame = episodes_frame(
+        [
+            EpisodeResult(feed, "felt", 1.0, seed, total, False, 9.0, 0.0, 0.0, "clean")
+            for feed, of in totals.items()
+            for seed, total in enumerate(of)
+        ]
     )
-    assert answer.exit_code == 2
-    assert "No space left on device; give another folder with --out, or make room." in answer.output
+    assert won_back(frame, "surefoot", 1.0) is None
 
 
-def test_a_folder_that_holds_something_else_is_refused(tmp_path, invented, monkeypatch):
-    first = EvaluationFolder(tmp_path, COMPARED)
-    with first.opened():
-        next(iter(first.run()))
-    other = Evaluation(("zero",), ("true", "none"), seeds=6)
-    with pytest.raises(
-        ValueError, match=r"controllers \['zero', 'stabiliser'\] and not \['zero'\].*seeds 5 and not 6"
-    ):
-        EvaluationFolder(tmp_path, other).opened().__enter__()
-    monkeypatch.setattr(evaluations, "_versions", lambda: {"surefoot": "another"})
-    with pytest.raises(ValueError, match=r"was begun with surefoot [\d.]+, which is not what runs now"):
-        EvaluationFolder(tmp_path, COMPARED).opened().__enter__()
-    (tmp_path / "evaluation.json").write_text("{}")
-    with pytest.raises(ValueError, match="does not say what was evaluated"):
-        EvaluationFolder(tmp_path, COMPARED).opened().__enter__()
-    (tmp_path / "evaluation.json").unlink()
-    with pytest.raises(ValueError, match=r"episodes without an evaluation.json; .*--page-of"):
-        EvaluationFolder(tmp_path, COMPARED).opened().__enter__()
-    assert len(read_episodes(tmp_path)) == 1
+def test_names_stay_apart_however_short_they_are_cut(tmp_path, monkeypatch, undrawn):
+    ending = "/a/very/long/path/that/two/policies/share/policy.npz"
+    controllers = [f"{first}{ending}" for first in "ab"] + ["c/policy.npz", "price$\\frac{"]
+    drawn = drawn_names(controllers)
+    assert len(set(drawn.values())) == 4
+    assert max(map(len, drawn.values())) <= 41
+    assert drawn["price$\\frac{"] == "price\\$\\frac{"
+    crossed = ["policy.npz.npz", "policy.npz", "a/policy.npz"]
+    assert len(set(labels(crossed).values())) == 3
+    titles = []
+    monkeypatch.setattr("matplotlib.axes.Axes.set_title", lambda axes, title: titles.append(title))
+    frame = frame_of(*(episodes(name, severities=(1.0,), seeds=3) for name in controllers[:3]))
+    rows = frame.assign(**{"return": frame["total"], "scenario": "x", "cop_tracking": 0.0, "cell": 0})
+    sweep_figures.against_severity(tmp_path / "a.png", rows)
+    assert len(set(titles)) == 3
+    sweep_figures.survival_curves(tmp_path / "b.png", rows)
+    sweep_figures.heat_maps(tmp_path / "c.png", rows, {"x": "X"})
+    assert len(set(titles)) == 3 + 3 + 3 * 5
+    assert len({row[0] for row in outcome_table(rows, "x", "X").rows}) == 3
+    titles.clear()
+    figures.returns(tmp_path / "d.png", frame)
+    figures.survival_curves(tmp_path / "e.png", frame)
+    figures.forest(tmp_path / "f.png", EvaluationPage(frame).differences)
+    assert {title.partition(",")[0] for title in titles} == {drawn[name] for name in controllers[:3]}
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"feeds": ("sand",)}, "There is no feed 'sand'"),
-        ({"feeds": ("true", "true")}, "'feeds' must name at least one and none twice"),
-        ({"controllers": ("best",)}, "no controller 'best'. Available: 'zero', 'stabiliser', 'shipped'"),
-        ({"controllers": ("none.npz",)}, "There is no policy file 'none.npz'"),
-        ({"task": "dance"}, "There is no task 'dance'"),
-        ({"severities": (1.0, -1.0)}, "severity"),
-        ({"first_seed": 999_999_999, "seeds": 2}, "seeds above are training's"),
-    ],
-)
-def test_what_cannot_be_run_is_refused_before_anything_is(changes, text):
-    with pytest.raises(ValueError, match=text):
-        Evaluation(**{"feeds": ("true", "none"), **changes})
+def test_brackets_and_colons_in_names_are_text_in_a_terminal():
+    names = ("[red]a[/red]", "b:zap:", "[/oops]")
+    table = Table("t", "[b]of[/b]", ("[i]who",), tuple((name,) for name in names), "[u]note")
+    console = Console(width=60, record=True, file=None, quiet=False)
+    with console.capture() as shown:
+        console.print(table.to_rich())
+    for text in (*names, "[b]of[/b]", "[i]who", "[u]note"):
+        assert text in shown.get()
 
 
-def test_controllers_have_names(tmp_path):
-    env, _ = make_feed("true", **SHORT)
-    assert isinstance(load_controller("stabiliser", env), Stabiliser)
-    for name, sensors in (("shipped", "true"), ("shipped-randomised", "randomised")):
-        policy = load_controller(name, env)
-        assert isinstance(policy, PolicyNetwork)
-        assert policy.notes["options"]["sensors"] == trained_on(name) == sensors
-    policy.save(tmp_path / "mine.npz")
-    env.close()
-    assert trained_on(str(tmp_path / "mine.npz")) == "randomised"
-    assert trained_on("zero") == trained_on(str(tmp_path / "gone.npz")) == ""
-    hashes = {
-        controller_hash(name)
-        for name in ("zero", "shipped", "shipped-randomised", str(tmp_path / "mine.npz"))
+def test_only_what_runs_by_its_name_has_a_command(tmp_path, undrawn):
+    frame = frame_of(episodes(), episodes("theirs"), episodes("zero"))
+    frame = frame[(frame["controller"] != "zero") | ~frame["seed"].between(3, 9)]
+    known = {
+        "clean": Origin(versions="surefoot 1"),
+        "theirs": Origin(versions="surefoot 2", runs=False),
+        "zero": Origin(),
     }
-    # The same policy in another file is the same policy.
-    assert len(hashes) == 3
-    named = run_episode("stabiliser", "none", 3, **SHORT)
-    assert named.controller == "stabiliser"
-    env, _ = make_feed("none", **SHORT)
-    given = run_episode(Stabiliser(env.unwrapped.state_layout), "none", 3, **SHORT)
-    env.close()
-    assert (given.total, given.tracking, given.controller) == (named.total, named.tracking, "")
-    assert run_episode("zero", "none", 3, **SHORT).total != named.total
-
-
-def test_the_command_compares_and_makes_a_page(tmp_path, invented):
-    out = tmp_path / "out"
-    arguments = ["evaluate", "zero", "shipped", "--feed", "true", "--feed", "none", "--feed", "surefoot",
-                 "--seeds", "3", "--out", str(out)]  # fmt: skip
-    answer = RUNNER.invoke(app, arguments)
-    assert answer.exit_code == 0, answer.output
-    assert len(invented) == 18
-    assert (out / "index.html").is_file()
-    assert json.loads((out / "evaluation.json").read_text())["evaluation"]["controllers"] == [
-        "zero",
-        "shipped",
+    page = EvaluationPage(frame, known)
+    commands = page.commands()
+    assert [command.partition(" --task")[0] for command in commands] == [
+        "surefoot evaluate clean",
+        *["surefoot evaluate zero"] * 2,
     ]
-    assert list(pd.read_csv(out / "evaluation.csv")["controller"].unique()) == ["zero", "shipped"]
-    (out / "index.html").unlink()
-    assert RUNNER.invoke(app, arguments).exit_code == 0
-    assert (out / "index.html").is_file()
-    assert len(invented) == 18
-    answer = RUNNER.invoke(app, [*arguments, "--severity", "2"])
-    assert answer.exit_code == 2
-    assert "severities [1.0] and not [2.0]" in answer.output
-    page = tmp_path / "page"
-    answer = RUNNER.invoke(app, ["evaluate", "--page-of", f"shipped={out}", "--out", str(page)])
-    assert answer.exit_code == 2
-    assert "is there twice; give controllers of different files different names" in answer.output
-    answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out), "--out", str(page)])
-    assert answer.exit_code == 0, answer.output
-    assert "shipped: trained on true feet" in (page / "index.html").read_text(encoding="utf-8")
-    answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out)])
-    assert "--page-of needs a folder" in answer.output
+    assert [command.partition("--seeds ")[2] for command in commands[1:]] == [
+        "3 --first-seed 0",
+        "10 --first-seed 10",
+    ]
+    text = page.write(tmp_path).read_text(encoding="utf-8")
+    for words in (
+        "No command runs theirs: the episodes were given as files.",
+        "Those of clean were made with surefoot 1.",
+        "Those of theirs were made with surefoot 2.",
+        "Those of zero were made with versions that nobody wrote down.",
+        "(0 to 19)",
+    ):
+        assert words in text
 
 
-def test_one_evaluation_at_a_time_works_in_a_folder(tmp_path):
-    busy = r"Another evaluation is at work in '.*'; wait for it\."
-    with EvaluationFolder(tmp_path, COMPARED).opened(), pytest.raises(ValueError, match=busy):
-        EvaluationFolder(tmp_path, COMPARED).opened().__enter__()
-    with EvaluationFolder(tmp_path, COMPARED).opened():
-        pass
+def test_targets_are_those_of_a_policy():
+    still = EvaluationPage(frame_of(episodes("zero"), episodes("stabiliser")))
+    assert "targets" not in [table.name for table in still.tables]
+    page = EvaluationPage(frame_of(episodes("zero"), episodes("wild"), episodes()), TRAINED)
+    assert page.targets.title == "Set out to reach, by clean"
+    assert EvaluationPage(frame_of(episodes("zero"), episodes("mine"))).targets.title.endswith("by mine")

@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from surefoot.controllers import zero_action
+from surefoot.controllers import PolicyNetwork, zero_action
+from surefoot.experiments.controllers_by_name import load_controller
 from surefoot.experiments.policy.card import write_card
 from surefoot.experiments.policy.env import PolicyView, input_names, make_feed
 from surefoot.experiments.policy.evaluate import run_episode, run_episodes
@@ -14,6 +15,8 @@ from surefoot.experiments.policy.options import TrainOptions
 from surefoot.experiments.policy.shipped import SHIPPED, shipped_policy
 from surefoot.experiments.policy.tasks import TASKS, task_named
 from surefoot.experiments.policy.train import Trainer, TrainingError
+from surefoot.experiments.sweep.episode import check_cell
+from surefoot.experiments.sweep.plan import SweepPlan
 from surefoot.experiments.sweep.scenarios import scenario_named
 
 SMALL = TrainOptions(task="walk", steps=16, environments=1, rollout=8, batch=8, epochs=1, every=2, hidden=8)
@@ -100,3 +103,27 @@ def test_the_sweep_knows_the_task():
     assert scenario.environment == TASKS["walk"].env_id
     assert scenario.calibration_for("surefoot")["mass_change"] > 0.0
     assert "mass_change" not in scenario.calibration_for("window")
+
+
+def test_a_policy_of_another_task_is_refused_though_it_fits(tmp_path):
+    balance, path = shipped_policy("true", "balance"), str(tmp_path / "mine.npz")
+    balance.save(path)
+    other = r"was made for 'surefoot/NaoBalance-v0', and this is 'surefoot/NaoCarry-v0'; .* --task balance"
+    for policy in (balance, path):
+        with pytest.raises(ValueError, match=other):
+            run_episode(policy, "true", 3, task="walk", **SHORT)
+    env, _ = make_feed("true", task="walk", **SHORT)
+    with pytest.raises(ValueError, match=f"Policy '{path}' {other}"):
+        load_controller(path, env, same_task=True)
+    # A sweep asks what a policy does where it was not made for.
+    assert isinstance(load_controller(path, env), PolicyNetwork)
+    plan = SweepPlan((path,), ("true",), ("stand", "hard-pushes", "carry"), (1.0,), (0,))
+    for cell in plan.grid:
+        check_cell(cell)
+    # Policies from elsewhere do not say what they were made for.
+    balance.notes = {"task": 7}
+    balance.save(path)
+    assert isinstance(load_controller(path, env, same_task=True), PolicyNetwork)
+    env.close()
+    balance.notes = {}
+    assert run_episode(balance, "true", 3, task="walk", **SHORT).time > 0.0
