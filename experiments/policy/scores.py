@@ -13,7 +13,7 @@ from surefoot.experiments.controllers_by_name import labels
 from surefoot.experiments.policy.env import FEEDS
 from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult
 from surefoot.experiments.score import Interval, mean_interval
-from surefoot.experiments.tables import Table, with_interval
+from surefoot.experiments.tables import Table, number, with_interval
 
 __all__ = [
     "Run",
@@ -32,6 +32,9 @@ __all__ = [
 
 RESAMPLES = 4000
 """Bootstrap samples of the seeds."""
+
+FEW_FALLS = 5
+"""Falls below which the mean time to fall has no interval worth the name."""
 
 
 class Run(NamedTuple):
@@ -202,7 +205,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
          "time to fall / s", "CoP error / mm", "tracking error / mm"),
         tuple(rows),
         f"{means} with 95 % intervals; 'loss won back' only where drifting feet cost something beyond the "
-        "interval.",
+        f"interval; of fewer than {FEW_FALLS} falls the shortest and the longest time.",
     )  # fmt: skip
 
 
@@ -221,12 +224,19 @@ def _score_rows(frame: Frame) -> list[tuple[str, ...]]:
                 with_interval(part["total"], digits=4),
                 share,
                 f"{int(part['fell'].sum())} of {len(part)}",
-                with_interval(part.loc[part["fell"], "time"]),
+                _times_to_fall(part.loc[part["fell"], "time"]),
                 with_interval(part["cop_error"], 1e3),
                 with_interval(part["tracking"], 1e3),
             )
         )
     return rows
+
+
+def _times_to_fall(times: "pd.Series[float]") -> str:
+    """Write a mean with its interval, or of few falls the shortest and the longest."""
+    if len(times) >= FEW_FALLS or len(times) < 2:
+        return with_interval(times)
+    return f"{number(times.min(), 3)} to {number(times.max(), 3)}"
 
 
 def won_back(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
