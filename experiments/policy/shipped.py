@@ -8,7 +8,7 @@ from surefoot.experiments.policy.tasks import task_named
 
 __all__ = ["SHIPPED", "shipped_policy"]
 
-SHIPPED = MappingProxyType({"balance": ("true", "randomised"), "walk": ("true",)})
+SHIPPED = MappingProxyType({"balance": ("true", "randomised"), "walk": ("true", "randomised")})
 """What they were trained on for each task, see :data:`surefoot.experiments.policy.options.SENSORS`."""
 
 
