@@ -224,7 +224,7 @@ def test_controllers_have_names(tmp_path):
     assert trained_on(str(tmp_path / "mine.npz")) == "randomised"
     assert trained_on("zero") == trained_on(str(tmp_path / "gone.npz")) == ""
     hashes = {
-        controller_hash(name)
+        controller_hash(name, TASKS["balance"].env_id)
         for name in ("zero", "shipped", "shipped-randomised", str(tmp_path / "mine.npz"))
     }
     # The same policy in another file is the same policy.
