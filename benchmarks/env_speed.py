@@ -12,19 +12,14 @@ from typing import Any
 import gymnasium as gym
 import mujoco
 import numpy as np
+from stepping import step
 
 import surefoot  # noqa: F401
 from surefoot.envs.nao import SUBSTEPS
 
 
 def seconds_a_step(env: gym.Env[Any, Any], steps: int) -> float:
-    action = np.zeros(env.action_space.shape, dtype=np.float32)
-    start = time.perf_counter()
-    for _ in range(steps):
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            env.reset()
-    return (time.perf_counter() - start) / steps
+    return step(env, steps, time.perf_counter)
 
 
 def seconds_in_mj_step(env: gym.Env[Any, Any], steps: int) -> float:

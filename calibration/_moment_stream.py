@@ -383,11 +383,11 @@ class MomentStream:
         """Apply the map to the newest sample, and say how sure it is."""
         unknowns = self.unknowns
         *_, unit, scale, offset, _ = self._constants.like(sample.force)
-        a, b = unknowns.own_gains(state.mean), state.mean[..., unknowns.offset] * unit
-        force = a * sample.force + b if unknowns.diagonal else unknowns.force(state.mean, sample.force, unit)
+        force = unknowns.force(state.mean, sample.force, unit)
         faults = state.faults if state.faults.altered else None
         if faults is not None:
             force = (faults.spare @ force[..., None])[..., 0]
+        a, b = unknowns.own_gains(state.mean), state.mean[..., unknowns.offset] * unit
         status = state.status[..., None] | kinds
         estimate = self._front_end.report(sample, force, a * scale, a * offset + b, status)
         sure = self._uncertainty.told(estimate, sample, state)

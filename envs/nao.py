@@ -174,6 +174,9 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
 
+    _quiet_ticks = 0
+    """Control steps at the beginning of an episode in which residuals are checked, and not applied."""
+
     def __init__(
         self,
         *,
@@ -318,6 +321,8 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._tick is None:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
         residual = self._checked(action)
+        if self._tick < self._quiet_ticks:
+            residual = np.zeros_like(residual)
         self._tick += 1
         self.command = self._command(self._tick)
         target = self.command.joint_target.astype(np.float64)

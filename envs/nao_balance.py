@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from surefoot.envs.balance_command import RandomSway
 from surefoot.envs.command import Command
 from surefoot.envs.nao import CONTROL_STEP
-from surefoot.envs.nao_observation import Observation
 from surefoot.envs.nao_stand import NaoStandEnv
 from surefoot.envs.observation import turned
 from surefoot.envs.surprise import Surprise, refuse_planned_payload
@@ -94,20 +93,15 @@ class NaoBalanceEnv(NaoStandEnv):
         self._bounds = (bounds[0], bounds[1])
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
         self._pushes.quiet_time = self.stand_time
+        self._quiet_ticks = self._surprise.stand_ticks
         self._gravity = -float(self.model.opt.gravity[2])
 
     def _start(self, options: dict[str, Any]) -> None:
         self._random_sway = RandomSway(self._bounds, self.stand_time, self.np_random)
         self._surprise.draw(self._payload, self.np_random)
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Balance on for 1/80 s; see :meth:`NaoEnv.step`."""
-        if self._tick is not None and self._tick < self._surprise.stand_ticks:
-            action = np.zeros_like(self._checked(action), dtype=np.float32)
-        return super().step(action)
-
     def _command(self, tick: int) -> Command:
-        if tick <= self._surprise.stand_ticks:
+        if tick <= self._quiet_ticks:
             return self._still
         (forward, left), speed, (bend_x, bend_y) = self._random_sway.at(tick * CONTROL_STEP)
         follow_x, follow_y = self._follow

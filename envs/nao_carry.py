@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from surefoot.envs.gait_footsteps import GaitTiming, check_gait
 from surefoot.envs.gait_pattern import plan_walk
-from surefoot.envs.nao_observation import Observation
 from surefoot.envs.nao_pattern import NaoPatternEnv
 from surefoot.envs.options import numbers_of, positive
 from surefoot.envs.surprise import Surprise, refuse_planned_payload
@@ -104,17 +103,12 @@ class NaoCarryEnv(NaoPatternEnv):
         self._plan_time = positive("duration", duration) + end
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
         self._pushes.quiet_time = self.stand_time
+        self._quiet_ticks = self._surprise.stand_ticks
 
     def _start(self, options: dict[str, Any]) -> None:
         speed = self._speeds[self.np_random.integers(len(self._speeds))]
         self.pattern = plan_walk(speed, 0.0, self._plan_time, timing=self._timing)
         self._surprise.draw(self._payload, self.np_random)
-
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Walk on for 1/80 s; see :meth:`NaoEnv.step`."""
-        if self._tick is not None and self._tick < self._surprise.stand_ticks:
-            action = np.zeros_like(self._checked(action), dtype=np.float32)
-        return super().step(action)
 
     def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
         paid = super()._reward(truth, action)

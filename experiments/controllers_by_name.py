@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from surefoot.controllers import Stabiliser, zero_action
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.policy.shipped import shipped_policy
-from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.policy.tasks import TASKS, task_in
 
 __all__ = [
     "BUILT_IN",
@@ -116,8 +116,8 @@ def check_task(policy: Any, env: gym.Env[Any, Any], name: str = "") -> None:
     given = _id_of(env)
     if not isinstance(made_for, str) or not given or made_for == given:
         return
-    known = [task.name for task in TASKS.values() if task.env_id == made_for]
-    way_out = f"; evaluate it there, with --task {known[0]}" if known else ""
+    task = task_in(made_for)
+    way_out = "" if task is None else f"; evaluate it there, with --task {task.name}"
     who = f"Policy '{name}'" if name else "The policy"
     raise ValueError(f"{who} was made for '{made_for}', and this is '{given}'{way_out}.")
 
@@ -213,11 +213,11 @@ def _id_of(env: gym.Env[Any, Any]) -> str:
 def _policy(name: str, env_id: str) -> PolicyNetwork:
     if name not in _SHIPPED:
         return PolicyNetwork.load(_file(name))
-    for task in TASKS.values():
-        if task.env_id == env_id:
-            return shipped_policy(_SHIPPED[name], task.name)
-    tasks = ", ".join(repr(task.env_id) for task in TASKS.values())
-    raise ValueError(f"No policy for '{env_id}' comes with the package: '{name}' is there for {tasks}.")
+    task = task_in(env_id)
+    if task is None:
+        tasks = ", ".join(repr(known.env_id) for known in TASKS.values())
+        raise ValueError(f"No policy for '{env_id}' comes with the package: '{name}' is there for {tasks}.")
+    return shipped_policy(_SHIPPED[name], task.name)
 
 
 def _file(name: str) -> Path:

@@ -17,7 +17,7 @@ from surefoot.experiments.policy.env import input_names
 from surefoot.experiments.policy.options import TRAINING_SEEDS
 from surefoot.experiments.policy.origin import Origin
 from surefoot.experiments.policy.scores import controllers_of, score_table, seeds_text
-from surefoot.experiments.policy.tasks import TASKS, Task, task_named
+from surefoot.experiments.policy.tasks import TASKS, Task, task_in, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
 
 __all__ = ["draw_curve", "own_scores", "write_card", "write_scores"]
@@ -127,11 +127,8 @@ def write_card(out: Path) -> Path:
 
 
 def _task_of(network: PolicyNetwork) -> Task:
-    for task in TASKS.values():
-        if task.env_id == network.notes.get("task"):
-            return task
     name = network.notes.get("options", {}).get("task", "balance")
-    return task_named(str(name))
+    return task_in(network.notes.get("task")) or task_named(str(name))
 
 
 def _made(network: PolicyNetwork, task: Task) -> str:

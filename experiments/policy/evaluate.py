@@ -252,9 +252,9 @@ def _moments(
             policy = load_controller(policy, env, same_task=True)
         else:
             check_task(policy, env)
-        fits = getattr(policy, "fits", None)
-        if fits is not None:
-            fits(env.observation_space, env.action_space)
+            fits = getattr(policy, "fits", None)
+            if fits is not None:
+                fits(env.observation_space, env.action_space)
         reference = bare.state_layout["cop_reference"]
         still = np.zeros(env.action_space.shape or (), dtype=np.float32)
         stand = round(bare.stand_time / bare.dt)

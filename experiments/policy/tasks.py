@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ["TASKS", "Task", "task_named"]
+__all__ = ["TASKS", "Task", "task_in", "task_named"]
 
 
 @dataclass(frozen=True)
@@ -97,3 +97,8 @@ def task_named(name: str) -> Task:
     if name not in TASKS:
         raise ValueError(f"There is no task '{name}'. Available: {', '.join(map(repr, TASKS))}.")
     return TASKS[name]
+
+
+def task_in(env_id: Any) -> Task | None:
+    """Look up the task of an environment, by its id; ``None`` if there is none in it."""
+    return next((task for task in TASKS.values() if task.env_id == env_id), None)

@@ -1,4 +1,4 @@
-"""Made logs: small, seeded, and known to the last digit."""
+"""Made logs and episodes: small, seeded, and known to the last digit."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,11 @@ from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.experiments.log_format import Log, LogTruth
+from surefoot.experiments.policy import evaluate, evaluation
 
 SAMPLES = 60
 MASS = 5.3
+MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "surefoot": 97.0}
 
 
 @pytest.fixture
@@ -52,3 +54,21 @@ def log() -> Log:
         truth=LogTruth(force, position, R, *(np.tile(part, (SAMPLES, 1)) for part in nominal)),
         about={"speed_m_s": 0.0},
     )
+
+
+@pytest.fixture
+def invented(monkeypatch):
+    """Episodes that take no time, and a note of each that was run."""
+    ran = []
+
+    def run(controller, feeds, numbers, severities, *, cop_inputs, task, jobs, done):
+        for cell in evaluate.episode_cells(feeds, numbers, severities, cop_inputs):
+            if cell not in done:
+                ran.append((controller, *cell))
+                feed, seed, severity, cop_input = cell
+                total = MEANS[feed] + np.sin(seed + len(feed)) + (1000.0 if controller == "zero" else 0.0)
+                yield evaluate.EpisodeResult(feed, cop_input, severity, seed, total, False, 18.0, 0.0, 0.0,
+                                             controller, task)  # fmt: skip
+
+    monkeypatch.setattr(evaluation, "run_episodes", run)
+    return ran
