@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration import FeetLayout, FootLayout
-from surefoot.experiments.arena_bound import bound_of
-from surefoot.experiments.log_format import Log
-from surefoot.experiments.record import Condition, record_walk
-from surefoot.experiments.replay import replay_logs
-from surefoot.experiments.score import score_forces
+from surefoot.experiments.arena.bound import bound_of
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.walks.record import Condition, record_walk
+from surefoot.experiments.walks.replay import replay_logs
+from surefoot.experiments.walks.score import score_forces
 from surefoot.sensors import LoadCells
 
 SPEEDS = (0.02, 0.04, 0.1)

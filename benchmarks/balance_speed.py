@@ -25,7 +25,7 @@ from stepping import interleaved, profiled, step
 from vector_speed import step as vector_step
 
 import surefoot  # noqa: F401
-from surefoot.envs.nao import SUBSTEPS
+from surefoot.envs.nao.env import SUBSTEPS
 from surefoot.experiments.policy.env import EXPECTED_LOADS, make_feed
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors

@@ -15,7 +15,7 @@ import numpy as np
 from stepping import step
 
 import surefoot  # noqa: F401
-from surefoot.envs.nao import SUBSTEPS
+from surefoot.envs.nao.env import SUBSTEPS
 
 
 def seconds_a_step(env: gym.Env[Any, Any], steps: int) -> float:

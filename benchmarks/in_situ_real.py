@@ -13,7 +13,7 @@ from rich.console import Console
 
 from surefoot.experiments.in_situ.optical import LOADED, load_optical, optical_refusals, optical_sensor
 from surefoot.experiments.in_situ.recordings import gamma_on_arm, icub_foot, sensor_recordings_folder
-from surefoot.experiments.tables import Table, number
+from surefoot.experiments.study.tables import Table, number
 
 
 def foot_table(folder: Path) -> Table:

@@ -29,9 +29,9 @@ from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
 from surefoot.experiments.in_situ.rig_record import record_rig
-from surefoot.experiments.tables import Table, number
+from surefoot.experiments.study.tables import Table, number
 from surefoot.sensors import StrainGauges, preset, strain_gauges
-from surefoot.sensors.strain_gauges import read_sequence
+from surefoot.sensors.devices.strain_gauges import read_sequence
 
 Floats = NDArray[np.float64]
 Method = Callable[[Sequence[InSituSet]], float]

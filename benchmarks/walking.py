@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.controllers import Stabiliser, zero_action
-from surefoot.envs.nao_walk import NaoWalkEnv
+from surefoot.envs.nao.walk import NaoWalkEnv
 
 SPEEDS = (0.02, 0.04, 0.1)
 DIRECTIONS = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}

@@ -7,9 +7,7 @@ NumPy, SciPy and the array API standard; no simulator and no Gymnasium, so that 
 * :func:`calibrate_in_situ` for six-axis force-torque sensors, from gravity and known masses.
 """
 
-from surefoot.calibration.accelerometer import AccelerometerFit, calibrate_accelerometer
-from surefoot.calibration.bench import ChannelFit, fit_channels
-from surefoot.calibration.bound import Bound, posterior_bound
+from surefoot.calibration.baselines.tare import TareConfig
 from surefoot.calibration.centroidal import GroundReference, ground_height, ground_reference
 from surefoot.calibration.cop import (
     FORCE_THRESHOLD,
@@ -22,11 +20,11 @@ from surefoot.calibration.cop import (
     moment_rows,
     sole_wrenches,
 )
-from surefoot.calibration.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
 from surefoot.calibration.estimate import Estimate, Flag
-from surefoot.calibration.filters import low_pass, zero_phase
 from surefoot.calibration.foot_calibrator import FootCalibrator
-from surefoot.calibration.imu_motion import ImuMotion, gravity_from_imu
+from surefoot.calibration.front_end.filters import low_pass, zero_phase
+from surefoot.calibration.imu.accelerometer import AccelerometerFit, calibrate_accelerometer
+from surefoot.calibration.imu.motion import ImuMotion, gravity_from_imu
 from surefoot.calibration.in_situ import (
     ExcitationPlan,
     ExcitationPrior,
@@ -53,17 +51,19 @@ from surefoot.calibration.in_situ import (
     static_samples,
 )
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor, nao_shoe_layout
-from surefoot.calibration.moment_filter import MomentFilterConfig
+from surefoot.calibration.moment.bound import Bound, posterior_bound
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.online import METHODS, OnlineMethod, OnlineSetup, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.replay import replay
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.calibration.standing import QuietStanding, StandingEstimate, StandingState
-from surefoot.calibration.standing_fit import StandingFit, standing_start
+from surefoot.calibration.standing.fit import StandingFit, standing_start
+from surefoot.calibration.standing.quiet import QuietStanding, StandingEstimate, StandingState
 from surefoot.calibration.state import load_state, save_state
-from surefoot.calibration.tare import TareConfig
-from surefoot.calibration.window import WindowConfig, confidence_from_standing
+from surefoot.calibration.weights.channels import ChannelFit, fit_channels
+from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
+from surefoot.calibration.window.config import WindowConfig, confidence_from_standing
 
 __all__ = [
     "FORCE_THRESHOLD",

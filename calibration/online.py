@@ -11,7 +11,7 @@ arrays and whole numbers: keeping one, copying one, and :func:`surefoot.calibrat
 nothing.
 
 Methods differ in what they learn from. What they share (checks, the delay of the reference, what an
-estimate holds) is described in :mod:`surefoot.calibration._front_end`:
+estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
 
 | name | learns | from |
 |---|---|---|
@@ -28,11 +28,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from surefoot.calibration._setup import OnlineMethod, OnlineSetup
-from surefoot.calibration.moment_filter import MomentFilterConfig, moment_filter
-from surefoot.calibration.quasi_static import quasi_static
-from surefoot.calibration.tare import TareConfig, tare
-from surefoot.calibration.uncorrected import uncorrected
-from surefoot.calibration.window import WindowConfig, window
+from surefoot.calibration.baselines.none import uncorrected
+from surefoot.calibration.baselines.tare import TareConfig, tare
+from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
+from surefoot.calibration.window.config import WindowConfig, window
+from surefoot.calibration.window.quasi_static import quasi_static
 
 __all__ = ["METHODS", "MethodEntry", "OnlineMethod", "OnlineSetup", "online_method"]
 

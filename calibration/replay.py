@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._front_end import FrontEnd
-from surefoot.calibration._motion import LARGEST_REFERENCE
 from surefoot.calibration._setup import check_value, setup_from_options
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.filters import zero_phase as filter_zero_phase
+from surefoot.calibration.front_end.filters import zero_phase as filter_zero_phase
+from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
+from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.online import METHODS, online_method
 from surefoot.calibration.parameters import Parameters

@@ -1,26 +1,26 @@
 """MuJoCo environments of a biped, and sensors for any other one: they know the truth and nothing else."""
 
 from surefoot.envs.command import Command
-from surefoot.envs.drawing import RobotDrawing
-from surefoot.envs.exercise import ExerciseEnv
-from surefoot.envs.feet_reader import FeetReader
-from surefoot.envs.feet_truth import FeetTruth
-from surefoot.envs.foot_geometry import FootGeometry
-from surefoot.envs.gait_pattern import Pattern, plan_route, plan_walk
-from surefoot.envs.gait_route import Leg, checked_route
-from surefoot.envs.icub_leg import load_icub_leg_spec
-from surefoot.envs.instrument import Instrumentation, instrument
-from surefoot.envs.instrumented import InstrumentedEnv
-from surefoot.envs.leg_rig import ADDED_MASSES, AddedMass, load_leg_rig_spec
-from surefoot.envs.leg_rig_env import LegRigEnv
-from surefoot.envs.nao import NaoEnv
-from surefoot.envs.nao_balance import NaoBalanceEnv
-from surefoot.envs.nao_carry import NaoCarryEnv
-from surefoot.envs.nao_stand import NaoStandEnv
-from surefoot.envs.nao_walk import NaoWalkEnv
+from surefoot.envs.exercise.env import ExerciseEnv
+from surefoot.envs.exercise.robots import load_robot_spec
+from surefoot.envs.gait.pattern import Pattern, plan_route, plan_walk
+from surefoot.envs.gait.route import Leg, checked_route
+from surefoot.envs.instrumentation.drawing import RobotDrawing
+from surefoot.envs.instrumentation.env import InstrumentedEnv
+from surefoot.envs.instrumentation.geometry import FootGeometry
+from surefoot.envs.instrumentation.reader import FeetReader
+from surefoot.envs.instrumentation.spec import Instrumentation, instrument
+from surefoot.envs.instrumentation.truth import FeetTruth
+from surefoot.envs.leg_rig.env import LegRigEnv
+from surefoot.envs.leg_rig.icub import load_icub_leg_spec
+from surefoot.envs.leg_rig.spec import ADDED_MASSES, AddedMass, load_leg_rig_spec
+from surefoot.envs.nao.balance import NaoBalanceEnv
+from surefoot.envs.nao.carry import NaoCarryEnv
+from surefoot.envs.nao.env import NaoEnv
+from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.plate import SolePlate
 from surefoot.envs.robot import BelowSensor, below_ankle, below_cells, load_nao_spec
-from surefoot.envs.robots import load_robot_spec
 from surefoot.envs.truth import Truth
 
 __all__ = [

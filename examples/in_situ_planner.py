@@ -19,7 +19,7 @@ from surefoot.calibration.in_situ.excitation import (
 )
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.envs.leg_rig import ADDED_MASSES
+from surefoot.envs.leg_rig.spec import ADDED_MASSES
 from surefoot.sensors import StrainGauges, preset
 
 CONFIGURATIONS = (1, 2, 3, 4)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from surefoot.experiments import Log, read_log
-from surefoot.experiments.replay import starting_map
+from surefoot.experiments.walks.replay import starting_map
 
 
 def lines_of(log: Log) -> Iterator[tuple[float, dict]]:

@@ -6,12 +6,12 @@
 * :func:`run_bench` and :func:`run_loop` for the virtual bench and the walker on calibrated feet.
 """
 
-from surefoot.experiments.bench import BenchReport, BenchSetup, run_bench
-from surefoot.experiments.closed_loop import LoopRun, run_loop
-from surefoot.experiments.log_format import Log, LogError, LogTruth, read_log, write_log
-from surefoot.experiments.record import CONDITIONS, Condition, record_walk
-from surefoot.experiments.replay import Replayed, replay_logs
-from surefoot.experiments.score import Score, mean_interval, score_forces
+from surefoot.experiments.logs.format import Log, LogError, LogTruth, read_log, write_log
+from surefoot.experiments.walks.closed_loop import LoopRun, run_loop
+from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
+from surefoot.experiments.walks.replay import Replayed, replay_logs
+from surefoot.experiments.walks.score import Score, mean_interval, score_forces
+from surefoot.experiments.weights.bench import BenchReport, BenchSetup, run_bench
 
 __all__ = [
     "CONDITIONS",

@@ -1,32 +1,28 @@
 """Honest models of foot sensors, IMUs and encoders: arrays in, arrays out, on a robot or a GPU."""
 
-from surefoot.sensors.burst_gaps import GapState, burst_gaps
-from surefoot.sensors.clock import ClockState, sample_and_hold
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.corruption import Corruption, chain
-from surefoot.sensors.creep import CreepState, creep
-from surefoot.sensors.drift import PER_SQRT_MINUTE, drift, gain_drift
-from surefoot.sensors.encoders import Encoders, encoders
-from surefoot.sensors.faults import Fault, FaultState, apply_faults, channel_faults
-from surefoot.sensors.force_torque import ForceTorque, ForceTorqueState, force_torque, true_matrix
-from surefoot.sensors.gain import gain, offset
-from surefoot.sensors.hysteresis import HysteresisState, hysteresis
-from surefoot.sensors.imu import Imu, ImuState, imu
-from surefoot.sensors.link import Link, Packet, latency, receive, send
-from surefoot.sensors.load_cell_config import LoadCells
-from surefoot.sensors.load_cells import (
+from surefoot.sensors.devices.encoders import Encoders, encoders
+from surefoot.sensors.devices.force_torque import ForceTorque, ForceTorqueState, force_torque, true_matrix
+from surefoot.sensors.devices.imu import Imu, ImuState, imu
+from surefoot.sensors.devices.load_cell_config import LoadCells
+from surefoot.sensors.devices.load_cells import (
     LoadCellState,
     load_cell_chain,
     load_cells,
     static_counts,
     true_map,
 )
-from surefoot.sensors.mechanics import Mechanics, MechanicsState, mechanics
-from surefoot.sensors.mounting import MountingState, mounting
-from surefoot.sensors.moving_average import MovingAverageState, moving_average
-from surefoot.sensors.noise import noise_density, white_noise
-from surefoot.sensors.nonlinearity import NonlinearityState, drawn_nonlinearity, nonlinearity
-from surefoot.sensors.overload import OverloadState, overload
+from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142, StrainGauges
+from surefoot.sensors.devices.strain_gauges import (
+    StrainGaugeState,
+    read_sequence,
+    shift_zero,
+    strain_gauges,
+    true_response,
+)
+from surefoot.sensors.faults.channels import Fault, FaultState, apply_faults, channel_faults
+from surefoot.sensors.faults.schedule import CELLS, FEET, cell_names, parse_fault
 from surefoot.sensors.presets import (
     ATI_MINI45,
     BAR_CELLS_ON_HX711,
@@ -42,23 +38,27 @@ from surefoot.sensors.presets import (
     preset,
     resolve,
 )
-from surefoot.sensors.quantize import quantize, saturate
-from surefoot.sensors.schedule import CELLS, FEET, cell_names, parse_fault
 from surefoot.sensors.severity import scaled
 from surefoot.sensors.size import sized
-from surefoot.sensors.spikes import spikes
-from surefoot.sensors.stale_repeats import RepeatState, stale_repeats
-from surefoot.sensors.strain_gauge_config import FTSENS_SN039, FTSENS_SN142, StrainGauges
-from surefoot.sensors.strain_gauges import (
-    StrainGaugeState,
-    read_sequence,
-    shift_zero,
-    strain_gauges,
-    true_response,
-)
-from surefoot.sensors.temperature import ThermalState, thermal_drift
-from surefoot.sensors.wire import Wire, WireState, check_wire, wire
-from surefoot.sensors.wrong_words import wrong_words
+from surefoot.sensors.stages.creep import CreepState, creep
+from surefoot.sensors.stages.drift import PER_SQRT_MINUTE, drift, gain_drift
+from surefoot.sensors.stages.gain import gain, offset
+from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
+from surefoot.sensors.stages.mechanics import Mechanics, MechanicsState, mechanics
+from surefoot.sensors.stages.mounting import MountingState, mounting
+from surefoot.sensors.stages.moving_average import MovingAverageState, moving_average
+from surefoot.sensors.stages.noise import noise_density, white_noise
+from surefoot.sensors.stages.nonlinearity import NonlinearityState, drawn_nonlinearity, nonlinearity
+from surefoot.sensors.stages.overload import OverloadState, overload
+from surefoot.sensors.stages.quantize import quantize, saturate
+from surefoot.sensors.stages.temperature import ThermalState, thermal_drift
+from surefoot.sensors.transport.burst_gaps import GapState, burst_gaps
+from surefoot.sensors.transport.clock import ClockState, sample_and_hold
+from surefoot.sensors.transport.link import Link, Packet, latency, receive, send
+from surefoot.sensors.transport.spikes import spikes
+from surefoot.sensors.transport.stale_repeats import RepeatState, stale_repeats
+from surefoot.sensors.transport.wire import Wire, WireState, check_wire, wire
+from surefoot.sensors.transport.wrong_words import wrong_words
 
 __all__ = [
     "ATI_MINI45",

@@ -4,15 +4,15 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from surefoot.sensors.configuration import from_mapping
-from surefoot.sensors.drift import PER_SQRT_MINUTE
-from surefoot.sensors.encoders import Encoders
-from surefoot.sensors.force_torque import ForceTorque
-from surefoot.sensors.imu import Imu
-from surefoot.sensors.link import Link
-from surefoot.sensors.load_cell_config import LoadCells
-from surefoot.sensors.mechanics import Mechanics
-from surefoot.sensors.strain_gauge_config import FTSENS_SN142, StrainGauges
-from surefoot.sensors.wire import Wire
+from surefoot.sensors.devices.encoders import Encoders
+from surefoot.sensors.devices.force_torque import ForceTorque
+from surefoot.sensors.devices.imu import Imu
+from surefoot.sensors.devices.load_cell_config import LoadCells
+from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN142, StrainGauges
+from surefoot.sensors.stages.drift import PER_SQRT_MINUTE
+from surefoot.sensors.stages.mechanics import Mechanics
+from surefoot.sensors.transport.link import Link
+from surefoot.sensors.transport.wire import Wire
 
 Config = TypeVar("Config")
 

@@ -15,14 +15,14 @@ from math import ceil
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from surefoot.sensors.encoders import Encoders
-from surefoot.sensors.force_torque import MOST_ERROR, ForceTorque
-from surefoot.sensors.imu import Imu
-from surefoot.sensors.link import Link
-from surefoot.sensors.load_cell_config import LoadCells
-from surefoot.sensors.mechanics import Mechanics
-from surefoot.sensors.strain_gauge_config import StrainGauges
-from surefoot.sensors.wire import Wire
+from surefoot.sensors.devices.encoders import Encoders
+from surefoot.sensors.devices.force_torque import MOST_ERROR, ForceTorque
+from surefoot.sensors.devices.imu import Imu
+from surefoot.sensors.devices.load_cell_config import LoadCells
+from surefoot.sensors.devices.strain_gauge_config import StrainGauges
+from surefoot.sensors.stages.mechanics import Mechanics
+from surefoot.sensors.transport.link import Link
+from surefoot.sensors.transport.wire import Wire
 
 Config = TypeVar("Config")
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Final
 
-from surefoot.sensors.load_cell_config import LoadCells
+from surefoot.sensors.devices.load_cell_config import LoadCells
 
 REFERENCE_WEIGHT: Final = 5.305 * 9.81
 """Weight in N of the robot, a NAO, under which the presets' cells have their sizes."""

@@ -28,7 +28,7 @@ def main() -> None:
             file=sys.stderr,
         )
         raise SystemExit(2)
-    from surefoot.experiments.cli import app
+    from surefoot.experiments.cli.app import app
 
     app()
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
-from surefoot.sensors.link import Packet, Packets
+from surefoot.sensors.transport.link import Packet, Packets
 from surefoot.wrappers.belief_rows import (
     ACCELERATION,
     ACCELEROMETER,

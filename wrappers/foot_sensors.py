@@ -23,7 +23,7 @@ from surefoot.sensors import (
     resolve,
     scaled,
 )
-from surefoot.sensors.link import Packets
+from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.foot_device import FootDevice, foot_device
 from surefoot.wrappers.hardware import HardwareState
 from surefoot.wrappers.instruments import Instruments

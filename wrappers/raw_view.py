@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.sensors.link import Packets
+from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.instruments import Instruments
 from surefoot.wrappers.telemetry import MEASURED, TelemetryLayout
 

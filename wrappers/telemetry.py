@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surefoot.sensors import Corruption, Encoders, Imu, ImuState, Link, encoders, imu, receive, resolve, send
 from surefoot.sensors.configuration import require
-from surefoot.sensors.link import Packets
+from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
 
 VELOCITY_TIME_CONSTANT = 0.02

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from surefoot.calibration._gravity_spread import gravity_spread
+from surefoot.calibration.imu.gravity_spread import gravity_spread
 from surefoot.calibration.in_situ._compress import CompressedSet
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions

@@ -6,12 +6,12 @@ Its theory is in :mod:`surefoot.calibration.in_situ.excitation`.
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._kalman import kalman_step
 from surefoot.calibration._setup import check_value
 from surefoot.calibration.in_situ._linear import LinearSensor
 from surefoot.calibration.in_situ._model import inertial_parameters
 from surefoot.calibration.in_situ.excitation_plan import PlannedPose
 from surefoot.calibration.in_situ.excitation_prior import SHARED, ExcitationPrior, MassCandidate
+from surefoot.calibration.moment.kalman import kalman_step
 
 __all__ = ["Design"]
 

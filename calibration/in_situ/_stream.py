@@ -11,7 +11,6 @@ from array_api_compat import device as device_of
 
 from surefoot.calibration._arrays import check_tail, constant_like
 from surefoot.calibration._constants import Constants, namespace_of
-from surefoot.calibration._kalman import kalman_step
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.in_situ._linear import (
     AXES,
@@ -25,6 +24,7 @@ from surefoot.calibration.in_situ._model import PAIRS, STATIC, inertial_paramete
 from surefoot.calibration.in_situ._reading import flags_of, signals_of
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.tracker import InSituEstimate
+from surefoot.calibration.moment.kalman import kalman_step
 from surefoot.calibration.reference import GRAVITY
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration._gravity_spread import MINIMUM_SPREAD, refuse_narrow_gravity
+from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, refuse_narrow_gravity
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["OffsetFit", "estimate_offset"]

@@ -7,7 +7,7 @@ the sensor, a reading in motion or at rest is (in-situ paper, Eqs. 2 and 5, with
 
 and linear in what may have changed: the offset o, which walks; relative errors D of the response; errors of
 the limb's mass and first moment; and h, by which the sensor lags behind its load. A Kalman filter takes them
-in (:mod:`surefoot.calibration._kalman`, the step of the walking estimator), from an
+in (:mod:`surefoot.calibration.moment.kalman`, the step of the walking estimator), from an
 :class:`~surefoot.calibration.in_situ.fit.InSituFit` with its covariance as the prior.
 
 * **What one hanging limb cannot tell is considered, not estimated** (Schmidt, 1966): the limb always, and of

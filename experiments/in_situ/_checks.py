@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments._log_checks import LogError
 from surefoot.experiments.in_situ._config import InSituConfig
 from surefoot.experiments.in_situ._table import Samples
+from surefoot.experiments.logs.checks import LogError
 
 __all__ = [
     "check_channels",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from surefoot.experiments._log_checks import LogError
+from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["Columns", "check_column_names"]
 

@@ -13,12 +13,12 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.accelerometer import AccelerometerModel
+from surefoot.calibration.imu.accelerometer import AccelerometerModel
 from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.experiments._log_checks import LogError
 from surefoot.experiments.in_situ._columns import Columns, check_column_names
 from surefoot.experiments.in_situ._matrix import read_matrix
 from surefoot.experiments.in_situ._units import UNITS, Units
+from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["AddedMass", "InSituConfig", "read_config"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments._log_checks import LogError
+from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["ICUB_COUNTS", "icub_text", "read_icub_text", "read_matrix"]
 

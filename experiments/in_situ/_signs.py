@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.experiments._log_checks import LogError
 from surefoot.experiments.in_situ._checks import contiguous
 from surefoot.experiments.in_situ._table import Samples
+from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["check_acceleration", "check_against_factory", "check_spin"]
 

@@ -21,7 +21,7 @@ from surefoot.experiments.in_situ.export import (
 from surefoot.experiments.in_situ.log import InSituConfig, InSituLog, read_in_situ_log
 from surefoot.experiments.in_situ.page import InSituPage
 from surefoot.experiments.in_situ.tables import Calibrated
-from surefoot.experiments.tables import Table
+from surefoot.experiments.study.tables import Table
 
 __all__ = ["SAMPLE", "CalibratedSensor", "calibrate_in_situ_log"]
 

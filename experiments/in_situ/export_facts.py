@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 import surefoot
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.experiments._files import write_text
-from surefoot.experiments._log_checks import LogError
+from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.study.files import write_text
 
 __all__ = ["calibration_facts", "read_calibration", "write_json", "write_yaml"]
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.experiments._files import atomic_path
-from surefoot.experiments._log_checks import LogError
 from surefoot.experiments.in_situ._matrix import icub_text, read_icub_text
+from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.study.files import atomic_path
 
 __all__ = ["read_icub_matrix", "write_icub_matrix"]
 

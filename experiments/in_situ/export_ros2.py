@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import surefoot
 from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.experiments._files import write_text
+from surefoot.experiments.study.files import write_text
 
 __all__ = ["offset_wrench", "write_ros2_parameters"]
 

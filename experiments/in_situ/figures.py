@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surefoot.experiments._canvas import figure_at, grid_of
 from surefoot.experiments.in_situ._space import draw_shell, few_ticks
 from surefoot.experiments.in_situ.score import force_ellipsoid
 from surefoot.experiments.in_situ.tables import Calibrated
-from surefoot.experiments.style import Look, look_of
+from surefoot.experiments.study.canvas import figure_at, grid_of
+from surefoot.experiments.study.style import Look, look_of
 
 __all__ = ["force_ellipsoids", "raw_ellipsoids", "residuals_over_time"]
 

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.accelerometer import calibrate_accelerometer
-from surefoot.calibration.imu_motion import gravity_from_imu
+from surefoot.calibration.imu.accelerometer import calibrate_accelerometer
+from surefoot.calibration.imu.motion import gravity_from_imu
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
 from surefoot.experiments.in_situ.rig_record import RigRecording
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
-from surefoot.sensors.strain_gauges import StrainGaugeState, read_sequence, shift_zero, true_response
+from surefoot.sensors.devices.strain_gauges import StrainGaugeState, read_sequence, shift_zero, true_response
 
 __all__ = [
     "XSENS_MTX",

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.accelerometer import AccelerometerModel, calibrate_accelerometer
-from surefoot.calibration.imu_motion import gravity_from_imu
+from surefoot.calibration.imu.accelerometer import AccelerometerModel, calibrate_accelerometer
+from surefoot.calibration.imu.motion import gravity_from_imu
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments._log_checks import LogError
 from surefoot.experiments.in_situ._checks import check_channels, contiguous, in_time, with_values
 from surefoot.experiments.in_situ._config import AddedMass, InSituConfig, read_config
 from surefoot.experiments.in_situ._signs import check_acceleration, check_against_factory, check_spin
 from surefoot.experiments.in_situ._table import Samples, read_samples
+from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["InSituConfig", "InSituLog", "config_beside", "read_config", "read_in_situ_log"]
 

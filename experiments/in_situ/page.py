@@ -15,8 +15,8 @@ from surefoot.experiments.in_situ.tables import (
     set_table,
     weighing_tables,
 )
-from surefoot.experiments.report import ReportFigure, Section, render_report
-from surefoot.experiments.tables import Table
+from surefoot.experiments.study.page import ReportFigure, Section, render_report
+from surefoot.experiments.study.tables import Table
 
 __all__ = ["InSituPage"]
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.accelerometer import calibrate_accelerometer
+from surefoot.calibration.imu.accelerometer import calibrate_accelerometer
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit

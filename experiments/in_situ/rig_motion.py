@@ -6,7 +6,7 @@ from math import gcd
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.leg_rig import HIP_RANGE
+from surefoot.envs.leg_rig.spec import HIP_RANGE
 from surefoot.envs.options import positive
 
 __all__ = ["RIG_SPEED_DEG", "HipMotion", "sweep", "swing"]

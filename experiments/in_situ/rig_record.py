@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.fit import Limb
-from surefoot.envs.icub_leg import load_icub_leg_spec
-from surefoot.envs.leg_rig import (
+from surefoot.envs.leg_rig.icub import load_icub_leg_spec
+from surefoot.envs.leg_rig.spec import (
     HIP_JOINTS,
     added_mass,
     limb_beyond,
@@ -119,7 +119,8 @@ def record_rig(
         floor: Whether the tip of the beam meets a block of foam at the rear end of the front-back range.
         fast_motion: Swing at 0.8 to 2 Hz (:func:`swing`) rather than sweep slowly (:func:`sweep`).
         at_rest: Stand still in each posture, so that no inertia is felt at all.
-        icub: Take the right leg of the official iCub v2.5 (:mod:`surefoot.envs.icub_leg`), with its knee held
+        icub: Take the right leg of the official iCub v2.5 (:mod:`surefoot.envs.leg_rig.icub`), with its knee
+        held
             and without a floor.
 
     Returns:

@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from surefoot.experiments._files import atomic_path, write_text
 from surefoot.experiments.in_situ.calibrate import SAMPLE
 from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig
+from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 
 __all__ = ["SampleTruth", "make_sample", "write_sample"]

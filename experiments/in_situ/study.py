@@ -15,9 +15,6 @@ import joblib
 import pandas as pd
 from rich.console import Console
 
-from surefoot.experiments._files import atomic_path, write_text
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.arena_walks import source_hash
 from surefoot.experiments.in_situ.refusals import CASES, refusal_row
 from surefoot.experiments.in_situ.study_pieces import (
     BATCH,
@@ -30,24 +27,14 @@ from surefoot.experiments.in_situ.study_pieces import (
     sweep_piece,
     white_piece,
 )
-from surefoot.experiments.stages import machine, stages
+from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.study.stages import machine, stages
 
 __all__ = ["InSituStudyOptions", "InSituStudyResults", "run_in_situ_study"]
 
-_SOURCES = (
-    "calibration",
-    "sensors",
-    "envs",
-    "experiments/in_situ/rig_record.py",
-    "experiments/in_situ/rig_motion.py",
-    "experiments/in_situ/bound.py",
-    "experiments/in_situ/instruments.py",
-    "experiments/in_situ/methods.py",
-    "experiments/in_situ/refusals.py",
-    "experiments/in_situ/score.py",
-    "experiments/in_situ/study_pieces.py",
-    "experiments/in_situ/study_score.py",
-)
+_SOURCES = tuple(f"surefoot.experiments.in_situ.{name}" for name in ("study_pieces", "refusals"))
 """What decides what a piece finds."""
 
 

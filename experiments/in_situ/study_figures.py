@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.calibration.in_situ.paper_offset import estimate_offset
-from surefoot.experiments._canvas import figure_at, grid_of
-from surefoot.experiments._frames import Frame
 from surefoot.experiments.in_situ._space import draw_shell, few_ticks
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult
 from surefoot.experiments.in_situ.score import force_ellipsoid
 from surefoot.experiments.in_situ.study_pieces import Shown
-from surefoot.experiments.style import Look, look_of
+from surefoot.experiments.study.canvas import figure_at, grid_of
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.style import Look, look_of
 
 __all__ = ["force_figure", "limb_figure", "method_look", "raw_figure"]
 

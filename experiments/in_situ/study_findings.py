@@ -5,7 +5,7 @@ import numpy as np
 from surefoot.experiments.in_situ.study import InSituStudyResults
 from surefoot.experiments.in_situ.study_pieces import MOTIONS
 from surefoot.experiments.in_situ.targets import consistency, over_bound, targets_of
-from surefoot.experiments.tables import number
+from surefoot.experiments.study.tables import number
 
 __all__ = [
     "bound_findings",

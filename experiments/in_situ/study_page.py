@@ -3,7 +3,6 @@
 from datetime import UTC, datetime
 from pathlib import Path
 
-from surefoot.experiments._files import atomic_path
 from surefoot.experiments.in_situ import study_tables as tables
 from surefoot.experiments.in_situ.study import InSituStudyResults
 from surefoot.experiments.in_situ.study_figures import force_figure, limb_figure, raw_figure
@@ -14,8 +13,9 @@ from surefoot.experiments.in_situ.study_findings import (
     refusal_findings,
     summary_findings,
 )
-from surefoot.experiments.report import ReportFigure, Section, flat, render_report
-from surefoot.experiments.tables import Table
+from surefoot.experiments.study.files import atomic_path
+from surefoot.experiments.study.page import ReportFigure, Section, flat, render_report
+from surefoot.experiments.study.tables import Table
 
 __all__ = ["InSituStudyPage"]
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
-from surefoot.experiments._frames import Frame
 from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,
@@ -23,6 +22,7 @@ from surefoot.experiments.in_situ.instruments import (
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult, calibrate_by_all, of_fit
 from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig
 from surefoot.experiments.in_situ.study_score import fit_row, set_rows
+from surefoot.experiments.study.frames import Frame
 from surefoot.sensors import StrainGauges
 
 __all__ = [

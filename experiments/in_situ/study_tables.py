@@ -4,14 +4,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from surefoot.experiments._frames import Frame
 from surefoot.experiments.in_situ.methods import METHODS
 from surefoot.experiments.in_situ.printed import PRINTED
 from surefoot.experiments.in_situ.study import InSituStudyResults
 from surefoot.experiments.in_situ.study_pieces import KINDS, MOTIONS
 from surefoot.experiments.in_situ.targets import consistency, over_bound, targets_of
-from surefoot.experiments.score import mean_interval
-from surefoot.experiments.tables import Table, number, with_interval
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Table, number, with_interval
+from surefoot.experiments.walks.score import mean_interval
 
 __all__ = [
     "bound_table",

@@ -19,7 +19,7 @@ from surefoot.experiments.in_situ.score import (
     motion_wrench,
     offset_of_set,
 )
-from surefoot.experiments.tables import Table, number
+from surefoot.experiments.study.tables import Table, number
 
 __all__ = [
     "Calibrated",

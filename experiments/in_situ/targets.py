@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from surefoot.experiments._frames import Frame
 from surefoot.experiments.in_situ.study import InSituStudyResults
+from surefoot.experiments.study.frames import Frame
 
 __all__ = ["Consistency", "Target", "consistency", "over_bound", "targets_of"]
 

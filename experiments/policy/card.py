@@ -10,15 +10,15 @@ import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
-from surefoot.experiments._files import atomic_path, write_text
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import controller_hash
+from surefoot.experiments.policy.controllers import controller_hash
 from surefoot.experiments.policy.env import input_names
 from surefoot.experiments.policy.options import TRAINING_SEEDS
 from surefoot.experiments.policy.origin import Origin
 from surefoot.experiments.policy.scores import controllers_of, score_table, seeds_text
 from surefoot.experiments.policy.tasks import TASKS, Task, task_in, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
+from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.experiments.study.frames import Frame
 
 __all__ = ["draw_curve", "own_scores", "write_card", "write_scores"]
 

@@ -5,12 +5,12 @@ A difference is *clear* if its 95 % interval leaves zero out.
 
 from typing import NamedTuple
 
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import labels
+from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.scores import Run, controllers_of, paired_difference
-from surefoot.experiments.score import Interval
-from surefoot.experiments.style import short_label
-from surefoot.experiments.tables import Table, interval_text
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.style import short_label
+from surefoot.experiments.study.tables import Table, interval_text
+from surefoot.experiments.walks.score import Interval
 
 __all__ = [
     "CALIBRATED",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robot import motor_of_joint
 from surefoot.experiments.policy.tasks import Task, task_named
-from surefoot.experiments.walkers import TruthTap
+from surefoot.experiments.walks.walkers import TruthTap
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.controllers_by_name import check_task, load_controller
+from surefoot.experiments.policy.controllers import check_task, load_controller
 from surefoot.experiments.policy.env import make_feed
 from surefoot.experiments.policy.options import TRAINING_SEEDS
 
@@ -81,7 +81,7 @@ def run_episode(
 
     Args:
         policy: A :class:`~surefoot.controllers.PolicyNetwork`, a stabiliser, or any function of observations,
-            or the name of one (:mod:`surefoot.experiments.controllers_by_name`);
+            or the name of one (:mod:`surefoot.experiments.policy.controllers`);
             if it has a ``reset``, it is called when the quiet stand is over, so that what a controller
             integrates begins there.
         feed: What is fed back, see :data:`surefoot.experiments.policy.env.FEEDS`.

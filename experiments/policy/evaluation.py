@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import surefoot
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.arena_walks import source_hash
-from surefoot.experiments.controllers_by_name import controller_hash, load_controller, trained_on
+from surefoot.experiments.policy.controllers import controller_hash, load_controller, trained_on
 from surefoot.experiments.policy.env import FEEDS, make_feed
 from surefoot.experiments.policy.evaluate import (
     COP_INPUTS,
@@ -25,15 +23,10 @@ from surefoot.experiments.policy.evaluate import (
 from surefoot.experiments.policy.origin import Plan
 from surefoot.experiments.policy.scores import in_order
 from surefoot.experiments.policy.tasks import TASKS, task_named
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.sources import source_hash
 
-__all__ = ["CODE", "Evaluation"]
-
-CODE = (
-    *("envs", "sensors", "wrappers", "controllers", "calibration"),
-    *(f"experiments/{name}.py" for name in ("walkers", "controllers_by_name")),
-    *(f"experiments/policy/{name}.py" for name in ("env", "evaluate", "options", "shipped", "tasks")),
-)
-"""Sources that a score depends on."""
+__all__ = ["Evaluation"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +39,7 @@ class Evaluation:
     """
 
     controllers: tuple[str, ...] = ("shipped",)
-    """By name, see :mod:`surefoot.experiments.controllers_by_name`."""
+    """By name, see :mod:`surefoot.experiments.policy.controllers`."""
 
     feeds: tuple[str, ...] = tuple(FEEDS)
     """What is fed back."""
@@ -173,4 +166,8 @@ class Evaluation:
 @cache
 def _versions() -> dict[str, str]:
     packages = {name: version(name) for name in ("numpy", "mujoco", "gymnasium")}
-    return {"surefoot": surefoot.__version__, **packages, "code": source_hash(*CODE)}
+    return {
+        "surefoot": surefoot.__version__,
+        **packages,
+        "code": source_hash("surefoot.experiments.policy.evaluate"),
+    }

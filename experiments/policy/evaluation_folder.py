@@ -13,13 +13,13 @@ from typing import Any
 
 import pandas as pd
 
-from surefoot.experiments._files import atomic_path, locked
-from surefoot.experiments._frames import Frame
 from surefoot.experiments.policy.episodes import EPISODES, read_episodes
 from surefoot.experiments.policy.evaluate import EpisodeResult
 from surefoot.experiments.policy.evaluation import Evaluation
 from surefoot.experiments.policy.origin import PLAN, Origin, Plan
 from surefoot.experiments.policy.scores import episodes_frame, in_order
+from surefoot.experiments.study.files import atomic_path, locked
+from surefoot.experiments.study.frames import Frame
 
 __all__ = ["EvaluationFolder"]
 

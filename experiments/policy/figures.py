@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.experiments._canvas import figure_at, grid_of, legend_below
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import drawn_names
 from surefoot.experiments.policy.comparison import Difference
+from surefoot.experiments.policy.controllers import drawn_names
+from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below
+from surefoot.experiments.study.frames import Frame
 from surefoot.experiments.sweep import figures
 
 __all__ = ["forest", "returns", "survival_curves"]

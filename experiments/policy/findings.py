@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import labels
 from surefoot.experiments.policy.comparison import CALIBRATED, difference, severities_of
+from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.randomisation import Answer
 from surefoot.experiments.policy.scores import Run, controllers_of, survival, won_back
-from surefoot.experiments.report import flat
-from surefoot.experiments.score import mean_interval
-from surefoot.experiments.tables import Table, interval_text
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.page import flat
+from surefoot.experiments.study.tables import Table, interval_text
+from surefoot.experiments.walks.score import mean_interval
 
 __all__ = ["controller_findings", "target_table"]
 

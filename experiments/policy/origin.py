@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surefoot.experiments._files import write_text
-from surefoot.experiments.controllers_by_name import controller_hash, trained_on
+from surefoot.experiments.policy.controllers import controller_hash, trained_on
 from surefoot.experiments.policy.episodes import EPISODES, UNNAMED
 from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.study.files import write_text
 
 __all__ = ["PLAN", "Origin", "Plan", "merged", "origins_of"]
 
@@ -26,9 +26,9 @@ class Origin:
 
     Attributes:
         file: Hash of the file behind it when it was run, see
-            :func:`~surefoot.experiments.controllers_by_name.controller_hash`; nothing if there is none, or
+            :func:`~surefoot.experiments.policy.controllers.controller_hash`; nothing if there is none, or
             nobody wrote it down.
-        trained: What it was trained on, see :func:`~surefoot.experiments.controllers_by_name.trained_on`.
+        trained: What it was trained on, see :func:`~surefoot.experiments.policy.controllers.trained_on`.
         versions: With what it was run.
         runs: Whether it runs under its name: other names were made up for a file of episodes.
     """

@@ -5,9 +5,6 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-from surefoot.experiments._files import atomic_path
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import BUILT_IN, labels
 from surefoot.experiments.policy import figures
 from surefoot.experiments.policy.comparison import (
     difference_table,
@@ -15,6 +12,7 @@ from surefoot.experiments.policy.comparison import (
     input_differences,
     nobody_differences,
 )
+from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.policy.findings import controller_findings, target_table
 from surefoot.experiments.policy.origin import Origin
 from surefoot.experiments.policy.randomisation import answers, gap_table, trainings, two_by_two
@@ -27,9 +25,11 @@ from surefoot.experiments.policy.scores import (
     seeds_text,
 )
 from surefoot.experiments.policy.tasks import task_named
-from surefoot.experiments.report import ReportFigure, Section, flat, render_report
-from surefoot.experiments.stages import machine
-from surefoot.experiments.tables import Table
+from surefoot.experiments.study.files import atomic_path
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.page import ReportFigure, Section, flat, render_report
+from surefoot.experiments.study.stages import machine
+from surefoot.experiments.study.tables import Table
 
 __all__ = ["EvaluationPage"]
 

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import labels
+from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.env import FEEDS
 from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult
-from surefoot.experiments.score import Interval, mean_interval
-from surefoot.experiments.tables import Table, number, with_interval
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Table, number, with_interval
+from surefoot.experiments.walks.score import Interval, mean_interval
 
 __all__ = [
     "Run",

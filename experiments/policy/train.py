@@ -17,11 +17,11 @@ import gymnasium as gym
 import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments._files import atomic_path, locked, write_text
 from surefoot.experiments.policy.env import PolicyView, make_feed
 from surefoot.experiments.policy.export import network_of
 from surefoot.experiments.policy.options import REWARD_SCALE, TrainOptions
 from surefoot.experiments.policy.tasks import task_named
+from surefoot.experiments.study.files import atomic_path, locked, write_text
 
 __all__ = ["Trainer", "TrainingError", "forget"]
 

@@ -16,11 +16,11 @@ import numpy as np
 
 import surefoot
 from surefoot.controllers import zero_action
-from surefoot.envs.nao import CONTROL_STEP
-from surefoot.experiments.arena_walks import source_hash
-from surefoot.experiments.closed_loop import Moment, rms
-from surefoot.experiments.controllers_by_name import Controller, controller_hash, load_controller
-from surefoot.experiments.walkers import TruthTap
+from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.experiments.policy.controllers import Controller, controller_hash, load_controller
+from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.walks.closed_loop import Moment, rms
+from surefoot.experiments.walks.walkers import TruthTap
 from surefoot.sensors import LoadCells, resolve, scaled
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
@@ -43,8 +43,6 @@ OUTCOME = ("return", "steps", "time", "fell", "cop_error", "cop_tracking", "dige
 VERSIONS = ("surefoot", "python", "numpy", "mujoco", "gymnasium", "code")
 """With what a row was made."""
 
-_RUNNERS = tuple(f"experiments/{name}.py" for name in ("walkers", "closed_loop", "sweep/episode"))
-
 _LONGEST_ERROR = 4000
 """Characters of a failed cell's traceback that are kept, its end."""
 
@@ -55,7 +53,7 @@ class Cell:
 
     Attributes:
         number: Its place in the sweep.
-        controller: Name of the controller (:mod:`surefoot.experiments.controllers_by_name`).
+        controller: Name of the controller (:mod:`surefoot.experiments.policy.controllers`).
         controller_hash: Of the file behind it, or nothing.
         feed: One of :data:`surefoot.experiments.sweep.scenarios.SWEEP_FEEDS`.
         scenario: Name of the scenario.
@@ -187,7 +185,7 @@ def failed_row(cell: Cell, error: str, wall_time: float = float("nan")) -> dict[
 def versions() -> dict[str, str]:
     """Say with what this process computes; ``code`` is a hash of surefoot's own sources."""
     packages = {name: version(name) for name in ("numpy", "mujoco", "gymnasium")}
-    code = source_hash("envs", "sensors", "wrappers", "controllers", "calibration", *_RUNNERS)
+    code = source_hash(__name__)
     found = {"surefoot": surefoot.__version__, "python": platform.python_version(), **packages, "code": code}
     return {name: found[name] for name in VERSIONS}
 

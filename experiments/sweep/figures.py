@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from surefoot.experiments._canvas import figure_at, grid_of, legend_below
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import drawn_names
-from surefoot.experiments.score import mean_interval
-from surefoot.experiments.style import in_order, look_of, short_label
+from surefoot.experiments.policy.controllers import drawn_names
+from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.style import in_order, look_of, short_label
 from surefoot.experiments.sweep.statistics import fall_share, survival
+from surefoot.experiments.walks.score import mean_interval
 
 __all__ = ["against_severity", "heat_maps", "survival_curves"]
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from surefoot.experiments.controllers_by_name import short_name
-from surefoot.experiments.style import look_of
+from surefoot.experiments.policy.controllers import short_name
+from surefoot.experiments.study.style import look_of
 from surefoot.experiments.sweep.episode import Cell, Step, cell_steps
-from surefoot.experiments.video import FRAMES_PER_SECOND, mark_cop, prepare_rendering, write_film
+from surefoot.experiments.walks.video import FRAMES_PER_SECOND, mark_cop, prepare_rendering, write_film
 
 __all__ = ["film_cell"]
 

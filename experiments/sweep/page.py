@@ -4,15 +4,15 @@ import base64
 from datetime import UTC, datetime
 from pathlib import Path
 
-from surefoot.experiments._files import atomic_path
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.report import ReportFigure, Section, flat, render_report
-from surefoot.experiments.stages import machine
+from surefoot.experiments.study.files import atomic_path
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.page import ReportFigure, Section, flat, render_report
+from surefoot.experiments.study.stages import machine
+from surefoot.experiments.study.tables import Table
 from surefoot.experiments.sweep import figures, tables
 from surefoot.experiments.sweep.episode import Cell
 from surefoot.experiments.sweep.film import film_cell
 from surefoot.experiments.sweep.run import SweepResults
-from surefoot.experiments.tables import Table
 
 __all__ = ["SweepPage"]
 

@@ -11,10 +11,10 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from surefoot.experiments.controllers_by_name import controller_hash
+from surefoot.experiments.policy.controllers import controller_hash
 from surefoot.experiments.sweep.episode import Cell
 from surefoot.experiments.sweep.scenarios import SWEEP_FEEDS, SweepScenario, scenario_named
-from surefoot.experiments.walkers import STAND_TIME
+from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import LoadCells, resolve
 
 __all__ = ["SweepPlan", "plan_from_toml"]
@@ -30,7 +30,7 @@ class SweepPlan:
     True feet have no errors to scale: feed ``"true"`` is run once a seed, at severity 0.
 
     Attributes:
-        controllers: Names of controllers (:mod:`surefoot.experiments.controllers_by_name`).
+        controllers: Names of controllers (:mod:`surefoot.experiments.policy.controllers`).
         feeds: Of :data:`~surefoot.experiments.sweep.scenarios.SWEEP_FEEDS`.
         scenarios: Names of scenarios.
         severities: Factors of all errors of the load cells.

@@ -1,6 +1,6 @@
 """What a swept robot does and what happens to it, by name.
 
-Most are the arena's (:mod:`surefoot.experiments.arena_scenarios`): the same walks, faults and errors of the
+Most are the arena's (:mod:`surefoot.experiments.arena.scenarios`): the same walks, faults and errors of the
 robot about itself, here with the loop closed. A sweep may name others of its own, based on these.
 """
 
@@ -11,10 +11,10 @@ from typing import Any
 
 from gymnasium.envs.registration import registry
 
-from surefoot.experiments import arena_scenarios
-from surefoot.experiments.arena_walks import INSTANT, Walk
+from surefoot.experiments.arena import scenarios
+from surefoot.experiments.arena.walks import INSTANT, Walk
 from surefoot.experiments.policy.env import EXPECTED_LOADS
-from surefoot.experiments.walkers import FEEDS, STAND_TIME
+from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
 __all__ = ["SCENARIOS", "SWEEP_FEEDS", "SweepScenario", "scenario_named"]
 
@@ -80,12 +80,12 @@ class SweepScenario:
         """Complete the sensors' options by the fault that a seed draws, if any, within a stride of 14 s."""
         drawn = dict(self.sensors)
         if self.fault_of is not None:
-            faults = arena_scenarios.SCENARIOS[self.fault_of].faults_of(seed, STAND_TIME + 10.0)
+            faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, STAND_TIME + 10.0)
             drawn["faults"] = [asdict(fault) for fault in faults]
         return {name: asdict(v) if is_dataclass(v) else v for name, v in drawn.items()}  # type: ignore[arg-type]
 
 
-def _from_arena(scenario: arena_scenarios.Scenario, walk: Walk) -> SweepScenario:
+def _from_arena(scenario: scenarios.Scenario, walk: Walk) -> SweepScenario:
     return SweepScenario(
         scenario.name,
         scenario.title,
@@ -100,7 +100,7 @@ def _table() -> dict[str, SweepScenario]:
     """Take over what the arena walks on load cells; a clock's error has no place in a closed loop."""
     walked = [
         _from_arena(scenario, scenario.walk)
-        for scenario in arena_scenarios.SCENARIOS.values()
+        for scenario in scenarios.SCENARIOS.values()
         if scenario.walk is not None
         and scenario.condition == INSTANT.name
         and not (scenario.long or scenario.walk.clock_error)

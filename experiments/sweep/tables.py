@@ -1,10 +1,10 @@
 """Tables of a sweep's report."""
 
-from surefoot.experiments._frames import Frame
-from surefoot.experiments.controllers_by_name import labels
-from surefoot.experiments.style import in_order, short_label
+from surefoot.experiments.policy.controllers import labels
+from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.style import in_order, short_label
+from surefoot.experiments.study.tables import Table, number, with_interval
 from surefoot.experiments.sweep.statistics import fall_share, half_fall
-from surefoot.experiments.tables import Table, number, with_interval
 
 __all__ = ["failure_table", "half_table", "outcome_table", "worst_table"]
 

@@ -10,8 +10,8 @@ import numpy as np
 from _synthetic import DT, LAYOUT, MASS, Floats, walk
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup, Parameters, Reference
-from surefoot.calibration._unknowns import Unknowns
-from surefoot.calibration.moment_filter import MomentFilterConfig
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.unknowns import Unknowns
 
 SENSOR = {"position_sensor_sole": (0.01, -0.005, 0.06)}
 ANKLES = FeetLayout(tuple(FootLayout.force_torque(name, **SENSOR) for name in ("left", "right")))

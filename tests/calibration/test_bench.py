@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surefoot.calibration.bench import fit_channels
 from surefoot.calibration.results import CalibrationRefused, FitResult
+from surefoot.calibration.weights.channels import fit_channels
 
 # The CoP paper's Table 2: codes without load and under 0.01, 0.05 and 0.2 kg; scaling and biasing
 # coefficients as printed (1e-6 kg per count, kg).

@@ -9,12 +9,12 @@ from _matched import matched, on_cells
 from _synthetic import DT, LAYOUT
 
 from surefoot.calibration import Parameters, Reference
-from surefoot.calibration import _moment_stream as stream_module
-from surefoot.calibration._moment_rows import Block, MomentRows
-from surefoot.calibration._motion import Motions
-from surefoot.calibration._unknowns import Unknowns
-from surefoot.calibration.bound import posterior_bound
-from surefoot.calibration.moment_filter import MomentFilterConfig, moment_filter
+from surefoot.calibration.front_end.motion import Motions
+from surefoot.calibration.moment import stream as stream_module
+from surefoot.calibration.moment.bound import posterior_bound
+from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
+from surefoot.calibration.moment.rows import Block, MomentRows
+from surefoot.calibration.moment.unknowns import Unknowns
 
 KNOWN = {"timing_noise": 0.0, "swing_noise": 5e-5, "still": 0.0, "gate": 1e6}
 """Options with which :mod:`_matched` draws from just what the filter believes."""

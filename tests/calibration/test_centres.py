@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surefoot.calibration._centres import LEVER_MAP, centres
 from surefoot.calibration.cop import cop_of_moments, cop_of_wrench
+from surefoot.calibration.front_end.centres import LEVER_MAP, centres
 
 THRESHOLD = 5.0
 

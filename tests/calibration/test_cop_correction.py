@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surefoot.calibration.cop import cop_of_cells
-from surefoot.calibration.cop_correction import fit_cop_correction
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.results import CalibrationRefused, FitResult
+from surefoot.calibration.weights.cop_correction import fit_cop_correction
 
 CELLS = nao_shoe_layout().feet[0].position_cell_sole[:, :2]
 WEIGHTS = np.array([10.0, 20.0, 40.0])

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout
-from surefoot.calibration._distal import DistalMasses
+from surefoot.calibration.moment.distal import DistalMasses
 
 DT, N = 1.0 / 80.0, 24
 CORNERS = [(0.1, 0.05), (0.1, -0.04), (-0.06, 0.05), (-0.07, -0.05)]

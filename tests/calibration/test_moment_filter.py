@@ -8,8 +8,8 @@ from _robots import BAD, calibrated, fleet, robot, rows_between, rows_of, stream
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, errors, walk
 
 from surefoot.calibration import FeetLayout, Flag, FootLayout, OnlineSetup, Parameters, Reference, replay
-from surefoot.calibration._unknowns import Unknowns
-from surefoot.calibration.moment_filter import MomentFilterConfig, moment_filter
+from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
+from surefoot.calibration.moment.unknowns import Unknowns
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from _body import DT, LAYOUTS, LENGTH, MASS, SIZES, Body, ankle, block_of, cells
 
 from surefoot.calibration import GRAVITY, FeetLayout, Reference
-from surefoot.calibration._moment_rows import Block
+from surefoot.calibration.moment.rows import Block
 
 
 def bodies():

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import OnlineSetup, Parameters, Reference, ground_reference, moment_rows
-from surefoot.calibration._motion import Motions
+from surefoot.calibration.front_end.motion import Motions
 from surefoot.calibration.layout import nao_shoe_layout
 
 LAYOUT = nao_shoe_layout()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup, Parameters
-from surefoot.calibration._stand_in import StandIn
+from surefoot.calibration.moment.stand_in import StandIn
 
 MASS = 5.3
 CORNERS = [(0.1, 0.05), (0.1, -0.05), (-0.06, 0.05), (-0.06, -0.05)]

@@ -18,8 +18,8 @@ from surefoot.calibration import (
     online_method,
     replay,
 )
-from surefoot.calibration._front_end import FrontEnd
-from surefoot.calibration._gauss_newton import Weights, gauss_newton, linearise
+from surefoot.calibration.front_end.readings import FrontEnd
+from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise
 
 WEIGHTS = Weights(force=2.0, cop=100.0, threshold=5.0)
 IDENTITY = Parameters(np.ones(8), np.zeros(8))

@@ -11,9 +11,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
-from surefoot.envs.exercise import ExerciseEnv
-from surefoot.envs.exercise_robot import STANDING_STIFFNESS, prepare_robot
-from surefoot.envs.robots import ROBOTS
+from surefoot.envs.exercise.env import ExerciseEnv
+from surefoot.envs.exercise.robot import STANDING_STIFFNESS, prepare_robot
+from surefoot.envs.exercise.robots import ROBOTS
 
 LEG = """
 <body name="{s}_hip" pos="0 {y} -0.05"><joint name="{s}_yaw" axis="0 0 1"/>

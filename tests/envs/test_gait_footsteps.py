@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surefoot.envs.gait_footsteps import (
+from surefoot.envs.gait.footsteps import (
     MAX_STEP_LENGTH,
     MAX_STEP_TURN,
     GaitTiming,

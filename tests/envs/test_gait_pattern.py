@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.envs.gait_dynamics import joint_torques, motor_targets, multibody_zmp
-from surefoot.envs.gait_footsteps import GaitTiming
-from surefoot.envs.gait_kinematics import WholeBodyKinematics
-from surefoot.envs.gait_pattern import plan_route, plan_walk
-from surefoot.envs.gait_route import Leg
+from surefoot.envs.gait.dynamics import joint_torques, motor_targets, multibody_zmp
+from surefoot.envs.gait.footsteps import GaitTiming
+from surefoot.envs.gait.kinematics import WholeBodyKinematics
+from surefoot.envs.gait.pattern import plan_route, plan_walk
+from surefoot.envs.gait.route import Leg
 from surefoot.envs.robot import load_nao_spec
 
 WALKS = {

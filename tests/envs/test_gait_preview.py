@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surefoot.envs.gait_preview import CartTable, preview_gains, track_zmp
-from surefoot.envs.gait_swing import minimum_jerk
+from surefoot.envs.gait.preview import CartTable, preview_gains, track_zmp
+from surefoot.envs.gait.swing import minimum_jerk
 
 DT = 1 / 80
 

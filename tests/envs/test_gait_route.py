@@ -9,11 +9,11 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import surefoot  # noqa: F401
-from surefoot.envs.gait_footsteps import GaitTiming
-from surefoot.envs.gait_ground import lay_out
-from surefoot.envs.gait_pattern import Pattern, plan_route, plan_walk
-from surefoot.envs.gait_route import Leg, checked_route, plan_legs
-from surefoot.envs.nao_walk import NaoWalkEnv
+from surefoot.envs.gait.footsteps import GaitTiming
+from surefoot.envs.gait.ground import lay_out
+from surefoot.envs.gait.pattern import Pattern, plan_route, plan_walk
+from surefoot.envs.gait.route import Leg, checked_route, plan_legs
+from surefoot.envs.nao.walk import NaoWalkEnv
 
 STAND = Leg(2.0, 0.0, 0.0)
 TIMING = GaitTiming()

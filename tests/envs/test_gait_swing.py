@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.envs.gait_swing import lift, minimum_jerk
+from surefoot.envs.gait.swing import lift, minimum_jerk
 
 
 @given(st.floats(-1.0, 2.0), st.floats(0.0, 0.1))

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.envs.nao_stand import NaoStandEnv
-from surefoot.envs.nao_walk import NaoWalkEnv
-from surefoot.envs.payload import POSITION_PAYLOAD_TORSO, Payload
+from surefoot.envs.disturbances.payload import POSITION_PAYLOAD_TORSO, Payload
+from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.robot import load_nao_spec
 
 GRAVITY = 9.81

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.envs.icub_leg import load_icub_leg_spec
-from surefoot.envs.leg_rig import ADDED_MASSES, limb_beyond, sensor_frames
+from surefoot.envs.leg_rig.icub import load_icub_leg_spec
+from surefoot.envs.leg_rig.spec import ADDED_MASSES, limb_beyond, sensor_frames
 from surefoot.experiments.in_situ.rig_record import record_rig
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from surefoot.envs import FeetReader, NaoStandEnv, instrument, load_nao_spec, load_robot_spec
-from surefoot.envs.feet import standing_pose
-from surefoot.envs.feet_truth import FeetTruth
+from surefoot.envs.instrumentation.feet import standing_pose
+from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.robot import CELLS, FEET
 
 FEET_OF = {

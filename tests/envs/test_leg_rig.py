@@ -12,7 +12,8 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
-from surefoot.envs.leg_rig import (
+from surefoot.envs.leg_rig.env import CONTROL_STEP, PRIOR_INFORMATION, LegRigEnv
+from surefoot.envs.leg_rig.spec import (
     ADDED_MASSES,
     CONTACT_ANGLE,
     CONTACT_STIFFNESS,
@@ -25,7 +26,6 @@ from surefoot.envs.leg_rig import (
     read_wrenches,
     sensor_frames,
 )
-from surefoot.envs.leg_rig_env import CONTROL_STEP, PRIOR_INFORMATION, LegRigEnv
 
 STILL = np.zeros(2, dtype=np.float32)
 

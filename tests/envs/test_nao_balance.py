@@ -7,10 +7,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
-from surefoot.envs.balance_command import FADE_TIME, RandomSway
-from surefoot.envs.nao import CONTROL_STEP
-from surefoot.envs.nao_balance import LARGEST_SWAY, NaoBalanceEnv
-from surefoot.envs.payload import Payload
+from surefoot.envs.disturbances.payload import Payload
+from surefoot.envs.nao.balance import LARGEST_SWAY, NaoBalanceEnv
+from surefoot.envs.nao.balance_command import FADE_TIME, RandomSway
+from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.robot import load_nao_spec
 from surefoot.wrappers import FootSensors, SelfCalibration
 

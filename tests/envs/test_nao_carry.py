@@ -6,8 +6,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
-from surefoot.envs.nao_carry import COP_SCALE, COP_WEIGHT, PAYLOAD_BOX, NaoCarryEnv
-from surefoot.envs.nao_walk import NaoWalkEnv
+from surefoot.envs.nao.carry import COP_SCALE, COP_WEIGHT, PAYLOAD_BOX, NaoCarryEnv
+from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 ZERO = np.zeros(11, dtype=np.float32)

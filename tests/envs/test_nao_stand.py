@@ -11,8 +11,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
-from surefoot.envs.nao import NaoEnv
-from surefoot.envs.nao_stand import NaoStandEnv
+from surefoot.envs.nao.env import NaoEnv
+from surefoot.envs.nao.stand import NaoStandEnv
 
 ZERO = np.zeros(11, dtype=np.float32)
 SHAPES = {"state": (63,), "foot_force": (8,), "cop_foot": (2, 2), "cop": (2,), "cop_valid": (3,)}

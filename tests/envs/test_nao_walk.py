@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
 from surefoot.controllers import Stabiliser, zero_action
-from surefoot.envs.nao_walk import NaoWalkEnv
+from surefoot.envs.nao.walk import NaoWalkEnv
 
 QUIET = {"push_impulse": (0.0, 0.0), "joint_noise": 0.0, "velocity_noise": 0.0}
 

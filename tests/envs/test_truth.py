@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.envs.nao import SUBSTEPS, NaoEnv
-from surefoot.envs.nao_stand import NaoStandEnv
-from surefoot.envs.nao_walk import NaoWalkEnv
+from surefoot.envs.nao.env import SUBSTEPS, NaoEnv
+from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.robot import FEET, below_ankle, below_cells, load_nao_spec
 from surefoot.envs.truth import Truth, TruthChannels
 

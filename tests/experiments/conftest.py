@@ -6,7 +6,7 @@ import pytest
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
-from surefoot.experiments.log_format import Log, LogTruth
+from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.policy import evaluate, evaluation
 
 SAMPLES = 60

@@ -13,22 +13,22 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.calibration import METHODS
-from surefoot.experiments import arena_pieces, arena_walks
-from surefoot.experiments.arena import ArenaResults, run_arena
-from surefoot.experiments.arena_options import TRUE_MAP, ArenaOptions
-from surefoot.experiments.arena_page import ArenaPage
-from surefoot.experiments.arena_pieces import LogBound
-from surefoot.experiments.arena_recordings import RECORDINGS, recording_streams
-from surefoot.experiments.arena_replay import play
-from surefoot.experiments.arena_scenarios import SCENARIOS, scenarios_named
-from surefoot.experiments.arena_score import score_run
-from surefoot.experiments.arena_streams import Stream
-from surefoot.experiments.arena_walks import Walk, log_paths
-from surefoot.experiments.cli import app
-from surefoot.experiments.log_format import Log, read_log
+from surefoot.experiments.arena import pieces, walks
+from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
+from surefoot.experiments.arena.page import ArenaPage
+from surefoot.experiments.arena.pieces import LogBound
+from surefoot.experiments.arena.recordings import RECORDINGS, recording_streams
+from surefoot.experiments.arena.replay import play
+from surefoot.experiments.arena.run import ArenaResults, run_arena
+from surefoot.experiments.arena.scenarios import SCENARIOS, scenarios_named
+from surefoot.experiments.arena.score import score_run
+from surefoot.experiments.arena.streams import Stream
+from surefoot.experiments.arena.walks import Walk, log_paths
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.real_recordings import recordings_folder
-from surefoot.experiments.record import record_walk
-from surefoot.experiments.walkers import STAND_TIME
+from surefoot.experiments.walks.record import record_walk
+from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import ForceTorque
 
 RUN = ("speed-0.1", "chips-0.1", "fault-dropped")
@@ -75,8 +75,8 @@ def test_walks_are_shared_and_kept(results: ArenaResults, monkeypatch: pytest.Mo
     logs = results.options.out / "logs"
     # Two seeds of two walks, each read by cells of two kinds.
     assert len(list(logs.iterdir())) == 8
-    monkeypatch.setattr(arena_walks, "record_walk", _must_not_run)
-    monkeypatch.setattr(arena_pieces, "play", _must_not_run)
+    monkeypatch.setattr(walks, "record_walk", _must_not_run)
+    monkeypatch.setattr(pieces, "play", _must_not_run)
     again = run_arena(results.options, bound=bound)
     pd.testing.assert_frame_equal(again.scores, results.scores)
     assert again.left_out == results.left_out
@@ -90,9 +90,9 @@ def test_a_new_method_leaves_old_scores_alone(
     results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     played: list[str] = []
-    original = arena_pieces.play
+    original = pieces.play
     monkeypatch.setattr(
-        arena_pieces,
+        pieces,
         "play",
         lambda streams, method, **more: played.append(method) or original(streams, method, **more),
     )
@@ -174,7 +174,7 @@ def test_scenarios_are_the_ones_that_were_asked_for() -> None:
 
 
 def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
-    instant = (arena_walks.INSTANT,)
+    instant = (walks.INSTANT,)
     right = record_walk(0.1, 2, STAND_TIME + 2.0, instant)["instant"]
     late = record_walk(0.1, 2, STAND_TIME + 2.0, instant, clock_error=2 * right.dt)["instant"]
     np.testing.assert_array_equal(late.raw, right.raw)
@@ -190,9 +190,7 @@ def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
 def test_beliefs_and_sensors_are_altered(results: ArenaResults) -> None:
     paths = sorted((results.options.out / "logs").glob("*_instant_seed0_*.parquet"))
     plain = read_log(paths[0])
-    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (arena_walks.INSTANT,), beliefs={"mass_error": 0.02})[
-        "instant"
-    ]
+    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (walks.INSTANT,), beliefs={"mass_error": 0.02})["instant"]
     true_mass = plain.mass / (1.0 + np.sign(plain.mass - 5.305) * 0.005)
     assert abs(heavy.mass / true_mass - 1.0) == pytest.approx(0.02, abs=1e-3)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.experiments.arena_findings import scenario_findings, summary_findings
-from surefoot.experiments.arena_scenarios import SCENARIOS
-from surefoot.experiments.arena_tables import alarm_table, scenario_table, target_table
+from surefoot.experiments.arena.findings import scenario_findings, summary_findings
+from surefoot.experiments.arena.scenarios import SCENARIOS
+from surefoot.experiments.arena.tables import alarm_table, scenario_table, target_table
 
 PLAIN, SOFT = SCENARIOS["speed-0.04"], SCENARIOS["soft-ground"]
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.calibration.bench import fit_channels
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
-from surefoot.experiments.bench import BenchSetup, run_bench
-from surefoot.experiments.paper_tables import TABLE_2, TABLE_3
-from surefoot.sensors.load_cells import load_cells, true_map
+from surefoot.calibration.weights.channels import fit_channels
+from surefoot.experiments.demo.paper_tables import TABLE_2, TABLE_3
+from surefoot.experiments.weights.bench import BenchSetup, run_bench
+from surefoot.sensors.devices.load_cells import load_cells, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS
 
 IDEAL = BenchSetup(cell_position_std=0.0, nonlinearity=0.0, hole_play=0.0, readings=1)

@@ -12,18 +12,18 @@ from typer.testing import CliRunner
 
 from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, FootLayout, Parameters, replay
 from surefoot.calibration.layout import FeetLayout
-from surefoot.experiments import calibrate_log as module
-from surefoot.experiments._log_notices import check_weight, log_notices
-from surefoot.experiments.agreement import agreement, asked_of, carried_by
-from surefoot.experiments.calibrate_log import (
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.agreement import agreement, asked_of, carried_by
+from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
+from surefoot.experiments.logs.notices import check_weight, log_notices
+from surefoot.experiments.walking import calibrate as module
+from surefoot.experiments.walking.calibrate import (
     DEFAULT_METHOD,
     CalibratedLog,
     calibrate_log,
     standard_deviations,
 )
-from surefoot.experiments.cli import app
-from surefoot.experiments.log_format import Log, LogError, read_log, write_log
-from surefoot.experiments.walking_tables import Facts, shown_tables
+from surefoot.experiments.walking.tables import Facts, shown_tables
 
 RUNNER = CliRunner()
 

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 import surefoot
 from surefoot import __main__
-from surefoot.experiments.cli import app
-from surefoot.experiments.log_format import Log, write_log
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.format import Log, write_log
 
 RUNNER = CliRunner()
 

@@ -12,14 +12,14 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from surefoot.experiments import recordings_section as recordings_module
-from surefoot.experiments.cli import app
-from surefoot.experiments.demo import DemoResults, _telling_seed, run_demo
-from surefoot.experiments.demo_options import DemoOptions
-from surefoot.experiments.demo_page import DemoPage
-from surefoot.experiments.log_format import read_log
-from surefoot.experiments.recordings_section import recordings_section
-from surefoot.experiments.walkers import STAND_TIME
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.demo import recordings_section as recordings_module
+from surefoot.experiments.demo.options import DemoOptions
+from surefoot.experiments.demo.page import DemoPage
+from surefoot.experiments.demo.recordings_section import recordings_section
+from surefoot.experiments.demo.run import DemoResults, _telling_seed, run_demo
+from surefoot.experiments.logs.format import read_log
+from surefoot.experiments.walks.walkers import STAND_TIME
 
 METHODS = {"none", "tare", "quasi-static", "window", "surefoot"}
 

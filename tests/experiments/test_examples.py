@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import replay
-from surefoot.experiments.log_format import Log
+from surefoot.experiments.logs.format import Log
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.experiments import demo_tables, findings
-from surefoot.experiments.tables import number, with_interval
+from surefoot.experiments.demo import findings, tables
+from surefoot.experiments.study.tables import number, with_interval
 
 SEEDS = range(5)
 
@@ -140,7 +140,7 @@ def test_falls_are_paired_by_seed() -> None:
 def test_the_baseline_scores_nothing_by_construction() -> None:
     table = scores(5.0, "baseline")
     table.loc[table["method"] == "none", ["cop", "vgrf"]] = 0.0
-    laid_out = demo_tables.walking_table(table, 0.04, [("paper", "the paper's conditions")])
+    laid_out = tables.walking_table(table, 0.04, [("paper", "the paper's conditions")])
     row = next(row for row in laid_out.rows if row[1] == "raw (none)")
     assert row[2] == "0 *"
     window = next(row for row in laid_out.rows if row[1].startswith("window"))
@@ -148,7 +148,7 @@ def test_the_baseline_scores_nothing_by_construction() -> None:
 
 
 def test_the_papers_table_2_comes_out() -> None:
-    _, difference = demo_tables.paper_table_2()
+    _, difference = tables.paper_table_2()
     assert difference < 1e-8
 
 

@@ -20,7 +20,7 @@ from surefoot.experiments.in_situ.export import (
     write_ros2_parameters,
     write_yaml,
 )
-from surefoot.experiments.log_format import LogError
+from surefoot.experiments.logs.format import LogError
 from surefoot.sensors import FTSENS_SN039, FTSENS_SN142
 
 FULL_SCALE = np.array([1500.0, 1500.0, 2000.0, 35.0, 35.0, 25.0])

@@ -13,7 +13,7 @@ from surefoot.experiments.in_situ._config import _TABLES, InSituConfig, read_con
 from surefoot.experiments.in_situ.calibrate import SAMPLE
 from surefoot.experiments.in_situ.export import write_icub_matrix
 from surefoot.experiments.in_situ.log import read_in_situ_log
-from surefoot.experiments.log_format import LogError
+from surefoot.experiments.logs.format import LogError
 
 RAW = [f"raw_{i}_count" for i in range(6)]
 FORCE = [f"specific_force_{axis}_m_s2" for axis in "xyz"]

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from surefoot.calibration.parameters import Parameters
-from surefoot.experiments.log_format import Log, LogError, read_log, write_log
+from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 
 
 @pytest.mark.parametrize("name", ["walk.parquet", "walk.csv"])

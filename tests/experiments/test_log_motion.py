@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY, Parameters, Reference
-from surefoot.experiments._log_motion_contacts import GUESSED, guess_contacts
-from surefoot.experiments.cli import app
-from surefoot.experiments.log_format import Log, LogError, read_log, write_log
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
+from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 NAO = str(files("surefoot.envs.assets").joinpath("nao.xml"))
@@ -440,7 +440,7 @@ def test_without_a_simulator_the_extra_is_named(
     log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = standing(tmp_path, log)
-    monkeypatch.setitem(__import__("sys").modules, "surefoot.experiments._log_motion_model", None)
+    monkeypatch.setitem(__import__("sys").modules, "surefoot.experiments.logs.model", None)
     with pytest.raises(
         LogError, match=r'install it with `pip install "surefoot\[sim\]"`, or give the reference'
     ):

@@ -335,11 +335,11 @@ def test_what_is_shipped_fits_the_task():
 def test_the_commands(trained, tmp_path):
     import typer
 
-    from surefoot.experiments import cli_evaluate, cli_train
+    from surefoot.experiments.cli import evaluate, train
 
     app = typer.Typer()
-    app.command()(cli_train.train)
-    app.command()(cli_evaluate.evaluate)
+    app.command()(train.train)
+    app.command()(evaluate.evaluate)
     call = CliRunner().invoke
     answer = call(app, ["train", "--out", str(trained[0]), "--seed", "1"])
     assert answer.exit_code == 2

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from surefoot.experiments.cli import app
-from surefoot.experiments.controllers_by_name import controller_hash
+from surefoot.experiments.cli.app import app
 from surefoot.experiments.policy.card import own_scores, write_card
+from surefoot.experiments.policy.controllers import controller_hash
 from surefoot.experiments.policy.episodes import read_episodes
 from surefoot.experiments.policy.evaluation import Evaluation
 from surefoot.experiments.policy.evaluation_folder import EvaluationFolder

@@ -1,6 +1,5 @@
 """Evaluations: no episode is lost, taken for another, or credited to the wrong policy."""
 
-import ast
 import json
 from importlib.resources import files
 from pathlib import Path
@@ -12,14 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.controllers import PolicyNetwork, Stabiliser, zero_action
-from surefoot.experiments.cli import app
-from surefoot.experiments.controllers_by_name import controller_hash, load_controller, trained_on
+from surefoot.experiments.cli.app import app
 from surefoot.experiments.policy import evaluate, evaluation_folder
 from surefoot.experiments.policy import evaluation as evaluations
+from surefoot.experiments.policy.controllers import controller_hash, load_controller, trained_on
 from surefoot.experiments.policy.env import make_feed
 from surefoot.experiments.policy.episodes import read_episodes
 from surefoot.experiments.policy.evaluate import DONOR, EpisodeResult, run_episode, run_episodes
-from surefoot.experiments.policy.evaluation import CODE, Evaluation
+from surefoot.experiments.policy.evaluation import Evaluation
 from surefoot.experiments.policy.evaluation_folder import EvaluationFolder
 from surefoot.experiments.policy.options import TRAINING_SEEDS
 from surefoot.experiments.policy.origin import origins_of
@@ -338,21 +337,6 @@ def test_the_episode_that_is_taken_is_none_of_trainings():
         run_episode(zero_action, "true", TRAINING_SEEDS - DONOR, cop_input="shuffled", **SHORT)
     last = run_episode(zero_action, "true", TRAINING_SEEDS - 1, cop_input="frozen", **SHORT)
     assert last.time == pytest.approx(0.5)
-
-
-def test_all_that_an_episode_is_made_of_is_in_its_version():
-    """What evaluate.py imports of the experiments, and what that imports in turn, is hashed."""
-    root, prefix = files("surefoot.experiments"), "surefoot.experiments."
-    found, left = set(), ["policy.evaluate"]
-    while left:
-        module = left.pop()
-        found.add(module)
-        tree = ast.parse(root.joinpath(f"{module.replace('.', '/')}.py").read_text(encoding="utf-8"))
-        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-        left += [name.removeprefix(prefix) for name in imported if name.startswith(prefix)]
-        left = [name for name in left if name not in found]
-    assert len(found) > 5
-    assert {f"experiments/{module.replace('.', '/')}.py" for module in found} <= set(CODE)
 
 
 def test_a_shipped_policy_is_that_of_its_task():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from surefoot.controllers import PolicyNetwork, zero_action
-from surefoot.experiments.controllers_by_name import load_controller
 from surefoot.experiments.policy.card import write_card
+from surefoot.experiments.policy.controllers import load_controller
 from surefoot.experiments.policy.env import PolicyView, input_names, make_feed
 from surefoot.experiments.policy.evaluate import run_episode, run_episodes
 from surefoot.experiments.policy.options import TrainOptions

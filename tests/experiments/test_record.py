@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from surefoot.experiments.closed_loop import cells_of
-from surefoot.experiments.log_format import Log
-from surefoot.experiments.record import CONDITIONS, record_walk
-from surefoot.experiments.replay import replay_logs
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.walks.closed_loop import cells_of
+from surefoot.experiments.walks.record import CONDITIONS, record_walk
+from surefoot.experiments.walks.replay import replay_logs
 from surefoot.sensors import HX711_LOAD_CELLS
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from surefoot.calibration.parameters import Parameters
-from surefoot.experiments.log_format import Log, LogError
-from surefoot.experiments.replay import replay_logs, starting_map
+from surefoot.experiments.logs.format import Log, LogError
+from surefoot.experiments.walks.replay import replay_logs, starting_map
 
 
 def test_none_is_the_starting_map(log: Log) -> None:

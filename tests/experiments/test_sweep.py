@@ -16,14 +16,14 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.cli import app
-from surefoot.experiments.closed_loop import run_loop
+from surefoot.experiments.cli.app import app
 from surefoot.experiments.sweep import SweepError, SweepPlan, plan_from_toml, replay_cell, run_cell, run_sweep
 from surefoot.experiments.sweep import store as store_module
 from surefoot.experiments.sweep.backends import Died
 from surefoot.experiments.sweep.episode import OUTCOME, Cell, failed_row
 from surefoot.experiments.sweep.run import rows_of
 from surefoot.experiments.sweep.store import JOURNAL, RESULTS, SweepStore, read_results
+from surefoot.experiments.walks.closed_loop import run_loop
 
 RUNNER = CliRunner()
 SHORT = SweepPlan(

@@ -11,12 +11,12 @@ import pytest
 from scipy import stats
 from typer.testing import CliRunner
 
-from surefoot.experiments.cli import app
-from surefoot.experiments.score import survival_curve
+from surefoot.experiments.cli.app import app
 from surefoot.experiments.sweep import Cell, SweepPlan, run_sweep
 from surefoot.experiments.sweep.episode import failed_row
 from surefoot.experiments.sweep.page import SweepPage
 from surefoot.experiments.sweep.statistics import HalfFall, fall_share, half_fall, survival
+from surefoot.experiments.walks.score import survival_curve
 
 RUNNER = CliRunner()
 SEVERITIES = np.array([0.0, 1.0, 2.0, 4.0])

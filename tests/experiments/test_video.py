@@ -7,8 +7,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from surefoot.experiments import video
-from surefoot.experiments.video import FRAMES_PER_SECOND, Film, Reel, join_reels
+from surefoot.experiments.walks import video
+from surefoot.experiments.walks.video import FRAMES_PER_SECOND, Film, Reel, join_reels
 
 
 def reel(count: int, shade: int, fell_at: float | None = None) -> Reel:

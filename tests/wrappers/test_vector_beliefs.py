@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import Reference
-from surefoot.envs.drawing import draw_nao
-from surefoot.sensors.link import Packet
+from surefoot.envs.instrumentation.drawing import draw_nao
+from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers.attitude import UPRIGHT, update
 from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright

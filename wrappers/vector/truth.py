@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs import RobotDrawing
-from surefoot.envs.instrument_info import TOLD
+from surefoot.envs.instrumentation.info import TOLD
 from surefoot.envs.truth import CONTACT_FORCE, cop_in_sole
 
 Floats = NDArray[np.float64]

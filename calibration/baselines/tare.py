@@ -1,0 +1,140 @@
+"""The swing tare: a foot that is surely in the air reads its own zero.
+
+RoboCup teams re-zero a NAO's foot sensors as it walks: B-Human's ``SolePressureStateProvider`` takes the
+lowest reading of each sensor over some changes of the support foot for its offset. The lowest of many
+readings is right for a force-sensing resistor, which cannot read less than nothing; a load cell's noise has
+two sides, so that here it is the *mean* over the swing, and only where a robot is sure of the swing and the
+readings agree:
+
+    b_i = -a_i mean(F0_i)    so that    mean(F_i) = 0.
+
+Scales stay as they are. The weight of the sole itself is in the zero; its inertia (some 50 g, up and down
+within a swing) averages out.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import device as device_of
+
+from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._setup import (
+    OnlineMethod,
+    OnlineSetup,
+    check_count,
+    check_not_negative,
+    check_positive,
+)
+from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.front_end.readings import FrontEnd, FrontState
+from surefoot.calibration.reference import Reference
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TareConfig:
+    """Options of the swing tare."""
+
+    settle: float = 0.05
+    """Time that a foot must have been in the air before its readings count, in s."""
+
+    minimum_samples: int = 10
+    """Readings of one swing that a zero is taken from at least."""
+
+    spread: float = 0.01
+    """Standard deviation within a swing, in body weights, above which a foot is not thought to hang
+    freely."""
+
+    offset_range: float = 0.2
+    """Largest offset against the starting map, in body weights, that a channel and that all channels of a
+    foot together can have; a greater one means that the foot was not in the air after all."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_positive(self, "spread", "offset_range")
+        check_not_negative(self, "settle")
+        check_count(self, "minimum_samples")
+
+
+class TareState(NamedTuple):
+    """What the tare remembers; any leading batch dimensions ``...``.
+
+    Attributes:
+        front: What the way of a sample remembers.
+        airborne: Samples that each channel's foot has been in the air for, shape (..., K).
+        count: Readings of this swing that were used, shape (..., K).
+        mean: Their mean in N, shape (..., K).
+        scatter: Sum of their squared deviations in N^2, shape (..., K).
+        offset: b in N, shape (..., K).
+    """
+
+    front: FrontState
+    airborne: Array
+    count: Array
+    mean: Array
+    scatter: Array
+    offset: Array
+
+
+def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
+    """Build the swing tare as a pair of pure functions.
+
+    Args:
+        setup: What the method must be told about the robot.
+        config: Options.
+    """
+    options = config or TareConfig()
+    front_end = FrontEnd(setup)
+    settle = round(options.settle / setup.dt)
+    foot = setup.layout.foot_of_channel
+    spread, limit = options.spread * setup.weight, options.offset_range * setup.weight
+    constants = Constants(np.eye(len(setup.layout.feet))[:, foot])
+
+    def init(raw: Array) -> TareState:
+        front = front_end.init(raw)
+        xp, device = namespace_of(raw), device_of(raw)
+        counter = xp.zeros(raw.shape, dtype=xp.int64, device=device)
+        zero = xp.zeros_like(front.raw)
+        return TareState(front, counter, counter, zero, zero, zero)
+
+    def update(state: TareState, raw: Array, reference: Reference, dt: float) -> tuple[TareState, Estimate]:
+        xp = namespace_of(raw)
+        front, sample = front_end.observe(state.front, raw, reference, dt)
+        (by_foot,) = constants.like(raw)
+        in_air = xp.matmul(xp.astype(sample.swing, raw.dtype), by_foot) > 0.5
+        # Across a gap the foot may have stood: what was counted before says nothing of this swing.
+        airborne = xp.where(in_air, (state.airborne * 0 if sample.gap else state.airborne) + 1, 0)
+        fresh = airborne == 1
+        used = (airborne > settle) & sample.read
+
+        # Welford's running mean and scatter of this swing.
+        before = xp.where(fresh, 0, state.count)
+        count = before + xp.astype(used, before.dtype)
+        number = xp.astype(xp.where(count > 0, count, 1), raw.dtype)
+        deviation = xp.where(used, sample.past - state.mean, 0.0)
+        deviation = xp.where(before == 0, xp.where(used, sample.past, 0.0), deviation)
+        mean = xp.where(before == 0, 0.0, state.mean) + deviation / number
+        scatter = xp.where(before == 0, 0.0, state.scatter) + deviation * xp.where(
+            used, sample.past - mean, 0.0
+        )
+
+        enough = used & (count >= options.minimum_samples)
+        still = scatter <= number * spread**2
+        small = xp.abs(mean) <= limit
+        # One channel that carries load, or all together, speak for the foot: the swing was believed wrongly.
+        feet_of = xp.matrix_transpose(by_foot)
+        doubt = xp.matmul(xp.astype(enough & ~(still & small), raw.dtype), feet_of)
+        carries = xp.abs(xp.matmul(xp.where(enough, mean, 0.0), feet_of)) > limit
+        hangs = xp.astype((doubt < 0.5) & ~carries, raw.dtype)
+        foot_hangs = xp.matmul(hangs, by_foot) > 0.5
+        offset = xp.where(enough & foot_hangs, -mean, state.offset)
+        rejected = xp.where(enough & ~foot_hangs, int(Flag.REJECTED), 0)
+
+        estimate = front_end.estimate(sample, xp.ones_like(offset), offset)
+        estimate = estimate._replace(flags=estimate.flags | rejected)
+        return TareState(front, airborne, count, mean, scatter, offset), estimate
+
+    return OnlineMethod(init, update)

@@ -1,0 +1,293 @@
+"""The way of one sample before and after learning, the same for every online method; private.
+
+* **At the door.** Wrong shapes and dtypes raise: they are errors of the program. A *reading* never raises:
+  NaN (no sample arrived) and impossible forces are replaced by the last good reading and flagged; a
+  reference that is not finite or not physical is held and flagged, and nothing is learnt from that sample.
+* **Relative forces.** Everything works on F0 = c0 raw + d0, the force by the starting map, and F = a F0 +
+  b, so that a is near 1 and b near 0 N, in float32 as well as in float64.
+* **Lag.** The reference given now describes the foot sample of ``lag`` samples ago, so forces wait that
+  long before they are compared. The map that is learnt applies to the newest reading.
+* **Linear rows.** The level wrench of the feet is linear in the channels: (Fz, Fz px, Fz py) = rows @ F.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import device as device_of
+
+from surefoot.calibration._arrays import check_floating
+from surefoot.calibration._constants import Constants, all_along, cast, namespace_of, shaped, surely
+from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.front_end.centres import LEVER_MAP, centres
+from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
+from surefoot.calibration.reference import Reference
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+LONGEST_GAP = 5.0
+"""Time between samples, in nominal ones, beyond which they no longer belong together."""
+
+
+_MISSING, _OUT_OF_RANGE, _REFERENCE = int(Flag.MISSING), int(Flag.OUT_OF_RANGE), int(Flag.REFERENCE)
+
+
+class FrontState(NamedTuple):
+    """What the way of a sample remembers; any leading batch dimensions ``...``.
+
+    Attributes:
+        raw: Last good reading of each channel, shape (..., K).
+        history: The last ``lag`` + 1 samples, oldest first: F0 and whether it was read, shape
+            (..., lag + 1, 2K).
+        motion: The last good reference, flat, shape (..., R).
+        known: Whether any reference was good so far (bool), shape (...).
+        clean: Good samples since the last bad one, shape (...).
+    """
+
+    raw: Array
+    history: Array
+    motion: Array
+    known: Array
+    clean: Array
+
+
+class Sample(NamedTuple):
+    """One sample, checked and aligned; any leading batch dimensions ``...``; F feet.
+
+    Attributes:
+        force: Newest force by the starting map, F0, in N, shape (..., K).
+        rows: Rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (..., F, 3, K).
+        past: F0 at the time that the reference describes, shape (..., K).
+        read: Whether ``past`` was read and not held (bool), shape (..., K).
+        sound: Whether the reference is good and the clock did not jump (bool), shape (...).
+        good: Whether the sample may be learnt from: sound, and every channel read (bool), shape (...).
+        clean: Good samples since the last bad one, this one included, shape (...).
+        motion: The reference, flat; the last good one where this one was not, shape (..., R).
+        stance: Feet surely on the ground by a reference that is good (bool), shape (..., F).
+        swing: Feet surely in the air by a reference that is good (bool), shape (..., F).
+        known: Whether any reference was good so far (bool), shape (...).
+        flags: What is wrong with the newest readings and the reference, shape (..., K).
+        gap: Whether the clock jumped, so that the last sample and this one do not belong together.
+    """
+
+    force: Array
+    rows: Array
+    past: Array
+    read: Array
+    sound: Array
+    good: Array
+    clean: Array
+    motion: Array
+    stance: Array
+    swing: Array
+    known: Array
+    flags: Array
+    gap: bool
+
+
+class FrontEnd:
+    """The way of a sample for one setup: pure functions that share constants.
+
+    Args:
+        setup: What the method was told about the robot.
+        quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
+
+    Attributes:
+        setup: The same.
+        motions: The robot's beliefs as flat numbers.
+        plausible: Least and greatest reading of each channel that is not taken for an error, shape (K,) each.
+    """
+
+    def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False) -> None:
+        self.setup = setup
+        self.motions = Motions(setup, quasi_static=quasi_static)
+        self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
+        self._threshold = setup.force_threshold
+        scale, offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
+        limit = setup.plausible_weights * setup.weight
+        ends = np.stack([(-limit - offset) / scale, (limit - offset) / scale])
+        self.plausible = ends.min(axis=0), ends.max(axis=0)
+        self._constants = Constants(
+            scale,
+            offset,
+            *self.plausible,
+            setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T,
+            LEVER_MAP,
+            self.motions.resting,
+        )
+
+    def init(self, raw: Array) -> FrontState:
+        """Begin with nothing seen.
+
+        Args:
+            raw: Readings of the kind to come, shape (..., K); their values do not matter.
+
+        Raises:
+            ValueError: If they are not floating-point numbers, one a channel.
+        """
+        check_floating(raw, "raw")
+        self.setup.layout.check_raw(raw)
+        xp, device = namespace_of(raw), device_of(raw)
+        scale, offset, *_, resting = self._constants.like(raw)
+        batch = tuple(raw.shape[:-1])
+        return FrontState(
+            raw=xp.zeros_like(raw) - offset / scale,
+            history=xp.zeros(
+                (*batch, self.setup.lag + 1, 2 * self._channels), dtype=raw.dtype, device=device
+            ),
+            motion=xp.zeros((*batch, resting.shape[0]), dtype=raw.dtype, device=device) + resting,
+            known=xp.zeros(batch, dtype=xp.bool, device=device),
+            clean=xp.zeros(batch, dtype=xp.int64, device=device),
+        )
+
+    def check(self, state: FrontState, raw: Array, reference: Reference) -> None:
+        """Refuse arrays that do not fit the state.
+
+        Raises:
+            ValueError: If a shape or the dtype of the readings is not as it was at ``init``.
+        """
+        if not hasattr(raw, "shape") or raw.shape != state.raw.shape:
+            self.setup.layout.check_raw(raw)
+            raise ValueError(
+                f"'raw' must keep the shape {tuple(state.raw.shape)} that the state was made for, "
+                f"got {tuple(raw.shape)}; make a new state with init(raw) for another batch."
+            )
+        if raw.dtype != state.raw.dtype:
+            raise ValueError(f"'raw' must keep the dtype {state.raw.dtype} of the state, got {raw.dtype}.")
+        self.motions.check(reference, tuple(raw.shape[:-1]), state.known.dtype)
+
+    def observe(
+        self,
+        state: FrontState,
+        raw: Array,
+        reference: Reference,
+        dt: float,
+        repair: Callable[[Array, Array], tuple[Array, Array]] | None = None,
+    ) -> tuple[FrontState, Sample]:
+        """Check one sample, align it with its reference and write its rows.
+
+        Args:
+            state: What the way of a sample remembers.
+            raw: Readings, shape (..., K).
+            reference: The robot's beliefs ``lag`` samples ago.
+            dt: Time since the last sample in s.
+            repair: Takes the newest forces and whether they were read, and hands back those to go on with.
+
+        Returns:
+            The new state and the sample.
+
+        Raises:
+            ValueError: If an array does not fit the state.
+        """
+        self.check(state, raw, reference)
+        xp, K = namespace_of(raw), self._channels
+        scale, offset, low, high, *_ = self._constants.like(raw)
+        gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
+
+        read = (raw >= low) & (raw <= high)
+        heard = surely(read)
+        held = raw.copy() if heard else xp.where(read, raw, state.raw)
+        force, sure = scale * held + offset, read
+        if repair is not None:
+            force, sure = repair(force, read)
+        newest = xp.concat([force, cast(sure, raw.dtype)], axis=-1)
+        history = xp.concat([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
+        past, past_read = history[..., 0, :K], history[..., 0, K:] > 0.5
+
+        flat = self.motions.flatten(reference, raw)
+        sound = all_along(xp.abs(flat) <= LARGEST_REFERENCE)
+        known = surely(sound)
+        motion = flat if known else xp.where(sound[..., None], flat, state.motion)
+        usable = sound & False if gap else sound
+        good = usable & all_along(past_read)
+        clean = (state.clean + 1) * good
+
+        if heard and known:
+            flags = np.zeros(raw.shape, dtype=np.int64)
+        else:
+            wrong = xp.where(raw == raw, _OUT_OF_RANGE, _MISSING)
+            flags = wrong * (~read) | _REFERENCE * (~sound)[..., None]
+        sample = Sample(
+            force=force,
+            rows=self.motions.rows(motion),
+            past=past,
+            read=past_read,
+            sound=usable,
+            good=good,
+            clean=clean,
+            motion=motion,
+            stance=reference.stance & sound[..., None],
+            swing=reference.swing & sound[..., None],
+            known=state.known | sound,
+            flags=flags | int(Flag.GAP) if gap else flags,
+            gap=gap,
+        )
+        return FrontState(held, history, motion, sample.known, clean), sample
+
+    def estimate(
+        self,
+        sample: Sample,
+        correction_scale: Array,
+        correction_offset: Array,
+        status: Array | int = 0,
+        covariance: Array | None = None,
+    ) -> Estimate:
+        """Apply a correction (a, b) to the newest forces.
+
+        Args:
+            sample: The sample.
+            correction_scale: a, shape (..., K).
+            correction_offset: b in N, shape (..., K).
+            status: Flags that all channels share, shape (...).
+            covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
+        """
+        scale, offset, *_ = self._constants.like(sample.force)
+        force = correction_scale * sample.force + correction_offset
+        return self.report(
+            sample,
+            force,
+            correction_scale * scale,
+            correction_scale * offset + correction_offset,
+            status if isinstance(status, int) else status[..., None],
+            covariance,
+        )
+
+    def report(
+        self,
+        sample: Sample,
+        force: Array,
+        scale: Array,
+        offset: Array,
+        status: Array | int = 0,
+        covariance: Array | None = None,
+    ) -> Estimate:
+        """Say what calibrated forces mean: wrenches and centres of pressure.
+
+        Args:
+            sample: The sample.
+            force: Its calibrated forces in N, shape (..., K).
+            scale: Newtons per unit of the reading, shape (..., K).
+            offset: Force that a reading of zero stands for in N, shape (..., K).
+            status: Flags of each channel, or of all alike, shape (..., K) or (..., 1).
+            covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
+        """
+        xp, feet = namespace_of(force), self._feet
+        _, _, _, _, wrench_map, lever_map, _ = self._constants.like(force)
+        wrench = shaped(xp.matmul(force, wrench_map), (*force.shape[:-1], feet, 6))
+        moments = xp.matmul(sample.rows, force[..., None, :, None])[..., 0]
+        cop, loaded = centres(wrench, moments, sample.known, self._threshold, lever_map)
+        return Estimate(
+            force=force,
+            wrench=wrench,
+            vgrf=moments[..., 0],
+            cop=cop[..., -1, :],
+            cop_foot=cop[..., :-1, :],
+            cop_valid=loaded[..., -1],
+            cop_foot_valid=loaded[..., :-1],
+            scale=scale,
+            offset=offset,
+            covariance=covariance,
+            flags=sample.flags | status,
+        )

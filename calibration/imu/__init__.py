@@ -1,0 +1,1 @@
+"""Calibrate an accelerometer, and read gravity and motion from an IMU."""

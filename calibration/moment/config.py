@@ -1,0 +1,158 @@
+r"""The surefoot estimator: a Kalman filter on rows that are linear in what is unknown.
+
+The CoP paper divides moments by forces before it compares (Eq. 14), and needs Gauss-Newton for that. Left
+undivided, the six Newton-Euler equations (Eqs. 6, 7) are *linear* in gains a, offsets b and, to first order,
+in the errors of the reference itself. About the point o below the believed centre of mass, on the ground,
+
+    sum_i f_i = M (c'' + g e_z) + errors of mass and acceleration
+    sum_i [ (p_i - o) x f_i + t_i ] = L' + h e_z x M c'' + errors of the centre of mass and of the delay
+
+with F = a F0 + b in place of every f_i. Load cells see three of the six rows, (Fz, Mx, My), a six-axis sensor
+all. Light loads weigh little by nature, nothing is divided by a small force, and drift is what it is: process
+noise. See ``docs/estimator.md`` for the derivation and :mod:`surefoot.calibration.moment.unknowns` for the
+state.
+
+* **The moments are taken about the estimated centre of pressure.** About any other point the noise of the
+  reference enters the regressors, and noisy regressors shrink what they estimate.
+* **Swing tare.** A foot in the air reads what its own sole's inertia makes it read: every offset at once,
+  and the only moment at which the warp (+, -, -, +) of four cells can be seen.
+* **Errors of the reference are unknowns too** (centre of mass, acceleration, delay), or are considered
+  without being estimated (mass, after Schmidt, until it leaps): what belongs to the reference does not flow
+  into the cells.
+* **Sums, not a filter.** A low-pass makes noise coloured, and a Kalman filter that takes coloured noise for
+  white is too sure of itself. Here samples are averaged, ``average`` of them, the same on both sides.
+* **Rows may lie**: see :mod:`surefoot.calibration.moment.kalman`. A foot that is said to swing and carries
+  weight
+  is not believed; noise is taken as larger than stated while the innovations say so.
+* **Level frames should turn with the feet**, as those of :class:`~surefoot.wrappers.SelfCalibration` do: the
+  errors of the centre of mass and of the acceleration are taken for constant in them.
+* **Channels may break**: see :mod:`surefoot.calibration.moment.faults`.
+"""
+
+from dataclasses import dataclass
+
+from surefoot.calibration._setup import (
+    OnlineMethod,
+    OnlineSetup,
+    check_count,
+    check_not_negative,
+    check_positive,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MomentFilterConfig:
+    """Options of the surefoot estimator; the defaults are those of cheap cells under a small humanoid."""
+
+    every: int = 16
+    """Samples from one update to the next."""
+
+    average: int = 2
+    """Samples that are averaged into one set of rows; must divide ``every``."""
+
+    scale_std: float = 0.12
+    """How far gains are thought to be from the starting map: 12 % for cells that were never calibrated."""
+
+    offset_std: float = 0.03
+    """How far offsets are thought to be from the starting map, in body weights (1.5 N for a NAO)."""
+
+    cross_talk: float = 0.0
+    """How much the axes of a six-axis sensor are thought to talk across, relative to their own gain; 0 takes
+    its matrix for diagonal, which needs fewer unknowns."""
+
+    scale_drift: float = 0.02
+    """Random walk of a gain per square root of a minute."""
+
+    offset_drift: float = 0.02
+    """Random walk of an offset in body weights per square root of a minute (1 N for a NAO)."""
+
+    force_noise: float = 0.016
+    """Standard deviation of one sample of the reference's force, in body weights."""
+
+    cop_noise: float = 2.5e-3
+    """Standard deviation of one sample of the reference's centre of pressure in m."""
+
+    timing_noise: float = 0.003
+    """Standard deviation of the moments at which single channels are read, in s."""
+
+    swing_noise: float = 0.001
+    """Standard deviation of a channel's mean reading over 16 samples in the air, in body weights."""
+
+    parity_noise: float = 0.006
+    """Standard deviation of what two instruments of one foot tell apart over half a block, in body weights
+    and body weights times foot lengths."""
+
+    com_std: float = 0.002
+    """How far the believed centre of mass is thought to be off along each axis, in m."""
+
+    mass_std: float = 0.005
+    """How far the believed mass is thought to be off, relative."""
+
+    learn_mass: bool = True
+    """Whether to estimate the mass after it leapt. Else it is only considered that it may be off (Schmidt):
+    what a robot weighs can be found on any kitchen scale, and drifting gains would carry it along."""
+
+    mass_change: float = 0.05
+    """How much the mass is thought to have changed, relative, when the vertical force of a whole block leaps
+    away from what the motion asks for: a load was picked up."""
+
+    com_change: float = 0.004
+    """How much the centre of mass is thought to have moved along each axis then, in m."""
+
+    acceleration_std: float = 0.02
+    """How far the mean believed acceleration is thought to be off along each axis, in m/s^2."""
+
+    delay_std: float = 0.004
+    """How far the moments that references describe are thought to be off, in s."""
+
+    gate: float = 3.0
+    """Standard deviations beyond which an innovation pulls no harder."""
+
+    reject: float = 0.25
+    """Innovation of a force in body weights, and of a moment in body weights times foot lengths, that is no
+    error of calibration if it is beyond eight standard deviations as well: the robot is held, or pushed."""
+
+    settle: int = 4
+    """Samples after a foot left the ground, and before it comes back, that are not used as swing."""
+
+    swing_load: float = 0.1
+    """Load of a foot in body weights above which it is not believed to swing, beyond four standard
+    deviations of what the load is known to."""
+
+    still: float = 0.02
+    """Change of a reading in body weights (times foot lengths for a torque) below which a robot stands still:
+    all that it says then counts as little more than one block. 0 takes every block for itself."""
+
+    leap: float = 0.25
+    """Change of a channel's reading from one sample to the next in body weights that no foot makes: such
+    readings are held for up to three samples."""
+
+    stand_in_memory: float = 20.0
+    """Time in s over which is learnt how the cells of a foot share its load."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_positive(
+            self, "scale_std", "offset_std", "force_noise", "cop_noise", "swing_noise", "parity_noise",
+            "gate", "reject", "leap", "stand_in_memory",
+        )  # fmt: skip
+        check_not_negative(
+            self, "cross_talk", "scale_drift", "offset_drift", "timing_noise", "com_std", "mass_std",
+            "acceleration_std", "delay_std", "swing_load", "still", "mass_change", "com_change",
+        )  # fmt: skip
+        check_count(self, "every", "average", "settle")
+        if self.every % self.average:
+            raise ValueError(f"'average' must divide 'every', got {self.average} and {self.every}.")
+
+
+def moment_filter(setup: OnlineSetup, config: MomentFilterConfig | None = None) -> OnlineMethod:
+    """Build the surefoot estimator as a pair of pure functions.
+
+    Args:
+        setup: What the method must be told about the robot.
+        config: Options.
+    """
+    from surefoot.calibration.moment.stream import MomentStream
+
+    stream = MomentStream(setup, config or MomentFilterConfig())
+    return OnlineMethod(stream.init, stream.update)

@@ -1,0 +1,142 @@
+"""How sure the moment filter is of what it says; private.
+
+With F_i = a_i F0_i + b_i and S the covariance of (a, b), the variance of a force is that of its row (F0_i,
+1), and the centre of pressure p = n / Fz has, to first order, the covariance J S J' with J_i = (p_i - p) / Fz
+times the same row.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration._constants import Constants, namespace_of, surely
+from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.front_end.readings import Sample
+from surefoot.calibration.moment.unknowns import Unknowns
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+class Uncertainty:
+    """Covariances in the units of an estimate.
+
+    Args:
+        setup: What the method was told about the robot.
+        unknowns: The unknowns.
+    """
+
+    def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
+        K = setup.layout.channels
+        self.unknowns = unknowns
+        # From the unknowns' gains and offsets to (a, b) of each channel alone.
+        own = np.zeros((2 * K, unknowns.gains + K))
+        own[np.arange(K), unknowns.own] = 1.0
+        own[K + np.arange(K), unknowns.gains + np.arange(K)] = unknowns.unit
+        inputs = np.eye(K)[unknowns.inp]
+        self._late = Constants(own @ np.diag(unknowns.aged[: unknowns.gains + K]) @ own.T)
+        self._constants = Constants(own, unknowns.gather, np.eye(K), inputs)
+
+    def of_parameters(self, covariance: Array) -> Array:
+        """Say the covariance of the unknowns as that of (a, b) of each channel, shape (..., 2K, 2K).
+
+        They have drifted since they were learnt, which is added.
+
+        Args:
+            covariance: Of the unknowns, shape (..., N, N).
+        """
+        own = self._constants.like(covariance)[0]
+        known = own.shape[-1]
+        (late,) = self._late.like(covariance)
+        return own @ covariance[..., :known, :known] @ own.mT + late
+
+    def of_channels(self, learnt: Array) -> Array:
+        """Pick what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
+
+        Args:
+            learnt: Covariance of (a, b), shape (..., 2K, 2K).
+        """
+        xp, K = namespace_of(learnt), self.unknowns.channels
+        own = xp.linalg.diagonal(learnt)
+        return xp.stack([own[..., :K], 2.0 * xp.linalg.diagonal(learnt[..., :K, K:]), own[..., K:]], axis=-2)
+
+    def told(self, estimate: Estimate, sample: Sample, state: Any) -> dict[str, Array]:
+        """Say of an estimate how sure it is, by the names of its fields.
+
+        Args:
+            estimate: The estimate.
+            sample: The sample that it is of.
+            state: What the filter knows, a :class:`~surefoot.calibration.moment.stream.MomentState`.
+        """
+        xp, unknowns, F0 = namespace_of(state.mean), self.unknowns, sample.force
+        K, feet = unknowns.channels, sample.rows.shape[-3]
+        rows, load = sample.rows[..., 0, :, :], estimate.vgrf[..., 0]
+        if feet == 2:
+            rows, load = rows + sample.rows[..., 1, :, :], load + estimate.vgrf[..., 1]
+        covariance = state.learnt
+        if unknowns.diagonal and not state.faults.altered:
+            gain, cross, offset = state.spread[..., 0, :], state.spread[..., 1, :], state.spread[..., 2, :]
+            variance = (F0 * gain + cross) * F0 + offset
+            row = xp.concat([rows * F0[..., None, :], rows], axis=-1)
+        else:
+            to_force = self.to_force(F0, plain=unknowns.diagonal)
+            if state.faults.altered:
+                to_force = state.faults.spare @ to_force
+            if not unknowns.diagonal:
+                known = unknowns.gains + K
+                covariance = state.covariance[..., :known, :known]
+            variance = variances(to_force, covariance) + state.faults.spare_std**2
+            row = rows @ to_force
+        if not surely(estimate.cop_valid):
+            load = xp.where(estimate.cop_valid, load, 1.0)
+        turned = to_cop(row, estimate.cop, load)
+        return {
+            "covariance": state.learnt,
+            "force_std": xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
+            "cop_covariance": turned @ covariance @ turned.mT,
+            "matrix": None if unknowns.diagonal else self._matrix(state.mean),
+        }
+
+    def to_force(self, force: Array, *, plain: bool = False) -> Array:
+        """Write forces by what they are known by.
+
+        Args:
+            force: Forces by the starting map in N, shape (..., K).
+            plain: Whether they are known by (a, b) of each channel, and not by the unknowns.
+
+        Returns:
+            Shape (..., K, 2K) or (..., K, P + K).
+        """
+        xp, unknowns = namespace_of(force), self.unknowns
+        own, gather, identity, _ = self._constants.like(force)
+        if plain:
+            gains, offsets = identity * force[..., None, :], identity
+        else:
+            gains = gather.mT * force[..., None, unknowns.inp]
+            offsets = own[unknowns.channels :, unknowns.gains :]
+        return xp.concat([gains, offsets + 0.0 * gains[..., :1]], axis=-1)
+
+    def _matrix(self, mean: Array) -> Array:
+        """Lay the gains out as a matrix, shape (..., K, K)."""
+        _, gather, _, inputs = self._constants.like(mean)
+        return (gather * mean[..., self.unknowns.scale, None]).mT @ inputs
+
+
+def variances(row: Array, covariance: Array) -> Array:
+    """Carry a covariance along rows, shapes (..., m, n) and (..., n, n) to (..., m)."""
+    return namespace_of(row).sum((row @ covariance) * row, axis=-1)
+
+
+def to_cop(row: Array, cop: Array, load: Array) -> Array:
+    """Write the centre of pressure by what the moments are known by, to first order.
+
+    Args:
+        row: Rows of (Fz, Fz px, Fz py), shape (..., 3, n).
+        cop: Centre of pressure in m, shape (..., 2).
+        load: Fz in N, shape (...).
+
+    Returns:
+        Shape (..., 2, n).
+    """
+    return (row[..., 1:, :] - cop[..., None] * row[..., :1, :]) / load[..., None, None]

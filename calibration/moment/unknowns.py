@@ -1,0 +1,121 @@
+"""The unknowns of the moment filter: where they lie in one vector, how sure of them one starts; private.
+
+| part | number | unit | meaning |
+|---|---|---|---|
+| a | P | 1 | gains against the starting map: one a channel, or 6 x 6 for a six-axis sensor with cross-talk |
+| b | K | body weights (times foot lengths for a torque) | offsets against the starting map |
+| com | 2 | foot lengths | believed less true centre of mass, level frame |
+| mass | 1 | 1 | believed mass over the true one, less 1 |
+| acceleration | 3 | g | bias of the believed acceleration, level frame: IMU bias and tilt |
+| delay | 1 | s | how much later a moment the reference describes than it is thought to |
+
+Units are chosen so that numbers are of order one and float32 is enough.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration._constants import Constants
+from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.reference import GRAVITY
+
+if TYPE_CHECKING:
+    from surefoot.calibration.moment.config import MomentFilterConfig
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+NUISANCES = 7
+"""Errors of the reference: centre of mass (2), mass, acceleration (3), delay."""
+
+
+class Unknowns:
+    """The unknowns of one setup.
+
+    Args:
+        setup: What the method was told about the robot.
+        config: Options of the filter.
+
+    Attributes:
+        gains: Number of gains, P.
+        size: Number of unknowns, N.
+        scale, offset, com, acceleration: Where the parts lie.
+        mass, delay: Where these lie.
+        out, inp: Channel that each gain acts on, and on whose reading, shape (P,) each.
+        own: The gain of each channel on its own reading, shape (K,).
+        unit: Newtons, or N m, of one offset of each channel, shape (K,).
+        start: Mean to start from, shape (N,).
+        std: Standard deviations to start from, shape (N,).
+        walk: Variance of their random walks per second, shape (N,).
+        aged: Variance by which they have walked on, on the average, since the middle of the block that they
+            were learnt from, shape (N,).
+        change: Standard deviations of sudden changes of the reference, shape (N,).
+        learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
+    """
+
+    def __init__(self, setup: OnlineSetup, config: "MomentFilterConfig") -> None:
+        layout = setup.layout
+        channels = layout.channels
+        torque = ~(layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))
+        lever = np.where(torque, setup.length, 1.0)
+        groups = [
+            (where.start + sensor.channels.start, where.start + sensor.channels.stop)
+            for foot, where in zip(layout.feet, layout.slices, strict=True)
+            for sensor in foot.sensors
+            if sensor.six_axis and config.cross_talk > 0.0
+        ]
+        mixes = np.eye(channels, dtype=bool)
+        for start, end in groups:
+            mixes[start:end, start:end] = True
+        self.out, self.inp = np.nonzero(mixes)
+        self.diagonal = bool(len(self.out) == channels)
+        own = self.out == self.inp
+        self.own = np.nonzero(own)[0]
+
+        self.channels, self.gains = channels, len(self.out)
+        self.size = self.gains + channels + NUISANCES
+        ends = np.cumsum([self.gains, channels, 2, 1, 3, 1]).tolist()
+        self.scale = slice(0, ends[0])
+        self.offset = slice(ends[0], ends[1])
+        self.com = slice(ends[1], ends[2])
+        self.mass = ends[2]
+        self.acceleration = slice(ends[3], ends[4])
+        self.delay = ends[4]
+        self.unit: NDArray[np.float64] = setup.weight * lever
+
+        self.start: NDArray[np.float64] = np.zeros(self.size)
+        self.start[self.scale] = own
+        self.std: NDArray[np.float64] = np.zeros(self.size)
+        ratio = lever[self.out] / lever[self.inp]
+        self.std[self.scale] = np.where(own, config.scale_std, config.cross_talk * ratio)
+        self.std[self.offset] = config.offset_std
+        self.std[self.com] = config.com_std / setup.length
+        self.std[self.mass] = config.mass_std
+        self.std[self.acceleration] = config.acceleration_std / GRAVITY
+        self.std[self.delay] = config.delay_std
+        self.walk: NDArray[np.float64] = np.zeros(self.size)
+        self.walk[self.scale] = np.where(own, config.scale_drift**2 / 60.0, 0.0)
+        self.walk[self.offset] = config.offset_drift**2 / 60.0
+        self.aged: NDArray[np.float64] = self.walk * (config.settle + config.every) * setup.dt
+        self.change: NDArray[np.float64] = np.zeros(self.size)
+        self.change[self.com] = config.com_change / setup.length
+        self.change[self.mass] = config.mass_change
+        self.learnt: NDArray[np.float64] = np.ones(self.size)
+        self.learnt[self.mass] = float(config.learn_mass)
+        self.gather: NDArray[np.float64] = np.zeros((self.gains, channels))
+        self.gather[np.arange(self.gains), self.out] = 1.0
+        self._constants = Constants(self.gather)
+
+    def own_gains(self, mean: Array) -> Array:
+        """Gains of the channels on their own readings, shape (..., K)."""
+        return mean[..., self.scale] if self.diagonal else mean[..., self.own]
+
+    def force(self, mean: Array, force: Array, unit: Array) -> Array:
+        """Correct forces by the starting map: A F0 + b in N, shape (..., K)."""
+        a, b = mean[..., self.scale], mean[..., self.offset] * unit
+        if self.diagonal:
+            return a * force + b
+        (gather,) = self._constants.like(force)
+        return (a * force[..., self.inp]) @ gather + b

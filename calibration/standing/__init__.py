@@ -1,0 +1,1 @@
+"""Calibration from quiet standing (CoP paper, Eqs. 12 and 13)."""

@@ -1,0 +1,307 @@
+r"""Starting values from quiet standing: what a robot at rest tells about its load cells, and what not.
+
+A robot at rest presses with M g below its centre of mass (x, y), so that over the cells of both feet
+(CoP paper, Eqs. 12, 13), per sample k,
+
+    sum_i (c_i S_ik + d_i) = M g,      sum_i (x_i, y_i) (c_i S_ik + d_i) = (x, y) M g,
+
+which is linear in (c, d). Used are samples in contact (Fz > 5 N by the starting map) and still (the
+specific force within a_th of g, the angular velocity below w_th), after a time of warming up T_warm,
+for as long as it takes to have enough.
+
+The paper solves this by least squares and does not say that it is singular. A still robot shows one sample
+over and over, so that three combinations of sixteen unknowns follow, and the noise of the readings would
+invent the others. Shifting the weight about adds the scales. The offsets enter only by their sum and two
+moments for as long as the feet stay: eleven combinations at most, never sixteen; the others take a foot
+in the air. Here the solution stays as near the starting map as the data allow. With F = a F0 + b and F0
+the force by the starting map,
+
+    min  sum_k |r_k(a, b) - e|^2 / s^2  +  |a - 1|^2 / s_a^2  +  |b|^2 / s_b^2  +  |e|^2 / s_e^2
+
+where e is the error that all samples share because the believed mass and centre of mass are wrong, which
+averaging does not remove. The minimum changes only what the samples determine, and its covariance says how
+well they do. Moments are taken about the centre of mass, which is Eq. 12 less (x, y) times its first
+row. With s_e = 0 and s small against s_a and s_b it is the paper's solution of least change.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import array_namespace
+from array_api_compat import device as device_of
+from numpy.typing import NDArray
+
+from surefoot.calibration._arrays import Array, check_tail
+from surefoot.calibration._setup import check_count, check_not_negative, check_positive
+from surefoot.calibration.cop import FORCE_THRESHOLD, moment_rows
+from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import GRAVITY, Reference
+
+__all__ = ["QuietStanding", "StandingEstimate", "StandingState"]
+
+_ROWS = 3
+
+PLAUSIBLE_WEIGHTS = 20.0
+"""Force of one channel, in body weights, beyond which a reading is taken for an error."""
+
+
+class StandingState(NamedTuple):
+    """What has been seen so far, in double precision whatever the readings; any batch dimensions ``...``.
+
+    Attributes:
+        time: Time since the start in s, shape (...).
+        samples: Samples that were used, shape (...).
+        dropped: Samples after warming up with a value that is not finite or absurd, shape (...).
+        gated: Samples after warming up without contact or with motion, shape (...).
+        information: Sum of J' J over the whitened rows, shape (..., 2 K + 3, 2 K + 3).
+        gradient: Sum of J' y, shape (..., 2 K + 3).
+        energy: Sum of y' y, shape (...).
+    """
+
+    time: Array
+    samples: Array
+    dropped: Array
+    gated: Array
+    information: Array
+    gradient: Array
+    energy: Array
+
+
+class StandingEstimate(NamedTuple):
+    """Starting values; any batch dimensions ``...``.
+
+    Attributes:
+        parameters: The map (c, d) of the readings, shape (..., K) each.
+        correction: The same as (a, b) of F = a F0 + b, shape (..., K) each.
+        covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (..., 2 K, 2 K).
+        rank: Directions of (a, b) whose variance the samples at least halved, shape (...).
+        residual_rms: Of what is left, in multiples of the noise that was assumed, shape (...).
+        condition: Ratio of the most to the least constrained direction's standard deviation, shape (...).
+        ready: Whether enough samples came over enough time, shape (...).
+    """
+
+    parameters: Parameters
+    correction: Parameters
+    covariance: Array
+    rank: Array
+    residual_rms: Array
+    condition: Array
+    ready: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class QuietStanding:
+    """The standing start of one robot: pure functions over :class:`StandingState`.
+
+    ``state = init(raw)``, then ``state = update(state, raw, reference, dt)`` for every sample, then
+    ``solve(state)`` as soon as ``ready(state)``. For a recording see
+    :func:`surefoot.calibration.standing.fit.standing_start`.
+    """
+
+    layout: FeetLayout
+    """How the channels make up the feet's wrenches."""
+
+    mass: float
+    """The robot's mass as it believes it, in kg."""
+
+    start: Parameters
+    """The map (c0, d0) to start from, such as the sensors' nominal one, shape (K,) each."""
+
+    warm_up: float = 1.0
+    """Time at the beginning that is left out, T_warm, in s."""
+
+    duration: float = 2.0
+    """Time after warming up that is to be seen, in s; more if the samples do not suffice."""
+
+    minimum_samples: int = 80
+    """Samples that are needed."""
+
+    threshold: float = FORCE_THRESHOLD
+    """Total vertical force in N, by the starting map, that a sample must exceed to count as contact."""
+
+    acceleration_threshold: float = 0.5
+    """How far the length of the specific force may be from g in m/s^2, a_th."""
+
+    rate_threshold: float = 0.1
+    """How fast the torso may turn in rad/s, w_th."""
+
+    scale_std: float = 0.1
+    """How far scales are thought to be from the start, as a share of them, sigma_a."""
+
+    offset_std: float = 1.5
+    """How far offsets are thought to be from the start in N, sigma_b."""
+
+    force_noise: float = 0.2
+    """Noise of one sample's total force, cells and reference together, in N."""
+
+    cop_noise: float = 1e-3
+    """Noise of one sample's centre of pressure against the centre of mass in m."""
+
+    mass_error: float = 0.005
+    """Error of the believed mass as a share of it; all samples have it in common."""
+
+    com_error: float = 3e-3
+    """Error of the believed centre of mass in m, per axis; all samples have it in common."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        positive = ("mass", "acceleration_threshold", "rate_threshold", "scale_std", "offset_std")
+        check_positive(self, *positive, "force_noise", "cop_noise")
+        check_not_negative(self, "warm_up", "duration", "threshold", "mass_error", "com_error")
+        check_count(self, "minimum_samples")
+        for field in ("scale", "offset"):
+            value = getattr(self.start, field)
+            self.layout.check_raw(value, f"start.{field}")
+            if not np.isfinite(np.asarray(value)).all():
+                raise ValueError(f"'start.{field}' holds values that are not finite: {value}.")
+
+    def init(self, raw: Array) -> StandingState:
+        """Begin with nothing seen.
+
+        Args:
+            raw: Readings of the kind to come (library, device, batch dimensions), shape (..., K).
+        """
+        self.layout.check_raw(raw)
+        xp, device = array_namespace(raw), device_of(raw)
+        batch, unknowns = tuple(raw.shape[:-1]), 2 * self.layout.channels + _ROWS
+
+        def zeros(*tail: int, dtype: Any = xp.float64) -> Array:
+            return xp.zeros((*batch, *tail), dtype=dtype, device=device)
+
+        return StandingState(
+            time=zeros(),
+            samples=zeros(dtype=xp.int64),
+            dropped=zeros(dtype=xp.int64),
+            gated=zeros(dtype=xp.int64),
+            information=zeros(unknowns, unknowns),
+            gradient=zeros(unknowns),
+            energy=zeros(),
+        )
+
+    def update(self, state: StandingState, raw: Array, reference: Reference, dt: float) -> StandingState:
+        """Take in one sample; one that is not finite, in contact and still is only counted.
+
+        Args:
+            state: What has been seen so far.
+            raw: Readings, shape (..., K).
+            reference: The robot's beliefs at the same time.
+            dt: Time to the next sample in s.
+
+        Returns:
+            The new state.
+        """
+        xp = array_namespace(raw)
+        rows, target, finite, quiet = self.rows(raw, reference)
+        warm = state.time >= self.warm_up - 1e-9
+        used = xp.astype(warm & finite & quiet, xp.float64)
+        rows_used = rows * used[..., None, None]
+        return StandingState(
+            time=state.time + dt,
+            samples=state.samples + xp.astype(warm & finite & quiet, xp.int64),
+            dropped=state.dropped + xp.astype(warm & ~finite, xp.int64),
+            gated=state.gated + xp.astype(warm & finite & ~quiet, xp.int64),
+            information=state.information + xp.matmul(xp.matrix_transpose(rows_used), rows),
+            gradient=state.gradient + xp.sum(rows_used * target[..., None], axis=-2),
+            energy=state.energy + used * xp.sum(target**2, axis=-1),
+        )
+
+    def ready(self, state: StandingState) -> Array:
+        """Tell whether enough samples came over enough time (bool), shape (...)."""
+        enough_time = state.time >= self.warm_up + self.duration - 1e-9
+        return (state.samples >= self.minimum_samples) & enough_time
+
+    def solve(self, state: StandingState) -> StandingEstimate:
+        """Find the map nearest to the starting one that explains the samples (CoP paper, Eq. 13).
+
+        Without samples it is the starting map.
+        """
+        xp = array_namespace(state.gradient)
+        channels = self.layout.channels
+        dtype, device = state.gradient.dtype, device_of(state.gradient)
+        deviation = xp.asarray(self._deviations(), dtype=dtype, device=device)
+        identity = xp.eye(state.gradient.shape[-1], dtype=dtype, device=device)
+        posterior = xp.linalg.inv(state.information + identity)
+        posterior = 0.5 * (posterior + xp.matrix_transpose(posterior))
+        whitened = xp.matmul(posterior, state.gradient[..., None])[..., 0]
+        shift = whitened[..., : 2 * channels] * deviation
+        correction = Parameters(1 + shift[..., :channels], shift[..., channels:])
+        start = Parameters(*(xp.asarray(part, dtype=dtype, device=device) for part in self.start))
+        kept = posterior[..., : 2 * channels, : 2 * channels]
+        variance = xp.linalg.eigvalsh(kept)
+        explained = xp.matmul(state.information, whitened[..., None])[..., 0] - 2 * state.gradient
+        left = state.energy + xp.sum(whitened * explained, axis=-1)
+        rows = _ROWS * xp.astype(xp.where(state.samples > 0, state.samples, 1), dtype)
+        return StandingEstimate(
+            parameters=correction.after(start),
+            correction=correction,
+            covariance=deviation[:, None] * kept * deviation,
+            rank=xp.sum(xp.astype(variance < 0.5, xp.int64), axis=-1),
+            residual_rms=xp.sqrt(xp.clip(left, 0.0, None) / rows),
+            condition=xp.sqrt(variance[..., -1] / variance[..., 0]),
+            ready=self.ready(state),
+        )
+
+    def _deviations(self) -> NDArray[np.float64]:
+        """List what (a, b) are measured in, so that one means as far as was thought, shape (2 K,)."""
+        return np.repeat([self.scale_std, self.offset_std], self.layout.channels)
+
+    def rows(self, raw: Array, reference: Reference) -> tuple[Array, Array, Array, Array]:
+        """Write samples as whitened rows J u = y, and tell which are finite and which in contact and still.
+
+        Returns:
+            J (..., 3, 2 K + 3), y (..., 3), finite (...), quiet (...); zeros where not finite.
+        """
+        self.layout.check_raw(raw)
+        feet = len(self.layout.feet)
+        for field, tail in (
+            ("com", (3,)),
+            ("position_sole", (feet, 3)),
+            ("R_level_sole", (feet, 3, 3)),
+            ("accelerometer", (3,)),
+            ("gyroscope", (3,)),
+        ):
+            check_tail(getattr(reference, field), tail, field)
+        xp, device = array_namespace(raw), device_of(raw)
+
+        def double(values: Any) -> Array:
+            return xp.asarray(values, dtype=xp.float64, device=device)
+
+        def clean(values: Array, axes: int, limit: float = LARGEST_REFERENCE) -> tuple[Array, Array]:
+            values = double(values)
+            finite = xp.all(xp.abs(values) <= limit, axis=tuple(range(-axes, 0)))
+            return xp.where(finite[(..., *[None] * axes)], values, xp.zeros_like(values)), finite
+
+        force, finite = clean(
+            double(self.start.scale) * double(raw) + double(self.start.offset),
+            1,
+            PLAUSIBLE_WEIGHTS * self.mass * GRAVITY,
+        )
+        com, com_finite = clean(reference.com, 1)
+        sole, sole_finite = clean(reference.position_sole, 2)
+        R, R_finite = clean(reference.R_level_sole, 3)
+        acceleration, acceleration_finite = clean(reference.accelerometer, 1)
+        rate, rate_finite = clean(reference.gyroscope, 1)
+        finite = finite & com_finite & sole_finite & R_finite & acceleration_finite & rate_finite
+
+        about_com = xp.concat([sole[..., :2] - com[..., None, :2], sole[..., 2:]], axis=-1)
+        by_channel = xp.sum(moment_rows(self.layout, about_com, R), axis=-3)
+        total = xp.matmul(by_channel, force[..., None])[..., 0]
+        weight = self.mass * GRAVITY
+        noise = double([self.force_noise, weight * self.cop_noise, weight * self.cop_noise])
+        shared = double(np.diag([weight * self.mass_error, *[weight * self.com_error] * 2]))
+        by_unknown = xp.concat([by_channel * force[..., None, :], by_channel], axis=-1)
+        by_unknown = by_unknown * double(self._deviations())
+        shared = xp.broadcast_to(shared, (*by_unknown.shape[:-1], _ROWS))
+        rows = xp.concat([by_unknown, shared], axis=-1) / noise[:, None]
+        target = (double([weight, 0.0, 0.0]) - total) / noise
+
+        def length(vector: Array) -> Array:
+            return xp.sqrt(xp.sum(vector**2, axis=-1))
+
+        still = (xp.abs(length(acceleration) - GRAVITY) < self.acceleration_threshold) & (
+            length(rate) < self.rate_threshold
+        )
+        return rows, target, finite, (total[..., 0] > self.threshold) & still

@@ -1,0 +1,1 @@
+"""Calibration from known weights (CoP paper, Eqs. 1-5)."""

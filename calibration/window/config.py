@@ -1,0 +1,221 @@
+r"""The CoP paper's sliding window: Gauss-Newton on the last half second (Eq. 14).
+
+.. math:: \min_\theta \sum_k w_F \left(\frac{F_{z,k} - F_{z,k}^{ref}}{M g}\right)^2
+          + w_P \left|\frac{p_k - p_k^{ref}}{L}\right|^2 + |\theta - \theta_{last}|^2_{w_S}
+
+over scales and offsets of all channels, solved every four samples by five iterations from the last
+solution, after a standing start (Eqs. 12, 13; :mod:`surefoot.calibration.standing.quiet`).
+
+Where the paper is silent or a stream demands it, this departs from it:
+
+* Unknowns are a and b / (M g) of F = a F0 + b, both of order one, instead of c and d.
+* The paper filters forces and accelerations at 10 Hz and then divides. A centre of pressure is only defined
+  up to the level frame, which a robot may move from sample to sample, so here the *rows* of (Fz, Fz (p -
+  p_ref)) pass the filter, which do not depend on the frame and are linear in the unknowns; the division
+  comes after. Forces and reference pass the same filter, so that its delay cancels.
+* "Outlier rejection around contact transitions" is made concrete: samples shortly after a foot gained or
+  lost the ground whose residual exceeds ``outlier_threshold`` standard deviations and as many times the
+  window's median.
+* A sample that is off by half the weight or half a foot is no calibration error at all, and is never let in.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration._setup import (
+    OnlineMethod,
+    OnlineSetup,
+    check_count,
+    check_not_negative,
+    check_positive,
+)
+from surefoot.calibration.centroidal import ground_reference
+from surefoot.calibration.cop import cop_of_moments, moment_rows
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import Reference
+from surefoot.calibration.window.stream import sliding_window
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowConfig:
+    """Options of the sliding window; forces in body weights, lengths in foot lengths, as in the paper."""
+
+    window: float = 0.5
+    """Length of the window in s."""
+
+    every: int = 4
+    """Samples from one update to the next: 4 at 80 Hz are the paper's 20 Hz."""
+
+    iterations: int = 5
+    """Gauss-Newton iterations of one update."""
+
+    cutoff: float | None = 10.0
+    """Cutoff of the causal low-pass filter on both sides in Hz; ``None`` for logs that were filtered
+    before."""
+
+    delta_force: float = 0.01
+    """Standard deviation of the vertical force against the model, in body weights (w_F = 1 / delta_F^2)."""
+
+    delta_cop: float = 0.05
+    """Standard deviation of the centre of pressure against the model, in foot lengths (w_P = 1 /
+    delta_P^2)."""
+
+    scale_step: float = 3e-3
+    """Expected change of a scale from one update to the next (w_S = 1 / step^2).
+
+    Cells that drift by 2 % per square root of a minute change by 6e-4 in 50 ms. A sample stays in the
+    window for ten updates and is counted by each, which sqrt(10) times the step makes up for: 2e-3. The
+    choice is not delicate: on walks of a simulated NAO errors of the centre of pressure change by a tenth
+    between 2e-3 and 2e-2 (with offsets in proportion). Much larger steps let the window follow its
+    reference's errors wherever half a second excites the parameters too little to tell, at a hundred times
+    more to twice the error; at a tenth it needs minutes to correct a bad start."""
+
+    offset_step: float = 9e-4
+    """Expected change of an offset from one update to the next, in body weights: 0.05 N for a NAO. Drift of
+    1 N per square root of a minute gives 0.03 N in 50 ms, and 0.09 N if it is made up for as above; half of
+    that, because the constant error of a believed centre of mass looks like offsets and should not be
+    learnt as fast."""
+
+    force_weight: float = 1.0
+    """Factor on w_F, for studies of sensitivity."""
+
+    cop_weight: float = 1.0
+    """Factor on w_P, for studies of sensitivity."""
+
+    smoothness_weight: float = 1.0
+    """Factor on w_S, for studies of sensitivity."""
+
+    scale_step_bound: float = 0.02
+    """Largest change of a scale in one iteration."""
+
+    offset_step_bound: float = 0.01
+    """Largest change of an offset in one iteration, in body weights."""
+
+    scale_rate: float = 0.2
+    """Largest change of a scale per second."""
+
+    offset_rate: float = 0.1
+    """Largest change of an offset per second, in body weights."""
+
+    scale_range: tuple[float, float] = (0.5, 2.0)
+    """Least and greatest scale against the starting map's that a sensor can have."""
+
+    offset_range: float = 0.5
+    """Largest offset that a sensor can have against the starting map, in body weights."""
+
+    transition: float = 0.1
+    """Time after a foot gained or lost the ground in which samples may be rejected, in s: what happens then
+    lasts for some samples, and for some more in the filter."""
+
+    outlier_threshold: float = 3.0
+    """Residual, in standard deviations and against the window's median, that such a sample is rejected
+    for."""
+
+    gross_error: float = 0.5
+    """Error of the vertical force in body weights, and of the centre of pressure in foot lengths, that no
+    calibration error explains: such samples are never used."""
+
+    settle: float = 0.05
+    """Time after a bad sample before samples are used again, so that the filter has forgotten, in s."""
+
+    minimum_share: float = 0.25
+    """Share of the window that must be usable and in contact for an update."""
+
+    standing_start: bool = True
+    """Whether to begin with quiet standing (Eqs. 12, 13)."""
+
+    standing_warm_up: float = 0.5
+    """Time that is left out before the standing start, T_warm, in s."""
+
+    standing_duration: float = 2.0
+    """Time of quiet standing that is wanted after that, in s."""
+
+    standing_samples: int = 40
+    """Samples, in contact and still, that a standing start needs. A robot that lifts a foot before has no
+    standing start, and one that lifts it before ``standing_duration`` has a shorter one."""
+
+    standing_patience: float = 15.0
+    """Time in s after which a robot that never stood still goes on without a standing start."""
+
+    standing_scale_std: float = 0.02
+    """How far scales are thought to be from the starting map as standing begins: little, as the paper
+    calibrates on a bench before. Standing cannot tell an error of the sensors from one of the believed
+    centre of mass, and what is said here decides whom it is put down to."""
+
+    standing_offset_std: float = 0.005
+    """How far offsets are thought to be from the starting map as standing begins, in body weights."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        check_positive(
+            self, "window", "delta_force", "delta_cop", "scale_step", "offset_step", "smoothness_weight",
+            "scale_step_bound", "offset_step_bound", "scale_rate", "offset_rate", "offset_range",
+            "outlier_threshold", "gross_error", "minimum_share", "standing_scale_std", "standing_offset_std",
+            "standing_patience",
+        )  # fmt: skip
+        check_not_negative(
+            self,
+            "force_weight",
+            "cop_weight",
+            "transition",
+            "settle",
+            "standing_warm_up",
+            "standing_duration",
+        )
+        check_count(self, "every", "iterations", "standing_samples")
+        if self.cutoff is not None:
+            check_positive(self, "cutoff")
+        low, high = self.scale_range
+        if not 0.0 < low < 1.0 < high < np.inf:
+            raise ValueError(f"'scale_range' must enclose 1 and be positive, got {self.scale_range}.")
+        if self.minimum_share > 1.0:
+            raise ValueError(f"'minimum_share' must be a share from 0 to 1, got {self.minimum_share}.")
+
+
+def window(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:
+    """Build the CoP paper's sliding window (Eq. 14) as a pair of pure functions.
+
+    Args:
+        setup: What the method must be told about the robot.
+        config: Options; the paper's conditions by default.
+    """
+    return sliding_window(setup, config or WindowConfig())
+
+
+def confidence_from_standing(
+    setup: OnlineSetup, raw: NDArray[np.float64], reference: Reference
+) -> tuple[float, float]:
+    """Estimate delta_F and delta_P from a recording of quiet standing, as the paper does.
+
+    Both are standard deviations of what the feet say against what the motion says, over a recording that has
+    passed the initial calibration. Standing shows noise and sway but not what walking adds (the errors of the
+    centre of mass and of its acceleration), so that delta_P comes out as a lower bound.
+
+    Args:
+        setup: What the method must be told; its initial map is the one that is judged.
+        raw: Readings, shape (N, K).
+        reference: The robot's beliefs, each field with N samples first; aligned with the readings.
+
+    Returns:
+        delta_F in body weights and delta_P in foot lengths.
+
+    Raises:
+        ValueError: If fewer than ten samples are finite and in contact.
+    """
+    force = Parameters(*setup.initial).force(np.asarray(raw, dtype=np.float64))
+    rows = np.sum(moment_rows(setup.layout, reference.position_sole, reference.R_level_sole), axis=-3)
+    moments = (rows @ force[..., None])[..., 0]
+    ground = ground_reference(reference, setup.mass, threshold=setup.force_threshold)
+    cop = cop_of_moments(moments[..., 0], moments[..., 1:], setup.force_threshold)
+    force_error = (moments[..., 0] - ground.vgrf) / setup.weight
+    cop_error = (cop - ground.cop) / setup.length
+    usable = np.isfinite(force_error) & np.isfinite(cop_error).all(axis=-1)
+    if usable.sum() < 10:
+        raise ValueError(
+            f"Only {usable.sum()} of {len(raw)} samples are finite and in contact; at least 10 are needed to "
+            "tell a standard deviation. Record the robot standing on its feet."
+        )
+    delta_cop = float(np.sqrt(np.var(cop_error[usable], axis=0).mean()))
+    return float(np.std(force_error[usable])), delta_cop

@@ -1,0 +1,327 @@
+"""How the sliding window runs over a stream: standing start, filter, window and update; private.
+
+The least-squares problem itself is in :mod:`surefoot.calibration.window.gauss_newton`, its theory and options
+in
+:mod:`surefoot.calibration.window.config`.
+"""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from array_api_compat import device as device_of
+from numpy.typing import NDArray
+
+from surefoot.calibration._arrays import constant_like
+from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._setup import OnlineMethod, OnlineSetup
+from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.front_end.filters import low_pass
+from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import Reference
+from surefoot.calibration.standing.quiet import QuietStanding, StandingState
+from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise, shorten, typical_square
+
+if TYPE_CHECKING:
+    from surefoot.calibration.window.config import WindowConfig
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+_STANDING_FORCE_NOISE = 0.004
+"""Error of the mean vertical force in quiet standing, in body weights, besides that of the believed mass."""
+
+_STANDING_COP_NOISE = 1e-3
+"""Error of the mean centre of pressure in quiet standing in m, besides that of the believed centre of
+mass."""
+
+
+class WindowState(NamedTuple):
+    """What the sliding window remembers; any leading batch dimensions ``...``; F feet.
+
+    Attributes:
+        front: What the way of a sample remembers.
+        step: Samples seen.
+        pending: Samples since the last update, oldest first: F0, the flat reference, which feet surely
+            stand, which surely stand or swing, whether the sample may be learnt from, whether it has
+            settled, shape (..., every, P).
+        filter: State of the low-pass filter over the C = 6K + 1 numbers of a sample, shape (..., 2, C).
+        latest: The last good numbers of a sample, before the filter, shape (..., C).
+        started: Whether there was one (bool), shape (...).
+        contact: Feet that carried weight, and feet that were sure to stand (bool), shape (..., 2F).
+        since_change: Samples since a foot gained or lost the ground, shape (...).
+        samples: The window, oldest first: filtered numbers, use and nearness to a change of contact, shape
+            (..., N, C + 2).
+        theta: (a, b / (M g)), shape (..., 2K).
+        status: Flags of the last update, shape (...).
+        standing: What the standing start has seen.
+        walking: Whether the standing start is over (bool), shape (...).
+        all_walking: Whether it is over for the whole batch, 0 or 1.
+    """
+
+    front: FrontState
+    step: int
+    pending: Array
+    filter: Array
+    latest: Array
+    started: Array
+    contact: Array
+    since_change: Array
+    samples: Array
+    theta: Array
+    status: Array
+    standing: StandingState
+    walking: Array
+    all_walking: int
+
+
+class SlidingWindow:
+    """The sliding window for one setup: ``init`` and ``update`` are pure functions that share constants."""
+
+    def __init__(self, setup: OnlineSetup, config: "WindowConfig", *, quasi_static: bool) -> None:
+        self.setup, self.config = setup, config
+        self._weight, self._gross_length = setup.weight, config.gross_error * setup.length
+        self._front_end = FrontEnd(setup, quasi_static=quasi_static)
+        self._filter = None if config.cutoff is None else low_pass(config.cutoff, setup.dt)
+        self._length = max(config.every, round(config.window / setup.dt))
+        self._settle = round(config.settle / setup.dt)
+        self._transition = round(config.transition / setup.dt)
+        self._weights = Weights(
+            force=float(np.sqrt(config.force_weight)) / config.delta_force / setup.weight,
+            cop=float(np.sqrt(config.cop_weight)) / config.delta_cop / setup.length,
+            threshold=setup.force_threshold,
+        )
+        K = setup.layout.channels
+
+        def per_channel(scale: float, offset: float) -> NDArray[np.float64]:
+            return np.repeat([scale, offset], K)
+
+        rigidity = 1.0 / np.sqrt(config.smoothness_weight)
+        period = config.every * setup.dt
+        self._constants = Constants(
+            per_channel(config.scale_step, config.offset_step) * rigidity,
+            per_channel(config.scale_step_bound, config.offset_step_bound),
+            per_channel(config.scale_rate, config.offset_rate) * period,
+            per_channel(config.scale_range[0], -config.offset_range),
+            per_channel(config.scale_range[1], config.offset_range),
+            np.eye(2 * K),
+        )
+        # Quiet standing is one sample over and over: all of them together count as one. Taken for
+        # independent, the drift and the noise within them would be read as load, and pull the scales down.
+        repeats = float(np.sqrt(max(config.standing_duration / setup.dt, config.standing_samples)))
+        # The standing start sees forces by the starting map in place of counts, so that its result is (a, b).
+        self._standing = QuietStanding(
+            layout=setup.layout,
+            mass=setup.mass,
+            start=Parameters(np.ones(K), np.zeros(K)),
+            warm_up=config.standing_warm_up,
+            duration=config.standing_duration,
+            minimum_samples=config.standing_samples,
+            threshold=setup.force_threshold,
+            scale_std=config.standing_scale_std,
+            offset_std=config.standing_offset_std * setup.weight,
+            force_noise=_STANDING_FORCE_NOISE * setup.weight * repeats,
+            cop_noise=_STANDING_COP_NOISE * repeats,
+        )
+
+    def init(self, raw: Array) -> WindowState:
+        """Begin with nothing seen; see :class:`~surefoot.calibration.online.OnlineMethod`."""
+        front = self._front_end.init(raw)
+        xp, device = namespace_of(raw), device_of(raw)
+        batch, K, feet = tuple(raw.shape[:-1]), self.setup.layout.channels, len(self.setup.layout.feet)
+        numbers = 6 * K + 1
+
+        def zeros(*tail: int, dtype: Any = raw.dtype) -> Array:
+            return xp.zeros((*batch, *tail), dtype=dtype, device=device)
+
+        return WindowState(
+            front=front,
+            step=0,
+            pending=zeros(self.config.every, K + front.motion.shape[-1] + 2 * feet + 2),
+            filter=zeros(2, numbers),
+            latest=zeros(numbers),
+            started=zeros(dtype=xp.bool),
+            contact=zeros(2 * feet, dtype=xp.bool),
+            since_change=zeros(dtype=xp.int64),
+            samples=zeros(self._length, numbers + 2),
+            theta=zeros(2 * K) + constant_like(np.repeat([1.0, 0.0], K), raw),
+            status=zeros(dtype=xp.int64),
+            standing=self._standing.init(raw),
+            walking=zeros(dtype=xp.bool) | (not self.config.standing_start),
+            all_walking=int(not self.config.standing_start),
+        )
+
+    def update(
+        self, state: WindowState, raw: Array, reference: Reference, dt: float
+    ) -> tuple[WindowState, Estimate]:
+        """Take in one sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
+        xp, K = namespace_of(raw), self.setup.layout.channels
+        front, sample = self._front_end.observe(state.front, raw, reference, dt)
+        if not state.all_walking:
+            state = self._stand(state, sample, dt)
+        if sample.gap:
+            state = _forget(state)
+        notes = xp.concat(
+            [
+                sample.stance,
+                sample.stance | sample.swing,
+                sample.good[..., None],
+                (sample.clean > self._settle)[..., None] & state.walking[..., None],
+            ],
+            axis=-1,
+        )
+        newest = xp.concat([sample.past, sample.motion, xp.astype(notes, raw.dtype)], axis=-1)
+        state = state._replace(
+            front=front,
+            step=state.step + 1,
+            pending=xp.concat([state.pending[..., 1:, :], newest[..., None, :]], axis=-2),
+        )
+        if state.step % self.config.every == 0:
+            state = self._solve(self._collect(state))
+        status = state.status
+        if not state.all_walking:
+            status = status | int(Flag.STANDING) * (~state.walking)
+        a, b = state.theta[..., :K], state.theta[..., K:] * self._weight
+        return state, self._front_end.estimate(sample, a, b, status)
+
+    def _stand(self, state: WindowState, sample: Sample, dt: float) -> WindowState:
+        """Collect the standing start and end it: by its solution, or because the robot walks already."""
+        xp = namespace_of(sample.past)
+        _, cop, physical = self._front_end.motions.ground(sample.motion)
+        usable = xp.where((sample.good & physical)[..., None], sample.past, xp.nan)
+        reference = self._front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
+        # A robot that already leans towards its first step is not quite at rest: where the ground's force
+        # must act by its motion takes the place of the point below its centre of mass. At rest they agree.
+        reference = reference._replace(com=xp.concat([cop, reference.com[..., 2:]], axis=-1))
+        step = self.setup.dt if sample.gap else dt
+        standing = self._standing.update(state.standing, usable, reference, step)
+        leaving = xp.any(sample.swing, axis=-1) | (standing.time > self.config.standing_patience)
+        leaving = leaving & ~state.walking
+        ready = self._standing.ready(standing) | leaving
+        ready = ready & ~state.walking & (standing.samples >= self._standing.minimum_samples)
+        theta, walking = state.theta, state.walking
+        if bool(xp.any(ready)):
+            correction = self._standing.solve(standing).correction
+            solved = xp.concat([correction.scale, correction.offset / self.setup.weight], axis=-1)
+            low, high = self._constants.like(theta)[3:5]
+            solved = xp.clip(xp.astype(solved, theta.dtype), low, high)
+            theta = xp.where(ready[..., None], solved, theta)
+        walking = walking | ready | leaving
+        return state._replace(
+            standing=standing, theta=theta, walking=walking, all_walking=int(bool(xp.all(walking)))
+        )
+
+    def _collect(self, state: WindowState) -> WindowState:
+        """Pass the pending samples through the filter into the window.
+
+        What does not depend on the order of samples is computed for all of them at once.
+        """
+        xp, K, weight, config = (
+            namespace_of(state.theta),
+            self.setup.layout.channels,
+            self._weight,
+            self.config,
+        )
+        feet, every = len(self.setup.layout.feet), self.config.every
+        past, motion = state.pending[..., :K], state.pending[..., K : -2 * feet - 2]
+        notes = state.pending[..., -2 * feet - 2 :] > 0.5
+        stance, sure = notes[..., :feet], xp.all(notes[..., feet : 2 * feet], axis=-1)
+        good, settled = notes[..., -2], notes[..., -1]
+
+        vgrf, cop, physical = self._front_end.motions.ground(motion)
+        rows = self._front_end.motions.rows(motion)
+        theta = state.theta[..., None, :]
+        calibrated = theta[..., :K] * past + theta[..., K:] * weight
+        by_foot = xp.matmul(rows, calibrated[..., None, :, None])[..., 0]
+        contact = xp.concat([by_foot[..., 0] > self.setup.force_threshold, stance], axis=-1)
+        moment, rows = xp.sum(by_foot, axis=-2), xp.sum(rows, axis=-3)
+
+        fz = moment[..., 0]
+        cop_error = xp.abs(moment[..., 1:] - cop * fz[..., None])
+        near = xp.all(cop_error <= self._gross_length * fz[..., None], axis=-1)
+        good = good & physical & near & (xp.abs(fz - vgrf) <= config.gross_error * weight)
+
+        vertical = rows[..., :1, :]
+        rows = xp.concat([vertical, rows[..., 1:, :] - cop[..., None] * vertical], axis=-2)
+        numbers = xp.concat([rows * past[..., None, :], rows * weight], axis=-1)
+        numbers = xp.concat([xp.reshape(numbers, (*fz.shape, 6 * K)), vgrf[..., None]], axis=-1)
+
+        filtered, since = [], []
+        filter_state, latest, started = state.filter, state.latest, state.started
+        before, since_change = state.contact, state.since_change
+        for k in range(every):
+            latest = xp.where(good[..., k, None], numbers[..., k, :], latest)
+            output = latest
+            if self._filter is not None:
+                steady = self._filter.init(latest)
+                filter_state = xp.where(started[..., None, None], filter_state, steady)
+                output, filter_state = self._filter.apply(latest, filter_state)
+            started = started | good[..., k]
+            unchanged = xp.all(contact[..., k, :] == before, axis=-1) & sure[..., k]
+            before, since_change = contact[..., k, :], (since_change + 1) * unchanged
+            filtered.append(output[..., None, :])
+            since.append(since_change[..., None])
+        changing = xp.concat(since, axis=-1) < self._transition
+        notes = xp.concat([(good & settled)[..., None], changing[..., None]], axis=-1)
+        newest = xp.concat([xp.concat(filtered, axis=-2), xp.astype(notes, past.dtype)], axis=-1)
+        return state._replace(
+            filter=filter_state,
+            latest=latest,
+            started=started,
+            contact=before,
+            since_change=since_change,
+            samples=xp.concat([state.samples[..., every:, :], newest], axis=-2),
+        )
+
+    def _solve(self, state: WindowState) -> WindowState:
+        """Solve Eq. 14 on the window, with every bound that keeps a bad window from doing harm."""
+        config, weights = self.config, self._weights
+        xp, K, last = namespace_of(state.theta), self.setup.layout.channels, state.theta
+        spread, step_bound, rate_bound, low, high, identity = self._constants.like(last)
+        batch = tuple(last.shape[:-1])
+        phi = xp.reshape(state.samples[..., : 6 * K], (*batch, self._length, 3, 2 * K))
+        vgrf, use = state.samples[..., 6 * K], state.samples[..., 6 * K + 1]
+
+        fz = xp.matmul(phi[..., 0, :], last[..., None])[..., 0]
+        use = xp.where(fz > weights.threshold, use, 0.0)
+        r = linearise(last, phi, vgrf, use, weights).residual
+        square = xp.sum(r * r, axis=-1) / 3.0
+        typical = typical_square(square, use)
+        limit = config.outlier_threshold**2 * xp.where(typical > 1.0, typical, 1.0)
+        outlier = (state.samples[..., 6 * K + 2] > 0.5) & (square > limit[..., None])
+        use = xp.where(outlier, 0.0, use)
+        enough = xp.sum(use, axis=-1) >= config.minimum_share * self._length
+
+        theta, solvable = gauss_newton(
+            last,
+            phi,
+            vgrf,
+            use,
+            weights,
+            spread=spread,
+            bound=step_bound,
+            identity=identity,
+            iterations=config.iterations,
+        )
+        theta = last + shorten(theta - last, rate_bound)
+        theta = xp.where(theta < low, low, xp.where(theta > high, high, theta))
+        accept = enough & solvable & state.walking & xp.all(xp.isfinite(theta), axis=-1)
+        status = xp.where(enough, 0, int(Flag.NO_CONTACT))
+        status = status | xp.where(solvable | ~enough, 0, int(Flag.SINGULAR))
+        return state._replace(
+            theta=xp.where(accept[..., None], theta, last), status=xp.where(state.walking, status, 0)
+        )
+
+
+def _forget(state: WindowState) -> WindowState:
+    """Drop all samples: what comes next does not belong to them."""
+    return state._replace(
+        pending=state.pending * 0.0, samples=state.samples * 0.0, started=state.started & False
+    )
+
+
+def sliding_window(setup: OnlineSetup, config: "WindowConfig", *, quasi_static: bool = False) -> OnlineMethod:
+    """Build the sliding window as a pair of pure functions."""
+    method = SlidingWindow(setup, config, quasi_static=quasi_static)
+    return OnlineMethod(method.init, method.update)

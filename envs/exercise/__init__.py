@@ -1,0 +1,1 @@
+"""Standing exercises for any flat-footed robot."""

@@ -1,0 +1,69 @@
+r"""Keeping the centre of mass over its plan with the ankles.
+
+What tips is the capture point :math:`\xi = c + \dot c \sqrt{h / g}` (c centre of mass, h its height). Motors
+alone hold it against gravity with the ankle's stiffness less what soft contacts and the other joints take
+away, which may be too little on one foot; so the ankles push the ground's reaction beyond its error,
+:math:`\Delta p = k (\xi - \xi_{plan})`, within the sole.
+"""
+
+from math import sqrt
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+from surefoot.envs.exercise.motion import Motion
+from surefoot.envs.exercise.robot import ExerciseRobot, motor_moments
+from surefoot.envs.instrumentation.truth import FeetTruth
+
+GAIN: Final = 1.0
+"""How far the ankles push the centre of pressure per metre of the capture point's error, in m."""
+
+
+class AnkleBalance:
+    """Turns an error of the capture point into what is added to the motors' targets.
+
+    Args:
+        robot: The robot.
+        motion: Its exercise.
+    """
+
+    def __init__(self, robot: ExerciseRobot, motion: Motion) -> None:
+        self._motion = motion
+        self._half = robot.half
+        self._time = sqrt(motion.height / robot.gravity)
+        model, data = robot.model, mujoco.MjData(robot.model)
+        data.qpos[:] = motion.qpos
+        mujoco.mj_forward(model, data)
+        moments = motor_moments(model, data)
+        stiffness = model.actuator_gainprm[robot.leg_motors, :1]
+        self._of_shift = []
+        for leg in robot.legs:
+            torque = np.zeros((model.nv, 2))
+            for joint in leg[-2:]:
+                # The ground's moment on a foot about (x, y) is (shift_y, -shift_x) times its load.
+                x, y, _ = data.xaxis[joint]
+                torque[model.jnt_dofadr[joint]] = robot.weight * y, -robot.weight * x
+            exerted = np.linalg.lstsq(moments[robot.leg_motors].T, torque, rcond=None)[0]
+            self._of_shift.append(exerted / stiffness)
+
+    def correction(self, truth: FeetTruth, command: Command) -> NDArray[np.float64]:
+        """Answer the last row of truth.
+
+        Args:
+            truth: The last control step.
+            command: What was planned for its end.
+
+        Returns:
+            What to add to the targets of the leg motors in rad, shape (L,).
+        """
+        share = self._motion.shares(command)
+        slid = share @ (truth.position_sole[-1] - command.position_sole)[:, :2]
+        error = truth.com[-1, :2] - command.com[:2] - slid
+        error += self._time * (truth.com_velocity[-1, :2] - command.com_velocity[:2])
+        shift = np.minimum(np.maximum(GAIN * error, -self._half), self._half)
+        left, right = self._of_shift
+        corrected: NDArray[np.float64] = (share[0] * left + share[1] * right) @ shift
+        return corrected

@@ -1,0 +1,218 @@
+r"""Postures of an exercise, and what motors have to be told so that they hold them.
+
+A motor with stiffness k gives way by u / k under the torque u that it has to exert, so that its target leads
+by as much. The torques follow from the equations of motion of the floating robot,
+:math:`M \ddot q + c = B^T u + J_c^T \lambda + \sum_i \alpha_i J_i^T w`: each sole i bears the share
+:math:`\alpha_i` of one wrench w, which the six rows of the floating torso determine; the others determine u.
+"""
+
+from typing import Any, Final
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.exercise.robot import ExerciseRobot, motor_moments
+from surefoot.envs.instrumentation.feet import standing_pose
+
+TOLERANCE: Final = 1e-5
+"""Largest error left in m and rad."""
+
+ITERATIONS: Final = 40
+"""Newton steps before a posture counts as out of reach; a few suffice."""
+
+PITCH_AXIS: Final = 0.8
+"""Least share of the robot's left in the axis of a joint that pitches."""
+
+
+class UnreachableError(ValueError):
+    """A posture that the legs cannot take."""
+
+
+class Postures:
+    """Level soles where the robot stands, an upright torso and a centre of mass in a given place.
+
+    Args:
+        robot: The robot.
+        bend: Flexion in rad that is added to the knees of legs that pitch in hip, knee and ankle.
+        inward: How far inside the middle of its sole the robot stands on one leg, as a share of half the
+            sole's width.
+
+    Attributes:
+        position_sole: Origins of the soles on the ground in m, shape (2, 3); they lie about the origin.
+        yaw_sole: Their headings in rad, shape (2,).
+        forward: Mean heading, shape (3,).
+        left: Across it, shape (3,).
+        up_torso: The vertical in the torso's axes, shape (3,).
+        stand: Where the soles bear the robot in m, shape (2, 2).
+        com: Centre of mass between the two in m, shape (3,).
+        qpos: The posture with it, shape (nq,).
+
+    Raises:
+        UnreachableError: If the first posture is out of the legs' reach.
+    """
+
+    def __init__(self, robot: ExerciseRobot, bend: float, inward: float) -> None:
+        self.robot = robot
+        model, data = robot.model, standing_pose(robot.model)
+        axes = np.array([data.site_xmat[site].reshape(3, 3)[:, 0] for site in robot.soles])
+        place = np.array([data.site_xpos[site] for site in robot.soles])
+        self.yaw_sole = np.arctan2(axes[:, 1], axes[:, 0])
+        self.position_sole = (place - place.mean(axis=0)) * (1.0, 1.0, 0.0)
+        heading = np.arctan2(axes[:, 1].sum(), axes[:, 0].sum())
+        self.forward = np.array([np.cos(heading), np.sin(heading), 0.0])
+        self.left = np.array([-np.sin(heading), np.cos(heading), 0.0])
+        c, s = np.cos(self.yaw_sole), np.sin(self.yaw_sole)
+        x, y = robot.centre.T
+        middle = self.position_sole[:, :2] + np.stack([c * x - s * y, s * x + c * y], axis=1)
+        to_other = middle[::-1] - middle
+        to_other /= np.linalg.norm(to_other, axis=1, keepdims=True)
+        self.stand = middle + inward * robot.half[1] * to_other
+
+        self._data = mujoco.MjData(model)
+        self._configuration = mink.Configuration(model)
+        self._soles = [
+            mink.FrameTask(model.site(site).name, "site", position_cost=10.0, orientation_cost=3.0)
+            for site in robot.soles
+        ]
+        self._com = mink.ComTask(cost=10.0)
+        self._upright = mink.FrameTask(
+            model.body(robot.torso).name, "body", position_cost=0.0, orientation_cost=[1.0, 1.0, 0.0]
+        )
+        R_world_torso = data.xmat[robot.torso].reshape(3, 3)
+        self.up_torso = R_world_torso[2].copy()
+        self._upright.set_target(mink.SE3.from_rotation(mink.SO3.from_matrix(R_world_torso)))
+        free = {*range(6), *(int(model.jnt_dofadr[joint]) for joint in np.concatenate(robot.legs))}
+        still = [dof for dof in range(model.nv) if dof not in free]
+        self._constraints: list[Any] = [mink.DofFreezingTask(model, dof_indices=still)] if still else []
+        if model.neq:
+            self._constraints.append(mink.EqualityConstraintTask(model, cost=1.0))
+        self._limits = [mink.ConfigurationLimit(model)]
+        bent, height = self._bent(data, bend)
+        self.com = np.array([*self.stand.mean(axis=0), height])
+        self.qpos = self.solve(self.com, np.zeros(2), bent)
+
+    def solve(
+        self, com: NDArray[np.float64], lift: NDArray[np.float64], start: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Find a posture.
+
+        Args:
+            com: Centre of mass in m, shape (3,).
+            lift: Heights of the soles in m, shape (2,).
+            start: Posture to start from, shape (nq,).
+
+        Returns:
+            The posture, shape (nq,).
+
+        Raises:
+            UnreachableError: If it is out of the legs' reach or limits.
+        """
+        configuration = self._configuration
+        configuration.update(start)
+        for task, position, yaw, up in zip(self._soles, self.position_sole, self.yaw_sole, lift, strict=True):
+            place = np.array([position[0], position[1], up])
+            rotation = mink.SO3.from_z_radians(float(yaw))
+            task.set_target(mink.SE3.from_rotation_and_translation(rotation, place))
+        self._com.set_target(com)
+        tasks = [*self._soles, self._com, self._upright]
+        for _ in range(ITERATIONS):
+            errors = [task.compute_error(configuration) for task in tasks]
+            # The upright task leaves place and heading alone.
+            errors[-1] = errors[-1][3:5]
+            error = max(float(np.abs(part).max()) for part in errors)
+            if error < TOLERANCE:
+                return np.array(configuration.q)
+            velocity = mink.solve_ik(
+                configuration,
+                tasks,
+                1.0,
+                "daqp",
+                damping=1e-9,
+                limits=self._limits,
+                constraints=self._constraints,
+            )
+            configuration.integrate_inplace(velocity, 1.0)
+        raise UnreachableError(
+            f"The legs cannot hold the soles at {np.round(self.position_sole[:, :2], 3).tolist()} m, lifted "
+            f"by {np.round(lift, 3).tolist()} m, under an upright torso with the centre of mass at "
+            f"{np.round(com, 3).tolist()} m: {error:.4f} m or rad remain."
+        )
+
+    def shares(self, cop: NDArray[np.float64], lift: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Share the load between the soles so that it acts at a centre of pressure.
+
+        Args:
+            cop: Centre of pressure in m, shape (2,).
+            lift: Heights of the soles in m, shape (2,); who is lifted bears nothing.
+
+        Returns:
+            Shares of the weight, shape (2,).
+        """
+        left, right = self.stand
+        share = float((cop - right) @ (left - right) / ((left - right) @ (left - right)))
+        share = 0.0 if lift[0] > 0.0 else 1.0 if lift[1] > 0.0 else min(max(share, 0.0), 1.0)
+        return np.array([share, 1.0 - share])
+
+    def leads(
+        self, qpos: NDArray[np.float64], slope: NDArray[np.float64], share: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Tell what the motors have to be told in a posture on a path.
+
+        Args:
+            qpos: The posture, shape (nq,).
+            slope: Change of the posture per unit of the path's parameter, shape (nv,).
+            share: Shares of the load on the soles, shape (2,).
+
+        Returns:
+            The targets at rest, and what to add to them per unit of the parameter's speed and acceleration
+            against damping and inertia, in rad, rad s and rad s^2, shape (M,) each.
+        """
+        model, data = self.robot.model, self._data
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        moments = motor_moments(model, data)
+        jacobian = np.zeros((6, model.nv))
+        for i, site in enumerate(self.robot.soles):
+            one = np.zeros((6, model.nv))
+            point = np.array([*self.stand[i], data.site_xpos[site][2]])
+            mujoco.mj_jac(model, data, one[:3], one[3:], point, int(model.site_bodyid[site]))
+            jacobian += share[i] * one
+        exerted = [moments]
+        equality = np.flatnonzero(data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        if len(equality):
+            dense = np.zeros((data.nefc, model.nv))
+            if mujoco.mj_isSparse(model):
+                mujoco.mju_sparse2dense(
+                    dense, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+                )
+            else:
+                dense[:] = data.efc_J.reshape(-1, model.nv)[: data.nefc]
+            exerted.append(dense[equality])
+        inertial = np.zeros(model.nv)
+        mujoco.mj_mulM(model, data, inertial, slope)
+        needed = np.stack([data.qfrc_bias - data.qfrc_passive, model.dof_damping * slope, inertial], 1)
+        needed -= jacobian.T @ np.linalg.solve(jacobian[:, :6].T, needed[:6])
+        torque = np.linalg.lstsq(np.concatenate(exerted).T, needed, rcond=None)[0][: model.nu]
+        stiffness, damping = model.actuator_gainprm[:, 0], -model.actuator_biasprm[:, 2]
+        lead = torque / np.where(stiffness > 0.0, stiffness, np.inf)[:, None]
+        braked = damping * (moments @ slope) / np.where(stiffness > 0.0, stiffness, np.inf)
+        return data.actuator_length + lead[:, 0], lead[:, 1] + braked, lead[:, 2]
+
+    def _bent(self, data: mujoco.MjData, bend: float) -> tuple[NDArray[np.float64], float]:
+        """Flex the knees of the standing robot; tells the height of its centre of mass over the soles."""
+        model, bent = self.robot.model, self._data
+        bent.qpos[:] = data.qpos
+        for leg in self.robot.legs:
+            along = data.xaxis[leg] @ self.left
+            pitch = np.flatnonzero(np.abs(along) > PITCH_AXIS)
+            if len(pitch) == 3:
+                flexion = np.array([-0.5, 1.0, -0.5]) * bend * np.sign(along[pitch])
+                bent.qpos[model.jnt_qposadr[leg[pitch]]] += flexion
+        mujoco.mj_kinematics(model, bent)
+        mujoco.mj_comPos(model, bent)
+        sole = np.mean([bent.site_xpos[site] for site in self.robot.soles], axis=0)
+        qpos = bent.qpos.copy()
+        qpos[:3] -= sole
+        return qpos, float(bent.subtree_com[self.robot.torso][2] - sole[2])

@@ -1,0 +1,175 @@
+"""A biped with flat feet that is to exercise: its sensors, its legs, and motors strong enough to stand on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.exercise.robots import ROBOTS, load_robot_spec
+from surefoot.envs.instrumentation.feet import standing_pose
+from surefoot.envs.instrumentation.spec import Instrumentation, instrument
+
+STANDING_STIFFNESS: Final = 2.0
+"""Least stiffness of a leg's motor in multiples of m g h, the stiffness with which gravity tips a robot of
+mass m over whose centre of mass is h high: an ankle needs more than 1 to stand on alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExerciseRobot:
+    """A compiled biped.
+
+    Attributes:
+        instrumentation: Its sensors.
+        model: The compiled ``instrumentation.spec``, with the gains of the legs raised where necessary.
+        torso: Number of the body that floats.
+        soles: Numbers of the sites of both soles, the left one first.
+        legs: Numbers of each leg's hinge joints, from the hip down.
+        leg_motors: Numbers of the L actuators that move them, in model order.
+        centre: Middles of the largest rectangles on the soles, in the sole frames in m, shape (2, 2).
+        half: Half their lengths and widths in m, the less of both feet, shape (2,).
+    """
+
+    instrumentation: Instrumentation
+    model: mujoco.MjModel
+    torso: int
+    soles: tuple[int, ...]
+    legs: tuple[NDArray[np.intp], ...]
+    leg_motors: NDArray[np.intp]
+    centre: NDArray[np.float64]
+    half: NDArray[np.float64]
+
+    @property
+    def gravity(self) -> float:
+        """Size of gravity in m/s^2."""
+        return float(np.linalg.norm(self.model.opt.gravity))
+
+    @property
+    def weight(self) -> float:
+        """Weight in N."""
+        return self.gravity * float(self.model.body_subtreemass[self.torso])
+
+
+def prepare_robot(robot: Any, feet: Sequence[str] | None = None) -> ExerciseRobot:
+    """Put sensors into a biped and make it strong enough to stand on one leg.
+
+    Args:
+        robot: A name that :func:`~surefoot.envs.exercise.robots.load_robot_spec` knows, the path of an MJCF
+        file with
+            robot and floor, or such a ``mujoco.MjSpec``, which is not changed.
+        feet: Names of the feet's bodies, the left one first; None to guess.
+
+    Raises:
+        ModuleNotFoundError: If a named robot's package is missing.
+        TypeError: If ``robot`` or ``feet`` is of another type.
+        ValueError: If there is no such robot or file, it has not two flat feet, it does not float on one free
+            joint, or a joint of a leg has no position motor.
+    """
+    instrumentation = instrument(_load(robot), feet)
+    model = instrumentation.spec.compile()
+    bodies = [foot.body for foot in instrumentation.feet]
+    if len(bodies) != 2:
+        raise ValueError(f"An exercise needs two feet, feet=(left, right); got {bodies}.")
+    if instrumentation.drawing.flaw:
+        raise ValueError(instrumentation.drawing.flaw)
+    torso = int(model.body(instrumentation.torso).id)
+    if (
+        model.body_jntnum[torso] != 1
+        or model.jnt_type[model.body_jntadr[torso]] != mujoco.mjtJoint.mjJNT_FREE
+    ):
+        raise ValueError(f"The body '{instrumentation.torso}' must float on one free joint; give it one.")
+    legs = tuple(_leg(model, int(model.body(body).id), torso) for body in bodies)
+    leg_motors = _motors(model, np.unique(np.concatenate(legs)))
+    soles = tuple(int(model.site(sole).id) for sole in instrumentation.drawing.soles)
+    _strengthen(model, leg_motors, torso, soles)
+    corners = np.array([foot.layout(0.0) for foot in instrumentation.feet])
+    return ExerciseRobot(
+        instrumentation=instrumentation,
+        model=model,
+        torso=torso,
+        soles=soles,
+        legs=legs,
+        leg_motors=leg_motors,
+        centre=corners.mean(axis=1),
+        half=np.ptp(corners, axis=1).min(axis=0) / 2.0,
+    )
+
+
+def motor_moments(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
+    """Tell by how much each actuator acts on each degree of freedom, shape (M, nv)."""
+    moments = np.zeros((model.nu, model.nv))
+    if model.nu:
+        mujoco.mju_sparse2dense(
+            moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+    return moments
+
+
+def _load(robot: Any) -> mujoco.MjSpec:
+    """Read a robot with its floor."""
+    if isinstance(robot, mujoco.MjSpec):
+        return robot
+    if not isinstance(robot, str | Path):
+        raise TypeError(
+            f"'robot' must be a name, the path of an MJCF file or a mujoco.MjSpec; got a "
+            f"{type(robot).__name__}."
+        )
+    if robot in ROBOTS:
+        return load_robot_spec(str(robot))
+    if not Path(robot).is_file():
+        raise ValueError(
+            f"'robot' must be one of {list(ROBOTS)} or the path of an MJCF file; there is no '{robot}'."
+        )
+    return mujoco.MjSpec.from_file(str(robot))
+
+
+def _leg(model: mujoco.MjModel, foot: int, torso: int) -> NDArray[np.intp]:
+    """List the joints between torso and foot, from the hip down."""
+    joints: list[int] = []
+    while foot != torso:
+        first = int(model.body_jntadr[foot])
+        joints = [*range(first, first + int(model.body_jntnum[foot])), *joints]
+        foot = int(model.body_parentid[foot])
+    others = [model.joint(j).name for j in joints if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE]
+    if others:
+        raise ValueError(f"The joints of a leg must be hinges; {others} are none.")
+    return np.array(joints, dtype=np.intp)
+
+
+def _motors(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Find what moves the legs."""
+    data = standing_pose(model)
+    mujoco.mj_forward(model, data)
+    arms = motor_moments(model, data)[:, model.jnt_dofadr[joints]]
+    motors = np.flatnonzero(np.any(arms != 0.0, axis=1))
+    stiffness = model.actuator_gainprm[:, 0]
+    servo = (
+        (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED)
+        & (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE)
+        & (stiffness > 0.0)
+        & np.isclose(model.actuator_biasprm[:, 1], -stiffness)
+    )
+    idle = [model.joint(j).name for j, arm in zip(joints, arms.T, strict=True) if not np.any(arm[servo])]
+    other = [model.actuator(i).name for i in motors if not servo[i]]
+    if idle or other:
+        raise ValueError(
+            f"Each joint of a leg needs a position actuator (<position kp=... kv=...>): the joints {idle} "
+            f"have none, and the actuators {other} are of another kind."
+        )
+    return motors
+
+
+def _strengthen(model: mujoco.MjModel, motors: NDArray[np.intp], torso: int, soles: tuple[int, ...]) -> None:
+    """Raise gains that are too low, and the damping with their root, which keeps the damping ratio."""
+    data = standing_pose(model)
+    weight = float(model.body_subtreemass[torso] * np.linalg.norm(model.opt.gravity))
+    height = float(data.subtree_com[torso][2] - data.site_xpos[list(soles), 2].mean())
+    least = STANDING_STIFFNESS * weight * height
+    for motor in motors:
+        ratio = max(least / float(model.actuator_gainprm[motor, 0]), 1.0)
+        model.actuator_gainprm[motor, 0] *= ratio
+        model.actuator_biasprm[motor, 1] *= ratio
+        model.actuator_biasprm[motor, 2] *= np.sqrt(ratio)

@@ -1,0 +1,1 @@
+"""Walking patterns: footsteps, centre of mass, joints."""

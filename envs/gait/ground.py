@@ -1,0 +1,161 @@
+"""What happens on the ground during a walk: where the soles are and where the centre of pressure is to be."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.gait.footsteps import LEFT, Footstep, GaitTiming, stance_of_stand
+from surefoot.envs.gait.roll import TOE_AND_HEEL, pivot_of, roll_of_step
+from surefoot.envs.gait.swing import lift, minimum_jerk
+
+__all__ = ["Ground", "Walk", "lay_out"]
+
+COP_SOLE = (0.015, 0.010)
+"""Where the centre of pressure is under a foot that carries alone: ahead of the ankle and inwards, in m."""
+
+
+class Walk(NamedTuple):
+    """Footsteps without a stand between them.
+
+    Attributes:
+        start: Control step at which the weight begins to move onto the first supporting foot.
+        footsteps: The steps in order; the last one closes the feet.
+    """
+
+    start: int
+    footsteps: tuple[Footstep, ...]
+
+
+@dataclass
+class Ground:
+    """The ground's side of a pattern, one row a control step.
+
+    Attributes:
+        position_sole: Soles' origins, shape (ticks, 2, 3), m.
+        yaw_sole: Soles' headings, shape (ticks, 2), rad.
+        pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad.
+        cop: Where the centre of pressure is to be, shape (ticks, 2), m.
+        cop_foot: Where each foot is to carry when it does, shape (ticks, 2, 2), m.
+        stance: Whether a foot is planned to carry, shape (ticks, 2).
+        phase: Phase of the stride in [0, 1), shape (ticks,).
+    """
+
+    position_sole: NDArray[np.float64]
+    yaw_sole: NDArray[np.float64]
+    pitch_sole: NDArray[np.float64]
+    cop: NDArray[np.float64]
+    cop_foot: NDArray[np.float64]
+    stance: NDArray[np.bool_]
+    phase: NDArray[np.float64]
+
+    @property
+    def share(self) -> NDArray[np.float64]:
+        """Share of the weight on each foot, as the centre of pressure says, shape (ticks, 2)."""
+        between = self.cop_foot[:, 1] - self.cop_foot[:, 0]
+        right = ((self.cop - self.cop_foot[:, 0]) * between).sum(axis=1) / (between**2).sum(axis=1)
+        return np.where(self.stance, np.stack([1.0 - right, right], axis=1), 0.0)
+
+
+def lay_out(
+    walks: Sequence[Walk],
+    timing: GaitTiming,
+    ticks: int,
+    lift_height: float,
+    half_width: float,
+    foot_roll: float = 0.0,
+) -> Ground:
+    """Write down, tick by tick, what the footsteps mean.
+
+    Args:
+        walks: Walks in the order of time, each with room for the last shift of the weight before the next.
+        timing: Duration of a step and of its parts.
+        ticks: Control steps of all of it.
+        lift_height: How high a foot is lifted, in m.
+        half_width: Distance of either sole's origin from the middle at the start, in m.
+        foot_roll: Pitch at lift-off and touch-down in rad.
+    """
+    stand = stance_of_stand(half_width)
+    position = np.tile(np.array([[*foot.position, 0.0] for foot in stand]), (ticks, 1, 1))
+    yaw = np.zeros((ticks, 2))
+    pitch = np.zeros((ticks, 2))
+    stance = np.ones((ticks, 2), dtype=bool)
+    phase = np.zeros(ticks)
+    cop = np.empty((ticks, 2))
+    cop_foot = np.tile(np.array([_cop_of(foot) for foot in stand]), (ticks, 1, 1))
+
+    feet = list(stand)
+    tick = 0
+    cop_now = np.mean([_cop_of(foot) for foot in feet], axis=0)
+    double, single = timing.double_ticks, timing.step_ticks - timing.double_ticks
+    # In the air throughout the swing, the foot stands on the ground a tick before it and a tick after.
+    air = (np.arange(single) + 1.0) / (single + 1.0)
+    for walk in walks:
+        cop[tick : walk.start] = cop_now
+        tick = walk.start
+        for step in walk.footsteps:
+            support, old = feet[1 - step.foot], feet[step.foot]
+            cop_next = _cop_of(support)
+            _shift(cop[tick : tick + double], cop_now, cop_next)
+            swing = slice(tick + double, tick + double + single)
+            cop[swing] = cop_now = cop_next
+            way = minimum_jerk(air)[:, None]
+            position[swing, step.foot, :2] = np.add(
+                old.position, way * np.subtract(step.position, old.position)
+            )
+            position[swing, step.foot, 2] = lift(air, lift_height)
+            yaw[swing, step.foot] = old.yaw + way[:, 0] * (step.yaw - old.yaw)
+            position[swing.stop :, step.foot, :2] = step.position
+            yaw[swing.stop :, step.foot] = step.yaw
+            stance[swing, step.foot] = False
+            cop_foot[tick + double :, step.foot] = _cop_of(step)
+            if foot_roll:
+                rolled = roll_of_step(foot_roll * _direction(old, step), double, single)
+                pitch[tick : swing.stop + double, step.foot] += np.concatenate(rolled)
+            phase[tick : swing.stop] = (
+                0.5 * (step.foot + np.arange(timing.step_ticks) / timing.step_ticks)
+            ) % 1.0
+            feet[step.foot] = step
+            tick = swing.stop
+        cop_last = np.mean([_cop_of(foot) for foot in feet], axis=0)
+        _shift(cop[tick : tick + double], cop_now, cop_last)
+        tick, cop_now = tick + double, cop_last
+    cop[tick:] = cop_now
+    ground = Ground(position, yaw, pitch, cop, cop_foot, stance, phase)
+    if foot_roll:
+        _roll(ground, foot_roll)
+    return ground
+
+
+def _roll(ground: Ground, foot_roll: float) -> None:
+    """Turn pitched soles about the edge that stays down, and let them carry there."""
+    forward, up = pivot_of(ground.pitch_sole)
+    ahead = np.stack([np.cos(ground.yaw_sole), np.sin(ground.yaw_sole)], axis=-1)
+    ground.position_sole[..., :2] += forward[..., None] * ahead
+    ground.position_sole[..., 2] += up
+    edge = np.where(ground.pitch_sole > 0.0, *TOE_AND_HEEL) - COP_SOLE[0]
+    moved = np.abs(ground.pitch_sole) / foot_roll * edge
+    ground.cop_foot += moved[..., None] * ahead
+
+
+def _direction(old: Footstep, new: Footstep) -> float:
+    """1 for a step forward or on the spot, -1 for one backwards."""
+    x, y = np.subtract(new.position, old.position)
+    return -1.0 if np.cos(new.yaw) * x + np.sin(new.yaw) * y < -1e-6 else 1.0
+
+
+def _cop_of(foot: Footstep) -> NDArray[np.float64]:
+    """Where the centre of pressure is to be when this foot alone carries, shape (2,)."""
+    forward, inward = COP_SOLE
+    left = -inward if foot.foot == LEFT else inward
+    c, s = np.cos(foot.yaw), np.sin(foot.yaw)
+    x, y = foot.position
+    return np.array([x + c * forward - s * left, y + s * forward + c * left])
+
+
+def _shift(cop: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+    """Move smoothly from one place to another, in place, shape (ticks, 2)."""
+    way = minimum_jerk(np.arange(len(cop)) / len(cop))
+    cop[:] = start + way[:, None] * (end - start)

@@ -1,0 +1,252 @@
+"""A whole walk, planned before it is walked: stand, start, walk or turn, stop, stand.
+
+From the footsteps follows where the centre of pressure is to be: under the supporting foot while one foot
+carries, moving smoothly from one foot to the other while both do. Preview control finds a motion of the
+centre of mass with that centre of pressure, the swinging foot goes along smooth polynomials, and inverse
+kinematics turns it all into joint targets.
+
+The cart-table knows nothing of the swinging leg. As Kajita et al. (2003) propose, the centre of pressure that
+the planned motion of the *whole* robot asks for is computed, and a second run of the preview control, on the
+difference to the reference, corrects the motion of the centre of mass.
+
+What the motors are told leads the posture by what is known to hold it back: the servos give way under their
+load and lag behind by kv / kp, and the ground gives way under a foot.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+from surefoot.envs.gait.dynamics import joint_torques, joint_velocities, motor_targets, multibody_zmp
+from surefoot.envs.gait.footsteps import CONTROL_RATE, Footstep, GaitTiming, plan_footsteps
+from surefoot.envs.gait.ground import Ground, Walk, lay_out
+from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
+from surefoot.envs.gait.preview import CartTable, track_zmp
+from surefoot.envs.gait.roll import checked_roll
+from surefoot.envs.gait.route import Leg, plan_legs
+from surefoot.envs.robot import load_nao_spec
+
+__all__ = ["Pattern", "plan_route", "plan_walk"]
+
+LIFT_HEIGHT = 0.015
+"""How high a foot is lifted, in m."""
+
+COM_HEIGHT = 0.266
+"""Height of the centre of mass above the soles in m: knees bent by about 0.8 rad in a stand."""
+
+COM_LOWERING = 0.12
+"""By how many m the centre of mass is lowered for each m of a step beyond 0.02 m, for the legs to reach."""
+
+HALF_WIDTH = 0.05
+"""Distance of either ankle from the middle in m: legs vertical below the hips."""
+
+GROUND_GIVE = 0.7e-3
+"""How far a foot that carries the whole robot is pressed down, in m.
+
+The ground gives way by 0.5 mm and the legs by the rest. Otherwise the swinging foot would meet the ground
+early, and take over weight that the other is still to carry.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """A planned walk at the control rate; arrays are read-only and have one row a control step.
+
+    Attributes:
+        joint_target: Targets of the motors in the order of the model's actuators, shape (ticks, M), rad.
+        qpos: The planned posture, floating torso first, shape (ticks, nq).
+        com: Centre of mass in the pattern's world, shape (ticks, 3), m.
+        com_velocity: Its velocity, shape (ticks, 3), m/s.
+        com_acceleration: Its acceleration, shape (ticks, 3), m/s².
+        cop: Where the centre of pressure is to be, shape (ticks, 2), m.
+        position_sole: Soles' origins, shape (ticks, 2, 3), m.
+        yaw_sole: Soles' headings, shape (ticks, 2), rad.
+        pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad.
+        stance: Whether a foot is planned to carry, shape (ticks, 2).
+        phase: Phase of the stride (two steps) in [0, 1), shape (ticks,); 0 while standing.
+        footsteps: The footsteps after the initial stand.
+        kinematic_error: Largest error of a planned sole or centre of mass in m.
+    """
+
+    joint_target: NDArray[np.float64]
+    qpos: NDArray[np.float64]
+    com: NDArray[np.float64]
+    com_velocity: NDArray[np.float64]
+    com_acceleration: NDArray[np.float64]
+    cop: NDArray[np.float64]
+    position_sole: NDArray[np.float64]
+    yaw_sole: NDArray[np.float64]
+    pitch_sole: NDArray[np.float64]
+    stance: NDArray[np.bool_]
+    phase: NDArray[np.float64]
+    footsteps: tuple[Footstep, ...]
+    kinematic_error: float
+
+    @property
+    def ticks(self) -> int:
+        """Number of control steps."""
+        return len(self.com)
+
+    def command(self, tick: int) -> Command:
+        """What the robot commands at a control step; before the first and after the last, it stands there."""
+        k = min(max(tick, 0), self.ticks - 1)
+        return Command(
+            joint_target=self.joint_target[k],
+            com=self.com[k],
+            com_velocity=self.com_velocity[k],
+            com_acceleration=self.com_acceleration[k],
+            cop=self.cop[k],
+            position_sole=self.position_sole[k],
+            yaw_sole=self.yaw_sole[k],
+            stance=self.stance[k],
+            swing=~self.stance[k],
+            phase=float(self.phase[k]),
+        )
+
+
+@lru_cache(maxsize=32)
+def plan_walk(
+    speed: float = 0.04,
+    turn_rate: float = 0.0,
+    duration: float = 60.0,
+    *,
+    timing: GaitTiming | None = None,
+    lift_height: float = LIFT_HEIGHT,
+    com_height: float | None = None,
+    half_width: float = HALF_WIDTH,
+    foot_roll: float = 0.0,
+) -> Pattern:
+    """Plan a walk on the flat from standing to standing.
+
+    The same arguments give the same pattern, planned once in a process.
+
+    Args:
+        speed: Forward speed in m/s, negative backwards; 0 marks time, or turns in place.
+        turn_rate: Change of heading in rad/s, positive to the left.
+        duration: Duration of all of it, standing included, in s.
+        timing: Duration of a step and of its parts.
+        lift_height: How high a foot is lifted, in m.
+        com_height: Height of the centre of mass in m; the longer the steps, the lower, when not given.
+        half_width: Distance of either ankle from the path in m.
+        foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel; 0 keeps it flat.
+
+    Raises:
+        ValueError: If the walk asks more than the legs can do, or does not fit into its duration.
+
+    >>> plan_walk(0.04, 0.0, 6.0).ticks
+    480
+    """
+    timing = GaitTiming() if timing is None else timing
+    ticks = _ticks_of(duration)
+    steps = timing.steps_within(duration)
+    if steps < 2:
+        least = 2 * (timing.stand_time + timing.step_time) + timing.double_support * timing.step_time
+        raise ValueError(
+            f"'duration' {duration} s leaves no room for two steps between {timing.stand_time} s of standing "
+            f"at either end; walk for at least {least + 0.05:.2f} s."
+        )
+    footsteps = plan_footsteps(speed, turn_rate, steps, timing.step_time, half_width)
+    if com_height is None:
+        com_height = _com_height(speed, timing)
+    walks = (Walk(timing.stand_ticks, footsteps),)
+    ground = lay_out(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll))
+    return _make_pattern(ground, footsteps, com_height)
+
+
+@lru_cache(maxsize=32)
+def plan_route(
+    legs: tuple[Leg, ...],
+    duration: float | None = None,
+    *,
+    timing: GaitTiming | None = None,
+    lift_height: float = LIFT_HEIGHT,
+    com_height: float | None = None,
+    half_width: float = HALF_WIDTH,
+    foot_roll: float = 0.0,
+) -> Pattern:
+    """Plan walking, turning and standing one after another, from standing to standing.
+
+    Legs that walk flow into each other; a leg that stands has the feet side by side from its first moment to
+    its last. A walk takes whole steps, so that it may stand up to a step before its time is over.
+
+    Args:
+        legs: The legs, from :func:`~surefoot.envs.gait.route.checked_route`.
+        duration: Duration of all of it in s, the stands before and after the route included; what the route
+            leaves over is stood. ``None`` for as long as it takes.
+        timing: Duration of a step and of its parts.
+        lift_height: How high a foot is lifted, in m.
+        com_height: Height of the centre of mass in m; as low as the longest steps need, when not given.
+        half_width: Distance of either ankle from the path in m.
+        foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel; 0 keeps it flat.
+
+    Raises:
+        ValueError: If the route asks more than the legs can do, or does not fit into the duration.
+
+    >>> plan_route((Leg(4.0, 0.04, 0.0), Leg(2.0, 0.0, 0.0), Leg(4.0, 0.0, 0.2))).ticks
+    960
+    """
+    timing = GaitTiming() if timing is None else timing
+    walks, end = plan_legs(legs, timing, half_width)
+    least = end + timing.stand_ticks
+    ticks = least if duration is None else _ticks_of(duration)
+    if ticks < least:
+        raise ValueError(
+            f"'route' takes {least / CONTROL_RATE} s with {timing.stand_time} s of standing at either end, "
+            f"longer than its 'duration' of {duration} s; give it that time or leave out a leg."
+        )
+    if com_height is None:
+        com_height = _com_height(max(abs(leg.speed) for leg in legs), timing)
+    ground = lay_out(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll))
+    return _make_pattern(ground, tuple(step for walk in walks for step in walk.footsteps), com_height)
+
+
+def _ticks_of(duration: float) -> int:
+    if not (np.isfinite(duration) and duration > 0):
+        raise ValueError(f"'duration' must be a positive number of seconds, got {duration}.")
+    return round(duration * CONTROL_RATE)
+
+
+def _com_height(speed: float, timing: GaitTiming) -> float:
+    return COM_HEIGHT - COM_LOWERING * max(abs(speed) * timing.step_time - 0.02, 0.0)
+
+
+def _make_pattern(ground: Ground, footsteps: tuple[Footstep, ...], com_height: float) -> Pattern:
+    model = load_nao_spec().compile()
+    kinematics = WholeBodyKinematics(model)
+    table = CartTable(com_height, 1.0 / CONTROL_RATE)
+    height = np.full((len(ground.cop), 1), com_height)
+
+    def postures(com: NDArray[np.float64], press: float = 0.0) -> JointTrack:
+        sole = ground.position_sole.copy()
+        sole[..., 2] -= press * ground.share
+        return kinematics.track(np.hstack([com, height]), sole, ground.yaw_sole, ground.pitch_sole)
+
+    motion = track_zmp(ground.cop, table)
+    excess = multibody_zmp(model, postures(motion.position).qpos, table.dt) - ground.cop
+    correction = track_zmp(excess, table)
+    com, velocity, acceleration = (
+        planned - corrected for planned, corrected in zip(motion[:3], correction[:3], strict=True)
+    )
+    qpos, error = postures(com)
+    pressing = postures(com, GROUND_GIVE).qpos
+    torque = joint_torques(model, qpos, ground.cop_foot, ground.share, table.dt)
+    flat = np.zeros_like(height)
+    arrays = {
+        "joint_target": motor_targets(model, pressing, joint_velocities(model, qpos, table.dt), torque),
+        "qpos": qpos,
+        "com": np.hstack([com, height]),
+        "com_velocity": np.hstack([velocity, flat]),
+        "com_acceleration": np.hstack([acceleration, flat]),
+        "cop": ground.cop,
+        "position_sole": ground.position_sole,
+        "yaw_sole": ground.yaw_sole,
+        "pitch_sole": ground.pitch_sole,
+        "stance": ground.stance,
+        "phase": ground.phase,
+    }
+    for array in arrays.values():
+        array.flags.writeable = False
+    return Pattern(**arrays, footsteps=footsteps, kinematic_error=error)

@@ -1,0 +1,142 @@
+"""A route: legs of walking, turning and standing, one after another."""
+
+from collections.abc import Sequence
+from itertools import groupby
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surefoot.envs.gait.footsteps import (
+    CONTROL_RATE,
+    Footstep,
+    GaitTiming,
+    check_gait,
+    end_of_path,
+    place_footsteps,
+)
+from surefoot.envs.gait.ground import Walk
+
+__all__ = ["Leg", "checked_route", "plan_legs"]
+
+LEAST_STAND = 0.5
+"""Shortest leg of standing in s: the weight has to settle."""
+
+
+class Leg(NamedTuple):
+    """A part of a route.
+
+    Attributes:
+        duration: How long it takes in s.
+        speed: Forward speed in m/s, negative backwards.
+        turn_rate: Change of heading in rad/s, positive to the left. With the speed zero as well, the leg
+            stands still.
+    """
+
+    duration: float
+    speed: float
+    turn_rate: float
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot stands still."""
+        return self.speed == 0.0 and self.turn_rate == 0.0
+
+
+def checked_route(route: Any) -> tuple[Leg, ...]:
+    """Make legs of what an option holds.
+
+    Args:
+        route: Legs (duration in s, speed in m/s, turn rate in rad/s), as lists or tuples.
+
+    Raises:
+        ValueError: If it is not a sequence of such legs, naming the first that is none.
+
+    >>> checked_route([[8.0, 0.04, 0.0], [3.0, 0, 0]])[1].stands
+    True
+    """
+    try:
+        rows = [list(leg) for leg in route]
+    except TypeError:
+        rows = []
+    if not rows or isinstance(route, str):
+        raise ValueError(
+            "'route' must hold one or more legs (duration in s, speed in m/s, turn rate in rad/s), such as "
+            f"[[8.0, 0.04, 0.0], [3.0, 0.0, 0.0]], got {route!r}."
+        )
+    legs = []
+    for index, row in enumerate(rows):
+        try:
+            duration, speed, turn_rate = (float(part) for part in row)
+        except (TypeError, ValueError):
+            duration = speed = turn_rate = float("nan")
+        if not (isfinite(duration) and isfinite(speed) and isfinite(turn_rate) and duration > 0.0):
+            raise ValueError(
+                f"'route' leg {index} must be (duration in s, speed in m/s, turn rate in rad/s), three "
+                f"finite numbers with a positive duration, got {row!r}."
+            )
+        legs.append(Leg(duration, speed, turn_rate))
+    return tuple(legs)
+
+
+def plan_legs(legs: Sequence[Leg], timing: GaitTiming, half_width: float) -> tuple[tuple[Walk, ...], int]:
+    """Place the footsteps of a route that begins after the first stand of a pattern.
+
+    Args:
+        legs: The legs.
+        timing: Duration of a step and of its parts.
+        half_width: Distance of either sole's origin from the path in m.
+
+    Returns:
+        The walks, legs without a stand between them being one, and the control step at which the route ends.
+
+    Raises:
+        ValueError: If a leg is too fast for the legs of the robot, or too short for two steps or a stand.
+    """
+    tick, walks = timing.stand_ticks, []
+    where = (0.0, 0.0, 0.0)
+    for stands, group in groupby(enumerate(legs), key=lambda numbered: numbered[1].stands):
+        numbers, run = zip(*group, strict=True)
+        start = tick
+        tick += round(sum(leg.duration for leg in run) * CONTROL_RATE)
+        if stands:
+            if (tick - start) / CONTROL_RATE < LEAST_STAND:
+                raise ValueError(
+                    f"'route' leg {numbers[0]} stands for {run[0].duration} s; stand for at least "
+                    f"{LEAST_STAND} s, in which the weight can settle."
+                )
+            continue
+        footsteps, where = _walk(numbers, run, timing, half_width, where)
+        walks.append(Walk(start, footsteps))
+    return tuple(walks), tick
+
+
+def _walk(
+    numbers: Sequence[int],
+    run: Sequence[Leg],
+    timing: GaitTiming,
+    half_width: float,
+    where: tuple[float, float, float],
+) -> tuple[tuple[Footstep, ...], tuple[float, float, float]]:
+    """Footsteps of legs that flow into each other, and where they lead."""
+    ends = np.cumsum([leg.duration for leg in run]) * CONTROL_RATE
+    # The last leg leaves time to bring the weight back between the feet.
+    ends[-1] = round(ends[-1]) - timing.double_ticks
+    steps = np.diff(np.floor(ends / timing.step_ticks).astype(int), prepend=0)
+    length, turn = [], []
+    for number, leg, count in zip(numbers, run, steps, strict=True):
+        if count < 2:
+            least = 3 * timing.step_time + timing.double_support * timing.step_time
+            raise ValueError(
+                f"'route' leg {number} lasts {leg.duration} s, too short for two steps; "
+                f"{least:.2f} s are enough."
+            )
+        try:
+            check_gait(leg.speed, leg.turn_rate, timing.step_time)
+        except ValueError as error:
+            raise ValueError(f"'route' leg {number}: {error}") from error
+        length += [leg.speed * timing.step_time] * int(count)
+        turn += [leg.turn_rate * timing.step_time] * int(count)
+    # The last step makes no move: it closes the feet.
+    moves = np.array(length[:-1]), np.array(turn[:-1])
+    return place_footsteps(*moves, half_width, where), end_of_path(*moves, where)

@@ -1,0 +1,1 @@
+"""Any MuJoCo model becomes a robot with measured feet."""

@@ -1,0 +1,210 @@
+"""What the maker of a robot hands out: bodies, joints and masses, where its sensors sit, and no truth."""
+
+import functools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.instrumentation.geometry import below
+from surefoot.envs.instrumentation.layout import FeetLayout, joint_name
+from surefoot.envs.robot import (
+    FEET,
+    BelowSensor,
+    below_ankle,
+    below_cells,
+    cell_positions,
+    hinge_joint_names,
+    load_nao_spec,
+)
+
+Placed = tuple[str, NDArray[np.float64], NDArray[np.float64]]
+"""A site's body, its place there in m and its quaternion."""
+
+_JOINTS = {
+    mujoco.mjtJoint.mjJNT_HINGE: "hinge",
+    mujoco.mjtJoint.mjJNT_SLIDE: "slide",
+    mujoco.mjtJoint.mjJNT_BALL: "ball",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RobotDrawing:
+    """A robot as its maker describes it: enough for kinematics, centre of mass and angular momentum.
+
+    The skeleton hangs on one free joint, whatever carries the robot in the simulation (Walker2d's torso has
+    two slides and a hinge there), and moves the joints that encoders measure.
+
+    Attributes:
+        xml: The skeleton as MJCF: bodies with explicit inertials, joints and the sites below; numbers have
+            all their digits.
+        torso: Name of the body that floats.
+        imu: Name of the IMU's site, which sits on the torso.
+        soles: Names of the F soles' sites, the left one first.
+        feet: What messages call the feet.
+        joint_names: The J hinge joints of the skeleton in model order.
+        position_cell_sole: Places of the load cells in the sole frames in m, shape (F, 4, 3); None without.
+        flaw: Why there are no cells, or empty.
+        below_cells: What the load cells carry besides the ground's force; None without cells.
+        below_ankle: What hangs below the sensors at the ankles.
+    """
+
+    xml: str
+    torso: str
+    imu: str
+    soles: tuple[str, ...]
+    feet: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    position_cell_sole: NDArray[np.float64] | None
+    flaw: str
+    below_cells: BelowSensor | None
+    below_ankle: BelowSensor
+
+    def spec(self) -> mujoco.MjSpec:
+        """Read the skeleton afresh, to perturb in memory and then ``compile()``."""
+        return mujoco.MjSpec.from_string(self.xml)
+
+
+@functools.cache
+def draw_nao() -> RobotDrawing:
+    """Draw nao.xml."""
+    model = load_nao_spec().compile()
+    soles = tuple(f"{foot}_sole" for foot in FEET)
+    sites = {}
+    for name in ("imu", *soles):
+        site = model.site(name)
+        sites[name] = (model.body(int(site.bodyid[0])).name, site.pos.copy(), site.quat.copy())
+    return RobotDrawing(
+        xml=skeleton(model, "torso", sites),
+        torso="torso",
+        imu="imu",
+        soles=soles,
+        feet=FEET,
+        joint_names=hinge_joint_names(model),
+        position_cell_sole=cell_positions(model),
+        flaw="",
+        below_cells=below_cells(model),
+        below_ankle=below_ankle(model),
+    )
+
+
+def draw_robot(
+    model: mujoco.MjModel, data: mujoco.MjData, layout: FeetLayout, *, imu: str, prefix: str
+) -> RobotDrawing:
+    """Draw a robot whose feet were measured.
+
+    Args:
+        model: The robot.
+        data: The pose in which it stands, of which the kinematics were evaluated.
+        layout: Its feet.
+        imu: Name of its own IMU's site; empty for one at the torso's origin, in the torso's axes.
+        prefix: What the names of other sites begin with.
+    """
+    upright, none = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    place = model.site(imu).pos.copy() if imu else none
+    imu = imu or f"{prefix}imu"
+    sites: dict[str, Placed] = {imu: (layout.torso, place, upright)}
+    arms, rotations, masses, coms = [], [], [], []
+    for foot in layout.feet:
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, foot.R_foot_sole.ravel())
+        sites[f"{prefix}{foot.body}_sole"] = (foot.body, foot.position_sole_foot, quaternion)
+        body = model.body(foot.body).id
+        com_foot = data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body])
+        arms.append(foot.R_foot_sole.T @ (foot.position_ankle_foot - foot.position_sole_foot))
+        rotations.append(foot.R_foot_sole.T)
+        masses.append(float(model.body_subtreemass[body]))
+        coms.append(foot.R_foot_sole.T @ (com_foot - foot.position_sole_foot))
+    places = [cells for cells in layout.cells if cells is not None]
+    number = len(layout.feet)
+    has_cells = len(places) == number
+    # The plate over the cells has no mass.
+    plates = BelowSensor(
+        np.zeros((number, 3)), np.tile(np.eye(3), (number, 1, 1)), np.zeros(number), np.zeros((number, 3))
+    )
+    return RobotDrawing(
+        xml=skeleton(model, layout.torso, sites),
+        torso=layout.torso,
+        imu=imu,
+        soles=tuple(sites)[1:],
+        feet=FEET if number == 2 else tuple(foot.body for foot in layout.feet),
+        joint_names=layout.joint_names,
+        position_cell_sole=np.pad(np.array(places), ((0, 0), (0, 0), (0, 1))) if has_cells else None,
+        flaw=layout.flaw,
+        below_cells=plates if has_cells else None,
+        below_ankle=BelowSensor(np.array(arms), np.array(rotations), np.array(masses), np.array(coms)),
+    )
+
+
+def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> str:
+    """Write the bodies that hang on a torso, with inertials, joints and some sites, as MJCF.
+
+    Args:
+        model: The robot.
+        torso: Its body; the joints that carry it are replaced by a free one.
+        sites: Where each site goes, by its name.
+
+    Returns:
+        The text, with all digits of every number.
+    """
+    root = model.body(torso).id
+    inside = below(model, root)
+    names = {int(body): model.body(body).name for body in np.flatnonzero(inside)}
+
+    def lines(body: int, indent: str) -> Iterable[str]:
+        pose = _attributes(pos=model.body_pos[body], quat=model.body_quat[body])
+        yield f"{indent}<body{_named(names[body])}{pose}>"
+        deeper = indent + "  "
+        if model.body_mass[body] > 0.0:
+            inertial = _attributes(
+                pos=model.body_ipos[body],
+                quat=model.body_iquat[body],
+                mass=model.body_mass[body],
+                diaginertia=_physical(model.body_inertia[body]),
+            )
+            yield f"{deeper}<inertial{inertial}/>"
+        if body == root:
+            yield f"{deeper}<freejoint/>"
+        else:
+            first = int(model.body_jntadr[body])
+            for joint in range(first, first + int(model.body_jntnum[body])):
+                yield f"{deeper}<joint{_joint(model, joint)}/>"
+        for name, (carrier, position, quaternion) in sites.items():
+            if carrier == names[body]:
+                yield f"{deeper}<site{_named(name)}{_attributes(pos=position, quat=quaternion)}/>"
+        for child in np.flatnonzero(inside & (model.body_parentid == body)):
+            if child != body:
+                yield from lines(int(child), deeper)
+        yield f"{indent}</body>"
+
+    gravity = _attributes(gravity=model.opt.gravity)
+    head = f'<mujoco>\n  <compiler angle="radian" inertiafromgeom="false"/>\n  <option{gravity}/>\n'
+    return head + "  <worldbody>\n" + "\n".join(lines(root, "    ")) + "\n  </worldbody>\n</mujoco>\n"
+
+
+def _joint(model: mujoco.MjModel, joint: int) -> str:
+    kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
+    text = _named(joint_name(model, joint)) + f' type="{_JOINTS[kind]}"'
+    text += _attributes(pos=model.jnt_pos[joint])
+    if kind == mujoco.mjtJoint.mjJNT_BALL:
+        return text
+    ref = model.qpos0[model.jnt_qposadr[joint]]
+    return text + _attributes(axis=model.jnt_axis[joint], ref=ref)
+
+
+def _named(name: str) -> str:
+    return f" name={quoteattr(name)}" if name else ""
+
+
+def _attributes(**values: NDArray[np.float64] | np.float64) -> str:
+    parts = {name: " ".join(map(repr, np.ravel(value).tolist())) for name, value in values.items()}
+    return "".join(f' {name}="{text}"' for name, text in parts.items())
+
+
+def _physical(inertia: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Keep rounding from breaking the triangle inequality, which MuJoCo's compiler insists on."""
+    physical: NDArray[np.float64] = np.minimum(inertia, np.roll(inertia, 1) + np.roll(inertia, 2))
+    return physical

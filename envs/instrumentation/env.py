@@ -1,0 +1,256 @@
+"""Any MuJoCo environment with sensors in its feet: the same episodes, and the truth besides."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.envs.instrumentation.drawing import RobotDrawing
+from surefoot.envs.instrumentation.info import StepTruth
+from surefoot.envs.instrumentation.layout import joint_name
+from surefoot.envs.instrumentation.reader import FeetReader
+from surefoot.envs.instrumentation.sensors import SensorReader
+from surefoot.envs.instrumentation.soles import put_soles
+from surefoot.envs.instrumentation.spec import Instrumentation, instrument_as, refuse_taken
+from surefoot.envs.instrumentation.swap import (
+    carry_over,
+    find_description,
+    find_difference,
+    find_holder,
+    swap_in,
+    why_not_in_place,
+)
+
+
+class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Any MuJoCo environment of a robot with feet, with the truth about them beside it.
+
+    Observation, reward and termination stay the environment's, bit for bit. Sensors are put into its model
+    (``unwrapped.model`` and ``unwrapped.data`` are replaced) where nothing that it may look up by number
+    changes thereby; else, or without a description of the model, the same quantities are computed beside it.
+    :attr:`untouched` says why. After a step, sensors tell what was at the beginning of its last substep, and
+    the way beside tells what is at its end; both tell the state that a reset chose.
+
+    ``info["surefoot"]["truth"]`` is a mapping of ``force_cell`` (4 F) N, ``vgrf`` (F) N, ``cop_world`` (2) m,
+    ``cop_foot`` (F, 2) m, ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m, computed when read and NaN
+    where undefined.
+
+    An environment that shows ``data.cacc``, ``cfrc_int``, ``cfrc_ext``, ``subtree_linvel`` or
+    ``subtree_angmom`` without ever computing them reads numbers there instead of zeros after a step; give it
+    ``in_place=False``.
+
+    Args:
+        env: An environment whose ``unwrapped`` has ``model`` and ``data``, such as Gymnasium's ``MujocoEnv``.
+        feet: Names of the feet's bodies in order; None for the two lowest leaves, the left one first.
+        cells: Places of the load cells in the sole's frame in m, front-left, front-right, rear-left,
+            rear-right, shape (4, 2), by the foot's body; others lie in the soles' corners.
+        margin: How far these are drawn in from the sole's edges in m.
+        soles: ``True`` puts a flat sole under each foot that has no area, or the mapping's (length, width,
+            thickness) in m under a foot's body. **This changes the dynamics**: the feet touch elsewhere, and
+            geoms after them have other numbers.
+        spec: The robot's description, if not that of ``unwrapped.fullpath``: a file, or a ``mujoco.MjSpec``,
+            with which the wrapper's own ``spec`` cannot be pickled or written as JSON.
+        in_place: Whether to put sensors into the environment's model; None to decide.
+        prefix: What the names of added sites and sensors begin with.
+
+    Attributes:
+        truth: What the feet felt, with a leading axis of one row.
+        drawing: What the robot's maker hands out.
+        joint_names: The hinge joints that encoders measure.
+        instrumentation: The instrumented description; None for a model that was left alone.
+        untouched: Why the model was left alone; empty if it was not.
+
+    Raises:
+        TypeError: If the environment does not run on MuJoCo, ``feet`` is a single name, or ``cells`` or
+            ``soles`` name no feet.
+        ValueError: If feet cannot be told, a body does not exist, names are taken, cells are asked for on a
+            foot without area, or the description is of another robot.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        feet: Sequence[str] | None = None,
+        *,
+        cells: Mapping[str, ArrayLike] | None = None,
+        margin: float = 0.005,
+        soles: bool | Mapping[str, Sequence[float]] = False,
+        spec: str | Path | mujoco.MjSpec | None = None,
+        in_place: bool | None = None,
+        prefix: str = "surefoot/",
+    ) -> None:
+        _check_types(cells, soles)
+        # An MjSpec cannot be copied deeply; everything else is recorded as a copy.
+        gym.utils.RecordConstructorArgs.__init__(
+            self,
+            _disable_deepcopy=True,
+            feet=None if feet is None else feet if isinstance(feet, str) else list(feet),
+            cells=None if cells is None else {body: np.asarray(p).tolist() for body, p in cells.items()},
+            margin=margin,
+            soles={body: list(size) for body, size in soles.items()} if isinstance(soles, Mapping) else soles,
+            spec=str(spec) if isinstance(spec, Path) else spec,
+            in_place=in_place,
+            prefix=prefix,
+        )
+        gym.Wrapper.__init__(self, env)
+        self._base = cast(Any, env.unwrapped)
+        _refuse(env, prefix)
+        description = find_description(spec, self._base)
+        if description is None and (soles or in_place):
+            raise ValueError(
+                f"'{'soles' if soles else 'in_place'}' changes the model, for which its description is "
+                "needed: give 'spec', a file or a mujoco.MjSpec."
+            )
+        if soles and in_place is False:
+            raise ValueError("'soles' changes the model: leave 'in_place' alone.")
+        told: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
+        made: tuple[Instrumentation, mujoco.MjModel] | None = None
+        self.untouched = "there is no description of it: give 'spec'"
+        if in_place is False:
+            self.untouched = "in_place=False"
+        elif description is not None:
+            made, different = self._make(description, feet, soles, told)
+            self.untouched = f"its file is of another robot: {different}"
+            if different and (spec is not None or soles or in_place):
+                raise ValueError(f"The description is not that of the environment's robot: {different}.")
+            if made is not None:
+                self.untouched = _obstacle(env, made[1], prefix, forced=bool(soles or in_place))
+        base = self._base
+        self.instrumentation: Instrumentation | None = None
+        self._reader: SensorReader | FeetReader
+        if made is not None and not self.untouched:
+            self.instrumentation, model = made
+            swap_in(base, model)
+            self._reader = SensorReader(model, base.data, self.instrumentation)
+            self.drawing: RobotDrawing = self.instrumentation.drawing
+        else:
+            self._reader = FeetReader(base.model, base.data, feet, **told)
+            self.drawing = self._reader.drawing
+        self._model: mujoco.MjModel = base.model
+        self._data: mujoco.MjData = base.data
+        self.joint_names = self.drawing.joint_names
+        self.truth = self._reader.now()
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The robot that is simulated."""
+        return self._model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """Its state."""
+        return self._data
+
+    @property
+    def dt(self) -> float:
+        """Duration of a step in s."""
+        base = self._base
+        skipped: float = getattr(base, "frame_skip", 1)
+        return float(base.dt if hasattr(base, "dt") else self._model.opt.timestep * skipped)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode, and read the state in which it starts.
+
+        Raises:
+            RuntimeError: If the environment made itself another model.
+        """
+        with self._reader.still():
+            observation, info = self.env.reset(seed=seed, options=options)
+        self._refuse_another()
+        self.truth = self._reader.now()
+        return observation, {**info, "surefoot": {"truth": StepTruth(self.truth)}}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment, and read what happened."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self._base.data is not self._data:
+            self._refuse_another()
+        self.truth = self._reader.after_step()
+        info = {**info, "surefoot": {"truth": StepTruth(self.truth)}}
+        return observation, reward, terminated, truncated, info
+
+    def _make(
+        self,
+        description: mujoco.MjSpec,
+        feet: Sequence[str] | None,
+        soles: bool | Mapping[str, Sequence[float]],
+        told: dict[str, Any],
+    ) -> tuple[tuple[Instrumentation, mujoco.MjModel] | None, str]:
+        """Make the instrumented robot with the environment's own numbers, or say why it is another."""
+        bare, prefix = self._base.model, told["prefix"]
+        if soles:
+            put_soles(description, bare, soles, feet, prefix)
+        named = description.copy()
+        measured = named.compile()
+        for joint, compiled in zip(description.joints, named.joints, strict=True):
+            joint.name = joint_name(measured, compiled.id)
+        different = find_difference(bare, measured, prefix)
+        if different:
+            return None, different
+        carry_over(bare, measured, prefix)
+        made = instrument_as(description, measured, feet, **told)
+        model = made.spec.compile()
+        carry_over(bare, model, prefix)
+        return (made, model), ""
+
+    def _refuse_another(self) -> None:
+        """Refuse to watch a robot that is not simulated any more."""
+        if self._base.model is not self._model or self._base.data is not self._data:
+            raise RuntimeError(
+                f"{type(self._base).__name__} made itself another model or data at a reset, so that its feet "
+                "are not watched any more; wrap it anew, or let it change its model's numbers instead."
+            )
+
+
+def _check_types(cells: Any, soles: Any) -> None:
+    """Refuse what names no feet."""
+    if cells is not None and not isinstance(cells, Mapping):
+        raise TypeError(
+            "'cells' must map the bodies of feet to places of four cells, {'left_foot': [(x, y), ...], ...}; "
+            f"got a {type(cells).__name__}."
+        )
+    if not isinstance(soles, (bool, np.bool_, Mapping)):
+        raise TypeError(
+            "'soles' must be True, or map the bodies of feet to (length, width, thickness) in m; "
+            f"got a {type(soles).__name__}."
+        )
+
+
+def _refuse(env: gym.Env[Any, Any], prefix: str) -> None:
+    """Refuse what is not on MuJoCo or is instrumented already."""
+    base = cast(Any, env.unwrapped)
+    model, data = getattr(base, "model", None), getattr(base, "data", None)
+    if not isinstance(model, mujoco.MjModel) or not isinstance(data, mujoco.MjData):
+        raise TypeError(
+            "InstrumentedEnv needs an environment on MuJoCo, whose unwrapped.model is a mujoco.MjModel and "
+            f"unwrapped.data a mujoco.MjData; {type(base).__name__} has {type(model).__name__} and "
+            f"{type(data).__name__}."
+        )
+    below: Any = env
+    while isinstance(below, gym.Wrapper):
+        if isinstance(below, InstrumentedEnv):
+            raise ValueError(f"{env} is instrumented already: use it as it is.")
+        below = below.env
+    kinds = ((mujoco.mjtObj.mjOBJ_SENSOR, model.nsensor), (mujoco.mjtObj.mjOBJ_SITE, model.nsite))
+    refuse_taken({mujoco.mj_id2name(model, kind, i) or "" for kind, n in kinds for i in range(n)}, prefix)
+
+
+def _obstacle(env: gym.Env[Any, Any], model: mujoco.MjModel, prefix: str, *, forced: bool) -> str:
+    """Say why sensors cannot be put into an environment's own model; empty if they can.
+
+    Raises:
+        ValueError: If they have to.
+    """
+    holder = find_holder(env)
+    if holder:
+        reason = f"{holder} holds a view of it, which would go on showing the old one"
+        if forced:
+            raise ValueError(f"The environment's model cannot be replaced: {reason}.")
+        return reason
+    return "" if forced else why_not_in_place(env, model, prefix)

@@ -1,0 +1,140 @@
+"""Which bodies of a robot are its feet, in the pose in which it stands."""
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.instrumentation.geometry import below, bodies_that_touch, colliding
+
+STANDING: Final = ("home", "stand", "standing")
+"""Names of keyframes in which a robot stands; the first that a model has is taken, else its zero pose."""
+
+SAME_HEIGHT: Final = 0.1
+"""Two leaves are both feet if their lowest points differ by less than this share of the torso's height."""
+
+
+def standing_pose(model: mujoco.MjModel) -> mujoco.MjData:
+    """Put a robot into its keyframe "home", "stand" or "standing", or else into its zero pose.
+
+    Returns:
+        Fresh data, of which the kinematics were evaluated.
+    """
+    data = mujoco.MjData(model)
+    keys = {model.key(i).name: i for i in range(model.nkey)}
+    for name in STANDING:
+        if name in keys:
+            mujoco.mj_resetDataKeyframe(model, data, keys[name])
+            break
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    return data
+
+
+def find_feet(
+    model: mujoco.MjModel, data: mujoco.MjData, names: Sequence[str] | None = None
+) -> tuple[int, ...]:
+    """Find the bodies of the feet: those that are named, or the two lowest leaves that can touch the ground.
+
+    A leaf without a joint belongs to the body that it is welded to if nothing of that body can touch: a sole
+    plate is part of its foot. The left one of two comes first, by its name (left, l_, L...) or else by its
+    place.
+
+    Args:
+        model: The robot.
+        data: The pose in which it stands, of which the kinematics were evaluated.
+        names: The feet's bodies in the order in which they are to be read; None to guess.
+
+    Returns:
+        Their numbers.
+
+    Raises:
+        TypeError: If ``names`` is a single name.
+        ValueError: If a body does not exist, is named twice or hangs on another foot, the feet hang on
+            different robots, or no pair of feet can be told.
+    """
+    if names is None:
+        return _guess(model, data)
+    if isinstance(names, str):
+        raise TypeError(f"'feet' must be a sequence of names of bodies, such as ({names!r},); got a string.")
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    if not names or len(set(names)) != len(names) or not set(names) <= set(bodies):
+        raise ValueError(
+            f"'feet' must name bodies of the model, each once, got {list(names)!r}; the model's bodies are "
+            f"{bodies}."
+        )
+    feet = tuple(int(model.body(name).id) for name in names)
+    for foot in feet:
+        inside = [model.body(other).name for other in feet if other != foot and below(model, foot)[other]]
+        if inside:
+            raise ValueError(f"The foot {inside[0]!r} hangs on the foot {model.body(foot).name!r}: name one.")
+    if len({int(model.body_rootid[foot]) for foot in feet}) > 1:
+        raise ValueError(f"The feet {list(names)!r} belong to different robots: instrument one at a time.")
+    return feet
+
+
+def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
+    can_touch = colliding(model)
+    touching = np.bincount(model.geom_bodyid[can_touch], minlength=model.nbody) > 0
+    parents = set(model.body_parentid[1:].tolist())
+    leaves = []
+    for leaf in range(1, model.nbody):
+        if leaf not in parents and touching[leaf]:
+            foot = leaf
+            while model.body_jntnum[foot] == 0 and not touching[model.body_parentid[foot]]:
+                foot = int(model.body_parentid[foot])
+                if foot == 0:
+                    break
+            if foot:
+                leaves.append(foot)
+    leaves = sorted(set(leaves))
+    if leaves:
+        height = np.array([_lowest(model, data, body, can_touch) for body in leaves])
+        torso = data.xpos[model.body_rootid[leaves[int(np.argmin(height))]]][2]
+        # A leaf that is the whole robot, such as a ball, is no foot.
+        low = height < height.min() + SAME_HEIGHT * max(float(torso - height.min()), 1e-3)
+        pair = [
+            body for body, is_low in zip(leaves, low, strict=True) if is_low and model.body_parentid[body]
+        ]
+        if len(pair) == 2 and len({int(model.body_rootid[body]) for body in pair}) == 1:
+            ordered = _left_first(model, data, pair)
+            if ordered:
+                return ordered
+    names = [model.body(body).name for body in leaves]
+    raise ValueError(
+        "No left and right foot could be told among the model's lowest leaves; name them with "
+        f"feet=(left, right). Leaves that can touch the ground: {names}; all bodies that can: "
+        f"{bodies_that_touch(model)}."
+    )
+
+
+def _lowest(model: mujoco.MjModel, data: mujoco.MjData, body: int, can_touch: NDArray[np.bool_]) -> float:
+    """Find the lowest centre of what can touch of a body and of what hangs on it, in m."""
+    geoms = can_touch & below(model, body)[model.geom_bodyid]
+    return float(data.geom_xpos[geoms][:, 2].min())
+
+
+def _left_first(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
+    """Order a pair as left and right, by names before places; empty if neither tells."""
+    sides = [_side(model.body(body).name) for body in pair]
+    if set(sides) in ({1, -1}, {1, 0}, {-1, 0}):
+        return tuple(pair) if sides[0] > sides[1] else tuple(reversed(pair))
+    root = int(model.body_rootid[pair[0]])
+    y = [float((data.xpos[body] - data.xpos[root]) @ data.xmat[root].reshape(3, 3)[:, 1]) for body in pair]
+    if abs(y[0] - y[1]) < 0.01:
+        return ()
+    return tuple(pair) if y[0] > y[1] else tuple(reversed(pair))
+
+
+def _side(name: str) -> int:
+    """Tell left (1) from right (-1) in a name; 0 if it says neither."""
+    for side, word in ((1, "left"), (-1, "right")):
+        letter = word[0]
+        alone = rf"(^|[^a-z]){letter}([^a-z]|$)"
+        capital = rf"^{letter.upper()}[A-Z]"
+        if word in name.lower() or re.search(alone, name.lower()) or re.search(capital, name):
+            return side
+    return 0

@@ -1,0 +1,127 @@
+"""What of a robot is measured before sensors are put in: feet, their cells, torso and encoders."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.envs.instrumentation.feet import find_feet
+from surefoot.envs.instrumentation.geometry import FootGeometry, below, checked_layout, measure_foot
+from surefoot.envs.plate import SolePlate
+
+FOOT_WIDTH: Final = 27
+"""Columns of a foot: ankle's force and torque, contacts' force, torque and place, sole's place and axes."""
+
+TORSO_WIDTH: Final = 27
+"""Columns after the feet: torso's place and axes, CoM, its velocity, angular momentum, IMU."""
+
+
+@dataclass(frozen=True, eq=False)
+class FeetLayout:
+    """A robot with F feet and J encoders, measured.
+
+    Attributes:
+        feet: Geometry of the feet.
+        cells: Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area.
+        plates: How these cells share a load.
+        torso: Name of the body that carries the robot.
+        joint_names: The hinge joints that hang on it in model order; those that carry it have no encoders.
+    """
+
+    feet: tuple[FootGeometry, ...]
+    cells: tuple[NDArray[np.float64] | None, ...]
+    plates: tuple[SolePlate | None, ...]
+    torso: str
+    joint_names: tuple[str, ...]
+
+    @cached_property
+    def flaw(self) -> str:
+        """Why not all feet have cells, or empty."""
+        return next((foot.flaw for foot in self.feet if foot.flaw), "")
+
+    @cached_property
+    def force_of_wrench(self) -> NDArray[np.float64]:
+        """Forces of all cells per wrench of each foot, to be multiplied from the left, shape (6 F, 4 F)."""
+        shares = np.zeros((6 * len(self.feet), 4 * len(self.feet)))
+        for i, plate in enumerate(self.plates):
+            if plate is not None:
+                shares[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = plate.share.T
+        return shares
+
+    @property
+    def size(self) -> int:
+        """Columns of a row: 27 a foot, 27 for the torso, one a joint, and the time."""
+        return FOOT_WIDTH * len(self.feet) + TORSO_WIDTH + len(self.joint_names) + 1
+
+
+def measure_feet(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    feet: Sequence[str] | None,
+    cells: Mapping[str, ArrayLike] | None,
+    margin: float,
+) -> FeetLayout:
+    """Measure a robot in the pose of ``data``.
+
+    Args:
+        model: The robot.
+        data: The pose in which it stands, of which the kinematics were evaluated.
+        feet: Names of the feet's bodies in order; None to guess.
+        cells: Places of the load cells by the foot's body, shape (4, 2); others lie in the corners.
+        margin: How far these are drawn in from the sole's edges in m.
+
+    Raises:
+        TypeError: If ``feet`` is a single name.
+        ValueError: If feet cannot be told, touch or named, or a layout is wrong.
+    """
+    bodies = find_feet(model, data, feet)
+    geometry = tuple(measure_foot(model, data, body) for body in bodies)
+    root = int(model.body_rootid[bodies[0]])
+    torso = model.body(root).name
+    unnamed = [body for body, foot in zip(bodies, geometry, strict=True) if not foot.body]
+    if unnamed or not torso:
+        raise ValueError(
+            f"The torso and the feet need names: give the bodies {unnamed or ['torso']} one each."
+        )
+    places = _places(geometry, cells or {}, margin)
+    return FeetLayout(
+        feet=geometry,
+        cells=places,
+        plates=tuple(None if place is None else SolePlate(place, np.ones(4)) for place in places),
+        torso=torso,
+        joint_names=tuple(joint_name(model, joint) for joint in encoders(model, root)),
+    )
+
+
+def encoders(model: mujoco.MjModel, torso: int) -> tuple[int, ...]:
+    """Number the hinge joints that hang on a torso, without those that carry it."""
+    body, hinge = model.jnt_bodyid, model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    return tuple(np.flatnonzero(hinge & below(model, torso)[body] & (body != torso)).tolist())
+
+
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """Name a joint, by its number if it has no name."""
+    return model.joint(joint).name or f"joint{joint}"
+
+
+def _places(
+    feet: tuple[FootGeometry, ...], cells: Mapping[str, ArrayLike], margin: float
+) -> tuple[NDArray[np.float64] | None, ...]:
+    """Settle where the cells lie."""
+    names = [foot.body for foot in feet]
+    unknown = sorted(set(cells) - set(names))
+    if unknown:
+        raise ValueError(f"'cells' names {unknown}, which are no feet here; the feet are {names}.")
+    places: list[NDArray[np.float64] | None] = []
+    for foot in feet:
+        if foot.body in cells and foot.flaw:
+            raise ValueError(foot.flaw)
+        if foot.body in cells:
+            places.append(checked_layout(foot.body, cells[foot.body]))
+        else:
+            places.append(None if foot.flaw else foot.layout(margin))
+    return tuple(places)

@@ -1,0 +1,146 @@
+"""The rows of an instrumented robot without sensors: computed beside the simulation, from a copy."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.envs.instrumentation.drawing import draw_robot
+from surefoot.envs.instrumentation.feet import standing_pose
+from surefoot.envs.instrumentation.geometry import below
+from surefoot.envs.instrumentation.layout import FOOT_WIDTH, TORSO_WIDTH, encoders, measure_feet
+from surefoot.envs.instrumentation.spec import find_imu
+from surefoot.envs.instrumentation.truth import FeetTruth
+
+Array = NDArray[np.float64]
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+class FeetReader:
+    """Reads the feet of a robot to which nothing may be added: neither its model nor its data is changed.
+
+    The state and whatever acts on it are copied, the dynamics are evaluated there as ``mj_forward`` does, and
+    the contacts of the feet are summed; ankles follow from ``cfrc_int``. The same row comes out as from
+    sensors at that instant, for one evaluation of the dynamics more.
+
+    Args:
+        model: The robot; its numbers may change later.
+        data: Its state.
+        feet: Names of the feet's bodies in order; None for the two lowest leaves, the left one first.
+        cells: Places of the load cells in the sole's frame in m, shape (4, 2), by the foot's body; others lie
+            in the soles' corners.
+        margin: How far these are drawn in from the sole's edges in m.
+        prefix: What names of sites in the drawing begin with.
+
+    Attributes:
+        layout: What was measured of the robot.
+        drawing: What its maker hands out.
+
+    Raises:
+        TypeError: If ``feet`` is a single name.
+        ValueError: If feet cannot be told, touch or named, or a layout is wrong.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        feet: Sequence[str] | None = None,
+        *,
+        cells: Mapping[str, ArrayLike] | None = None,
+        margin: float = 0.005,
+        prefix: str = "surefoot/",
+    ) -> None:
+        pose = standing_pose(model)
+        self.layout = measure_feet(model, pose, feet, cells, margin)
+        imu = find_imu(model, self.layout.torso)
+        self.drawing = draw_robot(model, pose, self.layout, imu=imu, prefix=prefix)
+        self._model, self._watched, self._data = model, data, mujoco.MjData(model)
+        self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        self._torso = model.body(self.layout.torso).id
+        self._feet = [model.body(foot.body).id for foot in self.layout.feet]
+        self._encoders = model.jnt_qposadr[list(encoders(model, self._torso))]
+        # The last column stands for what is no geom, such as a cloth.
+        inside = [below(model, body)[model.geom_bodyid] for body in self._feet]
+        self._is_foot = np.pad(np.array(inside, dtype=int), ((0, 0), (0, 1)))
+        self._imu = (mujoco.mjtObj.mjOBJ_XBODY, self._torso)
+        if imu:
+            self._imu = (mujoco.mjtObj.mjOBJ_SITE, model.site(imu).id)
+
+    def after_step(self) -> FeetTruth:
+        """Read what is at the end of a step, shape (1, ...)."""
+        return self.now()
+
+    def now(self) -> FeetTruth:
+        """Read what is in the present state, shape (1, ...)."""
+        return FeetTruth(self.row()[None], self.layout)
+
+    def still(self) -> AbstractContextManager[None]:
+        """Do nothing: there is nothing in the model that could be seen."""
+        return nullcontext()
+
+    def row(self) -> Array:
+        """Compute what sensors would tell of the present state, shape (27 F + 28 + J,)."""
+        model, own = self._model, self._data
+        mujoco.mj_getState(model, self._watched, self._state, _STATE)
+        mujoco.mj_setState(model, own, self._state, _STATE)
+        mujoco.mj_forward(model, own)
+        mujoco.mj_rnePostConstraint(model, own)
+        mujoco.mj_subtreeVel(model, own)
+        row = np.zeros(self.layout.size)
+        split = FOOT_WIDTH * len(self._feet)
+        feet = row[:split].reshape(-1, FOOT_WIDTH)
+        for i, foot in enumerate(feet):
+            self._read_foot(i, foot)
+        self._add_contacts(feet)
+        self._read_torso(row[split : split + TORSO_WIDTH])
+        row[split + TORSO_WIDTH : -1] = own.qpos[self._encoders]
+        row[-1] = own.time
+        return row
+
+    def _read_foot(self, i: int, row: Array) -> None:
+        """Read the ankle and the sole's frame of a foot."""
+        own, body, foot = self._data, self._feet[i], self.layout.feet[i]
+        R_world_foot = own.xmat[body].reshape(3, 3)
+        ankle = own.xpos[body] + R_world_foot @ foot.position_ankle_foot
+        # MuJoCo refers its spatial forces to the centre of mass of the whole robot.
+        torque, force = own.cfrc_int[body].reshape(2, 3)
+        row[:3] = force @ R_world_foot
+        row[3:6] = (torque + _cross(own.subtree_com[self._torso] - ankle, force)) @ R_world_foot
+        row[12:15] = row[15:18] = own.xpos[body] + R_world_foot @ foot.position_sole_foot
+        row[18:27] = (R_world_foot @ foot.R_foot_sole).T.ravel()
+
+    def _add_contacts(self, feet: Array) -> None:
+        """Add the feet's contacts, as what the feet exert at the soles' origins."""
+        own, local = self._data, np.zeros(6)
+        geoms = own.contact.geom
+        sides = self._is_foot[:, geoms[:, 1]] - self._is_foot[:, geoms[:, 0]]
+        for k in np.flatnonzero(sides.any(axis=0)):
+            mujoco.mj_contactForce(self._model, own, k, local)
+            # From the first geom on the second, along the rows of the contact's frame.
+            force, torque = local.reshape(2, 3) @ own.contact.frame[k].reshape(3, 3)
+            for foot, side in zip(feet, sides[:, k], strict=True):
+                foot[6:9] -= side * force
+                foot[9:12] -= side * (torque + _cross(own.contact.pos[k] - foot[15:18], force))
+
+    def _read_torso(self, row: Array) -> None:
+        """Read the torso's frame, the whole robot's motion and the IMU."""
+        model, own, torso, spatial = self._model, self._data, self._torso, np.zeros(6)
+        row[:3] = own.xpos[torso]
+        row[3:12] = own.xmat[torso].reshape(3, 3).T.ravel()
+        row[12:15] = own.subtree_com[torso]
+        row[15:18] = own.subtree_linvel[torso]
+        row[18:21] = own.subtree_angmom[torso]
+        mujoco.mj_objectAcceleration(model, own, *self._imu, spatial, 1)
+        row[21:24] = spatial[3:]
+        mujoco.mj_objectVelocity(model, own, *self._imu, spatial, 1)
+        row[24:27] = spatial[:3]
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Multiply two vectors; np.cross takes ten times as long for two."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])

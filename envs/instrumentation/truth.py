@@ -1,0 +1,188 @@
+"""What an instrumented robot's sensors tell about its feet, in signs and frames that are settled here.
+
+A row holds what MuJoCo's sensors measured at one instant: after a step, that at its beginning. MuJoCo's force
+and torque sensors tell what the parent exerts on the child, and its contact sensor what the first body exerts
+on the other; both change sign, so that all wrenches here go up into the robot.
+
+The cells are springs under a massless plate that covers the sole (:class:`~surefoot.envs.SolePlate`): they
+share what the ground exerts, and their centre of pressure is that of the contacts.
+"""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.instrumentation.layout import FOOT_WIDTH, TORSO_WIDTH, FeetLayout
+from surefoot.envs.truth import centre_of_pressure, cop_in_sole
+
+Array = NDArray[np.float64]
+
+
+class FeetTruth:
+    """What F feet and the torso felt at one instant, or at many; its arrays are not to be changed.
+
+    Args:
+        rows: Readings, shape (..., 27 F + 28 + J); they are copied.
+        layout: The robot, in whose order the columns are.
+    """
+
+    def __init__(self, rows: Array, layout: FeetLayout) -> None:
+        self.rows = rows.copy()
+        self.layout = layout
+        self._end = FOOT_WIDTH * len(layout.feet)
+
+    @property
+    def time(self) -> Array:
+        """Simulated time in s, shape (...)."""
+        return self.rows[..., -1]
+
+    @property
+    def wrench_ankle(self) -> Array:
+        """Wrenches that the feet pass up at the ankles in the feet's axes in N and N m, shape (..., F, 6)."""
+        return -self._feet[..., :6]
+
+    @property
+    def force_world(self) -> Array:
+        """Forces of everything that touches a foot on it, in the world in N, shape (..., F, 3)."""
+        return -self._feet[..., 6:9]
+
+    @cached_property
+    def wrench_sole(self) -> Array:
+        """Wrenches of the ground on the robot at and in the sole frames in N and N m, shape (..., F, 6).
+
+        Whatever else touches a foot, such as the other foot, counts as ground.
+        """
+        feet = self._feet
+        if feet.size == self._end:
+            # A single row, as every step of one environment makes: plain floats are faster than arrays.
+            return np.array([_wrench(foot) for foot in feet.reshape(-1, FOOT_WIDTH).tolist()]).reshape(
+                *feet.shape[:-1], 6
+            )
+        force, arm = -feet[..., 6:9], feet[..., 12:15] - feet[..., 15:18]
+        world = np.stack([force, np.cross(arm, force) - feet[..., 9:12]], axis=-2)
+        return (world @ self.R_world_sole).reshape(*feet.shape[:-1], 6)
+
+    @property
+    def position_sole(self) -> Array:
+        """Origins of the sole frames in the world in m, shape (..., F, 3)."""
+        return self._feet[..., 15:18]
+
+    @property
+    def R_world_sole(self) -> Array:  # noqa: N802
+        """Rotations from the sole frames to the world, shape (..., F, 3, 3)."""
+        return _rotation(self._feet[..., 18:27])
+
+    @property
+    def cop_sole(self) -> Array:
+        """Centres of pressure in the sole frames in m, shape (..., F, 2); NaN at no more than 5 N.
+
+        Raises:
+            ValueError: If a foot has no area, with the reason.
+        """
+        self._refuse_flaws()
+        return cop_in_sole(self.wrench_sole)
+
+    @cached_property
+    def force_cell(self) -> Array:
+        """Forces of the load cells in N, foot by foot FL, FR, RL, RR, shape (..., 4 F).
+
+        A cell is pulled where the ground pushes outside the cells.
+
+        Raises:
+            ValueError: If a foot has no area, with the reason.
+        """
+        self._refuse_flaws()
+        wrench = self.wrench_sole
+        return wrench.reshape(*wrench.shape[:-2], -1) @ self.layout.force_of_wrench
+
+    @property
+    def position_torso(self) -> Array:
+        """Origin of the torso's frame in the world in m, shape (..., 3)."""
+        return self.rows[..., self._end : self._end + 3]
+
+    @property
+    def R_world_torso(self) -> Array:  # noqa: N802
+        """Rotation from the torso's frame to the world, shape (..., 3, 3)."""
+        return _rotation(self.rows[..., self._end + 3 : self._end + 12])
+
+    @property
+    def com(self) -> Array:
+        """Centre of mass of the robot in the world in m, shape (..., 3)."""
+        return self.rows[..., self._end + 12 : self._end + 15]
+
+    @property
+    def com_velocity(self) -> Array:
+        """Velocity of the centre of mass in the world in m/s, shape (..., 3)."""
+        return self.rows[..., self._end + 15 : self._end + 18]
+
+    @property
+    def angular_momentum(self) -> Array:
+        """Angular momentum about the centre of mass, in the world's axes, in kg m^2/s, shape (..., 3)."""
+        return self.rows[..., self._end + 18 : self._end + 21]
+
+    @property
+    def accelerometer(self) -> Array:
+        """Specific force at the IMU in the torso's axes in m/s^2, shape (..., 3)."""
+        return self.rows[..., self._end + 21 : self._end + 24]
+
+    @property
+    def gyroscope(self) -> Array:
+        """Angular velocity of the torso in its own axes in rad/s, shape (..., 3)."""
+        return self.rows[..., self._end + 24 : self._end + 27]
+
+    @property
+    def joint_position(self) -> Array:
+        """Angles of the hinge joints in rad, shape (..., J)."""
+        return self.rows[..., self._end + TORSO_WIDTH : -1]
+
+    def vgrf(self) -> Array:
+        """Vertical ground reaction forces in the world at the last row in N, shape (..., F)."""
+        return 0.0 - self._last[..., 8]
+
+    def cop_world(self) -> Array:
+        """Centre of pressure of all feet together at the last row in the world in m, shape (..., 2).
+
+        NaN where all feet together bear no more than 5 N.
+        """
+        ground = self._last[..., 6:15] * _UP
+        cop: Array = centre_of_pressure(ground)
+        return cop
+
+    @property
+    def _feet(self) -> Array:
+        return self.rows[..., : self._end].reshape(*self.rows.shape[:-1], -1, FOOT_WIDTH)
+
+    @property
+    def _last(self) -> Array:
+        """The feet at the last row; a single row is the last one."""
+        return self._feet if self.rows.ndim == 1 else self._feet[..., -1, :, :]
+
+    def _refuse_flaws(self) -> None:
+        """Refuse what a foot without area cannot tell."""
+        if self.layout.flaw:
+            raise ValueError(self.layout.flaw)
+
+
+_UP = np.array([-1.0] * 6 + [1.0] * 3)
+"""Turns force and torque of a contact sensor on the ground into those on the robot."""
+
+
+def _wrench(foot: list[float]) -> list[float]:
+    """Turn the 27 columns of a foot into the ground's wrench at and in the sole frame, shape (6,)."""
+    fx, fy, fz, tx, ty, tz, px, py, pz, x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz = foot[6:]
+    ax, ay, az = px - x0, py - y0, pz - z0
+    tx, ty, tz = tx + ay * fz - az * fy, ty + az * fx - ax * fz, tz + ax * fy - ay * fx
+    return [
+        -(xx * fx + xy * fy + xz * fz),
+        -(yx * fx + yy * fy + yz * fz),
+        -(zx * fx + zy * fy + zz * fz),
+        -(xx * tx + xy * ty + xz * tz),
+        -(yx * tx + yy * ty + yz * tz),
+        -(zx * tx + zy * ty + zz * tz),
+    ]
+
+
+def _rotation(axes: Array) -> Array:
+    """Turn three axes in a row, shape (..., 9), into a rotation with these columns, shape (..., 3, 3)."""
+    return axes.reshape(*axes.shape[:-1], 3, 3).swapaxes(-1, -2)

@@ -1,0 +1,1 @@
+"""A leg on a stand, with masses to hang on it."""

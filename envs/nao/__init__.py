@@ -1,0 +1,1 @@
+"""The NAO-class biped and its tasks."""

@@ -1,0 +1,137 @@
+"""The robot balances with a load that it does not know: only its feet tell where it stands."""
+
+from collections.abc import Sequence
+from math import atan2, exp, hypot
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+from surefoot.envs.disturbances.surprise import Surprise, refuse_planned_payload
+from surefoot.envs.nao.balance_command import RandomSway
+from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.observation import turned
+
+COP_SCALE = 0.015
+"""Error of the centre of pressure in m at which its reward is down to 1/e."""
+
+PAYLOAD_BOX = ((-0.08, -0.12, 0.0), (0.10, 0.12, 0.10))
+"""Corners of the box in the torso's frame within which a payload's centre of mass lies, in m."""
+
+LARGEST_SWAY = 0.04
+"""Largest sway in m that keeps the robot over its feet."""
+
+
+class NaoBalanceEnv(NaoStandEnv):
+    r"""Keep the centre of pressure where it is commanded, under a payload nobody told about, and pushes.
+
+    Actions and observations are :class:`NaoEnv`'s. After a quiet stand the commanded centre of pressure
+    (``cop_reference`` in ``"state"``) moves smoothly at random, and the open-loop pattern sways the pelvis by
+    what that takes *without a payload*. At a random moment a mass is fixed somewhere to the torso. It moves
+    the centre of pressure by up to two centimetres and the joints by next to nothing, so that neither
+    encoders nor tilt tell of it: only the feet do.
+
+    ## Action
+
+    During the quiet stand residuals are not applied, whatever they are: calibrators get a standing start.
+
+    ## Reward
+
+    ``reward_alive`` = 1, ``reward_cop`` = 2 exp(-(e / 0.015 m)^2) with e the distance between the true
+    centre of pressure and the commanded one in the level frame of the commanded soles (0 where there is
+    none), and ``reward_action`` = -0.1 times the mean square of the action. A step 10 mm off costs
+    0.72 of 3.
+
+    ## What an episode draws
+
+    All from the environment's generator: the sway (three sines per axis, periods of 3 to 8 s), the payload's
+    mass, its place in a box of 0.18 x 0.24 x 0.10 m about the chest, when it comes, pushes, friction and the
+    starting state.
+
+    Args:
+        duration: Length of an episode in s, or ``None`` for no end.
+        stand_time: Length of the quiet stand in s, with which an episode begins.
+        sway: Bounds (forward, left) of the sway of the centre of mass in m; zero to be told to stand still.
+        payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
+        payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
+            before a calibrator has seen enough to tell a load from a broken sensor.
+        push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
+        push_interval: Mean time between pushes in s. None comes during the quiet stand.
+        **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
+
+    Attributes:
+        stand_time: As given.
+
+    Raises:
+        ValueError: If an option is out of its range, naming it.
+        TypeError: If ``payload`` is given.
+    """
+
+    def __init__(
+        self,
+        *,
+        duration: float | None = 21.5,
+        stand_time: float = 3.5,
+        sway: Sequence[float] = (0.025, 0.03),
+        payload_mass: Sequence[float] = (0.5, 1.0),
+        payload_time: Sequence[float] = (10.5, 12.5),
+        push_impulse: Sequence[float] = (0.3, 2.4),
+        push_interval: float = 4.0,
+        **options: Any,
+    ) -> None:
+        refuse_planned_payload("NaoBalanceEnv", options)
+        bounds = tuple(float(part) for part in sway)
+        if len(bounds) != 2 or not all(0.0 <= part <= LARGEST_SWAY for part in bounds):
+            raise ValueError(
+                f"'sway' must be bounds (forward, left) between 0 and {LARGEST_SWAY} m, which keep the robot "
+                f"over its feet; got {list(sway)}."
+            )
+        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX)
+        self.stand_time = self._surprise.stand_time
+        self._bounds = (bounds[0], bounds[1])
+        super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
+        self._pushes.quiet_time = self.stand_time
+        self._quiet_ticks = self._surprise.stand_ticks
+        self._gravity = -float(self.model.opt.gravity[2])
+
+    def _start(self, options: dict[str, Any]) -> None:
+        self._random_sway = RandomSway(self._bounds, self.stand_time, self.np_random)
+        self._surprise.draw(self._payload, self.np_random)
+
+    def _command(self, tick: int) -> Command:
+        if tick <= self._quiet_ticks:
+            return self._still
+        (forward, left), speed, (bend_x, bend_y) = self._random_sway.at(tick * CONTROL_STEP)
+        follow_x, follow_y = self._follow
+        x, y, z = self._com.tolist()
+        x, y = x + forward, y + left
+        height = z / self._gravity
+        return self._still._replace(
+            joint_target=self._swayed(forward / follow_x, left / follow_y),
+            com=np.array((x, y, z)),
+            com_velocity=np.array((*speed, 0.0)),
+            com_acceleration=np.array((bend_x, bend_y, 0.0)),
+            cop=np.array((x - height * bend_x, y - height * bend_y)),
+        )
+
+    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
+        error = self._cop_error(truth["cop_world"])
+        return {
+            "reward_alive": 1.0,
+            "reward_cop": 2.0 * exp(-((error / COP_SCALE) ** 2)) if error == error else 0.0,
+            "reward_action": -0.1 * float(action @ action) / action.size,
+        }
+
+    def _cop_error(self, cop_world: NDArray[np.float64]) -> float:
+        """Distance between a centre of pressure and the commanded one, both as the soles see them, in m."""
+        (x, y), (planned_x, planned_y) = cop_world.tolist(), self.command.cop.tolist()
+        left, right = self.truth.position_sole[-1].tolist()
+        planned_left, planned_right = self.command.position_sole.tolist()
+        (ahead_x, ahead_y), (also_x, also_y) = self.truth.R_world_sole[-1, :, :2, 0].tolist()
+        x, y = x - 0.5 * (left[0] + right[0]), y - 0.5 * (left[1] + right[1])
+        planned_x -= 0.5 * (planned_left[0] + planned_right[0])
+        planned_y -= 0.5 * (planned_left[1] + planned_right[1])
+        x, y = turned(x, y, atan2(ahead_y + also_y, ahead_x + also_x))
+        return hypot(x - planned_x, y - planned_y)

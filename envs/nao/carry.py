@@ -1,0 +1,115 @@
+"""The robot walks with a load that it does not know: its feet tell best where it treads."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.disturbances.surprise import Surprise, refuse_planned_payload
+from surefoot.envs.gait.footsteps import GaitTiming, check_gait
+from surefoot.envs.gait.pattern import plan_walk
+from surefoot.envs.nao.pattern import NaoPatternEnv
+from surefoot.envs.options import numbers_of, positive
+
+PAYLOAD_BOX = ((-0.18, -0.02, 0.0), (0.22, 0.02, 0.10))
+"""Corners of the box in the torso's frame within which a payload's centre of mass lies, in m.
+
+It reaches far before and behind, and not to the side: where one leg carries, its hip takes 2.8 of the 3.35
+N m that its motor gives before any load comes: a load at the side would be a matter of torque, not balance.
+"""
+
+COP_SCALE = 0.012
+"""Error of the centre of pressure in m at which its reward has fallen to 1/e."""
+
+COP_WEIGHT = 3.0
+"""What a centre of pressure where it is planned is paid, as a multiple of what walking alone pays."""
+
+
+class NaoCarryEnv(NaoPatternEnv):
+    """Walk on under a payload nobody told about, and pushes.
+
+    Actions and observations are :class:`NaoEnv`'s, and the zero action is the open-loop pattern of
+    :class:`~surefoot.envs.NaoWalkEnv`. After a quiet stand the robot walks straight ahead. At a random moment
+    a mass is fixed somewhere before, behind or in the torso. It moves the centre of pressure by up to 25 mm
+    off where the pattern puts it, joints by no more than 3 mrad and the tilt by up to 13 mrad, of which an
+    IMU hides half: the feet tell best. The walk goes on to the end of the episode.
+
+    ## Action
+
+    During the quiet stand residuals are not applied, whatever they are: calibrators get a standing start.
+
+    ## Reward
+
+    The terms of :class:`~surefoot.envs.NaoWalkEnv` with a keener eye on the feet, at most 6 a step:
+
+    | Term | Value |
+    |------|-------|
+    | ``reward_alive``, ``reward_progress``, ``reward_upright``, ``reward_action`` | as there |
+    | ``reward_cop`` | 3 exp(-(e / 0.012 m)^2), e: centre of pressure less its reference; 0 where undefined |
+
+    Without payload and pushes the pattern alone is 2 mm (rms) off its reference, and 10 mm at most.
+
+    ## What an episode draws
+
+    All from the environment's generator: the speed, the payload's mass, its place in a box of
+    0.40 x 0.04 x 0.10 m, when it comes, pushes, friction and the starting state.
+
+    Args:
+        speeds: Forward speeds in m/s, of which an episode draws one; each is planned once in a process.
+        duration: Length of an episode in s.
+        stand_time: Length of the quiet stand in s, with which an episode begins.
+        payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
+        payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
+            before a calibrator has seen enough to tell a load from a broken sensor.
+        push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
+        push_interval: Mean time between pushes in s. None comes during the quiet stand.
+        **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
+
+    Attributes:
+        pattern: The plan of this episode.
+        stand_time: As given.
+
+    Raises:
+        ValueError: If an option is out of its range, naming it, or a speed asks more than the legs can do.
+        TypeError: If ``payload`` is given.
+    """
+
+    cop_scale = COP_SCALE
+
+    def __init__(
+        self,
+        *,
+        speeds: Sequence[float] = (0.02, 0.04, 0.06),
+        duration: float = 26.0,
+        stand_time: float = 3.5,
+        payload_mass: Sequence[float] = (0.5, 0.7),
+        payload_time: Sequence[float] = (10.5, 12.5),
+        push_impulse: Sequence[float] = (0.4, 2.0),
+        push_interval: float = 5.0,
+        **options: Any,
+    ) -> None:
+        refuse_planned_payload("NaoCarryEnv", options)
+        self._speeds = numbers_of(speeds)
+        if not self._speeds:
+            raise ValueError("'speeds' must hold at least one speed in m/s, got none.")
+        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX)
+        self.stand_time = self._surprise.stand_time
+        self._timing = GaitTiming(stand_time=self.stand_time)
+        for speed in self._speeds:
+            check_gait(speed, 0.0, self._timing.step_time)
+        # A plan takes its last two steps and stands; an episode ends before that.
+        end = 3.0 * self._timing.step_time + self.stand_time
+        self._plan_time = positive("duration", duration) + end
+        super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
+        self._pushes.quiet_time = self.stand_time
+        self._quiet_ticks = self._surprise.stand_ticks
+
+    def _start(self, options: dict[str, Any]) -> None:
+        speed = self._speeds[self.np_random.integers(len(self._speeds))]
+        self.pattern = plan_walk(speed, 0.0, self._plan_time, timing=self._timing)
+        self._surprise.draw(self._payload, self.np_random)
+
+    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
+        paid = super()._reward(truth, action)
+        return paid | {"reward_cop": COP_WEIGHT * paid["reward_cop"]}

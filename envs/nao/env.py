@@ -1,0 +1,368 @@
+"""A NAO-class biped on eight load cells: the base of the surefoot environments."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+from surefoot.envs.disturbances.payload import Payload
+from surefoot.envs.disturbances.pushes import Pushes
+from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
+from surefoot.envs.nao.observation import NaoObserver, Observation
+from surefoot.envs.options import (
+    check_render_mode,
+    checked_action,
+    checked_range,
+    checked_stiffness,
+    checked_time_constant,
+    positive,
+)
+from surefoot.envs.rendering import Marker, SceneRenderer
+from surefoot.envs.robot import (
+    LEG_MOTORS,
+    cell_positions,
+    hinge_joint_names,
+    load_nao_spec,
+    motor_names,
+    motor_of_joint,
+    place_on_ground,
+)
+from surefoot.envs.truth import Truth, TruthChannels
+
+CONTROL_STEP = 1.0 / 80.0
+"""Duration of one environment step in s."""
+
+SUBSTEPS = 10
+"""Simulation steps of 1.25 ms within one environment step."""
+
+FALLEN_HEIGHT = 0.22
+"""Height of the torso's origin in m below which the robot has fallen (standing: 0.32)."""
+
+FALLEN_TILT = 0.8
+"""Angle between the torso and the vertical in rad above which the robot has fallen."""
+
+SINK = 0.00016
+"""How far the ground gives way under the standing robot, in m, at the time constant of nao.xml."""
+
+SINK_EXPONENT = 1.3
+"""Power of the time constant with which it gives way: 2 for a linear spring, less as MuJoCo's stiffens."""
+
+GROUND_TIME_CONSTANT = 0.02
+"""Time constant in s of the contacts in nao.xml: firm ground."""
+
+DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
+"""Relative stiffnesses of the eight cells, uneven by up to 18 %: no two corners of a real shoe are alike."""
+
+
+class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
+    r"""A position-controlled NAO-class biped; subclasses supply what it commands itself.
+
+    ## Action
+
+    ``Box(-1, 1, (11,), float32)``: a residual on the pattern's targets of the leg motors; zero leaves the
+    open-loop pattern alone. Values beyond the bounds are clipped. Within a step the targets move linearly, as
+    the NAO's own motor boards interpolate; they keep the joint limits and move no faster than the joints can.
+
+    | Num | Action | Min | Max | Motor | Unit |
+    |-----|--------|-----|-----|-------|------|
+    | 0 | both hips, yaw-pitch | -action_scale | action_scale | LHipYawPitch | rad |
+    | 1 | left hip, roll | -action_scale | action_scale | LHipRoll | rad |
+    | 2 | left hip, pitch | -action_scale | action_scale | LHipPitch | rad |
+    | 3 | left knee, pitch | -action_scale | action_scale | LKneePitch | rad |
+    | 4 | left ankle, pitch | -action_scale | action_scale | LAnklePitch | rad |
+    | 5 | left ankle, roll | -action_scale | action_scale | LAnkleRoll | rad |
+    | 6 | right hip, roll | -action_scale | action_scale | RHipRoll | rad |
+    | 7 | right hip, pitch | -action_scale | action_scale | RHipPitch | rad |
+    | 8 | right knee, pitch | -action_scale | action_scale | RKneePitch | rad |
+    | 9 | right ankle, pitch | -action_scale | action_scale | RAnklePitch | rad |
+    | 10 | right ankle, roll | -action_scale | action_scale | RAnkleRoll | rad |
+
+    ## Observation
+
+    A ``Dict`` of float32 arrays; values beyond the bounds are clipped. The level frame has z up, its origin
+    on the ground midway between the two sole origins, and x along the mean heading of the soles. References
+    are given in the level frame of the *commanded* soles.
+
+    ``"state"``, of which ``state_layout`` names the parts:
+
+    | Num | Observation | Min | Max | Unit |
+    |-----|-------------|-----|-----|------|
+    | 0-23 | ``joint_position``: hinge joints in the order of ``joint_names`` | -pi | pi | rad |
+    | 24-47 | ``joint_velocity`` | -50 | 50 | rad/s |
+    | 48-49 | ``tilt``: roll and pitch of the torso | -pi | pi | rad |
+    | 50-52 | ``gyroscope``: angular velocity in the torso's axes | -50 | 50 | rad/s |
+    | 53-54 | ``com_reference``: planned centre of mass, level frame | -1 | 1 | m |
+    | 55-56 | ``com_reference_velocity``: planned velocity, level frame | -2 | 2 | m/s |
+    | 57-58 | ``cop_reference``: planned centre of pressure, level frame | -1 | 1 | m |
+    | 59-60 | ``stance``: feet (left, right) planned to bear weight | 0 | 1 | 1 |
+    | 61-62 | ``phase``: sine and cosine of the gait cycle's phase | -1 | 1 | 1 |
+
+    The feet, here the truth (wrappers put sensors in its place):
+
+    | Key | Observation | Min | Max | Unit |
+    |-----|-------------|-----|-----|------|
+    | ``"foot_force"`` (8) | forces of the cells, left then right: FL, FR, RL, RR | -1000 | 1000 | N |
+    | ``"cop_foot"`` (2, 2) | centre of pressure of each foot (left, right), sole frame | -1 | 1 | m |
+    | ``"cop"`` (2) | centre of pressure of both feet, level frame | -1 | 1 | m |
+    | ``"cop_valid"`` (3) | whether the total, left and right one are defined | 0 | 1 | 1 |
+
+    A centre of pressure is defined above 5 N; below, the last one is held and flagged.
+
+    ## Reward
+
+    Each step pays ``reward_alive`` = 1, ``reward_cop`` = exp(-(e / 0.02 m)^2) with e the distance between the
+    true centre of pressure and its reference (0 where there is none), and ``reward_action`` = -0.1 times the
+    mean square of the action. ``info`` holds the three terms.
+
+    ## Starting state and disturbances
+
+    The pattern's first posture, upright on its footprints, with uniform noise on the joints and on the
+    velocity of the torso; the friction of the ground is drawn once an episode. Pushes come at exponentially
+    distributed intervals and last 0.1 s, horizontal and in any direction at the torso's centre of mass.
+
+    ## End of an episode
+
+    *Terminated* once the torso's origin is lower than 0.22 m or leans by more than 0.8 rad; *truncated* after
+    ``duration``.
+
+    ## Info
+
+    ``info["surefoot"]["truth"]`` holds ``force_cell`` (8) N, ``vgrf`` (2) N, ``cop_world`` (2) m,
+    ``cop_foot`` (2, 2) m, ``com`` (3) m and ``wrench_sole`` (2, 6) at the end of the step, NaN where
+    undefined, as arrays of their own. ``unwrapped.truth`` has all of the step's substeps and more.
+
+    Args:
+        duration: Length of an episode in s, or ``None`` for no end.
+        action_scale: What a full action adds to a target, in rad.
+        cell_stiffness: Relative stiffnesses of the eight cells, which decide how a sole shares its load;
+            ``None`` for a fixed unequal set.
+        friction: Lowest and highest coefficient of friction under the soles; (0.15, 0.2) is slippery, and
+            from 0.05 downwards feet slide at every step.
+        ground_time_constant: Time constant in s in which the ground gives way to a sole, from 0.005 to 0.1.
+            Under a foot that carries the robot, 0.02 gives way by 0.5 mm, 0.04 (a carpet) by 1.4 mm and 0.06
+            (a soft mat) by 2.8 mm.
+        payload: (mass in kg, time in s): a mass that is fixed before the chest from that time on, of which
+            neither the pattern nor a nominal model knows, (0.3, 15) for instance; ``None`` for none.
+        joint_noise: Largest initial error of a joint in rad.
+        velocity_noise: Largest initial velocity of the torso along each axis, in m/s and rad/s.
+        push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
+        push_interval: Mean time between pushes in s.
+        render_mode: ``"rgb_array"``, ``"human"`` or ``None``.
+        width: Width of a frame in pixels.
+        height: Height of a frame in pixels.
+        camera: A camera of nao.xml.
+
+    Attributes:
+        model: The MuJoCo model.
+        data: Its state.
+        truth: What really happened during the last step.
+        command: What the robot commands itself now.
+        joint_names: The J hinge joints.
+        motor_names: The M motors, the leg motors of an action first.
+        state_layout: Where each part lies in ``observation["state"]``.
+        position_cell_sole: Places of the cells in the sole frames in m, shape (2, 4, 3).
+        markers: Spheres to draw into the next frames: (position in the world in m, RGBA, radius in m).
+
+    Raises:
+        ValueError: If an option is out of its range, naming it.
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
+
+    _quiet_ticks = 0
+    """Control steps at the beginning of an episode in which residuals are checked, and not applied."""
+
+    def __init__(
+        self,
+        *,
+        duration: float | None = 30.0,
+        action_scale: float = 0.2,
+        cell_stiffness: Sequence[float] | None = None,
+        friction: Sequence[float] = (0.6, 0.9),
+        ground_time_constant: float = GROUND_TIME_CONSTANT,
+        payload: Sequence[float] | None = None,
+        joint_noise: float = 0.005,
+        velocity_noise: float = 0.01,
+        push_impulse: Sequence[float] = (0.0, 0.0),
+        push_interval: float = 5.0,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera: str = "track",
+    ) -> None:
+        stiffness = DEFAULT_STIFFNESS if cell_stiffness is None else checked_stiffness(cell_stiffness)
+        self._friction = checked_range("friction", friction)
+        self._action_scale = positive("action_scale", action_scale)
+        self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
+        self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
+        self._steps = None if duration is None else round(positive("duration", duration) / CONTROL_STEP)
+        check_render_mode(render_mode, self.metadata["render_modes"])
+
+        self.model = load_nao_spec().compile()
+        self.data = mujoco.MjData(self.model)
+        self._renderer = SceneRenderer(self.model, self.data, camera, width, height)
+        self.joint_names = hinge_joint_names(self.model)
+        self.motor_names = motor_names(self.model)
+        self.position_cell_sole = cell_positions(self.model)
+        self.channels = TruthChannels(self.model, stiffness)
+        self._observer = NaoObserver(self.model, self.channels)
+        give = checked_time_constant("ground_time_constant", ground_time_constant)
+        self.model.pair_solref[:, 0] = give
+        self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
+        self._payload = Payload(self.model, payload, CONTROL_STEP)
+        self._pushes = Pushes(self.model, push_impulse, push_interval, CONTROL_STEP)
+        self._motor_of_joint = motor_of_joint(self.model)
+        self._low, self._high = self.model.actuator_ctrlrange.T.copy()
+        self._fastest = self.model.actuator_user[:, 0] * CONTROL_STEP
+        self._fastest_back = -self._fastest
+        self._fraction = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
+        self._leg = slice(0, len(LEG_MOTORS))
+        self._torso = self.model.body("torso").id
+        self._lowest_torso_z = np.cos(FALLEN_TILT)
+
+        self.observation_space = self._observer.space
+        self.state_layout = self._observer.state_layout
+        self.action_space = spaces.Box(-1.0, 1.0, (len(LEG_MOTORS),), dtype=np.float32)
+        self.render_mode = render_mode
+        self.markers: list[Marker] = []
+        self.truth: Truth
+        self.command: Command
+        self._target: NDArray[np.float64]
+        self._tick: int | None = None
+
+    @property
+    def dt(self) -> float:
+        """Duration of a step in s."""
+        return CONTROL_STEP
+
+    @property
+    def drawing(self) -> RobotDrawing:
+        """What the robot's maker hands out: nao.xml without what an episode changes."""
+        return draw_nao()
+
+    def _command(self, tick: int) -> Command:
+        """Say what the robot commands itself at control tick ``tick`` of this episode, 0 at the reset.
+
+        During the step to a tick the targets move to that tick's ``joint_target``. What an episode draws is
+        drawn in :meth:`_start`. Ticks may exceed the pattern's length.
+        """
+        raise NotImplementedError
+
+    def _start(self, options: dict[str, Any]) -> None:
+        """Prepare an episode: called at every reset, after seeding and before ``_command(0)``."""
+
+    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
+        """Pay for a step, in named terms of which the reward is the sum."""
+        x, y = truth["cop_world"].tolist()
+        reference_x, reference_y = self.command.cop.tolist()
+        square = (x - reference_x) ** 2 + (y - reference_y) ** 2
+        return {
+            "reward_alive": 1.0,
+            "reward_cop": float(np.exp(-square / 0.02**2)) if square == square else 0.0,
+            "reward_action": -0.1 * float(action @ action) / action.size,
+        }
+
+    def _fallen(self) -> bool:
+        """Tell whether the robot has fallen."""
+        last, where = self.truth.rows[-1], self.channels
+        return not (
+            last[where.position_torso.stop - 1] > FALLEN_HEIGHT
+            and last[where.axes_torso.stop - 1] > self._lowest_torso_z
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Put the robot onto its footprints.
+
+        Args:
+            seed: Seeds all that the environment draws.
+            options: Handed to the task.
+        """
+        super().reset(seed=seed)
+        model, data, rng = self.model, self.data, self.np_random
+        self._payload.reset()
+        mujoco.mj_resetData(model, data)
+        self._start(options or {})
+        self.command = self._command(0)
+        self._tick = 0
+        model.pair_friction[:, :2] = rng.uniform(*self._friction)
+        self._target = np.clip(self.command.joint_target, self._low, self._high)
+        noise = rng.uniform(-self._joint_noise, self._joint_noise, self._target.size)
+        data.ctrl[:] = self._target
+        data.qpos[7:] = (self._target + noise)[self._motor_of_joint]
+        place_on_ground(model, data, self.command.position_sole, self.command.yaw_sole)
+        data.qpos[2] -= self._sink
+        data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
+        self._pushes.reset(rng)
+        mujoco.mj_forward(model, data)
+        self.truth = Truth(np.tile(data.sensordata, (SUBSTEPS, 1)), self.channels)
+        self._observer.reset()
+        observation, truth = self._observer.observe(self.truth, self.command)
+        if self.render_mode == "human":
+            self.render()
+        return observation, {"surefoot": {"truth": truth}}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Walk on for 1/80 s.
+
+        Args:
+            action: Residuals on the leg motors' targets as shares of ``action_scale``, shape (11,).
+
+        Raises:
+            ValueError: If the action has another shape or is not finite.
+            gymnasium.error.ResetNeeded: If the environment has not been reset.
+        """
+        if self._tick is None:
+            raise gym.error.ResetNeeded("Call reset() before the first step().")
+        residual = self._checked(action)
+        if self._tick < self._quiet_ticks:
+            residual = np.zeros_like(residual)
+        self._tick += 1
+        self.command = self._command(self._tick)
+        target = self.command.joint_target.astype(np.float64)
+        target[self._leg] += self._action_scale * residual
+        target = np.minimum(np.maximum(target, self._low), self._high)
+        move = np.minimum(np.maximum(target - self._target, self._fastest_back), self._fastest)
+
+        model, data, mj_step = self.model, self.data, mujoco.mj_step
+        sensordata, ctrl = data.sensordata, data.ctrl
+        rows = np.empty((SUBSTEPS, self.channels.size))
+        targets = self._target + self._fraction * move
+        self._pushes.apply(data, self.np_random)
+        self._payload.apply(self._tick)
+        for row, substep_target in zip(rows, targets, strict=True):
+            ctrl[:] = substep_target
+            mj_step(model, data)
+            row[:] = sensordata
+        self._target = targets[-1]
+
+        self.truth = Truth(rows, self.channels)
+        observation, truth = self._observer.observe(self.truth, self.command)
+        terms = self._reward(truth, residual)
+        truncated = self._steps is not None and self._tick >= self._steps
+        if self.render_mode == "human":
+            self.render()
+        info = {"surefoot": {"truth": truth}, **terms}
+        return observation, sum(terms.values()), self._fallen(), truncated, info
+
+    def _checked(self, action: Any) -> NDArray[np.float64]:
+        return checked_action(
+            action,
+            LEG_MOTORS,
+            "a residual for each leg motor",
+            "a policy that returns NaN has diverged, zeros leave the pattern alone",
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the robot and the markers: a frame (height, width, 3), or a window in "human" mode."""
+        return self._renderer.render(self.render_mode, self.markers)
+
+    def close(self) -> None:
+        """Close what was drawn on."""
+        self._renderer.close()

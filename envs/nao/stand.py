@@ -1,0 +1,115 @@
+"""The robot stands still, or sways."""
+
+from collections.abc import Sequence
+from math import cos, pi, sin
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
+from surefoot.envs.options import positive
+from surefoot.envs.robot import FEET, place_on_ground
+
+LEG_LENGTH = 0.2029
+"""Thigh and tibia in m."""
+
+
+class NaoStandEnv(NaoEnv):
+    """Stand on both feet without falling; actions, observations and reward are :class:`NaoEnv`'s.
+
+    Args:
+        sway: Amplitudes (forward, left) of a sine by which the pelvis sways over the feet, in m, forward and
+            left first; zero to stand still. The feet stay flat and the torso upright. It fades in over the
+            first period.
+        sway_period: Period of the sway in s.
+        **options: Of :class:`NaoEnv`.
+
+    Raises:
+        ValueError: If an option is out of its range, naming it.
+    """
+
+    def __init__(
+        self, *, sway: Sequence[float] = (0.0, 0.0), sway_period: float = 4.0, **options: Any
+    ) -> None:
+        amplitude = tuple(float(part) for part in sway)
+        if len(amplitude) != 2 or not all(abs(part) <= 0.04 for part in amplitude):
+            raise ValueError(
+                f"'sway' must be amplitudes (forward, left) of at most 0.04 m, which keep the robot over its "
+                f"feet; got {list(sway)}."
+            )
+        super().__init__(**options)
+        self._sway = amplitude
+        self._rate = 2.0 * pi / positive("sway_period", sway_period)
+        motor = {name: i for i, name in enumerate(self.motor_names)}
+        joints = ("AnklePitch", "HipPitch", "AnkleRoll", "HipRoll")
+        self._swaying = [[motor[side + joint] for joint in joints] for side in "LR"]
+        self._posture = self.model.key("stand").ctrl.copy()
+        self._height = LEG_LENGTH * cos(self._posture[motor["LAnklePitch"]])
+        self._com, self._position_sole = self._stand(self._posture)
+        pelvis = 0.01
+        # How far the centre of mass follows the pelvis, forward and left.
+        self._follow = [
+            float((self._stand(self._swayed(*shift))[0] - self._com)[axis]) / pelvis
+            for axis, shift in enumerate([(pelvis, 0.0), (0.0, pelvis)])
+        ]
+        self._still = self._sample(0)
+
+    def _stand(self, posture: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Find the centre of mass and the soles of a posture in which both soles are flat."""
+        data = mujoco.MjData(self.model)
+        data.qpos[7:] = posture[self._motor_of_joint]
+        place_on_ground(self.model, data, np.zeros((2, 3)), np.zeros(2))
+        mujoco.mj_comPos(self.model, data)
+        soles = np.array([data.site(f"{foot}_sole").xpos for foot in FEET])
+        return data.subtree_com[self._torso] - (soles.mean(axis=0) * (1.0, 1.0, 0.0)), soles
+
+    def _swayed(self, forward: float, left: float) -> NDArray[np.float64]:
+        posture = self._posture.tolist()
+        pitch, roll = forward / self._height, left / self._height
+        for ankle_pitch, hip_pitch, ankle_roll, hip_roll in self._swaying:
+            # A positive ankle pitch turns the toes down, or, with the sole on the ground, the leg backwards.
+            posture[ankle_pitch] -= pitch
+            posture[hip_pitch] += pitch
+            posture[ankle_roll] += roll
+            posture[hip_roll] -= roll
+        return np.array(posture)
+
+    def _sine(self, tick: int) -> tuple[float, float, float]:
+        """A sine that fades in over its first period, with its first two derivatives in time."""
+        rate, time = self._rate, tick * CONTROL_STEP
+        sine, cosine = sin(rate * time), cos(rate * time)
+        if rate * time >= 2.0 * pi:
+            return sine, rate * cosine, -rate * rate * sine
+        half = 0.5 * rate
+        fade, slope = 0.5 - 0.5 * cos(half * time), 0.5 * half * sin(half * time)
+        curve = 0.5 * half * half * cos(half * time)
+        return (
+            fade * sine,
+            slope * sine + fade * rate * cosine,
+            curve * sine + 2.0 * slope * rate * cosine - fade * rate * rate * sine,
+        )
+
+    def _command(self, tick: int) -> Command:
+        return self._sample(tick) if any(self._sway) else self._still
+
+    def _sample(self, tick: int) -> Command:
+        where, speed, acceleration = self._sine(tick)
+        forward, left = self._sway
+        sway = np.array([forward * self._follow[0], left * self._follow[1], 0.0])
+        com, com_acceleration = self._com + where * sway, acceleration * sway
+        gravity = -float(self.model.opt.gravity[2])
+        return Command(
+            joint_target=self._swayed(where * forward, where * left),
+            com=com,
+            com_velocity=speed * sway,
+            com_acceleration=com_acceleration,
+            cop=com[:2] - com[2] / gravity * com_acceleration[:2],
+            position_sole=self._position_sole,
+            yaw_sole=np.zeros(2),
+            stance=np.ones(2, dtype=bool),
+            swing=np.zeros(2, dtype=bool),
+            phase=0.0,
+        )

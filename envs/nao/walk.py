@@ -1,0 +1,80 @@
+"""The robot walks."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from surefoot.envs.gait.footsteps import GaitTiming
+from surefoot.envs.gait.pattern import plan_route, plan_walk
+from surefoot.envs.gait.roll import checked_roll
+from surefoot.envs.gait.route import checked_route
+from surefoot.envs.nao.pattern import NaoPatternEnv
+
+
+class NaoWalkEnv(NaoPatternEnv):
+    """Walk along a line, an arc or a route of legs from standing to standing.
+
+    :class:`NaoEnv` describes actions and observations. The zero action is the open-loop walker: the joint
+    targets of a pattern planned by preview control, which knows the robot but neither its pushes nor its
+    friction.
+
+    ## Reward
+
+    The sum of the terms below, all of the step's end, which ``info`` holds as well. True and planned values
+    are compared in the level frames of the true and of the commanded soles, so that a walk that has drifted
+    off its line is not paid less for it.
+
+    | Term | Value |
+    |------|-------|
+    | ``reward_alive`` | 1 |
+    | ``reward_progress`` | exp(-(e / 0.1 m/s)^2), e: velocity of the centre of mass less the planned one |
+    | ``reward_upright`` | exp(-(e / 0.2 rad)^2), e: angle between the torso and the vertical |
+    | ``reward_cop`` | exp(-(e / 0.02 m)^2), e: centre of pressure less its reference; 0 where undefined |
+    | ``reward_action`` | -0.1 times the mean square of the action |
+
+    ## End of an episode
+
+    *Terminated* at a fall, as in :class:`NaoEnv`; *truncated* at the end of the plan.
+
+    Args:
+        speed: Forward speed in m/s, negative backwards; 0 marks time, or turns in place.
+        turn_rate: Change of heading in rad/s, positive to the left.
+        duration: Duration of the plan, standing at either end included, in s.
+        stand_time: Standing before the first and after the last step, in s.
+        route: Legs (duration in s, speed in m/s, turn rate in rad/s) to go one after another, in place of
+            ``speed`` and ``turn_rate``; a leg with both zero stands still, and what the route leaves of the
+            duration is stood. For instance ``[[8, 0.04, 0], [3, 0, 0], [6, 0, 0.2], [8, 0.04, 0.1]]`` walks,
+            stops, turns in place and goes on along an arc.
+        foot_roll: Pitch in rad with which a foot leaves its toe last and lands on its heel, 0.05 for
+            instance; 0 keeps the feet flat.
+        push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
+        **options: Of :class:`NaoEnv`.
+
+    Attributes:
+        pattern: The plan.
+
+    Raises:
+        ValueError: If the walk asks more than the legs can do, or an option is out of its range.
+    """
+
+    def __init__(
+        self,
+        *,
+        speed: float = 0.04,
+        turn_rate: float = 0.0,
+        duration: float = 60.0,
+        stand_time: float = 1.0,
+        route: Sequence[Sequence[float]] | None = None,
+        foot_roll: float = 0.0,
+        push_impulse: Sequence[float] = (0.1, 0.5),
+        **options: Any,
+    ) -> None:
+        timing = GaitTiming(stand_time=float(stand_time))
+        roll = checked_roll(foot_roll)
+        if route is None:
+            self.pattern = plan_walk(
+                float(speed), float(turn_rate), float(duration), timing=timing, foot_roll=roll
+            )
+        else:
+            legs = checked_route(route)
+            self.pattern = plan_route(legs, float(duration), timing=timing, foot_roll=roll)
+        super().__init__(duration=duration, push_impulse=push_impulse, **options)

@@ -1,0 +1,1 @@
+"""All calibrators on the same walks, in many scenarios."""

@@ -1,0 +1,48 @@
+"""The posterior Cramér-Rao bound of a log, in the terms of the arena's scores."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import MomentFilterConfig, OnlineSetup, Parameters, posterior_bound
+from surefoot.experiments.arena.pieces import LogBound
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.walks.replay import starting_map
+
+__all__ = ["bound_of"]
+
+
+def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> LogBound:
+    """Compute what no estimator can go below on a walk with truth.
+
+    The bound of a recording of something else than a walking NAO is NaN.
+
+    Args:
+        log: The log.
+        judged: Samples that are scored, shape (N,).
+        options: What the surefoot estimator is told besides the log.
+    """
+    walks = log.truth is not None and bool(log.about.get("speed_m_s"))
+    if not walks or not judged.any() or not np.isfinite(log.raw).all():
+        return LogBound(float("nan"), float("nan"), float("nan"))
+    assert log.truth is not None
+    model = {field.name for field in fields(MomentFilterConfig)}
+    setup = OnlineSetup(
+        layout=log.layout,
+        mass=log.mass,
+        initial=starting_map(log),
+        dt=log.dt,
+        lag=log.lag,
+        **{name: value for name, value in options.items() if name not in model},
+    )
+    config = MomentFilterConfig(**{name: value for name, value in options.items() if name in model})
+    truth = Parameters(log.truth.scale, log.truth.offset)
+    bound = posterior_bound(setup, log.raw, log.reference, truth, config)
+    return LogBound(
+        cop=float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
+        vgrf=float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
+        cell=float(np.sqrt(np.mean(bound.force[judged] ** 2))),
+    )

@@ -1,0 +1,221 @@
+"""Replay the streams of a scenario as one batch, and keep what the scores need and nothing else.
+
+A covariance of 16 parameters is 256 numbers a sample; it is held against the truth as it appears, once a
+second, and forgotten.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import (
+    Estimate,
+    FootCalibrator,
+    Parameters,
+    Reference,
+    cop_of_feet,
+    sole_wrenches,
+)
+from surefoot.experiments.arena.options import TRUE_MAP
+from surefoot.experiments.arena.streams import Stream, held
+from surefoot.experiments.walks.replay import LogBatch, batches_of
+
+__all__ = ["Consistency", "Played", "play"]
+
+SNAPSHOT = 1.0
+"""Time between looks at a covariance in s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """How the errors of one run agree with the uncertainty that the method claims.
+
+    Attributes:
+        time: Times of M looks in s, shape (M,).
+        nees: Squared error of (a, b) by the covariance claimed, over the number of parameters, shape (M,);
+            1 is right, more is too sure of itself. NaN where nothing is claimed.
+        nees_cop: The same of the centre of pressure.
+        nees_force: The same of single channels, without what they have to do with each other.
+        nis: Sum of the normalised squared innovations after the settling time.
+        nis_rows: Number of rows in that sum.
+    """
+
+    time: NDArray[np.float64]
+    nees: NDArray[np.float64]
+    nees_cop: NDArray[np.float64]
+    nees_force: NDArray[np.float64]
+    nis: float
+    nis_rows: float
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """What a method made of one stream of N samples and K channels.
+
+    Attributes:
+        force: Calibrated channels in N, shape (N, K).
+        scale: a in F = a F0 + b, F0 being the force by the starting map, shape (N, K).
+        offset: b in N, shape (N, K).
+        flags: Bits of :class:`~surefoot.calibration.Flag`, shape (N, K).
+        consistency: How sure it was, and how right to be.
+        seconds: Time per sample and robot of the batch in s.
+    """
+
+    force: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    flags: NDArray[np.int64]
+    consistency: Consistency
+    seconds: float
+
+
+def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]:
+    """Run a method over streams.
+
+    Args:
+        streams: Streams of any lengths and robots.
+        method: A key of :data:`~surefoot.calibration.METHODS`, or the true map's name.
+        **options: Options of the method.
+
+    Returns:
+        What it made of each, in their order.
+    """
+    if method == TRUE_MAP:
+        return [_true_map(stream) for stream in streams]
+    logs = [stream.log for stream in streams]
+    played: dict[int, Played] = {}
+    for batch in batches_of(logs, [log.nominal for log in logs]):
+        members = batch.members
+        played |= zip(
+            members, _play_batch([streams[i] for i in members], batch, method, options), strict=True
+        )
+    return [played[i] for i in range(len(streams))]
+
+
+def _true_map(stream: Stream) -> Played:
+    log, truth = stream.log, stream.truth
+    start = log.nominal
+    undone = Parameters(truth.scale, truth.offset).relative_to(start)
+    nothing = np.full(0, np.nan)
+    return Played(
+        force=_undone(stream),
+        scale=undone.scale,
+        offset=undone.offset,
+        flags=np.zeros(log.raw.shape, dtype=np.int64),
+        consistency=Consistency(nothing, nothing, nothing, nothing, float("nan"), 0.0),
+        seconds=float("nan"),
+    )
+
+
+def _undone(stream: Stream) -> NDArray[np.float64]:
+    """Undo all errors of the readings at every moment, the cross-talk of six-axis sensors included."""
+    log, truth = stream.log, stream.truth
+    own: NDArray[np.float64] = truth.scale * held(log.raw) + truth.offset
+    if "truth_cross_talk" not in log.about:
+        return own
+    # Each axis's own gain g and zero are undone: (I + X / g) w is left, besides the weight beyond the sensor.
+    talk, preload = np.array(log.about["truth_cross_talk"]), np.array(log.about["truth_preload"])
+    mixed = np.eye(len(talk)) + (truth.scale / log.nominal.scale)[..., None] * talk
+    undone: NDArray[np.float64] = np.linalg.solve(mixed, (own - preload)[..., None])[..., 0] + preload
+    return undone
+
+
+def _play_batch(streams: list[Stream], batch: LogBatch, method: str, options: dict[str, Any]) -> list[Played]:
+    first = streams[0].log
+    layout, samples, robots = first.layout, len(first), len(streams)
+    calibrator = FootCalibrator(layout, method, mass=first.mass, dt=first.dt, lag=first.lag, **options)
+    force, scale, offset = (np.empty((samples, robots, layout.channels)) for _ in range(3))
+    flags = np.empty((samples, robots, layout.channels), dtype=np.int64)
+    watch = _Watch(streams)
+    seconds = 0.0
+    for k, step in enumerate(batch.steps.tolist()):
+        now = Reference(*(part[k] for part in batch.reference))
+        began = time.perf_counter()
+        estimate = calibrator.update(batch.force[k], now, step)
+        seconds += time.perf_counter() - began
+        force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
+        flags[k] = estimate.flags
+        watch.look(k, estimate, now)
+    return [
+        Played(force[:, i], scale[:, i], offset[:, i], flags[:, i], watch.of(i), seconds / (samples * robots))
+        for i in range(robots)
+    ]
+
+
+class _Watch:
+    """Holds what a batch claims against the truth, as it goes.
+
+    Args:
+        streams: The streams of the batch.
+    """
+
+    def __init__(self, streams: list[Stream]) -> None:
+        self._streams = streams
+        self._every = max(round(SNAPSHOT / streams[0].log.dt), 1)
+        self._time: list[float] = []
+        self._nees: list[NDArray[np.float64]] = []
+        self._cop: list[NDArray[np.float64]] = []
+        self._force: list[NDArray[np.float64]] = []
+        self._nis = np.zeros(len(streams))
+        self._rows = np.zeros(len(streams))
+        truths = [Parameters(s.truth.scale, s.truth.offset).relative_to(s.log.nominal) for s in streams]
+        # A channel that no longer tells its own force has no map that the estimate could be held against.
+        self._healthy = np.array([not s.faults for s in streams])
+        self._map = np.stack([np.hstack([t.scale, t.offset]) for t in truths], axis=1)
+        self._judged = np.stack([s.judged for s in streams], axis=1)
+
+    def look(self, k: int, estimate: Estimate, reference: Reference) -> None:
+        """Take in sample ``k``."""
+        nis, rows = estimate.nis, estimate.nis_rows
+        if nis is not None and rows is not None:
+            counted = self._judged[k] & (rows > 0) & np.isfinite(nis)
+            self._nis += np.where(counted, nis, 0.0)
+            self._rows += np.where(counted, rows, 0)
+        if (k + 1) % self._every:
+            return
+        self._time.append(float(self._streams[0].log.time[k]))
+        error = np.hstack([estimate.scale, estimate.offset]) - self._map[k]
+        self._nees.append(np.where(self._healthy, _normalised(error, estimate.covariance), np.nan))
+        true_force = np.stack([s.truth.force[k] for s in self._streams])
+        std = estimate.force_std
+        nothing = np.full(len(self._streams), np.nan)
+        self._force.append(
+            nothing if std is None else np.mean(((estimate.force - true_force) / std) ** 2, axis=-1)
+        )
+        cop = estimate.cop_covariance
+        if cop is None:
+            self._cop.append(nothing)
+            return
+        off = estimate.cop - self._true_cop(k, reference)
+        self._cop.append(np.where(estimate.cop_valid, _normalised(off, cop), np.nan))
+
+    def of(self, robot: int) -> Consistency:
+        """Hand out what was seen of one robot."""
+        time = np.array(self._time)
+        nees, cop, force = (
+            np.array([row[robot] for row in rows]) for rows in (self._nees, self._cop, self._force)
+        )
+        return Consistency(time, nees, cop, force, float(self._nis[robot]), float(self._rows[robot]))
+
+    def _true_cop(self, k: int, reference: Reference) -> NDArray[np.float64]:
+        """Place the true forces under the soles that the estimate is placed under, shape (B, 2)."""
+        force = np.stack([s.truth.force[k] for s in self._streams])
+        wrench = sole_wrenches(force, self._streams[0].log.layout)
+        cop: NDArray[np.float64] = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
+        return cop
+
+
+def _normalised(error: NDArray[np.float64], covariance: Any) -> NDArray[np.float64]:
+    """Squared errors by their covariance over their number, shape (B,); infinite where it is not one."""
+    if covariance is None:
+        return np.full(len(error), np.nan)
+    found = np.full(len(error), np.inf)
+    for i, (off, matrix) in enumerate(zip(error, np.asarray(covariance, dtype=np.float64), strict=True)):
+        values, vectors = np.linalg.eigh(matrix) if np.isfinite(matrix).all() else (np.zeros(1), None)
+        if vectors is not None and values[0] > 0.0:
+            found[i] = np.mean((vectors.T @ off) ** 2 / values)
+    return found

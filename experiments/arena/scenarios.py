@@ -1,0 +1,313 @@
+"""The arena's scenarios: what is walked, what is wrong, and which question that answers.
+
+One line a scenario. The bad start, unless a scenario says otherwise, is that of all comparisons: gains off by
+12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute, a centre of mass off by 3 mm, a mass
+off by 0.5 %, noise and bias of a NAO's IMU, and telemetry 20 +- 4 ms late.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from surefoot.experiments.arena.walks import CHIPS, INSTANT, Walk
+from surefoot.experiments.walks.record import Condition
+from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
+
+__all__ = ["PLAIN", "SCENARIOS", "Scenario", "scenarios_named"]
+
+PLAIN = "speed-0.04"
+"""The scenario without anything special, which others are held against."""
+
+_FAULT_STREAM = 0xFA17
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One line of the table.
+
+    Attributes:
+        name: Short name, for files and the command.
+        title: What to call it.
+        answers: The question that it answers, and where that is asked.
+        walk: The walk, or ``None`` for a recording.
+        condition: Name of the cells that read it.
+        recording: A key of :data:`~surefoot.experiments.arena.recordings.RECORDINGS`.
+        faults: Faults of one channel, without channel and start, which are drawn.
+        options: What every method must be told besides, by name.
+        method_options: Options of single methods, by the method's name.
+        most_seeds: Most walks, for long ones.
+        long: Whether it takes minutes of walking, and so is no part of a quick run.
+    """
+
+    name: str
+    title: str
+    answers: str
+    walk: Walk | None
+    condition: str = INSTANT.name
+    recording: str | None = None
+    faults: tuple[Fault, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    method_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    most_seeds: int | None = None
+    long: bool = False
+
+    def seeds(self, seeds: int) -> range:
+        """Number its walks, where ``seeds`` are asked for."""
+        return range(seeds if self.most_seeds is None else min(seeds, self.most_seeds))
+
+    def options_of(self, method: str) -> dict[str, Any]:
+        """Collect what a method must be told."""
+        return {**self.options, **self.method_options.get(method, {})}
+
+    def faults_of(self, seed: int, earliest: float) -> tuple[Fault, ...]:
+        """Draw which cell a fault befalls, and when: within one stride from a time on.
+
+        Args:
+            seed: Of the walk.
+            earliest: Time in s.
+        """
+        rng = np.random.default_rng([_FAULT_STREAM, seed])
+        channel, start = int(rng.integers(8)), earliest + rng.uniform(0.0, 1.6)
+        # The other one of a swap is a cell of the same foot: plugs of one foot are within reach.
+        other = 4 * (channel // 4) + (channel + int(rng.integers(1, 4))) % 4
+        return tuple(
+            replace(fault, channel=channel, start=start, other=other if fault.kind == "swapped" else None)
+            for fault in self.faults
+        )
+
+
+def _fault(kind: str, title: str, **options: float) -> Scenario:
+    # Only a swap needs another channel; both are drawn later.
+    other = 1 if kind.startswith("swapped") else None
+    fault = Fault(kind.partition("-")[0], 0, other=other, **options)
+    return Scenario(
+        f"fault-{kind}",
+        title,
+        f"A cell fails while the robot walks: is it found within 1 s, is it the right one, and what is the "
+        f"centre of pressure worth afterwards ({fault.kind}; none of the papers asks)?",
+        _PLAIN_WALK,
+        faults=(fault,),
+    )
+
+
+def _speed(speed: float) -> Walk:
+    return Walk(f"speed{speed:g}", speed, conditions=(INSTANT, CHIPS))
+
+
+_PLAIN_WALK = _speed(0.04)
+_WARM = Condition(
+    "warming",
+    "warming up by 20 K in ten minutes",
+    LoadCells(rate=None, zero_tempco=0.03, span_tempco=5e-4, temperature_ramp=20.0 / 600.0),
+    "nominal",
+)
+_ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque())
+_BOTH = Condition("both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque())
+# Eight seconds are too short to wait for a standing start that does not come.
+_IMPATIENT = {name: {"standing_patience": 3.0} for name in ("window", "quasi-static")}
+_WIDE_ZEROS = {"surefoot": {"offset_std": 0.1}}
+"""What is known of the six-axis sensors: zeros of some 5 N, a tenth of the weight."""
+
+_FOOT_LENGTH = {"foot_length": 0.17}
+_ROUTE = ((6.0, 0.04, 0.0), (2.0, 0.0, 0.0), (6.0, 0.0, 0.2), (6.0, 0.04, 0.1), (2.0, 0.0, 0.0))
+_BOUNDARIES = "CoP paper, section 5.1"
+
+_TABLE = (
+    *(
+        Scenario(
+            f"speed-{speed:g}",
+            f"{speed:g} m/s",
+            "The paper's three speeds from the bad start (CoP paper, Tables 4-6).",
+            _speed(speed),
+        )
+        for speed in (0.02, 0.04, 0.1)
+    ),
+    *(
+        Scenario(
+            f"chips-{speed:g}",
+            f"{speed:g} m/s, cells on their own clocks",
+            "The same walks read through converters that run unsynchronised: what is left of it with a "
+            "reading that is up to 13 ms old, which even the true map cannot undo?",
+            _speed(speed),
+            CHIPS.name,
+        )
+        for speed in (0.02, 0.04, 0.1)
+    ),
+    Scenario(
+        "start-stop-turn",
+        "start, stop and turn",
+        "Gait transitions, which the paper leaves to future work (sections 4.3 and 5).",
+        Walk("route", duration=STAND_TIME + 30.0, env={"route": (*_ROUTE, *_ROUTE[:2])}),
+    ),
+    Scenario(
+        "pushes",
+        "pushes",
+        "External disturbances, which the paper leaves to future work (sections 4.3 and 5).",
+        Walk("pushes", env={"push_impulse": (0.1, 0.3)}),
+    ),
+    Scenario(
+        "soft-ground",
+        "soft ground",
+        f"Compliant ground breaks the assumption of rigid contact ({_BOUNDARIES}).",
+        Walk("soft", env={"ground_time_constant": 0.06}),
+    ),
+    Scenario(
+        "slippery-ground",
+        "slippery ground",
+        f"Slip breaks the assumption of static friction ({_BOUNDARIES}).",
+        Walk("slippery", env={"friction": (0.04, 0.06)}),
+    ),
+    Scenario(
+        "rolling-feet",
+        "rolling from heel to toe",
+        f"Rolling contact amplifies errors near contact transitions ({_BOUNDARIES}).",
+        Walk("rolling", env={"foot_roll": 0.05}),
+    ),
+    Scenario(
+        "imu-bias",
+        "IMU bias and tilt",
+        f"A biased IMU, whose tilt is then wrong as well ({_BOUNDARIES}): four times the bias, ten times "
+        "its wander.",
+        Walk(
+            "imu",
+            sensors={
+                "imu": Imu(accelerometer_bias_std=0.2, gyroscope_bias_std=4e-3, accelerometer_walk=2e-3)
+            },
+        ),
+    ),
+    Scenario(
+        "delay-jitter",
+        "delay off by 10 ms, and jitter",
+        f"Telemetry 10 ms later or earlier than believed, with 8 ms of jitter ({_BOUNDARIES}).",
+        Walk("delay", sensors={"link": Link(jitter=0.008)}, clock_error=0.010),
+    ),
+    Scenario(
+        "mass-error",
+        "mass off by 2 %",
+        "The reference's own errors: a believed mass that is 2 % off.",
+        Walk("mass", beliefs={"mass_error": 0.02}),
+    ),
+    Scenario(
+        "payload",
+        "a payload of 0.3 kg picked up",
+        "The reference's own errors: the robot picks up 6 % of its mass and does not know.",
+        Walk("payload", env={"payload": (0.3, STAND_TIME + 12.0)}),
+    ),
+    Scenario(
+        "com-error",
+        "centre of mass off by 10 mm",
+        "The reference's own errors: a believed centre of mass that is 10 mm off.",
+        Walk("com", beliefs={"com_offset": 0.010}),
+    ),
+    *(
+        _fault(kind, title, **options)
+        for kind, title, options in (
+            ("dead", "a cell goes dead", {}),
+            ("stuck", "a cell is stuck", {}),
+            ("saturated", "a cell saturates at 8 N", {"level": 8.0}),
+            ("saturated-rail", "a cell goes to its rail", {}),
+            ("spiking", "a cell spikes five times a second", {"rate": 5.0}),
+            ("dropped", "a cell's readings no longer arrive", {}),
+            ("swapped", "two cells are swapped", {}),
+            ("flipped", "a cell's sign flips", {}),
+        )
+    ),
+    Scenario(
+        "ankle-ft",
+        "six-axis sensors in the ankles",
+        "Ankle force-torque sensors in place of the cells: gains off by 8 %, cross-talk of 1 %, zeros off by "
+        "5 N and 0.1 N m.",
+        Walk("ankle", conditions=(_ANKLE, _BOTH)),
+        _ANKLE.name,
+        options=_FOOT_LENGTH,
+        method_options=_WIDE_ZEROS,
+    ),
+    Scenario(
+        "cells-and-ankle-ft",
+        "cells and six-axis sensors",
+        "Both instruments on every foot, which may calibrate each other; errors are those of their mean.",
+        Walk("ankle", conditions=(_ANKLE, _BOTH)),
+        _BOTH.name,
+        options=_FOOT_LENGTH,
+        method_options=_WIDE_ZEROS,
+    ),
+    Scenario(
+        "temperature-ramp",
+        "ten minutes, warming by 20 K",
+        "Zeros and gains that follow the temperature besides drifting.",
+        Walk("warming", duration=STAND_TIME + 600.0, conditions=(_WARM,)),
+        _WARM.name,
+        most_seeds=5,
+        long=True,
+    ),
+    Scenario(
+        "half-an-hour",
+        "half an hour",
+        "Long-term stability over extended walking (CoP paper, section 4.3).",
+        Walk("half-hour", duration=STAND_TIME + 1800.0),
+        most_seeds=3,
+        long=True,
+    ),
+)
+
+_RECORDED = tuple(
+    Scenario(
+        f"recording-{name}",
+        title,
+        f"{answers} Gains are off by 10 % and offsets by 3 % of the weight, on top of what was recorded; "
+        "errors are held against the record itself.",
+        None,
+        recording=name,
+        options=_FOOT_LENGTH if name == "icub" else {},
+        method_options=_IMPATIENT if name == "pole" else {},
+    )
+    for name, title, answers in (
+        (
+            "board",
+            "recorded: a person on a balance board",
+            "Quiet standing hardly excites the plate: weight and centre of pressure are told.",
+        ),
+        (
+            "pole",
+            "recorded: a pole rocked on a force plate",
+            "One corner carries some 90 % of the load, against rigid plate statics; the fixed tip is told "
+            "and scored against.",
+        ),
+        (
+            "empty-plate",
+            "recorded: an empty force plate",
+            "The zeros stand at a pure warp after unloading, which neither the total nor the centre of "
+            "pressure shows; scored against no load.",
+        ),
+        (
+            "icub",
+            "recorded: an iCub that sways on both feet",
+            "Vertical forces alone, without moments and with no foot ever in the air: the total is told.",
+        ),
+    )
+)
+
+SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in (*_TABLE, *_RECORDED)})
+"""All scenarios by name, in the order of the report."""
+
+
+def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
+    """Look scenarios up.
+
+    Args:
+        names: Their names; none for all, or all that are short where it must go quickly.
+        quick: Whether it must.
+
+    Raises:
+        ValueError: If there is none of a name; the message lists what there is.
+    """
+    unknown = [name for name in names if name not in SCENARIOS]
+    if unknown:
+        raise ValueError(f"There is no scenario '{unknown[0]}'. Available: {', '.join(SCENARIOS)}.")
+    if names:
+        return tuple(SCENARIOS[name] for name in dict.fromkeys(names))
+    return tuple(scenario for scenario in SCENARIOS.values() if not (quick and scenario.long))

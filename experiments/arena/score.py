@@ -1,0 +1,230 @@
+"""What one run of one method on one stream is worth: a row of numbers.
+
+Errors are root mean squares over the judged samples, as in :mod:`surefoot.experiments.walks.score`. Besides,
+
+* ``scale``, ``offset``: error of the parameters, rms over channels and judged samples. ``scale`` is relative;
+  ``offset`` is the force in N that a channel without load would be said to carry.
+* ``converged``: time in s from the beginning of the walk, from which on the CoP error of the last 2 s stays
+  within twice what it is over the last 10 s of the walk.
+* ``spread``: standard deviation in m of that running error after the settling time.
+* ``end``, ``end_start``: CoP error over the last 10 s, of the method and of the map that it started from;
+  ``worse`` if the first is larger. ``worse_vgrf`` and ``worse_cell`` say the same of forces.
+* ``nees``, ``nees_end``, ``nees_cop``, ``nees_force``, ``nis``: how errors agree with the uncertainty
+  claimed, each over its degrees of freedom, so that 1 is right. NaN for a method that claims none.
+* ``alarms``, ``hours``: how often a flag of a fault rose on a channel that had none, and in how much
+  walking.
+* ``found``, ``isolated``, ``named``, ``after``: with a fault, the time in s until any of those flags rose;
+  whether the channels flagged up to 1 s later are the faulty ones and no other; whether the flag names the
+  fault; and the CoP error from 1 s after the fault on.
+"""
+
+from functools import reduce
+from operator import or_
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import FORCE_THRESHOLD, Flag, sole_wrenches
+from surefoot.experiments.arena.replay import Played
+from surefoot.experiments.arena.streams import Stream
+from surefoot.experiments.walks.score import cop_world
+
+__all__ = ["FAULT_FLAGS", "run_errors", "running_rmse", "score_run"]
+
+Floats = NDArray[np.float64]
+
+FAULT_FLAGS = reduce(
+    or_,
+    (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED),
+)
+"""Flags that accuse a channel."""
+
+_NAMED = {
+    "dead": Flag.DEAD,
+    "stuck": Flag.STUCK,
+    "saturated": Flag.SATURATED,
+    "spiking": Flag.SPIKE,
+    "dropped": Flag.MISSING,
+    "swapped": Flag.SWAPPED,
+    "flipped": Flag.FLIPPED,
+}
+"""The flag that names each kind of fault."""
+
+RUNNING = 2.0
+"""Length in s of the piece that the running error is taken over."""
+
+END = 10.0
+"""Length in s of the end of a walk, which says what is reached; a third of a short walk."""
+
+GRACE = 1.0
+"""Time in s after a fault in which it may be found and isolated, and errors do not count."""
+
+
+def score_run(stream: Stream, played: Played) -> dict[str, Any]:
+    """Score one run.
+
+    Args:
+        stream: The stream.
+        played: What a method made of it.
+
+    Returns:
+        The numbers that the module describes, by name; NaN where there is nothing to say.
+    """
+    log, judged = stream.log, stream.judged
+    cop, vgrf, cell = run_errors(stream, played.force)
+    start_cop, start_vgrf, start_cell = run_errors(stream, stream.start)
+    final = log.time[judged][-1]
+    last = judged & (log.time > final - min(END, (final - stream.began) / 3.0))
+    end, end_start = _rms(cop[last]), _rms(start_cop[last])
+    running = running_rmse(log.time, cop)
+    row: dict[str, Any] = {
+        "seed": stream.seed,
+        "fell": stream.fell,
+        "walked": float(log.time[-1] - stream.began),
+        "cop": _rms(cop[judged]),
+        "vgrf": _rms(vgrf[judged]),
+        "cell": _rms(cell[judged]),
+        "finite": bool(np.isfinite(played.force).all()),
+        "end": end,
+        "end_start": end_start,
+        "worse": _larger(end, end_start),
+        "worse_vgrf": _larger(_rms(vgrf[last]), _rms(start_vgrf[last])),
+        "worse_cell": _larger(_rms(cell[last]), _rms(start_cell[last])),
+        "converged": _converged(log.time, running, end, stream.began),
+        "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
+        "batch_us": 1e6 * played.seconds,
+    }
+    row |= _parameter_errors(stream, played)
+    row |= _consistency(stream, played)
+    row |= _flags(stream, played)
+    return row | _faults(stream, played, cop)
+
+
+def running_rmse(time: Floats, error: Floats) -> Floats:
+    """Take the rmse of the last 2 s at every sample.
+
+    Args:
+        time: Times in s, shape (N,).
+        error: Sizes of errors, NaN where there is none, shape (N,).
+
+    Returns:
+        The rmse, shape (N,); NaN before there were 2 s and where no sample of them counts.
+    """
+    there = np.isfinite(error)
+    square = np.concatenate([[0.0], np.cumsum(np.where(there, error, 0.0) ** 2)])
+    count = np.concatenate([[0], np.cumsum(there)])
+    last = np.arange(1, len(time) + 1)
+    first = np.searchsorted(time, time - RUNNING + 1e-9)
+    number = count[last] - count[first]
+    mean = (square[last] - square[first]) / np.maximum(number, 1)
+    return np.where((number > 0) & (time >= time[0] + RUNNING), np.sqrt(np.maximum(mean, 0.0)), np.nan)
+
+
+def run_errors(stream: Stream, force: Floats) -> tuple[Floats, Floats, Floats]:
+    """Size of the CoP error in m (N,), error of the vertical force in N (N,) and of the cells in N (N, C)."""
+    log, truth = stream.log, stream.truth
+    poses = (log.layout, truth.position_sole, truth.R_world_sole)
+    vgrf, true_vgrf = (_vgrf(part, log.layout, truth.R_world_sole) for part in (force, truth.force))
+    true_cop = cop_world(truth.force, *poses) if stream.cop is None else stream.cop
+    off = np.linalg.norm(cop_world(force, *poses) - true_cop, axis=-1)
+    cop: Floats = np.where(true_vgrf > FORCE_THRESHOLD, off, np.nan)
+    # Torques of a six-axis sensor are in another unit.
+    newtons = [not name.rpartition("/")[2].startswith("t") for name in log.layout.channel_names]
+    return cop, vgrf - true_vgrf, (force - truth.force)[:, newtons]
+
+
+def _vgrf(force: Floats, layout: Any, R_world_sole: Floats) -> Floats:
+    wrench = sole_wrenches(force, layout)
+    total: Floats = np.sum(R_world_sole[..., 2, :] * wrench[..., :3], axis=(-1, -2))
+    return total
+
+
+def _converged(time: Floats, running: Floats, end: float, began: float) -> float:
+    """Find when the running error came to stay within twice its end."""
+    outside = np.flatnonzero(~(running <= 2.0 * end) & np.isfinite(running) & (time >= began))
+    if not np.isfinite(end):
+        return float("nan")
+    if len(outside) == 0:
+        return 0.0
+    return float(time[outside[-1] + 1] - began) if outside[-1] + 1 < len(time) else float("inf")
+
+
+def _parameter_errors(stream: Stream, played: Played) -> dict[str, float]:
+    if stream.faults:
+        return {"scale": float("nan"), "offset": float("nan")}
+    judged, start, truth = stream.judged, stream.log.nominal, stream.truth
+    ratio = truth.scale / start.scale
+    zero = truth.offset - ratio * start.offset
+    # A channel without load: F0 = -zero / ratio.
+    unloaded = played.offset - played.scale * zero / ratio
+    newtons = [not name.rpartition("/")[2].startswith("t") for name in stream.log.layout.channel_names]
+    return {
+        "scale": _rms((played.scale / ratio - 1.0)[judged]),
+        "offset": _rms(unloaded[judged][:, newtons]),
+    }
+
+
+def _consistency(stream: Stream, played: Played) -> dict[str, float]:
+    seen = played.consistency
+    counted = seen.time >= stream.log.time[stream.judged][0]
+    mean = {name: _mean(getattr(seen, name)[counted]) for name in ("nees", "nees_cop", "nees_force")}
+    return mean | {
+        "nees_end": float(seen.nees[-1]) if len(seen.nees) else float("nan"),
+        "parameters": float(2 * stream.log.layout.channels),
+        "nis": seen.nis / seen.nis_rows if seen.nis_rows else float("nan"),
+        "nis_rows": seen.nis_rows,
+    }
+
+
+def _flags(stream: Stream, played: Played) -> dict[str, float]:
+    """Say on which share of the judged samples each flag stood on any channel."""
+    union = np.bitwise_or.reduce(played.flags[stream.judged], axis=1)
+    return {f"flag_{flag.name}": float(np.mean((union & int(flag)) != 0)) for flag in Flag}
+
+
+def _faults(stream: Stream, played: Played, cop: Floats) -> dict[str, float]:
+    time = stream.log.time
+    accused = (played.flags & int(FAULT_FLAGS)) != 0
+    start = min((fault.start for fault in stream.faults), default=float("inf"))
+    before = (time >= stream.began) & (time < start)
+    rising = accused[1:] & ~accused[:-1]
+    row = {
+        "alarms": float(rising[before[1:]].sum()),
+        "hours": float(before.sum() * stream.log.dt / 3600.0),
+        "found": float("nan"),
+        "isolated": float("nan"),
+        "named": float("nan"),
+        "after": float("nan"),
+    }
+    if not stream.faults:
+        return row
+    kinds = {_NAMED[fault.kind] for fault in stream.faults}
+    accused |= (played.flags & int(reduce(or_, kinds))) != 0
+    guilty = {n for fault in stream.faults for n in (fault.channel, fault.other) if n is not None}
+    raised = np.flatnonzero(accused.any(axis=1) & (time >= start))
+    row["after"] = _rms(cop[time >= start + GRACE])
+    row["found"] = float(time[raised[0]] - start) if len(raised) else float("inf")
+    if len(raised):
+        window = (time >= start) & (time <= time[raised[0]] + GRACE)
+        row["isolated"] = float(set(np.flatnonzero(accused[window].any(axis=0)).tolist()) == guilty)
+        union = int(np.bitwise_or.reduce(played.flags[window], axis=None))
+        row["named"] = float(all(union & int(kind) for kind in kinds))
+    else:
+        row["isolated"] = row["named"] = 0.0
+    return row
+
+
+def _larger(end: float, start: float) -> bool:
+    """Compare errors; what leaves the readings alone is not worse by a rounding error."""
+    return bool(end > start * (1.0 + 1e-6))
+
+
+def _mean(values: Floats) -> float:
+    values = values[~np.isnan(values)]
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _rms(values: Floats) -> float:
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

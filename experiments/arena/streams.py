@@ -1,0 +1,141 @@
+"""One stream of the arena: a log, what was done to it, and which of its samples are judged."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.experiments.arena.options import ArenaOptions
+from surefoot.experiments.arena.scenarios import Scenario
+from surefoot.experiments.arena.walks import log_paths
+from surefoot.experiments.logs.format import Log, LogTruth, read_log
+from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.sensors import Fault, LoadCells, apply_faults
+
+__all__ = ["Stream", "cut_fall", "streams_of"]
+
+FALLING = 1.0
+"""The last s before a robot lay on the ground, in which it no longer walks."""
+
+LEAST_JUDGED = 4.0
+"""Shortest part of a walk in s that is worth a score."""
+
+FAULT_DELAY = 4.0
+"""How long after the settling time the first fault may come, in s; a third of what is left if that
+is less."""
+
+_NOISE_STREAM = 0xFA18
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """A log of N samples and how to judge what a method makes of it.
+
+    Attributes:
+        log: The log, with truth.
+        seed: Of the walk, or number of the draw of a recording.
+        judged: Samples whose errors count, shape (N,).
+        began: When the walk began, or anything moved, in s.
+        faults: What befell its channels.
+        fell: Whether the walk ended in a fall; the log then ends before it.
+        cop: Centre of pressure to score against in m, where it is known better than the true forces tell
+            it, shape (N, 2).
+    """
+
+    log: Log
+    seed: int
+    judged: NDArray[np.bool_]
+    began: float
+    faults: tuple[Fault, ...] = ()
+    fell: bool = False
+    cop: NDArray[np.float64] | None = None
+
+    @property
+    def truth(self) -> LogTruth:
+        """What the simulator knew."""
+        assert self.log.truth is not None
+        return self.log.truth
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """Forces in N by the map that methods start from, held where no reading arrived, shape (N, K)."""
+        return self.log.nominal.force(held(self.log.raw))  # type: ignore[no-any-return]
+
+
+def held(readings: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Carry the last reading of each channel over samples that lack one, shape (N, K)."""
+    there = np.isfinite(readings)
+    last = np.maximum.accumulate(np.where(there, np.arange(len(readings))[:, None], 0), axis=0)
+    kept: NDArray[np.float64] = np.take_along_axis(readings, last, axis=0)
+    return kept
+
+
+def streams_of(scenario: Scenario, options: ArenaOptions) -> tuple[list[Stream], int]:
+    """Read the walks of a scenario and do to them what it says.
+
+    Args:
+        scenario: The scenario, whose walks have been recorded.
+        options: How much the arena does.
+
+    Returns:
+        The streams, and how many walks are left out because the robot fell before it was worth a score.
+    """
+    if scenario.walk is None:
+        raise ValueError(f"Scenario '{scenario.name}' is a recording and has no walks.")
+    streams, left_out = [], 0
+    for seed in scenario.seeds(options.seeds):
+        paths = log_paths(scenario.walk, seed, options.duration, logs_folder(options))
+        log = read_log(paths[scenario.condition])
+        fell = bool(log.about["fell"])
+        if fell:
+            log = cut_fall(log)
+        end = float(log.time[-1]) if len(log) else 0.0
+        if end < options.settle + LEAST_JUDGED:
+            left_out += 1
+            continue
+        earliest = options.settle + min(FAULT_DELAY, (options.duration - options.settle) / 3.0)
+        faults = scenario.faults_of(seed, earliest)
+        if faults:
+            rng = np.random.default_rng([_NOISE_STREAM, seed])
+            log = replace(log, raw=apply_faults(log.raw, log.time, faults, _cells_of(scenario), rng))
+        streams.append(
+            Stream(
+                log=log,
+                seed=seed,
+                judged=log.time >= options.settle,
+                began=STAND_TIME,
+                faults=faults,
+                fell=fell,
+            )
+        )
+    return streams, left_out
+
+
+def logs_folder(options: ArenaOptions) -> Path:
+    """Name the folder that logs are kept in."""
+    return options.out / "logs"
+
+
+def cut_fall(log: Log) -> Log:
+    """Cut off the end of a walk, in which the robot fell."""
+    kept = log.time <= log.time[-1] - FALLING
+    truth = log.truth
+    return replace(
+        log,
+        time=log.time[kept],
+        raw=log.raw[kept],
+        reference=type(log.reference)(*(part[kept] for part in log.reference)),
+        truth=None
+        if truth is None
+        else LogTruth(**{name: getattr(truth, name)[kept] for name in LogTruth.__dataclass_fields__}),
+    )
+
+
+def _cells_of(scenario: Scenario) -> LoadCells:
+    assert scenario.walk is not None
+    known = {one.name: one.cells for one in scenario.walk.conditions}
+    cells = known[scenario.condition]
+    if cells is None:
+        raise ValueError(f"Faults befall load cells, and scenario '{scenario.name}' has none.")
+    return cells

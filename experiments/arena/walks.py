@@ -1,0 +1,98 @@
+"""The walks of the arena: recorded once, read by cells of several kinds, and kept.
+
+Files are named by a hash of all that made them. A walk that is asked for again is read from its files; a
+change of the environments, the sensors, the beliefs or any option is another recording.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from surefoot.experiments.logs.format import write_log
+from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.walks.record import Condition, record_walk
+from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
+
+__all__ = ["CHIPS", "INSTANT", "Walk", "log_paths", "record_missing"]
+
+INSTANT = Condition("instant", "converted when the host reads", LoadCells(rate=None), "nominal")
+"""The bad start: gains off by 12 %, zeros by 1.5 N, drifting by 2 % and 1 N per square root of a minute."""
+
+CHIPS = Condition("chips", "on the chips' own clocks", HX711_LOAD_CELLS, "nominal")
+"""The same cells behind converters that run at 78 to 94 Hz, each on its own, as HX711 chips do."""
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk to record.
+
+    Attributes:
+        name: Short name, for files.
+        speed: Forward speed in m/s.
+        duration: Duration in s, standing included; ``None`` for what the arena's options say.
+        env: Further options of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
+        sensors: IMU, encoders and link, as options of :class:`~surefoot.wrappers.FootSensors`.
+        beliefs: Errors of the robot about itself, as options of :class:`~surefoot.wrappers.SelfCalibration`.
+        clock_error: By how many s telemetry is later (even seeds) or earlier (odd seeds) than believed.
+        conditions: What cells read it.
+    """
+
+    name: str
+    speed: float = 0.04
+    duration: float | None = None
+    env: Mapping[str, Any] = field(default_factory=dict)
+    sensors: Mapping[str, Any] = field(default_factory=dict)
+    beliefs: Mapping[str, Any] = field(default_factory=dict)
+    clock_error: float = 0.0
+    conditions: tuple[Condition, ...] = (INSTANT,)
+
+    def lasting(self, duration: float) -> float:
+        """Tell how long it takes in s, where the arena's walks take ``duration``."""
+        return duration if self.duration is None else self.duration
+
+
+def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
+    """Name the files of a walk's logs, by condition, whether they are there or not."""
+    made_of = (
+        walk,
+        seed,
+        walk.lasting(duration),
+        STAND_TIME,
+        *(version(name) for name in ("numpy", "mujoco")),
+        source_hash("surefoot.experiments.walks.record"),
+    )
+    key = sha256(repr(made_of).encode()).hexdigest()[:12]
+    return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
+
+
+def record_missing(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
+    """Record a walk unless its logs are there.
+
+    Args:
+        walk: The walk.
+        seed: Of everything random.
+        duration: Length in s of walks that have none of their own.
+        folder: Where the logs are kept.
+
+    Returns:
+        The logs' files by condition.
+    """
+    paths = log_paths(walk, seed, duration, folder)
+    if not all(path.is_file() for path in paths.values()):
+        logs = record_walk(
+            walk.speed,
+            seed,
+            walk.lasting(duration),
+            walk.conditions,
+            sensors=walk.sensors,
+            beliefs=walk.beliefs,
+            clock_error=walk.clock_error * (-1.0) ** seed,
+            **walk.env,
+        )
+        for name, log in logs.items():
+            write_log(log, paths[name])
+    return paths

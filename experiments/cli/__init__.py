@@ -1,0 +1,1 @@
+"""The ``surefoot`` command, a file a sub-command."""

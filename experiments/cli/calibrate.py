@@ -1,0 +1,130 @@
+"""``surefoot calibrate``: from the logs of a robot."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from surefoot.experiments.cli.console import console, fail
+
+__all__ = ["app"]
+
+app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
+
+
+@app.command("walking")
+def calibrate_walking(
+    log: Annotated[Path, typer.Argument(help="A log, .parquet or .csv; see docs/log-format.md.")],
+    method: Annotated[
+        str | None,
+        typer.Option(help="surefoot, window, quasi-static, tare or none; by default as FootCalibrator."),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(help="Start from the nominal or bench map; by default as the log says."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the result; by default beside the log.")
+    ] = None,
+    settle: Annotated[float, typer.Option(help="Errors count from this time in s on.")] = 0.0,
+    zero_phase: Annotated[
+        bool, typer.Option("--zero-phase", help="Filter with hindsight, as the paper did.")
+    ] = False,
+    split_gaps: Annotated[
+        bool, typer.Option("--split-gaps", help="Go on after gaps in time, with filters begun anew.")
+    ] = False,
+) -> None:
+    """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
+    from surefoot.experiments.logs.format import MAX_GAP, read_log
+    from surefoot.experiments.walking.calibrate import DEFAULT_METHOD, calibrate_log
+
+    try:
+        result = calibrate_log(
+            read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP),
+            DEFAULT_METHOD if method is None else method,
+            start,
+            folder=(log.parent if out is None else out),
+            stem=log.stem,
+            settle=settle,
+            zero_phase=zero_phase,
+            file=log.name,
+        )
+    except (ValueError, OSError) as error:
+        fail(str(error))
+    for notice in result.notices:
+        typer.echo(f"Note: {notice}")
+    for table in result.tables:
+        console.print(table.to_rich())
+    typer.echo(f"Calibrated walk: {result.walk}\nParameters:      {result.parameters}")
+    typer.echo(f"Report:          {result.page}")
+
+
+@app.command("bench")
+def calibrate_bench(
+    weighings: Annotated[Path, typer.Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
+    out: Annotated[Path | None, typer.Option(help="Where to write the map as JSON.")] = None,
+) -> None:
+    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
+    from surefoot.experiments.weights.calibrate import fit_weighings
+
+    try:
+        table, path = fit_weighings(weighings, weighings.with_suffix(".map.json") if out is None else out)
+    except (ValueError, OSError) as error:
+        fail(str(error))
+    console.print(table.to_rich())
+    typer.echo(f"Map: {path}")
+
+
+@app.command("in-situ")
+def calibrate_in_situ(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(help="A log with all sets, or one file a set, .parquet or .csv; docs/in-situ-log.md."),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="TOML with columns, units and added masses; by default beside the first log."),
+    ] = None,
+    sample: Annotated[bool, typer.Option("--sample", help="Calibrate surefoot's own sample.")] = False,
+    raw: Annotated[str | None, typer.Option(help="Columns of the channels, separated by commas.")] = None,
+    specific_force: Annotated[
+        str | None, typer.Option(help="Columns of the accelerometer: x,y,z; up at rest.")
+    ] = None,
+    gravity: Annotated[str | None, typer.Option(help="Columns of gravity in its place: x,y,z; down.")] = None,
+    time: Annotated[str | None, typer.Option(help="Column of time.")] = None,
+    set_: Annotated[str | None, typer.Option("--set", help="Column that names the sets.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the result; by default beside the log.")
+    ] = None,
+) -> None:
+    """Calibrate a six-axis F/T sensor where it is built in: counts, gravity and known masses in."""
+    from surefoot.experiments.in_situ.calibrate import SAMPLE, calibrate_in_situ_log
+    from surefoot.experiments.in_situ.log import config_beside, read_config
+
+    if bool(logs) == sample:
+        fail("give the log of a sensor, or --sample for the one that ships with surefoot.")
+    paths = [SAMPLE] if sample else list(logs or ())
+    folder = out if out is not None else (Path("out/in-situ") if sample else paths[0].parent)
+    try:
+        told = read_config(config) if config is not None else config_beside(paths[0])
+        told = told.override(
+            raw=_names(raw),
+            specific_force=_names(specific_force),
+            gravity=_names(gravity),
+            time=time,
+            set=set_,
+        )
+        result = calibrate_in_situ_log(paths, told, folder=folder, console=console)
+    except (ValueError, OSError) as error:
+        fail(str(error))
+    for notice in result.notices:
+        typer.echo(f"Note: {notice}")
+    for table in result.tables:
+        console.print(table.to_rich())
+    for what, path in result.files.items():
+        typer.echo(f"{what.capitalize() + ':':<13}{path}")
+
+
+def _names(listed: str | None) -> tuple[str, ...] | None:
+    """Part names of columns at their commas."""
+    return None if listed is None else tuple(name.strip() for name in listed.split(","))

@@ -1,0 +1,138 @@
+"""``surefoot evaluate``: controllers on true, drifting and calibrated feet."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from surefoot.experiments.cli.console import console, fail
+
+__all__ = ["evaluate"]
+
+
+def evaluate(
+    ctx: typer.Context,
+    controllers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="shipped, shipped-randomised, stabiliser, zero, a policy file .npz, or module:function, "
+            "which is imported and run; the shipped policy by default."
+        ),
+    ] = None,
+    task: Annotated[str, typer.Option(help="balance or walk.")] = "balance",
+    feed: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="true, none (drifting raw), bench, quasi-static, window or surefoot; again for more."
+        ),
+    ] = None,
+    severity: Annotated[
+        list[float] | None, typer.Option(help="How bad the feet's sensors are; again for more. 1 by default.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(help="Episodes of each.", min=1)] = 50,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first of them.", min=0)] = 20_000,
+    uses_cop: Annotated[
+        bool, typer.Option("--uses-cop", help="Also freeze, swap and shuffle the CoP that it is given.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for episodes, scores, a page and, beside the policy that is evaluated, its card; an "
+            "interrupted evaluation goes on."
+        ),
+    ] = None,
+    page_of: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Run nothing: make a page in --out of episodes that are there, FILE or CONTROLLER=FILE; "
+            "again for more."
+        ),
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Processes that work at the same time.", min=1)] = 1,
+) -> None:
+    """Score controllers on true, drifting and calibrated feet, on the same episodes."""
+    from rich.progress import track
+
+    from surefoot.experiments.policy.evaluate import COP_INPUTS
+    from surefoot.experiments.policy.evaluation import Evaluation
+    from surefoot.experiments.policy.evaluation_folder import EvaluationFolder
+
+    if page_of:
+        if given_too := [name for name in ctx.params if _was_given(ctx, name)]:
+            what = given_too[0].replace("_", "-")
+            what = what if what == "controllers" else f"--{what}"
+            fail(f"--page-of runs nothing, and {what} says what to run: give one of the two.")
+        _page_of(page_of, out)
+        return
+    given: dict[str, Any] = {
+        "controllers": tuple(controllers or ()),
+        "feeds": tuple(feed or ()),
+        "severities": tuple(severity or ()),
+        "cop_inputs": COP_INPUTS if uses_cop else (),
+    }
+    chosen = {name: value for name, value in given.items() if value}
+    try:
+        evaluation = Evaluation(seeds=seeds, first_seed=first_seed, task=task, **chosen)
+        with EvaluationFolder(out, evaluation).opened() as folder:
+            for _ in track(folder.run(jobs), "Episodes", folder.missing, console=console):
+                pass
+        _report(folder.frame, out, folder.origins)
+    except KeyboardInterrupt:
+        kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
+        typer.echo(f"Stopped.{kept}", err=True)
+        raise typer.Exit(130) from None
+    except (ValueError, FileNotFoundError) as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"cannot write to '{out}': {error.strerror}; give another folder with --out, or make room.")
+
+
+def _was_given(ctx: typer.Context, name: str) -> bool:
+    """Tell whether the command names something that is to be run."""
+    source = ctx.get_parameter_source(name)
+    return name not in ("page_of", "out") and source is not None and source.name != "DEFAULT"
+
+
+def _page_of(named: list[str], out: Path | None) -> None:
+    import pandas as pd
+
+    from surefoot.experiments.policy.episodes import read_episodes
+    from surefoot.experiments.policy.origin import Origin, merged, origins_of
+    from surefoot.experiments.policy.scores import controllers_of
+
+    if out is None:
+        fail("--page-of needs a folder for the page; give one with --out.")
+    try:
+        # A path that holds a '=' is a path if it is there.
+        parts = [("", "", text) if Path(text).exists() else text.rpartition("=") for text in named]
+        frames = []
+        known: dict[str, list[Origin]] = {}
+        for controller, _, path in parts:
+            frames.append(read_episodes(Path(path), controller))
+            found = origins_of(Path(path), controllers_of(frames[-1]), controller)
+            for name, origin in found.items():
+                known.setdefault(name, []).append(origin)
+        origins = {name: merged(name, of) for name, of in known.items()}
+        _report(pd.concat(frames, ignore_index=True), out, origins)
+    except (ValueError, FileNotFoundError) as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"cannot write to '{out}': {error.strerror}; give another folder with --out.")
+
+
+def _report(frame: Any, out: Path | None, origins: Mapping[str, Any]) -> None:
+    """Print the scores and, into a folder, write them, a page, and the card of a policy that they are of."""
+    from surefoot.experiments.policy.card import own_scores, write_card, write_scores
+    from surefoot.experiments.policy.page import EvaluationPage
+    from surefoot.experiments.policy.scores import score_table
+    from surefoot.experiments.policy.train import POLICY
+
+    page = EvaluationPage(frame, origins)
+    console.print(score_table(page.frame).to_rich())
+    if out is None:
+        return
+    write_scores(out, page.frame, origins)
+    typer.echo(f"Page: {page.write(out)}")
+    if (out / POLICY).is_file() and own_scores(out) is not None:
+        typer.echo(f"Card: {write_card(out)}")

@@ -1,0 +1,136 @@
+"""``surefoot sweep`` and ``surefoot replay``: controllers over sensor faults, and single cells again."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from surefoot.experiments.cli.console import console, fail
+
+__all__ = ["replay", "sweep"]
+
+
+def sweep(
+    plan: Annotated[
+        Path | None, typer.Argument(help="A TOML file that says what to sweep; options go before it.")
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="zero, stabiliser, shipped, a policy file .npz, or module:function, which is imported and "
+            "run; again for more."
+        ),
+    ] = None,
+    feed: Annotated[
+        list[str] | None, typer.Option(help="What is fed back as the CoP; again for more.")
+    ] = None,
+    scenario: Annotated[list[str] | None, typer.Option(help="A scenario; again for more.")] = None,
+    severity: Annotated[
+        list[float] | None, typer.Option(help="Factor of the load cells' errors; again for more.")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(help="Episodes of each combination.", min=1)] = None,
+    first_seed: Annotated[int, typer.Option(help="The first of the seeds.", min=0)] = 0,
+    duration: Annotated[float | None, typer.Option(help="Longest duration of an episode in s.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the sweep; an interrupted one goes on.")] = Path(
+        "out/sweep"
+    ),
+    jobs: Annotated[int, typer.Option(help="Cells that are run at the same time here.", min=1)] = 2,
+    backend: Annotated[
+        str, typer.Option(help="local, dask or ray; or here, in this very process.")
+    ] = "local",
+    address: Annotated[
+        str | None, typer.Option(help="Of a running scheduler of dask or head of ray.")
+    ] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed cells again.")] = False,
+    any_version: Annotated[
+        bool, typer.Option("--any-version", help="Go on with results of other versions.")
+    ] = False,
+    films: Annotated[int, typer.Option(help="How many of the worst episodes to film.", min=0)] = 0,
+    scenarios: Annotated[bool, typer.Option("--scenarios", help="List the scenarios, and end.")] = False,
+) -> None:
+    """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
+    from surefoot.experiments.sweep.page import SweepPage
+    from surefoot.experiments.sweep.plan import SweepPlan, plan_from_toml
+    from surefoot.experiments.sweep.run import run_sweep
+    from surefoot.experiments.sweep.store import SweepError
+
+    if scenarios:
+        _list_scenarios()
+        return
+    given: dict[str, Any] = {
+        "controllers": tuple(controller or ()),
+        "feeds": tuple(feed or ()),
+        "scenarios": tuple(scenario or ()),
+        "severities": tuple(severity or ()),
+        "seeds": tuple(range(first_seed, first_seed + seeds)) if seeds else (),
+        "duration": duration,
+    }
+    changes = {name: value for name, value in given.items() if value not in ((), None)}
+    if first_seed and not seeds:
+        fail("--first-seed needs --seeds, how many.")
+    try:
+        chosen = SweepPlan(**changes) if plan is None else plan_from_toml(plan, **changes)
+        results = run_sweep(
+            chosen,
+            out,
+            backend=backend,
+            jobs=jobs,
+            address=address,
+            retry_failed=retry_failed,
+            any_version=any_version,
+        )
+        page = SweepPage(results, films=films)
+        report = page.write()
+    except KeyboardInterrupt:
+        typer.echo(f"Stopped; what is finished is kept in '{out}', and the same command goes on.", err=True)
+        raise typer.Exit(130) from None
+    except (ValueError, SweepError) as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"cannot write to '{out}': {error.strerror or error}; what is finished is kept.")
+    for table in page.tables:
+        console.print(table.to_rich())
+    kept = len(results.rows) - results.computed
+    typer.echo(f"{results.computed} cells run, {kept} were there, {len(results.failed)} failed.")
+    typer.echo(f"Report: {report}")
+
+
+def replay(
+    results: Annotated[Path, typer.Argument(help="A sweep's folder, or its results.parquet.")],
+    cell: Annotated[int, typer.Option(help="Number of the cell.", min=0)],
+    video: Annotated[Path | None, typer.Option(help="Film it into this .mp4 as well.")] = None,
+) -> None:
+    """Run one cell of a sweep again, and say whether it comes out the same to the last digit."""
+    from surefoot.experiments.sweep.episode import OUTCOME
+    from surefoot.experiments.sweep.film import film_cell
+    from surefoot.experiments.sweep.replay import replay_cell
+    from surefoot.experiments.sweep.store import SweepError
+
+    if video is not None and video.suffix != ".mp4":
+        fail(f"'{video}' must end in .mp4.")
+    try:
+        replayed = replay_cell(results, cell)
+        if video is not None:
+            typer.echo(f"Film: {film_cell(video, replayed.cell)}")
+    except (ValueError, SweepError, OSError) as error:
+        fail(str(error))
+    for name in (*OUTCOME, "error"):
+        then, now = replayed.then[name], replayed.now[name]
+        mark = f"  <- {then!r} then" if name in replayed.different else ""
+        if now != "":
+            typer.echo(f"{name:14s} {now!r}{mark}" if name != "error" else f"{now}{mark}")
+    if replayed.other_versions:
+        typer.echo(f"Versions: {', '.join(replayed.other_versions)}")
+    typer.echo("Different." if replayed.different else "Identical.")
+    if replayed.different:
+        raise typer.Exit(1)
+
+
+def _list_scenarios() -> None:
+    from surefoot.experiments.sweep.scenarios import SCENARIOS, scenario_named
+
+    for name in SCENARIOS:
+        try:
+            typer.echo(f"{name:22s} {scenario_named(name).title}")
+        except ValueError:
+            continue

@@ -1,0 +1,90 @@
+"""``surefoot train``: a policy that acts on the centre of pressure."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from surefoot.experiments.cli.console import console, fail
+
+__all__ = ["train"]
+
+
+def train(
+    out: Annotated[
+        Path, typer.Option(help="Folder of the training; one that was stopped there goes on.")
+    ] = Path("out/policy"),
+    task: Annotated[str, typer.Option(help="balance, or walk.")] = "balance",
+    sensors: Annotated[
+        str, typer.Option(help="CoP trained on: true, or randomised (drifting sensors of every severity).")
+    ] = "true",
+    seed: Annotated[int, typer.Option(help="Of everything random.", min=0, max=999)] = 0,
+    steps: Annotated[int | None, typer.Option(help="Decisions in all; 160 000 by default.", min=1)] = None,
+    restart: Annotated[bool, typer.Option("--restart", help="Forget what the folder holds.")] = False,
+    export: Annotated[
+        Path | None,
+        typer.Option(help="Train nothing: turn this Stable-Baselines3 zip into a policy file in --out."),
+    ] = None,
+    trusted: Annotated[
+        bool, typer.Option("--trusted", help="The zip's maker is trusted: opening it runs pickled code.")
+    ] = False,
+) -> None:
+    """Train a policy by PPO, and write it with its learning curve and a card."""
+    from surefoot.experiments.policy.options import TrainOptions
+
+    try:
+        if export is not None:
+            from surefoot.experiments.policy.export import export_zip
+            from surefoot.experiments.policy.train import POLICY
+
+            export_zip(export, out / POLICY, task=task, trusted=trusted)
+            typer.echo(f"Policy: {out / POLICY}")
+            return
+        given: dict[str, Any] = {} if steps is None else {"steps": steps}
+        options = TrainOptions(task=task, sensors=sensors, seed=seed, **given)
+        _train(out, options, restart)
+    except (ValueError, FileNotFoundError) as error:
+        fail(str(error))
+    except ImportError as error:
+        fail(f"training needs torch and stable-baselines3 ({error}): pip install 'surefoot[rl]'.")
+    except OSError as error:
+        fail(
+            f"cannot write to '{out}': {error.strerror}; what was trained until the last checkpoint is there."
+        )
+
+
+def _train(out: Path, options: Any, restart: bool) -> None:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from surefoot.experiments.policy.card import write_card
+    from surefoot.experiments.policy.train import POLICY, Trainer
+
+    trainer = Trainer(out, options, restart=restart)
+    if trainer.updates:
+        console.print(f"Going on after {trainer.updates} of {options.updates} updates.")
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("reward a decision {task.fields[reward]:.3f}, fell {task.fields[fell]:.0%}"),
+    )
+    try:
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(
+                "Training",
+                total=options.updates,
+                completed=trainer.updates,
+                reward=float("nan"),
+                fell=float("nan"),
+            )
+            trainer.run(
+                lambda done, row: bar.update(
+                    task, completed=done, reward=row["reward_per_decision"], fell=row["fell"]
+                )
+            )
+    except KeyboardInterrupt:
+        fail(f"stopped; the same command goes on from the last checkpoint in '{out}'.")
+    finally:
+        trainer.close()
+    typer.echo(f"Policy: {out / POLICY}\nCard: {write_card(out)}")

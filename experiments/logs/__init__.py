@@ -1,0 +1,1 @@
+"""Logs of simulated and real robots (docs/log-format.md)."""

@@ -1,0 +1,136 @@
+"""How well calibrated forces agree with what the robot's own motion asks of the ground.
+
+A log of a real robot holds no truth. What can be said of it is how far the feet's total and centre of
+pressure lie from those that mass, joints and IMU ask for (CoP paper, Eqs. 9 to 11). Both sides pass the
+paper's zero-phase filter of 10 Hz. The motion's own errors are in the difference, and a calibrator that
+follows the motion makes it small whether the motion is right or not: agreement is not truth.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import (
+    FORCE_THRESHOLD,
+    Reference,
+    cop_of_moments,
+    ground_reference,
+    level_moments,
+    sole_wrenches,
+    zero_phase,
+)
+from surefoot.experiments.logs.format import MAX_GAP, Log
+
+__all__ = ["Agreement", "Ground", "agreement", "asked_of", "carried_by"]
+
+LARGEST = 1e6
+"""Magnitude, in any unit, beyond which a value of a reference is left out, as calibrators leave it out."""
+
+CUTOFF = 10.0
+"""Cutoff of the filter that both sides pass, in Hz."""
+
+
+class Ground(NamedTuple):
+    """The ground under both feet, at the moments that the references describe: N - lag rows.
+
+    Attributes:
+        time: Times in s.
+        vgrf: Vertical force of both feet in N; NaN where it is not known.
+        cop: Centre of pressure from the middle between the soles, in the level frame's axes, in m, two
+            columns; NaN where there is none. From there, because a level frame may lie anywhere.
+    """
+
+    time: NDArray[np.float64]
+    vgrf: NDArray[np.float64]
+    cop: NDArray[np.float64]
+
+
+class Agreement(NamedTuple):
+    """Root mean square distances between two sides.
+
+    Attributes:
+        vgrf: Of the vertical force in N.
+        cop: Of the centre of pressure in m.
+        rows: How many rows count.
+    """
+
+    vgrf: float
+    cop: float
+    rows: int
+
+
+def asked_of(log: Log) -> Ground:
+    """Compute what the motion asks of the ground.
+
+    Args:
+        log: The log.
+    """
+    reference = _late(log)
+    height = np.asarray(reference.position_sole)[..., 2].min(axis=-1)
+    asked = ground_reference(reference, log.mass, height=height)
+    return _ground(log, asked.vgrf, asked.moment)
+
+
+def carried_by(log: Log, force: NDArray[np.float64]) -> Ground:
+    """Compute what the feet carry by forces of their channels.
+
+    Args:
+        log: The log.
+        force: Forces of the channels, shape (N, K).
+    """
+    reference = _late(log)
+    wrench = sole_wrenches(force[: len(log) - log.lag], log.layout)
+    vgrf, moment = level_moments(wrench, reference.position_sole, reference.R_level_sole)
+    return _ground(log, vgrf.sum(axis=-1), moment.sum(axis=-2))
+
+
+def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
+    """Compare two sides.
+
+    Args:
+        one: One side.
+        other: The other one, of the same log.
+        settle: Rows before this time in s do not count.
+
+    Returns:
+        The distances; NaN if no row counts.
+    """
+    counted = np.isfinite(one.cop).all(axis=-1) & np.isfinite(other.cop).all(axis=-1) & (one.time >= settle)
+    if not counted.any():
+        return Agreement(np.nan, np.nan, 0)
+    force = (one.vgrf - other.vgrf)[counted]
+    place = np.linalg.norm((one.cop - other.cop)[counted], axis=-1)
+    rms = [float(np.sqrt(np.mean(part**2))) for part in (force, place)]
+    return Agreement(rms[0], rms[1], int(counted.sum()))
+
+
+def _late(log: Log) -> Reference:
+    """Take the references from the first that describes a row, without those that cannot be."""
+    late = Reference(*(np.asarray(part)[log.lag :] for part in log.reference))
+    parts = [part.reshape(len(part), -1) for part in late]
+    sound = np.all(np.abs(np.concatenate(parts, axis=1)) <= LARGEST, axis=1)
+
+    def blank(part: NDArray[Any]) -> NDArray[Any]:
+        if part.dtype == bool:
+            return part
+        return np.where(sound.reshape(-1, *[1] * (part.ndim - 1)), part, np.nan)
+
+    return Reference(*(blank(part) for part in late))
+
+
+def _ground(log: Log, vgrf: NDArray[np.float64], moment: NDArray[np.float64]) -> Ground:
+    """Filter between gaps, and divide."""
+    time = log.time[: len(log) - log.lag]
+    middle = np.asarray(log.reference.position_sole)[log.lag :, :, :2].mean(axis=1)
+    moment = moment - middle * vgrf[:, None]
+    both = np.column_stack([vgrf, moment])
+    parts = np.split(both, np.flatnonzero(np.diff(time) > MAX_GAP) + 1)
+    both = np.concatenate([_filtered(part, log.dt) for part in parts])
+    return Ground(time, both[:, 0], np.asarray(cop_of_moments(both[:, 0], both[:, 1:], FORCE_THRESHOLD)))
+
+
+def _filtered(values: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    if 0.5 / dt <= CUTOFF or len(values) < 2:
+        return values
+    return zero_phase(values, CUTOFF, dt)

@@ -1,0 +1,124 @@
+"""Which feet surely stand and which surely swing; private to the log format.
+
+What the log says comes first, then what was commanded, then a guess from the soles' own motion: the lower
+sole carries the robot, and the other one swings where it is well above it and moves. What is not sure is
+neither, and no calibrator learns from a foot that is neither.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from surefoot.calibration import GRAVITY, Reference
+from surefoot.experiments.logs.checks import LogError, check_columns
+
+__all__ = ["GUESSED", "contacts"]
+
+SURE, SURE_ALOFT = 0.05, 0.025
+"""Times in s by which a contact must hold before and after a moment to be sure of it, and by which a sole
+must be seen in the air: there its height is a margin of its own."""
+
+LIFTED = 0.007
+"""Height in m of one sole above the other at which it surely does not stand on the same floor: angles of
+joints and what gives under load make up some millimetres."""
+
+TOGETHER = 0.003
+"""Height in m up to which two soles may stand on the same floor."""
+
+MOVING = 0.03
+"""Speed in m/s of one sole against the other at which one of them surely does not stand."""
+
+PAUSE = 0.1
+"""Time in s before and after which a foot in the air must move: it turns round at the top of a step."""
+
+CARRIED = 0.5
+"""Share of the weight that the ground must carry for any foot to be sure to stand."""
+
+GUESSED = "guessed from the height and speed of the soles"
+
+Bools = NDArray[np.bool_]
+
+
+def contacts(
+    columns: Mapping[str, Any], names: tuple[str, str], reference: Reference, dt: float, file: str
+) -> tuple[Bools, Bools, str]:
+    """Tell of every row which feet surely stand and which surely swing.
+
+    Args:
+        columns: The log's table.
+        names: What the log calls its feet.
+        reference: The robot's beliefs; poses and acceleration are used, N rows.
+        dt: Time between rows in s.
+        file: The log's name in messages.
+
+    Returns:
+        Stance and swing, shape (N, 2) each, and in words where they come from.
+
+    Raises:
+        LogError: If only some of the columns for contacts are there, or one holds other than 0 and 1.
+    """
+    phases = [f"reference_{name}_{phase}" for phase in ("stance", "swing") for name in names]
+    commands = [f"command_{name}_contact" for name in names]
+    for wanted, said in ((phases, "as the log says"), (commands, "as the log says was commanded")):
+        there = [name for name in wanted if name in columns]
+        if not there:
+            continue
+        if len(there) < len(wanted):
+            missing = ", ".join(name for name in wanted if name not in columns)
+            raise LogError(
+                f"{file}: column {there[0]} is there without {missing}; give contacts of both feet or none."
+            )
+        values = check_columns(columns, wanted, file)
+        flags = np.stack([values[name] for name in wanted], axis=-1)
+        if not np.isin(flags, (0.0, 1.0)).all():
+            row, column = np.argwhere(~np.isin(flags, (0.0, 1.0)))[0]
+            raise LogError(
+                f"{file}: column '{wanted[column]}' is {flags[row, column]} at row {row}; it must be 0 or 1."
+            )
+        down = flags > 0.5
+        if wanted is phases:
+            return down[:, :2], down[:, 2:], said
+        return _sure(down, dt), _sure(~down, dt), said
+    return *guess_contacts(reference, dt), GUESSED
+
+
+def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
+    """Guess contacts from how high the soles are and how fast they move against each other.
+
+    A foot that is held up without moving may as well stand on a stair: it is neither.
+
+    Args:
+        reference: The robot's beliefs, N rows; NaN where there are none.
+        dt: Time between rows in s.
+
+    Returns:
+        Stance and swing, shape (N, 2) each.
+    """
+    apart = reference.position_sole[:, 0] - reference.position_sole[:, 1]
+    known = np.isfinite(apart).all(axis=-1) & np.isfinite(reference.com_acceleration[:, 2])
+    apart = np.where(known[:, None], apart, 0.0)
+    # The level frame turns with the feet; lengths in it do not.
+    speed = np.linalg.norm(np.gradient(apart, dt, axis=0), axis=-1)
+    moving = _spread(speed > MOVING, PAUSE, dt)
+    height = np.stack([apart[:, 2], -apart[:, 2]], axis=-1)
+    falling = ~(reference.com_acceleration[:, 2] > (CARRIED - 1.0) * GRAVITY)
+    sure = (known & ~falling)[:, None]
+    swing = (height > LIFTED) & moving[:, None] & sure
+    together = (np.abs(height) < TOGETHER) & ~(speed > MOVING)[:, None]
+    stance = (swing[:, ::-1] | together) & sure
+    return _sure(stance, dt), _sure(swing, dt, SURE_ALOFT)
+
+
+def _sure(held: Bools, dt: float, margin: float = SURE) -> Bools:
+    """Keep what held for a while before and after."""
+    kept = minimum_filter1d(held.astype(np.int8), 2 * round(margin / dt) + 1, axis=0, mode="nearest")
+    return np.asarray(kept > 0)
+
+
+def _spread(held: Bools, time: float, dt: float) -> Bools:
+    """Add what comes shortly before and after."""
+    added = maximum_filter1d(held.astype(np.int8), 2 * round(time / dt) + 1, axis=0, mode="nearest")
+    return np.asarray(added > 0)

@@ -1,0 +1,267 @@
+"""Logs of walks: one documented table for simulated and real robots.
+
+A log is a table with one row per sample of the feet's sensors, as Parquet or as CSV, and a description of
+the robot: its layout, mass and calibrations. In a Parquet file the description lies in the schema's
+metadata under the key ``surefoot``; beside ``walk.csv`` it lies in ``walk.json``. Columns carry their unit
+at the end of their name; those that begin with ``truth_`` hold what only a simulator knows, and no
+calibrator is shown them. ``docs/log-format.md`` lists them all.
+
+In place of the robot's beliefs a log may hold joint angles and an IMU, and name a drawing of the robot under
+``motion``: reading it makes the beliefs, for which the extra ``[sim]`` is needed.
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as csv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import Reference
+from surefoot.experiments.logs.checks import LogError, check_columns, check_reference, check_time
+from surefoot.experiments.logs.columns import (
+    columns_of,
+    names_of,
+    raw_names_of,
+    reference_of,
+    stack,
+    truth_names_of,
+    truth_of,
+)
+from surefoot.experiments.logs.contacts import contacts
+from surefoot.experiments.logs.description import describe, read_description
+from surefoot.experiments.logs.motion import read_motion, read_motion_facts
+from surefoot.experiments.study.files import atomic_path, write_text
+
+__all__ = ["Log", "LogError", "LogTruth", "read_log", "write_log"]
+
+METADATA_KEY = b"surefoot"
+MAX_GAP = 0.1
+"""Longest time in s between two rows of one log: a calibrator's filters do not bridge more."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogTruth:
+    """What a simulator knows of N samples and a robot does not.
+
+    Attributes:
+        force: Force of the ground through each channel in N, shape (N, K).
+        position_sole: Origins of the sole frames in the world in m, shape (N, 2, 3).
+        R_world_sole: Rotations from the sole frames to the world, shape (N, 2, 3, 3).
+        scale: Newtons per count of the map that would undo the channels' errors, shape (N, K).
+        offset: Offset in N of that map, shape (N, K).
+    """
+
+    force: NDArray[np.float64]
+    position_sole: NDArray[np.float64]
+    R_world_sole: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    offset: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """N samples of a walk and what is known of the robot.
+
+    Attributes:
+        time: Times of the samples in s, increasing, shape (N,).
+        raw: Readings in counts, shape (N, K); NaN where no sample arrived.
+        reference: The robot's beliefs, every field with N rows. Row k describes the feet of row
+            k - ``lag``: telemetry arrives late.
+        layout: The feet.
+        mass: Mass in kg that the robot believes it has.
+        nominal: The map that is known of the sensors' type alone, F = c raw + d.
+        bench: The map that a calibration on the bench gave before the session, or ``None``.
+        dt: Time between samples in s.
+        lag: Samples by which the reference is late.
+        seed: Seed of a simulated walk, or ``None``.
+        truth: What the simulator knew, or ``None``.
+        about: Further facts, such as speed, condition and versions; values JSON can hold.
+    """
+
+    time: NDArray[np.float64]
+    raw: NDArray[np.float64]
+    reference: Reference
+    layout: FeetLayout
+    mass: float
+    nominal: Parameters
+    bench: Parameters | None
+    dt: float
+    lag: int
+    seed: int | None = None
+    truth: LogTruth | None = None
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """The number of samples, N."""
+        return len(self.time)
+
+
+def write_log(log: Log, path: str | Path) -> Path:
+    """Write a log as ``.parquet``, or as ``.csv`` with its description in ``.json`` beside it.
+
+    Args:
+        log: What to write.
+        path: Where; the ending chooses the form. The file appears only once it is whole.
+
+    Returns:
+        The path.
+
+    Raises:
+        LogError: If the ending is neither of the two.
+    """
+    path = Path(path)
+    columns = columns_of(log)
+    description = json.dumps(describe(log), indent=1)
+    if path.suffix == ".parquet":
+        table = pa.table(columns).replace_schema_metadata({METADATA_KEY: description.encode()})
+        with atomic_path(path) as part:
+            pq.write_table(table, part)
+    elif path.suffix == ".csv":
+        write_text(path.with_suffix(".json"), description)
+        with atomic_path(path) as part:
+            csv.write_csv(pa.table(columns), part)
+    else:
+        raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename the file.")
+    return path
+
+
+def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
+    """Read a log and refuse one that would mislead a calibrator.
+
+    Args:
+        path: A ``.parquet`` file, or a ``.csv`` file with its ``.json`` beside it.
+        max_gap: Longest time in s allowed between two rows; with infinity gaps are left for a calibrator to
+            flag, which then keeps what it learnt and begins its filters anew.
+
+    Raises:
+        LogError: If the file is not there or not a log, if a column is missing or holds what it must not,
+            or if time does not increase or leaps. The message names the file, the column and the cure.
+    """
+    path = Path(path)
+    columns, description = _read_table(path)
+    facts = read_description(description, path.name)
+    layout: FeetLayout = facts["layout"]
+    makes = "motion" in description
+    names = ["time_s", *raw_names_of(layout)] if makes else names_of(layout)
+    values = check_columns(columns, names, path.name)
+    has_truth = any(name.startswith("truth_") for name in columns)
+    if has_truth:
+        values |= check_columns(columns, truth_names_of(layout), path.name)
+    time = values["time_s"]
+    check_time(time, facts["dt"], max_gap, path.name)
+    if makes:
+        reference = _made_reference(path, columns, description["motion"], facts, time)
+    else:
+        reference = reference_of(values, layout)
+        check_reference(reference, path.name)
+    return Log(
+        time=time,
+        raw=stack(values, raw_names_of(layout)),
+        reference=reference,
+        truth=LogTruth(*truth_of(values, layout)) if has_truth else None,
+        **facts,
+    )
+
+
+def _made_reference(
+    path: Path, columns: dict[str, Any], description: Any, facts: dict[str, Any], time: NDArray[np.float64]
+) -> Reference:
+    """Make references of joints and IMU, and note in ``about`` where they come from."""
+    motion_facts = read_motion_facts(description, path.parent, facts["dt"], path.name)
+    layout: FeetLayout = facts["layout"]
+    if len(layout.feet) != 2:
+        raise LogError(
+            f"{path.name}: motion needs the layout of two feet, got {len(layout.feet)}; "
+            "give the reference columns of a single plate."
+        )
+    try:
+        from surefoot.experiments.logs.model import load_model
+        from surefoot.experiments.logs.reference import check_spin, make_reference
+    except ImportError as error:
+        raise LogError(
+            f"{path.name}: joints and IMU need a model of the robot, for which {error.name} is missing; "
+            'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
+        ) from None
+    model = load_model(motion_facts, path.name)
+    table, file = columns, path.name
+    if motion_facts.table is not None:
+        table, file = _read_bare(motion_facts.table), motion_facts.table.name
+    motion = read_motion(table, motion_facts, model.joint_names, file)
+    check_spin(motion, model, file)
+    reference = make_reference(time, motion, motion_facts, model, facts["mass"])
+    if not np.isfinite(reference.com).all(axis=-1).any():
+        raise LogError(
+            f"{file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and the "
+            f"feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
+        )
+    left, right = layout.feet
+    stance, swing, said = contacts(columns, (left.name, right.name), reference, facts["dt"], path.name)
+    facts["about"] |= {"contacts": said, "model": motion_facts.model.name, "model_mass_kg": model.mass}
+    return reference._replace(stance=stance, swing=swing)
+
+
+def _read_table(path: Path) -> tuple[dict[str, Any], Any]:
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; 'surefoot demo' records logs under out/demo/logs.")
+    if path.suffix == ".parquet":
+        return _read_parquet(path)
+    if path.suffix == ".csv":
+        return _read_csv(path)
+    raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
+
+
+def _read_bare(path: Path) -> dict[str, Any]:
+    """Read a table that needs no description."""
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; motion.table gives its path from the log.")
+    try:
+        return _arrays(pq.read_table(path) if path.suffix == ".parquet" else csv.read_csv(path))
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(f"{path.name}: not a readable table ({str(error).splitlines()[0]}).") from None
+
+
+def _read_parquet(path: Path) -> tuple[dict[str, Any], Any]:
+    try:
+        table = pq.read_table(path)
+        columns = _arrays(table)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise LogError(f"{path.name}: not a readable Parquet file ({str(error).splitlines()[0]}).") from None
+    metadata = table.schema.metadata or {}
+    if METADATA_KEY not in metadata:
+        raise LogError(
+            f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
+            "write the log with surefoot.experiments.write_log (see docs/log-format.md)."
+        )
+    return columns, _parse(metadata[METADATA_KEY], path.name)
+
+
+def _read_csv(path: Path) -> tuple[dict[str, Any], Any]:
+    side = path.with_suffix(".json")
+    if not side.is_file():
+        raise LogError(
+            f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
+            "calibrations (see docs/log-format.md)."
+        )
+    try:
+        table = csv.read_csv(path)
+    except (pa.ArrowException, OSError) as error:
+        raise LogError(f"{path.name}: not a readable CSV file ({str(error).splitlines()[0]}).") from None
+    return _arrays(table), _parse(side.read_bytes(), side.name)
+
+
+def _arrays(table: pa.Table) -> dict[str, Any]:
+    return {name: table.column(name).to_numpy() for name in table.column_names}
+
+
+def _parse(text: bytes, name: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise LogError(f"{name}: the description is not JSON: {error}.") from None

@@ -1,0 +1,254 @@
+"""Joint angles and IMU in place of references: what such a log must say and hold; private to the log format.
+
+The description's ``motion`` names the robot's drawing and the parts of it that matter; the columns
+``joint_<name>_rad``, ``accelerometer_<axis>_m_s2`` and ``gyroscope_<axis>_rad_s`` lie in the log itself, or,
+where joints and IMU come at a rate of their own, in a second table beside it.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from surefoot.experiments.logs.checks import LogError, check_increasing, check_present, numbers
+
+__all__ = ["Motion", "MotionFacts", "read_motion", "read_motion_facts"]
+
+CLOCK_SPAN = 257
+"""Rows over which the times of joints and IMU are averaged: they come at an even rate, but late by chance."""
+
+LOST, AROUND = 1.6, 16
+"""A step of this many periods or more between two rows may mean that rows in between were lost: they were if
+as many rows after it are, by their median, later than those before by most of a period."""
+
+PACKET = "packet"
+"""A column that numbers the packets, where the robot does."""
+
+LARGEST_ANGLE = 2.1 * np.pi
+"""Joint angle in rad that no hinge goes beyond."""
+
+LARGEST_FORCE, LARGEST_SPIN = 500.0, 100.0
+"""Specific force in m/s^2 and angular velocity in rad/s beyond which a row of an IMU is an error."""
+
+LARGEST_VALUE = 1e9
+"""What no sensor reads in any unit."""
+
+ACCELEROMETER = tuple(f"accelerometer_{axis}_m_s2" for axis in "xyz")
+GYROSCOPE = tuple(f"gyroscope_{axis}_rad_s" for axis in "xyz")
+
+
+class MotionFacts(NamedTuple):
+    """What a description says under ``motion``.
+
+    Attributes:
+        model: The robot's drawing, MJCF or URDF.
+        torso: Its floating body.
+        imu: Site or body of the IMU, which is fixed to the torso.
+        soles: Sites or bodies of the left and of the right sole frame.
+        table: A table with joints and IMU at a rate of their own, or ``None`` if they are in the log.
+        period: Nominal time between two rows of them in s.
+        delay: How long before their ``time_s`` joints and IMU were measured, in s.
+        age: How long before their ``time_s`` the feet were measured, in s.
+        averaged: Whether a row of the IMU is the mean since the row before.
+        held: Angles in rad of joints that have no column.
+    """
+
+    model: Path
+    torso: str
+    imu: str
+    soles: tuple[str, str]
+    table: Path | None
+    period: float
+    delay: float
+    age: float
+    averaged: bool
+    held: dict[str, float]
+
+
+class Motion(NamedTuple):
+    """Joints and IMU over M rows at an even rate, some of which may be missing.
+
+    Attributes:
+        number: Number of each row, counted in periods, shape (M,).
+        time: When it was measured in s on the clock of the feet, chance in its lateness averaged out,
+            shape (M,).
+        period: Time between two numbers in s.
+        joint: Angles of the model's hinges in rad, shape (M, J).
+        accelerometer: Specific force in m/s^2, IMU axes, shape (M, 3).
+        gyroscope: Angular velocity in rad/s, IMU axes, shape (M, 3).
+    """
+
+    number: NDArray[np.int64]
+    time: NDArray[np.float64]
+    period: float
+    joint: NDArray[np.float64]
+    accelerometer: NDArray[np.float64]
+    gyroscope: NDArray[np.float64]
+
+
+def read_motion_facts(description: Any, folder: Path, dt: float, file: str) -> MotionFacts:
+    """Read the description's ``motion``.
+
+    Args:
+        description: What stands there.
+        folder: Where the log lies; paths are relative to it.
+        dt: Time between rows of the log in s.
+        file: The log's name in messages.
+
+    Raises:
+        LogError: If a key is missing, unknown or of the wrong kind.
+    """
+    if not isinstance(description, dict):
+        raise LogError(f"{file}: the description's motion must be an object, got {description!r}.")
+    required = ("model", "torso", "imu", "soles")
+    optional = ("table", "dt_s", "delay_s", "readings_age_s", "averaged", "held_rad")
+    missing = [key for key in required if key not in description]
+    unknown = [key for key in description if key not in required + optional]
+    if missing or unknown:
+        what = f"lacks {missing}" if missing else f"has the unknown {unknown}"
+        raise LogError(f"{file}: the description's motion {what}; it may hold {[*required, *optional]}.")
+    soles = description["soles"]
+    if not isinstance(soles, list) or len(soles) != 2 or soles[0] == soles[1]:
+        raise LogError(
+            f"{file}: the description's motion.soles must name two places, left then right, got {soles!r}."
+        )
+    table = description.get("table")
+    times = {"dt_s": dt, "delay_s": 0.0, "readings_age_s": 0.0}
+    try:
+        times = {key: float(description.get(key, value)) for key, value in times.items()}
+        held = {str(name): float(angle) for name, angle in dict(description.get("held_rad") or {}).items()}
+    except (TypeError, ValueError) as error:
+        raise LogError(f"{file}: the description's motion cannot be used: {error}.") from None
+    for key, value in times.items():
+        if not 0.0 <= value < 10.0 or (key == "dt_s" and value == 0.0):
+            raise LogError(
+                f"{file}: the description's motion.{key} is {value:g}; it is a time in seconds, from 0 to 10."
+            )
+    return MotionFacts(
+        model=folder / str(description["model"]),
+        torso=str(description["torso"]),
+        imu=str(description["imu"]),
+        soles=(str(soles[0]), str(soles[1])),
+        table=None if table is None else folder / str(table),
+        period=times["dt_s"],
+        delay=times["delay_s"],
+        age=times["readings_age_s"],
+        averaged=bool(description.get("averaged", False)),
+        held=held,
+    )
+
+
+def read_motion(columns: Mapping[str, Any], facts: MotionFacts, joints: Sequence[str], file: str) -> Motion:
+    """Take joints and IMU out of a table.
+
+    A row in which one of their columns is NaN, or what no IMU reads, carries none of them: it is left out.
+
+    Args:
+        columns: The table.
+        facts: What the description says of it.
+        joints: Names of the model's hinges, in its order.
+        file: Its name in messages.
+
+    Raises:
+        LogError: If a column is missing, not of numbers or of another unit, or if time is not as it must be.
+    """
+    unknown = [name for name in facts.held if name not in joints]
+    if unknown:
+        raise LogError(f"{file}: motion.held_rad names {unknown}; the model's hinges are {list(joints)}.")
+    measured = [name for name in joints if name not in facts.held]
+    names = [*(f"joint_{name}_rad" for name in measured), *ACCELEROMETER, *GYROSCOPE]
+    check_present(columns, ["time_s", *names], file)
+    values = {name: numbers(columns[name], name, file) for name in ["time_s", *names]}
+    check_increasing(values["time_s"], file, repeats=True)
+    for name in names:
+        if not np.isfinite(values[name]).any():
+            raise LogError(
+                f"{file}: column '{name}' holds no number in any of its {len(values[name])} rows; "
+                "log it, or hold the joint at an angle with motion.held_rad."
+            )
+    if PACKET in columns:
+        values[PACKET] = numbers(columns[PACKET], PACKET, file)
+    values = _rows_within(values, dict.fromkeys(names, LARGEST_VALUE), file)
+    _check_units(values, measured, file)
+    limits = dict.fromkeys(ACCELEROMETER, LARGEST_FORCE) | dict.fromkeys(GYROSCOPE, LARGEST_SPIN)
+    values = _rows_within(values, limits, file)
+    packet = values.get(PACKET)
+    number, time, period = _clock(values["time_s"], packet, facts, file)
+    joint = np.stack(
+        [
+            values[f"joint_{name}_rad"] if name in measured else np.full(len(time), facts.held[name])
+            for name in joints
+        ],
+        axis=-1,
+    )
+    force, spin = (np.stack([values[name] for name in part], axis=-1) for part in (ACCELEROMETER, GYROSCOPE))
+    return Motion(number, time, period, joint, force, spin)
+
+
+def _rows_within(
+    values: dict[str, NDArray[np.float64]], limits: Mapping[str, float], file: str
+) -> dict[str, NDArray[np.float64]]:
+    """Take the rows in which columns are numbers within limits."""
+    whole = np.all([np.abs(values[name]) <= limit for name, limit in limits.items()], axis=0)
+    if whole.sum() < 8:
+        raise LogError(
+            f"{file}: only {whole.sum()} rows have all of joints and IMU, and 8 are needed; "
+            "write all of them into the same rows."
+        )
+    return {name: column[whole] for name, column in values.items()}
+
+
+def _clock(
+    time: NDArray[np.float64], packet: NDArray[np.float64] | None, facts: MotionFacts, file: str
+) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+    """Count periods, and average what is by chance early or late."""
+    if packet is None:
+        number = _count(time, facts.period)
+    else:
+        rising = (
+            np.isfinite(packet).all() and (np.diff(packet) > 0).all() and (packet == packet.round()).all()
+        )
+        if not rising:
+            raise LogError(
+                f"{file}: column '{PACKET}' must hold whole numbers that increase; or leave it out."
+            )
+        number = (packet - packet[0]).astype(np.int64)
+    period = float(np.polyfit(number, time, 1)[0])
+    if abs(period / facts.period - 1.0) > 0.1:
+        raise LogError(
+            f"{file}: joints and IMU come every {period:.4g} s where the description says "
+            f"{facts.period:.4g} s; give motion.dt_s, the time between two of their rows in seconds."
+        )
+    late = np.asarray(uniform_filter1d(time - period * number, CLOCK_SPAN, mode="nearest"), dtype=np.float64)
+    return number, np.asarray(period * number + late - facts.delay, dtype=np.float64), period
+
+
+def _count(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:
+    """Number the rows: a row that is merely late is made up for by the next ones, a lost one is not."""
+    skipped = np.zeros(len(time))
+    for row in (np.flatnonzero(np.diff(time) >= LOST * period) + 1).tolist():
+        first, last = max(row - AROUND, 0), min(row + AROUND, len(time))
+        late = time[first:last] - period * np.arange(first, last)
+        jump = float(np.median(late[row - first :])) - float(np.median(late[: row - first]))
+        if jump > 0.75 * period:
+            skipped[row] = np.rint(jump / period)
+    return np.arange(len(time)) + np.cumsum(skipped).astype(np.int64)
+
+
+def _check_units(values: Mapping[str, NDArray[np.float64]], joints: Sequence[str], file: str) -> None:
+    for name in joints:
+        largest = float(np.abs(values[f"joint_{name}_rad"]).max())
+        if largest > LARGEST_ANGLE:
+            raise LogError(
+                f"{file}: column 'joint_{name}_rad' goes to {largest:.4g}, and no hinge turns by more than "
+                f"{LARGEST_ANGLE:.3g} rad; give radians, not degrees or ticks."
+            )
+    felt = float(np.median(np.sqrt(sum(values[name] ** 2 for name in ACCELEROMETER))))
+    if not 7.0 < felt < 13.0:
+        raise LogError(
+            f"{file}: columns '{ACCELEROMETER[0]}' to '_z_m_s2' have a median length of {felt:.4g}, and a "
+            "robot on the ground feels 9.81 m/s^2; give the specific force in m/s^2, gravity included."
+        )

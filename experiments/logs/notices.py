@@ -1,0 +1,155 @@
+"""What a log cannot tell, in plain words, and units that cannot be right; private to the log's calibration.
+
+What would mislead any calibrator is refused. What merely leaves something untold is a notice: the calibration
+goes on, and says so.
+"""
+
+import numpy as np
+
+from surefoot.calibration import GRAVITY, Parameters, sole_wrenches
+from surefoot.experiments.logs.agreement import asked_of
+from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.columns import raw_names_of
+from surefoot.experiments.logs.format import MAX_GAP, Log
+
+__all__ = ["check_weight", "log_notices"]
+
+MOST = 3.0
+"""By how much the feet's total may differ from the weight, as a factor, before units must be wrong: gains of
+cells that nobody calibrated are off by tens of percent."""
+
+STILL = 0.003
+"""Standard deviation in m of the centre of pressure that the motion asks for, below which a robot stands."""
+
+ALIKE = 0.03
+"""Relative difference between the mass in the description and the drawing's that needs no word."""
+
+_UNITS = {
+    1000.0: "a map in millinewtons or a mass in tonnes would look so",
+    1.0 / 1000.0: "a map in kilonewtons or a mass in grams would look so",
+    1000.0 / GRAVITY: "a map in grams-force would look so",
+    1.0 / GRAVITY: "a map in kilograms-force would look so",
+    0.2248: "a map in pounds-force would look so",
+}
+
+
+def check_weight(log: Log, start: str, began: Parameters, file: str) -> None:
+    """Refuse a log whose feet carry by far more or less than the robot weighs.
+
+    Args:
+        log: The log.
+        start: What the map to start from is called.
+        began: That map.
+        file: The log's name in messages.
+
+    Raises:
+        LogError: If the feet's total and the weight differ by more than a factor of three, or in sign.
+    """
+    if not np.isfinite(log.raw).any():
+        raise LogError(
+            f"{file}: columns 'raw_..._count' hold no reading in any of the {len(log)} rows; "
+            "write the converters' counts into them."
+        )
+    force = np.where(np.isfinite(log.raw), began.force(log.raw), 0.0)
+    total = sole_wrenches(force, log.layout)[..., 2].sum(axis=-1)
+    low, high = np.percentile(total, (10, 90))
+    weight = log.mass * GRAVITY
+    given = f"and mass_kg = {log.mass:.4g} weighs {weight:.4g} N"
+    if low < -weight / MOST and high < weight / MOST:
+        raise LogError(
+            f"{file}: by the {start} map the feet pull the ground with {-low:.4g} N, {given}; turn the signs "
+            "of scale_N_per_count and offset_N round: standing is positive."
+        )
+    ratio = float(high / weight)
+    if not 1.0 / MOST <= ratio <= MOST:
+        near = [text for factor, text in _UNITS.items() if 0.67 < ratio / factor < 1.5]
+        hint = f"{near[0]}. " if near else ""
+        raise LogError(
+            f"{file}: by the {start} map the feet carry {high:.4g} N where they carry most, {given}: "
+            f"{ratio:.3g} times as much. {hint[:1].upper()}{hint[1:]}"
+            "Give scale_N_per_count and offset_N in newtons, mass_kg in kilograms, and a log in which the "
+            "robot stands on its feet."
+        )
+
+
+def log_notices(log: Log, file: str) -> tuple[str, ...]:
+    """Say what a log cannot tell.
+
+    Args:
+        log: The log.
+        file: Its name.
+
+    Returns:
+        One sentence each: what is so in which column, what it means, and what would help.
+    """
+    return tuple(f"{file}: {text}" for text in (*_channels(log), *_rows(log), *_motion(log)))
+
+
+def _channels(log: Log) -> list[str]:
+    said = []
+    for name, readings in zip(raw_names_of(log.layout), log.raw.T, strict=True):
+        there = readings[np.isfinite(readings)]
+        if len(there) == 0:
+            said.append(
+                f"column '{name}' holds no reading in any of {len(log)} rows, and a channel must be read now "
+                "and then; a method that needs every channel learns nothing. Check its cable and the "
+                "column's name."
+            )
+        elif len(there) > 16 and np.ptp(there) == 0.0:
+            said.append(
+                f"column '{name}' is {there[0]:g} in all of its {len(there)} readings, and a channel that "
+                "lives makes some noise: nothing can be learnt of it. Check its cable and its converter."
+            )
+    return said
+
+
+def _rows(log: Log) -> list[str]:
+    said = []
+    gaps = np.diff(log.time) > MAX_GAP
+    if gaps.any():
+        longest = float(np.diff(log.time).max())
+        said.append(
+            f"column 'time_s' leaps {gaps.sum()} times by more than {MAX_GAP:g} s, the longest by "
+            f"{longest:.3g} s; after each the filters begin anew, and what was learnt is kept."
+        )
+    unknown = ~np.isfinite(log.reference.com).all(axis=-1)
+    if unknown.any():
+        said.append(
+            f"in {unknown.sum()} of {len(log)} rows joints and IMU do not reach around the sample of the "
+            "feet; nothing is learnt there."
+        )
+    told = log.about.get("model_mass_kg")
+    if told is not None and abs(told / log.mass - 1.0) > ALIKE:
+        said.append(
+            f"mass_kg = {log.mass:.4g} is not the model's {told:.4g} kg; its centre of mass and angular "
+            "momentum are the model's. Weigh the robot, and correct the model."
+        )
+    return said
+
+
+def _motion(log: Log) -> list[str]:
+    said = []
+    swing = np.asarray(log.reference.swing)
+    if len(log.layout.feet) == 2:
+        for i, foot in enumerate(log.layout.feet):
+            if not swing[:, i].any():
+                said.append(
+                    f"the {foot.name} foot is never surely in the air ('reference_{foot.name}_swing' is 0 in "
+                    f"all {len(log)} rows), so that its zeros cannot be told from its gains; let it "
+                    "swing, or lift it for a second."
+                )
+    spread = _spread(log)
+    if not swing.any() and spread < STILL:
+        said.append(
+            f"the robot never moves: the centre of pressure that its motion asks for stays within "
+            f"{1e3 * spread:.1f} mm, so that only the weight and its place can be told and single channels "
+            "cannot; walk, or shift the weight over each corner."
+        )
+    return said
+
+
+def _spread(log: Log) -> float:
+    """Standard deviation of the centre of pressure that the motion asks for, seen from the soles."""
+    cop = asked_of(log).cop
+    there = cop[np.isfinite(cop).all(axis=-1)]
+    return float(there.std(axis=0).max()) if len(there) else np.inf

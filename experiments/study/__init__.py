@@ -1,0 +1,1 @@
+"""What all studies share: work in processes, files, tables, figures and pages."""

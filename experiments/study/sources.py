@@ -1,0 +1,110 @@
+"""Which files of surefoot a piece of work depends on, and one hash of their content.
+
+The imports are read from the source text, so no list of file names has to be kept by hand. A name that a
+package
+only passes on is followed to the module that defines it; a string that names a module counts as an import,
+and so
+does the id of an environment.
+"""
+
+import ast
+import re
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+
+import surefoot
+
+__all__ = ["source_hash", "source_modules"]
+
+_ROOT = Path(surefoot.__file__).parent
+_DOTTED = re.compile(r"surefoot(\.\w+)+(:\w+)?")
+_ENVIRONMENT = re.compile(r"surefoot/\w+-v\d+")
+
+
+@cache
+def source_hash(*entries: str) -> str:
+    """Return 16 hex digits that change when the code behind some modules changes.
+
+    Args:
+        entries: Names of modules or packages, such as ``"surefoot.experiments.walks.record"``.
+
+    Raises:
+        ModuleNotFoundError: If there is no such module.
+    """
+    digest = sha256()
+    for module in sorted(source_modules(*entries)):
+        path = _file(module)
+        data = [] if path.name != "__init__.py" else [f for f in path.parent.iterdir() if f.suffix == ".xml"]
+        for file in (path, *sorted(data)):
+            digest.update(f"{module}/{file.name}".encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def source_modules(*entries: str) -> frozenset[str]:
+    """Return the modules of surefoot that some modules need, directly or not, and these themselves.
+
+    Args:
+        entries: Names of modules or packages.
+
+    Raises:
+        ModuleNotFoundError: If there is no such module.
+    """
+    found: set[str] = set()
+    waiting = list(entries)
+    while waiting:
+        module = waiting.pop()
+        if module not in found:
+            found.add(module)
+            waiting += _needs(module)
+    return frozenset(found)
+
+
+def _file(module: str) -> Path:
+    path = _ROOT.joinpath(*module.split(".")[1:])
+    for file in (path / "__init__.py", path.with_suffix(".py")):
+        if file.is_file():
+            return file
+    raise ModuleNotFoundError(f"There is no module '{module}' whose source could be hashed.", name=module)
+
+
+def _exists(module: str) -> bool:
+    path = _ROOT.joinpath(*module.split(".")[1:])
+    return (path / "__init__.py").is_file() or path.with_suffix(".py").is_file()
+
+
+@cache
+def _needs(module: str) -> frozenset[str]:
+    needed: set[str] = set()
+    for node in ast.walk(ast.parse(_file(module).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "surefoot":
+            needed.update(_defining(str(node.module), alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            needed.update(alias.name for alias in node.names if alias.name.startswith("surefoot."))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            if _DOTTED.fullmatch(node.value) and _exists(name := node.value.partition(":")[0]):
+                needed.add(name)
+            elif _ENVIRONMENT.fullmatch(node.value):
+                needed.add("surefoot.registration")
+    return frozenset(needed - {module})
+
+
+def _defining(module: str, name: str) -> str:
+    """Return the module in which ``from module import name`` ends."""
+    if _exists(f"{module}.{name}"):
+        return f"{module}.{name}"
+    if _file(module).name == "__init__.py":
+        return _passed_on(module).get(name, module)
+    return module
+
+
+@cache
+def _passed_on(package: str) -> dict[str, str]:
+    tree = ast.parse(_file(package).read_text(encoding="utf-8"))
+    return {
+        alias.asname or alias.name: _defining(node.module, alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("surefoot.")
+        for alias in node.names
+    }

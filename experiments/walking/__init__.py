@@ -1,0 +1,1 @@
+"""Calibrate the log of a walk."""

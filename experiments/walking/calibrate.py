@@ -1,0 +1,200 @@
+"""Calibrate one log by one method, and write what came of it: a table, the last parameters and a page."""
+
+import inspect
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from surefoot.calibration import Estimate, FootCalibrator, Parameters, replay
+from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.columns import channel_slugs
+from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.logs.notices import check_weight, log_notices
+from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.experiments.study.tables import Table
+from surefoot.experiments.walking.page import WalkingPage
+from surefoot.experiments.walking.tables import consistency, parameter_table, shown_tables
+from surefoot.experiments.walks.replay import starting_map
+
+__all__ = ["DEFAULT_METHOD", "CalibratedLog", "calibrate_log"]
+
+DEFAULT_METHOD = str(inspect.signature(FootCalibrator).parameters["method"].default)
+"""The method that a log is calibrated by unless another one is asked for: the robot's own default."""
+
+
+@dataclass(frozen=True)
+class CalibratedLog:
+    """Where the result of a calibration lies.
+
+    Attributes:
+        walk: Calibrated forces, centres of pressure, parameters and flags of every sample, a Parquet table.
+        parameters: The last map with its uncertainty, in JSON as a log's description holds it.
+        page: What a person reads: one HTML file.
+        tables: What to show at once.
+        notices: What the log cannot tell, in plain words.
+    """
+
+    walk: Path
+    parameters: Path
+    page: Path
+    tables: tuple[Table, ...]
+    notices: tuple[str, ...]
+
+
+def calibrate_log(
+    log: Log,
+    method: str = DEFAULT_METHOD,
+    start: str | None = None,
+    *,
+    folder: Path,
+    stem: str,
+    settle: float = 0.0,
+    zero_phase: bool = False,
+    file: str | None = None,
+) -> CalibratedLog:
+    """Replay a log, and write the result.
+
+    Args:
+        log: The log.
+        method: A key of :data:`~surefoot.calibration.METHODS`.
+        start: ``"nominal"`` or ``"bench"``; by default what the log says, else ``"nominal"``.
+        folder: Where the files go.
+        stem: How their names begin.
+        settle: Samples before this time in s do not count in a score.
+        zero_phase: Whether to filter with hindsight.
+        file: What messages call the log; by default the stem.
+
+    Raises:
+        LogError: If there is no such starting map, or the feet's total cannot be in newtons.
+        ValueError: If there is no such method, or nothing to score after ``settle``.
+    """
+    file = stem if file is None else file
+    start = str(log.about.get("start", "nominal")) if start is None else start
+    began = starting_map(log, start)
+    if zero_phase and (np.diff(log.time) > MAX_GAP).any():
+        raise LogError(
+            f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
+        )
+    check_weight(log, start, began, file)
+    notices = log_notices(log, file)
+    estimate = _replay(log, method, began, zero_phase)
+    page = WalkingPage(log, file, method, start, began, estimate, settle, notices)
+    tables = (parameter_table(log, estimate, began, start), *shown_tables(page.facts()))
+    walk = folder / f"{stem}.{method}.parquet"
+    with atomic_path(walk) as part:
+        pq.write_table(pa.table(_walk_columns(log, estimate, began)), part)
+    parameters = folder / f"{stem}.{method}.json"
+    write_text(parameters, json.dumps(_last(log, estimate, began, method, start, notices), indent=1))
+    shown = page.write(folder / f"{stem}.{method}.html")
+    return CalibratedLog(walk, parameters, shown, tables, notices)
+
+
+def _replay(log: Log, method: str, began: Parameters, zero_phase: bool) -> Estimate:
+    options: dict[str, Any] = {}
+    if "foot_length_m" in log.about:
+        options["foot_length"] = float(log.about["foot_length_m"])
+    return replay(
+        log.layout,
+        method,
+        log.raw,
+        log.reference,
+        np.diff(log.time, prepend=log.time[0] - log.dt),
+        mass=log.mass,
+        initial=began,
+        lag=log.lag,
+        zero_phase=zero_phase,
+        **options,
+    )
+
+
+def _units(log: Log) -> list[str]:
+    """Name the unit of each calibrated channel as columns end in it."""
+    return [
+        "Nm" if name.rpartition("/")[2] in ("tx", "ty", "tz") else "N" for name in log.layout.channel_names
+    ]
+
+
+def _walk_columns(log: Log, estimate: Estimate, began: Parameters) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {"time_s": log.time}
+    slugs, units = channel_slugs(log.layout), _units(log)
+    spread = standard_deviations(estimate, began)
+    for i, (name, unit) in enumerate(zip(slugs, units, strict=True)):
+        columns[f"force_{name}_{unit}"] = estimate.force[:, i]
+        if estimate.force_std is not None:
+            columns[f"force_{name}_std_{unit}"] = estimate.force_std[:, i]
+    for i, axis in enumerate("xy"):
+        columns[f"cop_level_{axis}_m"] = estimate.cop[:, i]
+        if estimate.cop_covariance is not None:
+            columns[f"cop_level_{axis}_std_m"] = np.sqrt(estimate.cop_covariance[:, i, i])
+    columns["cop_level_valid"] = estimate.cop_valid
+    for f, foot in enumerate(log.layout.feet):
+        columns[f"vgrf_{foot.name}_N"] = estimate.vgrf[:, f]
+        for i, axis in enumerate("xy"):
+            columns[f"cop_{foot.name}_sole_{axis}_m"] = estimate.cop_foot[:, f, i]
+        columns[f"cop_{foot.name}_sole_valid"] = estimate.cop_foot_valid[:, f]
+    for i, (name, unit) in enumerate(zip(slugs, units, strict=True)):
+        columns[f"scale_{name}_{unit}_per_count"] = estimate.scale[:, i]
+        columns[f"offset_{name}_{unit}"] = estimate.offset[:, i]
+        if spread is not None:
+            columns[f"scale_{name}_std_{unit}_per_count"] = spread.scale[:, i]
+            columns[f"offset_{name}_std_{unit}"] = spread.offset[:, i]
+        columns[f"flags_{name}"] = estimate.flags[:, i]
+    if estimate.nis is not None:
+        columns["nis"], columns["nis_rows"] = estimate.nis, np.asarray(estimate.nis_rows)
+    return {name: np.ascontiguousarray(values) for name, values in columns.items()}
+
+
+def standard_deviations(estimate: Estimate, began: Parameters) -> Parameters | None:
+    """Say how sure a method is of its map.
+
+    The map in counts is c = a c0, d = a d0 + b, of which the method knows the covariance of (a, b).
+
+    Args:
+        estimate: N samples.
+        began: The map (c0, d0) that it started from.
+
+    Returns:
+        Standard deviations of scale and offset, shape (N, K) each; ``None`` if the method claims none.
+    """
+    if estimate.covariance is None:
+        return None
+    aa, ab, bb = _blocks(np.asarray(estimate.covariance))
+    scale, offset = np.asarray(began.scale), np.asarray(began.offset)
+    variance = offset**2 * aa + 2.0 * offset * ab + bb
+    return Parameters(np.abs(scale) * np.sqrt(aa), np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _blocks(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Take the variances of a, of a with b and of b of each channel out of their covariance."""
+    K = covariance.shape[-1] // 2
+    rows = np.arange(K)
+    return tuple(covariance[..., i, j] for i, j in ((rows, rows), (rows, rows + K), (rows + K, rows + K)))
+
+
+def _last(
+    log: Log, estimate: Estimate, began: Parameters, method: str, start: str, notices: tuple[str, ...]
+) -> dict[str, Any]:
+    """Gather what is known at the end of the log."""
+    spread = standard_deviations(estimate, began)
+    told: dict[str, Any] = {
+        "method": method,
+        "start": start,
+        "time_s": float(log.time[-1]),
+        "channels": list(log.layout.channel_names),
+        "scale_N_per_count": estimate.scale[-1].tolist(),
+        "offset_N": estimate.offset[-1].tolist(),
+        "scale_std_N_per_count": None if spread is None else spread.scale[-1].tolist(),
+        "offset_std_N": None if spread is None else spread.offset[-1].tolist(),
+        "nis_per_row": consistency(estimate),
+        "covariance_relative": None if estimate.covariance is None else estimate.covariance[-1].tolist(),
+        "notices": list(notices),
+    }
+    if estimate.matrix is not None:
+        told["matrix_relative"] = estimate.matrix[-1].tolist()
+    return told

@@ -1,0 +1,1 @@
+"""Simulated walks: record, replay, score, film."""

@@ -1,0 +1,170 @@
+"""The walker on true, drifting and calibrated feet: who falls, and when.
+
+The controller is the same; what differs is the centre of pressure in its observation. Seeds are paired: the
+same seed gives the same starting state, ground, pushes and sensors whatever is fed back, so that runs differ
+by nothing but the feed until the robot's own steps begin to differ.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.controllers import Stabiliser
+from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
+from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
+
+__all__ = ["LoopRun", "Moment", "cells_of", "rms", "run_loop", "walk_moments"]
+
+
+class Moment(NamedTuple):
+    """A walk after one control step.
+
+    Attributes:
+        time: Time since the reset in s.
+        bare: The environment beneath all wrappers.
+        observation: What the controller is given.
+        true_observation: The same without sensors in between.
+        fell: Whether the robot has fallen; the walk ends then.
+    """
+
+    time: float
+    bare: Any
+    observation: dict[str, Any]
+    true_observation: dict[str, Any]
+    fell: bool
+
+    @property
+    def cop_error(self) -> float:
+        """Distance between the fed and the true centre of pressure in m; NaN where there is none."""
+        if not self.true_observation["cop_valid"][0]:
+            return float("nan")
+        fed, true = self.observation["cop"].astype(np.float64), self.true_observation["cop"]
+        return float(np.linalg.norm(fed - true))
+
+    @property
+    def tracking(self) -> float:
+        """Distance between the true centre of pressure and the planned one in m, both in level frames."""
+        if not self.true_observation["cop_valid"][0]:
+            return float("nan")
+        planned = self.true_observation["state"][self.bare.state_layout["cop_reference"]]
+        return float(np.linalg.norm(self.true_observation["cop"].astype(np.float64) - planned))
+
+    @property
+    def true_cop_world(self) -> NDArray[np.float64]:
+        """The true centre of pressure in the world in m, shape (2,); NaN where there is none."""
+        cop: NDArray[np.float64] = self.bare.truth.cop_world()
+        return cop
+
+    @property
+    def fed_cop_world(self) -> NDArray[np.float64]:
+        """The fed centre of pressure, placed under the true soles, in the world in m, shape (2,)."""
+        sole = self.bare.truth.position_sole[-1, :, :2].mean(axis=0)
+        ahead = self.bare.truth.R_world_sole[-1, :, :2, 0].sum(axis=0)
+        x, y = ahead / np.linalg.norm(ahead)
+        placed: NDArray[np.float64] = sole + np.array([[x, -y], [y, x]]) @ self.observation["cop"]
+        return placed
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    """How one walk went.
+
+    Attributes:
+        severity: How bad the cells were.
+        speed: Walking speed in m/s.
+        seed: Its seed.
+        feed: What was fed back (see :data:`surefoot.experiments.walks.walkers.FEEDS`).
+        fell: Whether it ended in a fall.
+        time: Time on its feet in s.
+        cop_error: RMSE of the centre of pressure fed back, against the truth, in m.
+        tracking: RMSE of the true centre of pressure against its plan in m.
+    """
+
+    severity: float
+    speed: float
+    seed: int
+    feed: str
+    fell: bool
+    time: float
+    cop_error: float
+    tracking: float
+
+
+def cells_of(severity: float) -> LoadCells:
+    """Scale how far the preset ``hx711-load-cells`` is off, and how fast it drifts.
+
+    Args:
+        severity: 1 for the preset: gains 12 % and zeros 1.5 N off, drifting by 2 % and 1 N per square root of
+            a minute. 3 for three times as bad.
+
+    Raises:
+        ValueError: If the severity is negative or not finite.
+    """
+    preset = HX711_LOAD_CELLS
+    return replace(
+        preset,
+        initial_gain_std=severity * preset.initial_gain_std,
+        initial_zero_std=severity * preset.initial_zero_std,
+        gain_drift=severity * preset.gain_drift,
+        zero_drift=severity * preset.zero_drift,
+    )
+
+
+def walk_moments(
+    feed: str,
+    *,
+    speed: float,
+    seed: int,
+    duration: float,
+    severity: float = 1.0,
+    **env_options: Any,
+) -> Iterator[Moment]:
+    """Walk, a moment a control step, until the end or the fall.
+
+    Args:
+        feed: One of :data:`surefoot.experiments.walks.walkers.FEEDS`.
+        speed: Walking speed in m/s.
+        seed: Seed of the walk and of its sensors.
+        duration: Duration in s, standing included.
+        severity: How bad the cells are, see :func:`cells_of`.
+        **env_options: Further options of the environment, such as ``render_mode``.
+
+    Yields:
+        What happened.
+    """
+    env, tap = make_walker(feed, speed=speed, duration=duration, cells=cells_of(severity), **env_options)
+    bare: Any = env.unwrapped
+    # Calibrators need a quiet stand to begin with: until then nobody is moved by what they say.
+    controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
+    try:
+        observation, _ = env.reset(seed=seed)
+        controller.reset()
+        done, time = False, 0.0
+        while not done:
+            observation, _, terminated, truncated, _ = env.step(controller(observation))
+            time += bare.dt
+            done = terminated or truncated
+            yield Moment(time, bare, observation, tap.seen, terminated)
+    finally:
+        env.close()
+
+
+def run_loop(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> LoopRun:
+    """Walk once and say how it went; arguments as in :func:`walk_moments`."""
+    error, tracking = [], []
+    time, fell = 0.0, False
+    for moment in walk_moments(feed, speed=speed, seed=seed, duration=duration, severity=severity):
+        error.append(moment.cop_error)
+        tracking.append(moment.tracking)
+        time, fell = moment.time, moment.fell
+    return LoopRun(severity, speed, seed, feed, fell, time, rms(error), rms(tracking))
+
+
+def rms(values: list[float]) -> float:
+    """Root mean square of the finite values; NaN if there is none."""
+    array = np.array(values)
+    array = array[np.isfinite(array)]
+    return float(np.sqrt(np.mean(array**2))) if len(array) else float("nan")

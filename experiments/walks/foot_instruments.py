@@ -1,0 +1,124 @@
+"""The instruments under a recorded robot's feet: load cells, six-axis sensors at the ankles, or both.
+
+Unlike those of an environment each kind draws from a random stream of its own, so that conditions which share
+a kind share its readings, and the bench calibrates those very cells before the walk.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from surefoot.calibration import Parameters
+from surefoot.envs import RobotDrawing
+from surefoot.experiments.weights.bench import run_bench
+from surefoot.sensors import ForceTorque, LoadCells
+from surefoot.wrappers.instruments import Instruments, SensorsInAnkles
+
+__all__ = ["FootInstruments"]
+
+Floats = NDArray[np.float64]
+
+_STREAM = 0x10605
+"""Keeps the instruments' randomness apart from every other stream with the same seed."""
+
+
+class FootInstruments:
+    """What one condition reads under one walk.
+
+    Args:
+        cells: The load cells, if there are any.
+        ankle: The six-axis sensors, if there are any.
+        index: Number of the random stream.
+        seed: Seed of the walk.
+        truth: The truth of the first moment.
+        drawing: The robot.
+
+    Attributes:
+        layout: How the channels add up to the feet's wrenches.
+        nominal: The map by the data sheets, shape (K,).
+        bench: The map that a bench found before the walk; ``None`` unless there are load cells alone.
+        about: What maps axis by axis leave out: cross-talk, and the weight that counts as part of the zero.
+    """
+
+    def __init__(
+        self,
+        cells: LoadCells | None,
+        ankle: ForceTorque | None,
+        *,
+        index: int,
+        seed: int,
+        truth: Any,
+        drawing: RobotDrawing,
+    ) -> None:
+        if cells is None and ankle is None:
+            raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
+        self._all = Instruments(tuple(device for device in (cells, ankle) if device is not None), drawing)
+        self.layout, self.nominal = self._all.layout, self._all.nominal
+        self.bench: Parameters | None = None
+        self.about: dict[str, Any] = {}
+        self._streams: list[np.random.Generator] = []
+        self._states: list[Any] = []
+        for part in self._all.parts:
+            in_ankles = isinstance(part, SensorsInAnkles)
+            rng = np.random.default_rng([_STREAM, index, seed, 1] if in_ankles else [_STREAM, index, seed])
+            state: Any = part.init(rng)
+            if cells is not None and not in_ankles:
+                if ankle is None:
+                    self.bench = run_bench(cells=cells, state=state, seed=seed).channels.value
+                # Every chip delivers once before the walk, as they do while a robot boots.
+                _, state = part.read(truth, state, rng, 1.0 / cells.rate[0] if cells.rate else 0.0125)
+            self._streams.append(rng)
+            self._states.append(state)
+        if ankle is not None:
+            self._note_ankles()
+        self._raw: list[Floats] = []
+        self._force: list[Floats] = []
+        self._maps: list[tuple[Floats, Floats]] = []
+
+    def read(self, truth: Any, dt: float) -> None:
+        """Take the readings after a control step."""
+        readings, forces, maps = [], [], []
+        part: Any
+        for i, part in enumerate(self._all.parts):
+            reading, self._states[i] = part.read(truth, self._states[i], self._streams[i], dt)
+            readings.append(reading)
+            forces.append(part.force(truth))
+            maps.append(part.true_map(self._states[i]))
+        self._raw.append(self._all.joined(readings))
+        self._force.append(self._all.joined(forces))
+        self._maps.append(
+            (self._all.joined([m.scale for m in maps]), self._all.joined([m.offset for m in maps]))
+        )
+
+    @property
+    def raw(self) -> Floats:
+        """All readings in counts, shape (N, K)."""
+        return np.array(self._raw)
+
+    @property
+    def force(self) -> Floats:
+        """What the calibrated channels should have read in N and N m, shape (N, K)."""
+        return np.array(self._force)
+
+    @property
+    def maps(self) -> Floats:
+        """The maps that would have undone each channel's own errors, (scale, offset), shape (N, 2, K)."""
+        return np.array(self._maps)
+
+    def _note_ankles(self) -> None:
+        blocks, preload = [], []
+        for part, state in zip(self._all.parts, self._states, strict=True):
+            if isinstance(part, SensorsInAnkles):
+                blocks.append(part.cross_talk(state))
+                preload.append(part.preload)
+            else:
+                blocks.append(np.zeros((part.channels, part.channels)))
+                preload.append(np.zeros(part.channels))
+        order = self._all.order
+        talk = block_diag(*blocks)
+        self.about = {
+            "truth_cross_talk": talk[np.ix_(order, order)].tolist(),
+            "truth_preload": self._all.joined(preload).tolist(),
+        }

@@ -1,0 +1,176 @@
+"""Record walks as logs: the truth, the robot's beliefs, and what cells of several kinds make of them.
+
+The robot walks on its true centre of pressure, so that the walk does not depend on any calibrator. Nor do its
+load cells act back on it, so that one walk serves all conditions: the same true forces and the same beliefs,
+read by other cells. The bench calibration is done with those very cells before the walk.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import surefoot
+from surefoot.calibration import Reference
+from surefoot.controllers import Stabiliser
+from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.experiments.walks.foot_instruments import FootInstruments
+from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
+from surefoot.sensors import HX711_LOAD_CELLS, PER_SQRT_MINUTE, ForceTorque, LoadCells
+from surefoot.wrappers.foot_sensors import FootSensors
+from surefoot.wrappers.self_calibration import SelfCalibration
+
+__all__ = ["CONDITIONS", "Condition", "record_walk"]
+
+_SETTLING = 16
+"""Rows cut off at the beginning of a log, in which telemetry has not yet arrived."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What cells a robot walks on, and what it knows of them.
+
+    Attributes:
+        name: Short name, for files.
+        title: What to call it.
+        cells: The load cells, or ``None`` for a robot without.
+        start: The map that calibrators start from: ``"bench"`` or ``"nominal"``.
+        ankle: The six-axis sensors in the ankles, if there are any.
+    """
+
+    name: str
+    title: str
+    cells: LoadCells | None
+    start: str
+    ankle: ForceTorque | None = None
+
+    @property
+    def age(self) -> float:
+        """Mean age in s of a reading when the host takes it; six-axis sensors are read at once."""
+        return 0.0 if self.cells is None else self.cells.nominal_age
+
+
+CONDITIONS = (
+    Condition(
+        "paper",
+        "the paper's conditions",
+        LoadCells(gain_drift=0.005 * PER_SQRT_MINUTE, zero_drift=0.2 * PER_SQRT_MINUTE),
+        "bench",
+    ),
+    Condition("bad-start", "bad start", HX711_LOAD_CELLS, "nominal"),
+)
+"""The CoP paper's, calibrated on the bench and then drifting mildly (0.5 % and 0.2 N per square root of a
+minute); and a bad start: never calibrated (gains 12 % off, zeros 1.5 N) and drifting by 2 % and 1 N."""
+
+
+def record_walk(
+    speed: float,
+    seed: int,
+    duration: float,
+    conditions: Sequence[Condition] = CONDITIONS,
+    *,
+    sensors: Mapping[str, Any] | None = None,
+    beliefs: Mapping[str, Any] | None = None,
+    clock_error: float = 0.0,
+    **env_options: Any,
+) -> dict[str, Log]:
+    """Walk once, and log what the cells of each condition read.
+
+    As in the CoP paper nobody pushes, unless ``push_impulse`` says so.
+
+    Args:
+        speed: Walking speed in m/s.
+        seed: Of the walk, the sensors, the beliefs and the bench.
+        duration: Duration in s, standing included; a fall ends the walk earlier.
+        conditions: What cells to read it with. References are timed for each condition's own cells.
+        sensors: Further options of :class:`~surefoot.wrappers.FootSensors`: IMU, encoders and link.
+        beliefs: Further options of :class:`~surefoot.wrappers.SelfCalibration`: how wrong the robot is about
+            itself.
+        clock_error: By how many s telemetry is later than the robot believes: what it takes for the moment
+            of a reference is that much earlier in truth.
+        **env_options: Further options of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
+
+    Returns:
+        A log by the condition's name.
+    """
+    undisturbed = {"push_impulse": (0.0, 0.0)}
+    options: dict[str, Any] = undisturbed | env_options
+    _, tap = make_walker("true", speed=speed, duration=duration, **options)
+    # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
+    youngest = min(condition.age for condition in conditions)
+    carried = HX711_LOAD_CELLS if youngest > 0.0 else replace(HX711_LOAD_CELLS, rate=None)
+    env = SelfCalibration(FootSensors(tap, carried, **(sensors or {})), "none", **(beliefs or {}))
+    bare: Any = env.unwrapped
+    controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
+    _, info = env.reset(seed=seed)
+    controller.reset()
+    feet = [
+        FootInstruments(c.cells, c.ankle, index=i, seed=seed, truth=bare.truth, drawing=bare.drawing)
+        for i, c in enumerate(conditions)
+    ]
+    time: list[float] = []
+    believed: dict[float, list[Reference]] = {c.age: [] for c in conditions}
+    position, rotation = [], []
+    done = terminated = False
+    while not done:
+        _, _, terminated, truncated, info = env.step(controller(tap.seen))
+        truth = bare.truth
+        time.append((len(time) + 1) * bare.dt)
+        reference: Reference = info["surefoot"]["reference"]
+        for age, references in believed.items():
+            early = age - youngest + clock_error
+            references.append(reference if early == 0.0 else _earlier(env, reference, early))
+        for one in feet:
+            one.read(truth, bare.dt)
+        position.append(truth.position_sole[-1].copy())
+        rotation.append(truth.R_world_sole[-1].copy())
+        done = terminated or truncated
+    mass = env.calibrator.setup.mass
+    env.close()
+
+    kept = slice(_SETTLING, None)
+    about = {
+        "speed_m_s": speed,
+        "fell": bool(terminated),
+        "duration_s": duration,
+        "surefoot": surefoot.__version__,
+    }
+    stacked = {
+        age: Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True)))
+        for age, references in believed.items()
+    }
+    return {
+        condition.name: Log(
+            time=np.array(time)[kept],
+            raw=one.raw[kept],
+            reference=stacked[condition.age],
+            layout=one.layout,
+            mass=mass,
+            nominal=one.nominal,
+            bench=one.bench,
+            dt=bare.dt,
+            lag=int(info["surefoot"]["lag"]),
+            seed=seed,
+            truth=LogTruth(
+                force=one.force[kept],
+                position_sole=np.array(position)[kept],
+                R_world_sole=np.array(rotation)[kept],
+                scale=one.maps[kept, 0],
+                offset=one.maps[kept, 1],
+            ),
+            about=about
+            | one.about
+            | {
+                "condition": condition.name,
+                "start": condition.start,
+                "sample_age_s": condition.age,
+            },
+        )
+        for condition, one in zip(conditions, feet, strict=True)
+    }
+
+
+def _earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
+    """Say what the robot believes of a moment that lies ``early`` s before that of a reference."""
+    return env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)

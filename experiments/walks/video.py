@@ -1,0 +1,271 @@
+"""A film of two walkers side by side, with the centre of pressure under their feet.
+
+Left the one that feels drifting raw readings, right the one that feels calibrated ones; same robot and seed.
+Below each the soles from above, a foot that bears weight filled: a black dot marks the true centre of
+pressure, a coloured one that which the controller is given.
+"""
+
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from ctypes.util import find_library
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import imageio.v2 as imageio
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageColor, ImageDraw, ImageFont
+
+from surefoot.experiments.study.files import atomic_path
+from surefoot.experiments.study.style import look_of
+from surefoot.experiments.walks.closed_loop import Moment, walk_moments
+
+__all__ = [
+    "Film",
+    "Reel",
+    "film_walk",
+    "join_reels",
+    "mark_cop",
+    "prepare_rendering",
+    "shoot",
+    "watch_walk",
+    "write_film",
+]
+
+FRAMES_PER_SECOND = 16
+WIDTH, HEIGHT, BELOW = 480, 352, 176
+FIRST_MOMENT = 3.0
+"""Time in s at which a film begins: before it the robot stands."""
+
+PIXELS_PER_METRE = 700
+"""Scale of the view from above."""
+
+OVERSAMPLING = 2
+"""The view from above is drawn larger by this factor and made smaller, for smooth edges."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """What came of filming.
+
+    Attributes:
+        path: The film, or ``None`` where nothing could be drawn.
+        still: A picture from it, or ``None``.
+        problem: Why there is none, or nothing.
+    """
+
+    path: Path | None
+    still: Path | None
+    problem: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Reel:
+    """One walk on film.
+
+    Attributes:
+        frames: Pictures, shape (n, height, width, 3); none where nothing could be drawn.
+        fell_at: When the robot fell in s, or ``None``.
+        problem: Why there are no pictures, or nothing.
+    """
+
+    frames: NDArray[np.uint8]
+    fell_at: float | None
+    problem: str = ""
+
+
+def prepare_rendering() -> None:
+    """Choose a way to draw without a screen, unless someone has chosen or there is a screen.
+
+    It must be called before MuJoCo draws for the first time in a process. Where EGL is missing nothing is
+    chosen: MuJoCo cannot even be imported by a process that is told to use what is not there.
+    """
+    if sys.platform == "linux" and not _has_screen() and find_library("EGL"):
+        os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> Reel:
+    """Film one walk into memory; a machine that cannot draw is no error.
+
+    Args:
+        feed: One of :data:`surefoot.experiments.walks.walkers.FEEDS`.
+        speed: Walking speed in m/s.
+        seed: Its seed.
+        duration: Duration in s, or until the fall.
+        severity: How bad the cells are, see :func:`surefoot.experiments.walks.closed_loop.cells_of`.
+
+    Raises:
+        ValueError: If there is no such feed, or the robot cannot walk so.
+    """
+    prepare_rendering()
+    frames, fell_at = [], None
+    try:
+        for frame, moment in _frames(feed, speed, seed, duration, severity):
+            frames.append(frame)
+            fell_at = moment.time if moment.fell else None
+    except ValueError:
+        raise  # A walk that does not exist is no fault of the driver.
+    except Exception as error:  # Drivers fail in as many ways as there are drivers.
+        reason = (str(error).splitlines() or [""])[0]
+        return Reel(np.empty((0, 0, 0, 3), np.uint8), None, f"{type(error).__name__}: {reason}")
+    return Reel(np.array(frames), fell_at)
+
+
+def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
+    """Set two walks side by side.
+
+    Args:
+        folder: Where ``walk.mp4`` and ``walk.png`` go.
+        left: The walk on the left. One that has ended shows its last picture on.
+        right: The walk on the right.
+
+    Returns:
+        The film and a still picture from just after the first fall or from half way; or why there is none.
+    """
+    problem = left.problem or right.problem
+    if problem:
+        return Film(None, None, problem)
+    count = max(len(left.frames), len(right.frames))
+    frames = np.concatenate([_extended(reel.frames, count) for reel in (left, right)], axis=2)
+    falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
+    shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else count // 2
+    path = write_film(folder / "walk.mp4", frames)
+    still = folder / "walk.png"
+    with atomic_path(still) as part:
+        Image.fromarray(frames[min(shown, count - 1)]).save(part)
+    return Film(path, still)
+
+
+def film_walk(
+    path: Path, feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0
+) -> Path:
+    """Film one walk into a file; arguments as in :func:`shoot`.
+
+    Raises:
+        OSError: If nothing can be drawn on this machine.
+    """
+    reel = shoot(feed, speed=speed, seed=seed, duration=duration, severity=severity)
+    if reel.problem:
+        raise OSError(
+            f"nothing can be drawn here ({reel.problem}); install an OpenGL driver such as libegl1 and "
+            "libgl1-mesa-dri, or set MUJOCO_GL."
+        )
+    return write_film(path, reel.frames)
+
+
+def watch_walk(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> None:
+    """Show one walk in a window; arguments as in :func:`shoot`.
+
+    Raises:
+        OSError: If there is no screen to show it on.
+    """
+    if sys.platform == "linux" and not _has_screen():
+        raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
+    options: dict[str, Any] = {"render_mode": "human", "severity": severity}
+    for moment in walk_moments(feed, speed=speed, seed=seed, duration=duration, **options):
+        mark_cop(feed, moment)
+
+
+def mark_cop(feed: str, moment: Moment) -> None:
+    """Put dots on the ground: the true centre of pressure (black) and the fed one, in its feed's colour."""
+    colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
+    dots = ((moment.true_cop_world, np.zeros(3), 0.008), (moment.fed_cop_world, colour, 0.010))
+    moment.bare.markers = [
+        ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
+    ]
+
+
+def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], quality: int = 7) -> Path:
+    """Write pictures of shape (height, width, 3) to an .mp4, atomically; quality from 0 to 10."""
+    with atomic_path(path) as part:
+        writer: Any = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=quality)
+        try:
+            for frame in frames:
+                writer.append_data(frame)
+        finally:
+            writer.close()
+    return path
+
+
+def _has_screen() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _extended(frames: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
+    missing = count - len(frames)
+    return np.concatenate([frames, np.repeat(frames[-1:], missing, axis=0)]) if missing else frames
+
+
+def _frames(
+    feed: str, speed: float, seed: int, duration: float, severity: float
+) -> Iterator[tuple[NDArray[np.uint8], Moment]]:
+    every = round(80 / FRAMES_PER_SECOND)
+    options: dict[str, Any] = {"render_mode": "rgb_array", "width": WIDTH, "height": HEIGHT}
+    options |= {"speed": speed, "seed": seed, "duration": duration, "severity": severity}
+    for k, moment in enumerate(walk_moments(feed, **options)):
+        if k == 0:
+            # Shadows take a software renderer ten times as long as all the rest.
+            moment.bare.model.vis.quality.shadowsize = 0
+            moment.bare.model.vis.quality.offsamples = 4
+        if (k % every == 0 and moment.time > FIRST_MOMENT) or moment.fell:
+            yield _sheet(moment.bare.render(), feed, moment), moment
+
+
+def _sheet(frame: NDArray[np.uint8], feed: str, moment: Moment) -> NDArray[np.uint8]:
+    """Put the walker, a heading and the view from above on one sheet."""
+    sheet = Image.new("RGB", (WIDTH, HEIGHT + BELOW), "white")
+    sheet.paste(Image.fromarray(frame), (0, 0))
+    sheet.paste(_from_above(feed, moment), (0, HEIGHT))
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=18)
+    look = look_of(feed)
+    name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
+    draw.rectangle((0, 0, WIDTH, 30), fill="white")
+    draw.ellipse((10, 10, 20, 20), fill=look.colour)
+    draw.text((28, 4), name, fill="black", font=font)
+    draw.text((WIDTH - 76, 4), f"{moment.time:5.1f} s", fill="black", font=font)
+    if moment.fell:
+        draw.text((WIDTH - 64, 40), "fallen", fill="#b34700", font=font)
+    draw.line((WIDTH - 1, 0, WIDTH - 1, HEIGHT + BELOW), fill="white", width=2)
+    return np.asarray(sheet)
+
+
+def _from_above(feed: str, moment: Moment) -> Image.Image:
+    """Draw soles and centres of pressure, forward to the right and left upwards, moving with the robot."""
+    size = np.array([WIDTH, BELOW]) * OVERSAMPLING
+    scale = PIXELS_PER_METRE * OVERSAMPLING
+    truth = moment.bare.truth
+    sole, R = truth.position_sole[-1], truth.R_world_sole[-1]
+    centre = sole[:, :2].mean(axis=0)
+
+    def at(point: NDArray[np.float64]) -> tuple[float, float]:
+        x, y = (point[:2] - centre) * scale
+        return float(0.42 * size[0] + x), float(0.5 * size[1] - y)
+
+    picture = Image.new("RGB", (int(size[0]), int(size[1])), "#f6f8fa")
+    draw = ImageDraw.Draw(picture)
+    cells = moment.bare.position_cell_sole
+    force = truth.force_cell[-1].reshape(2, 4).sum(axis=1)
+    for foot in (0, 1):
+        corners = sole[foot] + cells[foot][[0, 1, 3, 2]] @ R[foot].T
+        loaded = force[foot] > 1.0
+        draw.polygon(
+            [at(corner) for corner in corners],
+            fill="#dfe4ea" if loaded else None,
+            outline="#5b6775",
+            width=2 * OVERSAMPLING,
+        )
+    for place, colour, radius in (
+        (moment.fed_cop_world, look_of(feed).colour, 7),
+        (moment.true_cop_world, "black", 4),
+    ):
+        if np.isfinite(place).all():
+            x, y = at(place)
+            r = radius * OVERSAMPLING
+            draw.ellipse((x - r, y - r, x + r, y + r), fill=colour, outline="white", width=OVERSAMPLING)
+    small = picture.resize((WIDTH, BELOW), Image.Resampling.LANCZOS)
+    label = ImageDraw.Draw(small)
+    label.text((8, BELOW - 20), "feet from above; black: true CoP", fill="#5b6775")
+    return small

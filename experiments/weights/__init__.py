@@ -1,0 +1,1 @@
+"""Calibrate from weights, on a virtual or a real bench."""

@@ -1,0 +1,285 @@
+"""A virtual bench: known weights on cells, then at known holes of a plate, read through real-looking chips.
+
+As the CoP paper does (section 3.1): every cell bears weights of 1 g to 6 kg by itself, then weights stand at
+holes 1 cm apart on each foot's plate. Whole holes are held out, so that the score is of places that the fit
+never saw.
+
+What can go wrong on it: the cells' gains and zeros, noise and rounding (from the sensor's configuration); a
+curve in each cell; cells that do not sit where the drawing says; weights with play in their holes. How the
+plate shares a load among its cells follows from its statics, with cells of unequal stiffness. That alone
+moves no centre of pressure, since forces and moments balance however they are shared; it decides which part
+of its curve each cell works on, and it leaves one combination of the four forces unseen.
+
+Weights of 510 g and less stay below the 5 N threshold: they take part in the channels' fit and in the score
+of the vertical force, and have no centre of pressure to score.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.cop import cop_of_cells
+from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
+from surefoot.calibration.parameters import Parameters
+from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.weights.channels import ChannelFit, fit_channels
+from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
+from surefoot.envs.plate import SolePlate
+from surefoot.sensors.devices.load_cells import LoadCells, LoadCellState, load_cells, static_counts
+from surefoot.sensors.presets import HX711_LOAD_CELLS
+
+__all__ = ["BenchPlacements", "BenchReport", "BenchSetup", "run_bench"]
+
+_STREAM = 7001
+"""Keeps the bench's randomness apart from every other stream with the same seed."""
+
+
+@dataclass(frozen=True)
+class BenchSetup:
+    """What stands on the bench, and how carefully."""
+
+    channel_loads: tuple[float, ...] = (0.0, 0.001, 0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 4.0, 6.0)
+    """Weights put on each cell by itself in kg."""
+
+    placement_loads: tuple[float, ...] = (0.01, 0.1, 0.5, 1.0, 2.0, 4.0, 6.0)
+    """Weights put at every hole that is used in kg."""
+
+    hole_pitch: float = 0.01
+    """Distance between holes in m."""
+
+    fitted_holes: int = 40
+    """Holes that the correction of the centre of pressure is fitted to."""
+
+    held_out_holes: int = 20
+    """Further holes that it is only scored on."""
+
+    readings: int = 80
+    """Conversions averaged for each weighing: one second at 80 per second."""
+
+    stiffness: tuple[float, float, float, float] = (1.0, 0.8, 1.1, 0.9)
+    """Stiffnesses of the four cells of a foot relative to each other."""
+
+    cell_position_std: float = 5e-4
+    """How far cells sit from the drawing in m, per axis."""
+
+    nonlinearity: float = 5e-4
+    """Largest bow of a cell's curve as a share of its capacity; each cell draws its own, either way."""
+
+    hole_play: float = 1e-4
+    """How far a weight stands from the middle of its hole in m, per axis (standard deviation)."""
+
+    seconds_per_weighing: float = 0.0
+    """Time from one weighing to the next in s, in which the cells drift as configured; 0 is a bench on
+    which they have settled."""
+
+    def __post_init__(self) -> None:
+        """Refuse a bench that cannot be built."""
+        for name in ("fitted_holes", "held_out_holes", "readings"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
+        if self.hole_pitch <= 0:
+            raise ValueError(f"'hole_pitch' must be positive, got {self.hole_pitch}.")
+        for name in ("cell_position_std", "nonlinearity", "hole_play", "seconds_per_weighing"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"'{name}' must not be negative, got {getattr(self, name)}.")
+
+
+@dataclass(frozen=True, eq=False)
+class BenchPlacements:
+    """Weighings of one foot at holes that its fit never saw.
+
+    Attributes:
+        hole: Where the weights stood in the sole frame in m, shape (n, 2).
+        load: The weights in N, shape (n,).
+        cop_initial: Centres of pressure by the data sheet's map in m, shape (n, 2); NaN below 5 N.
+        cop_calibrated: The same by the fitted channels and the fitted correction.
+        vgrf_initial: Vertical forces by the data sheet's map in N, shape (n,).
+        vgrf_calibrated: The same by the fitted channels.
+    """
+
+    hole: NDArray[np.float64]
+    load: NDArray[np.float64]
+    cop_initial: NDArray[np.float64]
+    cop_calibrated: NDArray[np.float64]
+    vgrf_initial: NDArray[np.float64]
+    vgrf_calibrated: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BenchReport:
+    """What the bench found.
+
+    Attributes:
+        channel_names: The cells, in order.
+        channel_load: Weights put on each cell in kg, shape (n,).
+        channel_code: Mean codes under them, shape (n, K): the left part of a Table 2.
+        channels: The fit of the cells in N; ``channels.value`` is the bench-calibrated map.
+        corrections: The fit of each foot's centre of pressure, (left, right).
+        initial: Errors on held-out holes by the data sheet's map (the left column of a Table 3).
+        calibrated: Errors on held-out holes by the fitted channels and the fitted correction.
+        held_out: The weighings at these holes, (left, right).
+    """
+
+    channel_names: tuple[str, ...]
+    channel_load: NDArray[np.float64]
+    channel_code: NDArray[np.float64]
+    channels: ChannelFit
+    corrections: tuple[CopCorrectionFit, CopCorrectionFit]
+    initial: PlacementScore
+    calibrated: PlacementScore
+    held_out: tuple[BenchPlacements, BenchPlacements]
+
+
+@dataclass(eq=False)
+class _Cells:
+    """The cells on the bench: reads true loads as mean codes, and grows older with every weighing."""
+
+    config: LoadCells
+    state: LoadCellState
+    setup: BenchSetup
+    rng: np.random.Generator
+    bow: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.bow = self.setup.nonlinearity * self.rng.uniform(-1.0, 1.0, self.config.channels)
+
+    def read(self, load: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Weigh true loads in N, shape (n, K), one after another."""
+        share = load / self.config.capacity
+        bowed = load + self.bow * self.config.capacity * 4.0 * share * (1.0 - share)
+        step = np.sqrt(self.setup.seconds_per_weighing)
+        walk = np.cumsum(self.rng.standard_normal((2, *load.shape)), axis=1) * step
+        wander = np.array([self.config.gain_drift, self.config.zero_drift])[:, None, None]
+        aged = self.state._replace(error=self.state.error[:, None, :] + wander * walk)
+        self.state = self.state._replace(error=aged.error[:, -1])
+        repeated = np.broadcast_to(bowed, (self.setup.readings, *load.shape))
+        mean: NDArray[np.float64] = static_counts(self.config, aged, repeated, self.rng).mean(axis=0)
+        return mean
+
+
+def run_bench(
+    setup: BenchSetup | None = None,
+    cells: LoadCells = HX711_LOAD_CELLS,
+    *,
+    state: LoadCellState | None = None,
+    layout: FeetLayout | None = None,
+    seed: int = 0,
+) -> BenchReport:
+    """Calibrate a robot's load cells on the bench.
+
+    Args:
+        setup: The bench.
+        cells: The cells.
+        state: The very cells to calibrate, as they came out of ``load_cells(cells).init``; by default some
+            are drawn. Only errors of gain and zero are read from it.
+        layout: Where the cells are by the drawing, four a foot; by default a NAO's shoes.
+        seed: Of everything random on the bench.
+
+    Returns:
+        The fits and their errors on held-out holes.
+
+    Raises:
+        ValueError: If a foot does not have four cells, or there are fewer holes than asked for.
+    """
+    setup = BenchSetup() if setup is None else setup
+    layout = nao_shoe_layout() if layout is None else layout
+    if cells.channels != layout.channels:
+        raise ValueError(f"The layout has {layout.channels} cells, but 'cells' describes {cells.channels}.")
+    rng = np.random.default_rng([_STREAM, seed])
+    if state is None:
+        state = load_cells(cells).init((cells.channels,), rng)
+    bench = _Cells(cells, state, setup, rng)
+
+    weight = np.array(setup.channel_loads) * GRAVITY
+    code = bench.read(np.repeat(weight[:, None], cells.channels, axis=1))
+    channels = fit_channels(code, weight, layout.channel_names)
+
+    nominal = Parameters(cells.nominal_scale, cells.nominal_offset)
+    corrections, initial, placements = [], [], []
+    for foot, where in zip(layout.feet, layout.slices, strict=True):
+        hole, load, held_out, cell_load = _place(setup, foot, rng)
+        on_all_cells = np.zeros((len(load), cells.channels))
+        on_all_cells[:, where] = cell_load
+        raw = bench.read(on_all_cells)
+        fit = fit_cop_correction(
+            channels.value.force(raw)[:, where], load, hole, _positions(foot), held_out=held_out
+        )
+        corrections.append(fit)
+        before, after = (part.force(raw)[held_out][:, where] for part in (nominal, channels.value))
+        initial.append(fit.score(before, load[held_out], hole[held_out]))
+        placements.append(
+            BenchPlacements(
+                hole=hole[held_out],
+                load=load[held_out],
+                cop_initial=cop_of_cells(before, _positions(foot)),
+                cop_calibrated=fit.cop(after),
+                vgrf_initial=before.sum(axis=1),
+                vgrf_calibrated=after.sum(axis=1),
+            )
+        )
+    return BenchReport(
+        channel_names=layout.channel_names,
+        channel_load=np.array(setup.channel_loads),
+        channel_code=code,
+        channels=channels,
+        corrections=(corrections[0], corrections[1]),
+        initial=_pool(initial),
+        calibrated=_pool([fit.score_held_out for fit in corrections]),
+        held_out=(placements[0], placements[1]),
+    )
+
+
+def _positions(foot: FootLayout) -> NDArray[np.float64]:
+    if foot.position_cell_sole is None or foot.channels != 4:
+        raise ValueError(
+            f"The bench needs four load cells a foot, but foot '{foot.name}' has none or others."
+        )
+    return foot.position_cell_sole[:, :2]
+
+
+def _place(
+    setup: BenchSetup, foot: FootLayout, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Put every weight at every chosen hole of one foot.
+
+    Returns:
+        Holes (n, 2) in m, loads (n,) in N, whether held out (n,), and the cells' true loads (n, 4) in N.
+    """
+    drawn = _positions(foot)
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    # The sides are not exact in binary: without the slack, rounding would decide about the outermost row.
+    count = np.floor((high - low) / setup.hole_pitch + 1e-6) + 1.0
+    x, y = np.arange(count[0]), np.arange(count[1])
+    grid = np.stack(np.meshgrid(x - x.mean(), y - y.mean(), indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid * setup.hole_pitch + 0.5 * (low + high)
+    wanted = setup.fitted_holes + setup.held_out_holes
+    if wanted > len(grid):
+        raise ValueError(
+            f"The plate of foot '{foot.name}' has {len(grid)} holes, but {wanted} were asked for."
+        )
+    chosen = rng.choice(len(grid), wanted, replace=False)
+    load = np.tile(np.array(setup.placement_loads) * GRAVITY, wanted)
+    hole = np.repeat(grid[chosen], len(setup.placement_loads), axis=0)
+    held_out = np.repeat(np.arange(wanted) >= setup.fitted_holes, len(setup.placement_loads))
+    stands = hole + setup.hole_play * rng.standard_normal(hole.shape)
+    plate = SolePlate(drawn + setup.cell_position_std * rng.standard_normal(drawn.shape), setup.stiffness)
+    wrench = np.column_stack([load, stands[:, 1] * load, -stands[:, 0] * load])
+    return hole, load, held_out, wrench @ plate.share.T
+
+
+def _pool(scores: list[PlacementScore]) -> PlacementScore:
+    """Bring the scores of both feet together."""
+    placements, weighings = (np.array([getattr(s, n) for s in scores]) for n in ("placements", "weighings"))
+
+    def pooled(name: str, count: NDArray[np.int64]) -> float:
+        error = np.array([getattr(score, name) for score in scores])
+        return float(np.sqrt(np.sum(count * error**2) / np.sum(count)))
+
+    return PlacementScore(
+        placements=int(np.sum(placements)),
+        weighings=int(np.sum(weighings)),
+        cop_raw=pooled("cop_raw", placements),
+        cop=pooled("cop", placements),
+        vgrf=pooled("vgrf", weighings),
+    )

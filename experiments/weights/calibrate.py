@@ -1,0 +1,78 @@
+"""Fit the cells of a real robot to known weights, from a table of weighings."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from surefoot.calibration import GRAVITY, fit_channels
+from surefoot.experiments.study.files import write_text
+from surefoot.experiments.study.tables import Table, number
+
+__all__ = ["fit_weighings"]
+
+
+def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
+    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2).
+
+    The table has one weighing a row: the weight that every cell bore by itself as ``load_kg`` or ``load_N``,
+    and each cell's reading as ``raw_<cell>_count``. A cell that was not weighed in a row is left empty there.
+
+    Args:
+        path: The table, a CSV file.
+        out: Where to write the map, in JSON as a log's description holds it.
+
+    Returns:
+        What to show, and the path of the map.
+
+    Raises:
+        ValueError: If a column is missing or does not hold numbers, or if a cell saw fewer than two loads.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file; give a CSV of weighings, one a row.")
+    try:
+        frame = pd.read_csv(path)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path.name}: not a readable CSV file ({str(error).strip()}).") from None
+    units = {"load_kg": GRAVITY, "load_N": 1.0}
+    given = [name for name in units if name in frame]
+    if len(given) != 1:
+        raise ValueError(
+            f"{path.name}: needs one column of weights, 'load_kg' or 'load_N', and has {given or 'neither'}."
+        )
+    cells = [str(name) for name in frame if str(name).startswith("raw_") and str(name).endswith("_count")]
+    if not cells:
+        raise ValueError(
+            f"{path.name}: has no column 'raw_<cell>_count'; name each cell's readings so, e.g. "
+            "'raw_left_front_left_count'."
+        )
+    for name in (*given, *cells):
+        if not pd.api.types.is_numeric_dtype(frame[name]):
+            raise ValueError(
+                f"{path.name}: column '{name}' does not hold numbers; check separator and decimal point."
+            )
+    names = [name.removeprefix("raw_").removesuffix("_count") for name in cells]
+    load = frame[given[0]].to_numpy(dtype=np.float64) * units[given[0]]
+    fit = fit_channels(frame[cells].to_numpy(dtype=np.float64), load, names)
+    facts = {
+        "channels": names,
+        "scale_N_per_count": fit.value.scale.tolist(),
+        "offset_N": fit.value.offset.tolist(),
+    }
+    write_text(out, json.dumps(facts, indent=1))
+    rows = tuple(
+        (
+            name,
+            str(stats.samples),
+            f"{1e6 * fit.value.scale[i]:.6f}",
+            f"{1e6 * np.sqrt(fit.covariance[i, 0, 0]):.1g}",
+            f"{fit.value.offset[i]:.5f}",
+            number(1e3 * stats.residual_rms),
+        )
+        for i, (name, stats) in enumerate(zip(names, fit.stats, strict=True))
+    )
+    columns = (
+        "cell", "weighings", "scale (1e-6 N/count)", "± (one sigma)", "offset (N)", "residual rms (mN)",
+    )  # fmt: skip
+    return Table("weighings", "F = scale · count + offset", columns, rows), out

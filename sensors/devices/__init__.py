@@ -1,0 +1,1 @@
+"""Whole instruments: load cells, six-axis sensors, strain gauges, IMU and encoders."""

@@ -1,0 +1,40 @@
+"""Magnetic joint encoders: a zero that is a little off, some noise, and 12 bits a turn."""
+
+from dataclasses import dataclass
+from math import tau
+from typing import Any
+
+from surefoot.sensors.configuration import require, require_not_negative
+from surefoot.sensors.corruption import Corruption, chain
+from surefoot.sensors.stages.drift import drift
+from surefoot.sensors.stages.noise import white_noise
+from surefoot.sensors.stages.quantize import quantize
+
+
+@dataclass(frozen=True)
+class Encoders:
+    """Joint encoders; the defaults are a NAO's after a careful calibration of its joints."""
+
+    bits: int = 12
+    """Bits a turn; 0 does not round."""
+
+    bias_std: float = 1.0e-3
+    """Standard deviation of the joint's zero in rad, constant from power-up."""
+
+    noise_std: float = 3.0e-4
+    """Noise of one reading in rad."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no encoder can be."""
+        require(isinstance(self.bits, int) and 0 <= self.bits <= 32, self, "bits", "lie in 0 to 32")
+        require_not_negative(self, "bias_std", "noise_std")
+
+    @property
+    def resolution(self) -> float:
+        """Smallest step in rad; 0 does not round."""
+        return tau / 2.0**self.bits if self.bits else 0.0
+
+
+def encoders(config: Encoders) -> Corruption[Any]:
+    """Build joint encoders; readings are angles in rad, shape (..., J)."""
+    return chain(drift(config.bias_std), white_noise(config.noise_std), quantize(config.resolution))

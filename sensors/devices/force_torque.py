@@ -1,0 +1,269 @@
+r"""Six-axis force-torque sensors: wrenches in, counts out.
+
+Six strain gauges feel all six components of a wrench, and a matrix of the maker's turns them back. What is
+wrong with it is a matrix as well: gains that are not quite the maker's on its diagonal, and beside it the
+cross-talk of one axis into another. Then the zero is not zero, both wander, and the converter adds noise,
+clips and rounds:
+
+.. math:: s = \mathrm{round}\big(K ((I + D E D^{-1}) w + z) + n\big),
+
+with the counts :math:`K` per newton and newton metre, the full scales :math:`D` of the axes, without which a
+cross-talk between forces and torques would have no meaning, the errors :math:`E`, the zero :math:`z` in N and
+N m and noise :math:`n`. The map that undoes it is the in-situ paper's
+(Traversaro, Pucci and Nori, 2015, Eq. 2),
+
+.. math:: w = C (s - o), \qquad C = (I + D E D^{-1})^{-1} K^{-1}, \quad o = K z.
+
+Channels are (fx, fy, fz, tx, ty, tz) of one sensor after the other. The codes reach the host over a wire
+(:mod:`surefoot.sensors.transport.wire`). Creep, hysteresis, temperature and crossed gauges are the part of
+:func:`~surefoot.sensors.devices.strain_gauges`, the finer model of the same kind of sensor; its converters,
+of
+100 readings a second and more, all convert at once, so that none has a clock here.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.randomness import normal
+from surefoot.sensors.stages.drift import PER_SQRT_MINUTE
+from surefoot.sensors.transport.wire import DIRECT, Wire, wire
+
+AXES = 6
+"""Channels of a sensor."""
+
+MOST_ERROR = 0.25
+"""Largest spread of a gain and five cross-talks together at which all sensors can be inverted."""
+
+
+@dataclass(frozen=True)
+class ForceTorque:
+    """A set of six-axis sensors; the defaults are like the FTSens in an iCub's ankles, by the maker's matrix.
+
+    Resolution and noise are those seen on a real iCub (steps of 0.05 to 0.068 N and 1.1 mN m, 0.10 to 0.15 N
+    and 2 to 3 mN m at rest). Its factory gains were off by 11 to 19 %, its zeros in a leg by up to 290 N; the
+    defaults take the zeros of a sensor that was tared before it was mounted.
+    """
+
+    sensors: int = 2
+    """Number of sensors: (left, right)."""
+
+    full_scale_force: float = 1500.0
+    """Largest force along each axis in N, where the converter clips."""
+
+    full_scale_torque: float = 35.0
+    """Largest torque about each axis in N m, where the converter clips. With the largest force it also sets
+    what cross-talk between forces and torques means: shares of the full scales."""
+
+    resolution_force: float = 0.06
+    """What a count stands for by the maker's matrix in N; 0, for both resolutions together, leaves the
+    converter out: readings are in N and N m then, without rounding or clipping."""
+
+    resolution_torque: float = 0.0011
+    """What a count stands for by the maker's matrix in N m."""
+
+    noise_force: float = 0.12
+    """Standard deviation of the noise of a reading in N."""
+
+    noise_torque: float = 0.0025
+    """Standard deviation of the noise of a reading in N m."""
+
+    initial_gain_std: float = 0.08
+    """Standard deviation of the relative error of each axis's gain at power-up."""
+
+    cross_talk_std: float = 0.01
+    """Standard deviation of what one axis feels of another, in shares of the full scales; constant from
+    power-up."""
+
+    initial_zero_force_std: float = 5.0
+    """Standard deviation of a force's zero at power-up in N."""
+
+    initial_zero_torque_std: float = 0.1
+    """Standard deviation of a torque's zero at power-up in N m."""
+
+    gain_drift: float = 0.002 * PER_SQRT_MINUTE
+    """Random walk of each axis's gain per sqrt(s); 0.2 % per square root of a minute."""
+
+    zero_drift_force: float = 0.2 * PER_SQRT_MINUTE
+    """Random walk of a force's zero in N/sqrt(s); 0.2 N per square root of a minute."""
+
+    zero_drift_torque: float = 0.004 * PER_SQRT_MINUTE
+    """Random walk of a torque's zero in N m/sqrt(s); 4 mN m per square root of a minute."""
+
+    wire: Wire = DIRECT
+    """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no instrument can be."""
+        require_whole(self, "sensors")
+        require_positive(self, "full_scale_force", "full_scale_torque")
+        require_not_negative(
+            self,
+            *(
+                name
+                for name in self.__dataclass_fields__
+                if name not in ("sensors", "full_scale_force", "full_scale_torque", "wire")
+            ),
+        )
+        require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
+        require(
+            not (self.wire.wrong_words and not self.converts),
+            self,
+            "resolution_force",
+            "be above 0 where words can be wrong",
+        )
+        require(
+            (self.resolution_force == 0.0) == (self.resolution_torque == 0.0),
+            self,
+            "resolution_torque",
+            f"be zero if and only if resolution_force ({self.resolution_force!r}) is",
+        )
+        require(
+            self.initial_gain_std + 5.0 * self.cross_talk_std <= MOST_ERROR,
+            self,
+            "cross_talk_std",
+            "keep initial_gain_std + 5 cross_talk_std within 0.25, or some sensors could not be inverted",
+        )
+
+    @property
+    def channels(self) -> int:
+        """Number of channels K, six a sensor."""
+        return AXES * self.sensors
+
+    @property
+    def converts(self) -> bool:
+        """Whether readings are counts rather than N and N m."""
+        return self.resolution_force > 0.0
+
+    @property
+    def full_scale(self) -> NDArray[np.float64]:
+        """Largest component along each channel in N and N m, shape (K,)."""
+        return self._per_channel(self.full_scale_force, self.full_scale_torque)
+
+    @property
+    def slope(self) -> NDArray[np.float64]:
+        """Nominal counts per N and N m, shape (K,)."""
+        if not self.converts:
+            return np.ones(self.channels)
+        return 1.0 / self._per_channel(self.resolution_force, self.resolution_torque)
+
+    @property
+    def zero_code(self) -> float:
+        """The reading of an unloaded, perfect sensor in counts."""
+        return 0.0
+
+    @property
+    def code_range(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest reading in counts, each of shape (K,)."""
+        most = np.floor(self.full_scale * self.slope) if self.converts else np.full(self.channels, np.inf)
+        return -most, most
+
+    @property
+    def word_bits(self) -> int:
+        """Bits of a two's complement word that holds every code; 0 without a converter."""
+        return int(self.code_range[1].max()).bit_length() + 1 if self.converts else 0
+
+    @property
+    def nominal_scale(self) -> NDArray[np.float64]:
+        """N and N m per count by the maker's matrix, shape (K,)."""
+        return 1.0 / self.slope
+
+    @property
+    def nominal_matrix(self) -> NDArray[np.float64]:
+        """The maker's matrix in N and N m per count, which knows of no error, shape (sensors, 6, 6)."""
+        return np.stack([np.diag(part) for part in self.nominal_scale.reshape(self.sensors, AXES)])
+
+    def _per_channel(self, force: float, torque: float) -> NDArray[np.float64]:
+        return np.tile(np.repeat([force, torque], 3), self.sensors)
+
+
+class ForceTorqueState(NamedTuple):
+    """Sensors in use.
+
+    Attributes:
+        error: E, relative errors of the gains on the diagonal and cross-talk in shares of the full scales
+            beside it (row: what reads, column: what is felt), shape (..., sensors, 6, 6).
+        zero: z in N and N m, shape (..., sensors, 6).
+        wire: A :class:`~surefoot.sensors.WireState`; ``()`` where nothing happens to codes.
+    """
+
+    error: Array
+    zero: Array
+    wire: Any = ()
+
+
+def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
+    """Build six-axis sensors.
+
+    ``init(shape, rng)`` takes the shape of the readings, (..., 6 sensors). ``apply(wrench, state, rng, dt)``
+    takes true wrenches at the instant of reading in N and N m, at and in the sensors' frames, and returns
+    counts; both (..., 6 sensors).
+
+    Args:
+        config: The instrument.
+    """
+    eye = np.eye(AXES)
+    spread = Table(config.initial_gain_std * eye + config.cross_talk_std * (1.0 - eye))
+    diagonal, ratio = Table(eye), Table(_scale_ratio(config))
+    zero_std = Table(_pair(config.initial_zero_force_std, config.initial_zero_torque_std))
+    zero_walk = Table(_pair(config.zero_drift_force, config.zero_drift_torque))
+    gain_walk = config.gain_drift
+    noise = Table(np.tile(_pair(config.noise_force, config.noise_torque), config.sensors))
+    slope, ends = Table(config.slope), tuple(Table(end) for end in config.code_range)
+    rated = config.full_scale * config.slope
+    way = wire(config.wire, rated, config.code_range, config.word_bits) if config.wire.acts else None
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ForceTorqueState:
+        if not shape or shape[-1] != config.channels:
+            raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
+        each = (*shape[:-1], config.sensors, AXES)
+        error, zero = normal(rng, (*each, AXES), dtype), normal(rng, each, dtype)
+        brought = way.init(shape, rng, dtype) if way else ()
+        return ForceTorqueState(error * spread.like(error), zero * zero_std.like(zero), brought)
+
+    def apply(wrench: Array, state: ForceTorqueState, rng: Rng, dt: float) -> tuple[Array, ForceTorqueState]:
+        xp = namespace(wrench)
+        error, zero = (cast_like(part, wrench) for part in state[:2])
+        drawn = normal(rng, (3, *zero.shape), wrench.dtype)
+        error = error + (gain_walk * dt**0.5) * drawn[0][..., None] * diagonal.like(wrench)
+        zero = zero + dt**0.5 * zero_walk.like(wrench) * drawn[1]
+        true = xp.reshape(wrench, zero.shape)
+        felt = true + xp.sum(error * ratio.like(wrench) * true[..., None, :], axis=-1) + zero
+        read = xp.reshape(felt, wrench.shape) + xp.reshape(drawn[2], wrench.shape) * noise.like(wrench)
+        if config.converts:
+            low, high = (end.like(wrench) for end in ends)
+            read = round_off(limit(read * slope.like(wrench), low, high))
+        brought = state.wire
+        if way:
+            read, brought = way.apply(read, brought, rng, dt)
+        return read, ForceTorqueState(error, zero, brought)
+
+    return Corruption(init, apply)
+
+
+def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Array]:
+    """Compute the map that would undo the sensors' errors at this moment.
+
+    Returns:
+        The matrix C in N and N m per count, shape (..., sensors, 6, 6), and the zero o in counts, shape
+        (..., sensors, 6): the true wrench is C (s - o).
+    """
+    xp = namespace(state.zero)
+    slope = Table(config.slope[:AXES]).like(state.zero)
+    gain = Table(np.eye(AXES)).like(state.zero) + state.error * Table(_scale_ratio(config)).like(state.zero)
+    return xp.linalg.inv(gain) / slope, state.zero * slope
+
+
+def _scale_ratio(config: ForceTorque) -> NDArray[np.float64]:
+    """D E D^-1 is E times this, shape (6, 6): the full scale of the row over that of the column."""
+    scale = config.full_scale[:AXES]
+    return scale[:, None] / scale
+
+
+def _pair(force: float, torque: float) -> NDArray[np.float64]:
+    return np.repeat([force, torque], 3)

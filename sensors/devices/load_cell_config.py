@@ -1,0 +1,211 @@
+"""What a set of load cells is: its data sheet, its errors and what a robot may know of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
+from surefoot.sensors.stages.drift import PER_SQRT_MINUTE
+from surefoot.sensors.stages.mechanics import CELLS_OF_A_FOOT, IDEAL, Mechanics
+from surefoot.sensors.transport.wire import DIRECT, Wire
+
+
+@dataclass(frozen=True)
+class LoadCells:
+    """A set of load cells; the defaults are HX711 chips under an uncalibrated robot."""
+
+    channels: int = 8
+    """Number of cells: four a foot, (left FL, FR, RL, RR, right FL, FR, RL, RR)."""
+
+    capacity: float = 98.1
+    """Rated load of a cell in N: where the bridge puts out its rated output."""
+
+    rated_output: float = 1.0e-3
+    """Bridge voltage at the rated load per volt of excitation (1 mV/V)."""
+
+    excitation: float = 5.0
+    """Supply of the bridge in V; the converter is ratiometric to it."""
+
+    adc_gain: float = 128.0
+    """Gain of the amplifier before the converter: 128 on channel A of an HX711."""
+
+    adc_bits: int = 24
+    """Bits of the converter, whose input spans +-excitation / (2 adc_gain). 0 leaves it out: readings
+    are in newtons then, without rounding or clipping."""
+
+    coding: str = "offset-binary"
+    """``"offset-binary"`` (no load reads about 2^23, as drivers that flip the top bit hand out) or
+    ``"two's complement"`` (about 0, as the chip puts out)."""
+
+    polarity: tuple[int, ...] = (-1, 1, -1, 1)
+    """Sign of each bridge, +1 or -1, repeated along the channels. Han's shoes alternate."""
+
+    input_noise: float = 90.0e-9
+    """Noise of one conversion in V rms at the converter's input (HX711 at 80 SPS)."""
+
+    rate: tuple[float, float] | None = (78.0, 94.0)
+    """Lowest and highest conversion rate in 1/s; each chip draws its own rate and its own phase.
+    ``None`` converts at the instant the host reads."""
+
+    initial_gain_std: float = 0.12
+    """Standard deviation of the relative error of a gain at power-up; 0.12 was never calibrated."""
+
+    initial_zero_std: float = 1.5
+    """Standard deviation of a zero at power-up in N."""
+
+    gain_drift: float = 0.02 * PER_SQRT_MINUTE
+    """Random walk of the gain's relative error per sqrt(s); 2 % per square root of a minute."""
+
+    zero_drift: float = 1.0 * PER_SQRT_MINUTE
+    """Random walk of the zero in N/sqrt(s); 1 N per square root of a minute."""
+
+    span_tempco: float = 0.0
+    """Standard deviation of the relative change of a gain per kelvin in 1/K, each cell its own; 5e-5 is
+    typical of a bar cell."""
+
+    zero_tempco: float = 0.0
+    """Standard deviation of the change of a zero per kelvin in N/K, each cell its own; 0.005 (5e-5 of the
+    capacity) is a good cell's, 0.03 a cheap one's, and the converter adds 1.2e-4."""
+
+    temperature_ramp: float = 0.0
+    """Rate at which the cells warm up from power-up on in K/s; 0.033 is 20 K in ten minutes."""
+
+    temperature_rise: float = 0.0
+    """Where the warming levels off in K, exponentially; 0 for a ramp that goes on. 14 with a ramp of 14/900
+    is what a robot's foot was seen to do."""
+
+    settling: int = 1
+    """Over how many conversions a converter averages. 4 is an HX711's by its data sheet, which makes readings
+    1.5 conversions later than 1 does."""
+
+    mechanics: Mechanics = IDEAL
+    """What happens to a load before the bridge: bends, lag, creep, jumps of the zero."""
+
+    wire: Wire = DIRECT
+    """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no instrument can be."""
+        require(
+            isinstance(self.channels, int) and self.channels > 0,
+            self,
+            "channels",
+            "be a positive whole number",
+        )
+        require_positive(self, "capacity", "rated_output", "excitation", "adc_gain")
+        require(
+            isinstance(self.adc_bits, int) and 0 <= self.adc_bits <= 32, self, "adc_bits", "lie in 0 to 32"
+        )
+        require(
+            self.coding in ("offset-binary", "two's complement"),
+            self,
+            "coding",
+            "be 'offset-binary' or \"two's complement\"",
+        )
+        require(
+            isinstance(self.polarity, tuple)
+            and len(self.polarity) > 0
+            and all(sign in (-1, 1) for sign in self.polarity)
+            and self.channels % len(self.polarity) == 0,
+            self,
+            "polarity",
+            f"hold +1 or -1 for each of the {self.channels} channels, or a pattern that repeats along them",
+        )
+        require_not_negative(
+            self,
+            "input_noise",
+            "initial_gain_std",
+            "initial_zero_std",
+            "gain_drift",
+            "zero_drift",
+            "span_tempco",
+            "zero_tempco",
+            "temperature_ramp",
+            "temperature_rise",
+        )
+        require(
+            self.rate is None
+            or (
+                isinstance(self.rate, tuple)
+                and len(self.rate) == 2
+                and 0.0 < self.rate[0] <= self.rate[1] < float("inf")
+            ),
+            self,
+            "rate",
+            "be None or (lowest, highest) with 0 < lowest <= highest",
+        )
+        require_whole(self, "settling")
+        require(isinstance(self.mechanics, Mechanics), self, "mechanics", "be a Mechanics")
+        require(
+            not self.mechanics.jumps or self.channels % CELLS_OF_A_FOOT == 0,
+            self,
+            "channels",
+            f"be whole feet of {CELLS_OF_A_FOOT} cells where impacts move their zeros",
+        )
+        require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
+        require(
+            not (self.wire.wrong_words and self.adc_bits == 0),
+            self,
+            "adc_bits",
+            "be above 0 where words can be wrong",
+        )
+
+    @property
+    def warms(self) -> bool:
+        """Whether temperature matters: the cells warm up and care."""
+        return self.temperature_ramp > 0.0 and (self.span_tempco > 0.0 or self.zero_tempco > 0.0)
+
+    @property
+    def counts_per_newton(self) -> float:
+        """Size of the nominal slope k; 1 without a converter."""
+        if self.adc_bits == 0:
+            return 1.0
+        counts_per_volt = self.adc_gain * 2.0**self.adc_bits / self.excitation
+        return self.rated_output * self.excitation / self.capacity * counts_per_volt
+
+    @property
+    def zero_code(self) -> float:
+        """The reading s_0 of an unloaded, perfect cell in counts."""
+        return 2.0 ** (self.adc_bits - 1) if self.adc_bits and self.coding == "offset-binary" else 0.0
+
+    @property
+    def code_range(self) -> tuple[float, float]:
+        """Lowest and highest reading in counts."""
+        if self.adc_bits == 0:
+            return -float("inf"), float("inf")
+        half = 2.0 ** (self.adc_bits - 1)
+        return self.zero_code - half, self.zero_code + half - 1.0
+
+    @property
+    def noise_counts(self) -> float:
+        """Standard deviation of the noise of one conversion in counts (N without a converter)."""
+        if self.adc_bits == 0:
+            return self.input_noise * self.capacity / (self.rated_output * self.excitation)
+        return self.input_noise * self.adc_gain * 2.0**self.adc_bits / self.excitation
+
+    @property
+    def slope(self) -> NDArray[np.float64]:
+        """Nominal counts per newton with their signs, k, shape (K,)."""
+        signs = np.array(self.polarity * (self.channels // len(self.polarity)), dtype=np.float64)
+        return signs * self.counts_per_newton
+
+    @property
+    def nominal_scale(self) -> NDArray[np.float64]:
+        """N per count by the data sheet, c_0, shape (K,)."""
+        return 1.0 / self.slope
+
+    @property
+    def nominal_offset(self) -> NDArray[np.float64]:
+        """N at code zero by the data sheet, d_0, shape (K,): the load is c_0 s + d_0."""
+        return -self.zero_code / self.slope
+
+    @property
+    def nominal_age(self) -> float:
+        """Mean age in s of a reading when the host takes it, by the data sheet.
+
+        It is half a conversion, half of those that a filter averages before it, and the way to the host. Of
+        cells that convert when they are read the filter's part is the host's to know.
+        """
+        sampled = 0.0 if self.rate is None else self.settling / (self.rate[0] + self.rate[1])
+        return sampled + self.wire.delay

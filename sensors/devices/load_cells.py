@@ -1,0 +1,277 @@
+"""Strain-gauge load cells on converters of their own: newtons in, counts out.
+
+The order of the stages is the order in the instrument. The spring element does to the load what
+:mod:`surefoot.sensors.stages.mechanics` tells, where that is not left ideal. A bridge scales the load by a
+gain that
+is not quite the data sheet's and adds a zero, both of which wander; the converter averages its last few
+conversions if it has a filter, adds noise, clips, rounds, and finishes a conversion when its own clock says
+so; the host reads what the wire (:mod:`surefoot.sensors.transport.wire`) brings.
+
+    s = round(s_0 + k ((1 + g) F + z) + n)
+
+with the nominal counts per newton k (negative for a bridge wired the other way round), the code s_0
+of an unloaded cell, the error g of the gain, the zero z in N and noise n. Both errors start anywhere, walk
+at random and, where the cells warm up, follow the temperature. All that a robot may know of
+it is the *nominal* map F_0 = c_0 s + d_0 with c_0 = 1 / k and d_0 = -s_0 / k.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain
+from surefoot.sensors.devices.load_cell_config import LoadCells
+from surefoot.sensors.randomness import filled, normal
+from surefoot.sensors.stages.drift import drift, gain_drift
+from surefoot.sensors.stages.gain import gain, offset
+from surefoot.sensors.stages.mechanics import bent, mechanics, shifted_zero
+from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.noise import white_noise
+from surefoot.sensors.stages.quantize import quantize, saturate
+from surefoot.sensors.stages.temperature import thermal_drift, warmed
+from surefoot.sensors.transport.clock import (
+    init_clock,
+    init_window,
+    interpolate,
+    latest_conversion,
+    most_conversions,
+    sample_and_hold,
+    settle,
+)
+from surefoot.sensors.transport.wire import WireState, wire
+
+__all__ = [
+    "LoadCellState",
+    "LoadCells",
+    "load_cell_chain",
+    "load_cells",
+    "static_counts",
+    "true_map",
+]
+
+
+class LoadCellState(NamedTuple):
+    """Load cells in use.
+
+    Attributes:
+        period: Time between conversions in s, shape (..., K); constant from power-up.
+        due: Time to the next conversion in s, shape (..., K).
+        previous: Load at the end of the block before in N, shape (..., K).
+        held: The last conversion in counts, shape (..., K); NaN before the first.
+        error: What wanders, shape (2, ..., K): the relative error of the gain, and the zero of the bridge
+            in N at the nominal gain.
+        thermal: For cells that warm up, shape (3, ..., K): what a kelvin adds to each of the two errors, in
+            1/K and N/K, and the rise of the temperature since power-up in K; empty, shape (0,), for others.
+        window: For converters that average, their last conversions in N (see
+            :func:`~surefoot.sensors.transport.clock.settle`; without a clock a
+            :class:`~surefoot.sensors.MovingAverageState`); ``()`` for others.
+        mechanics: A :class:`~surefoot.sensors.MechanicsState`; ``()`` where nothing happens to loads.
+        wire: A :class:`~surefoot.sensors.WireState`; ``()`` where nothing happens to codes.
+    """
+
+    period: Array
+    due: Array
+    previous: Array
+    held: Array
+    error: Array
+    thermal: Array
+    window: Any = ()
+    mechanics: Any = ()
+    wire: Any = ()
+
+
+_OWN = LoadCellState._fields[:6]
+"""Arrays of the cells themselves; their parts look after their own."""
+
+
+def load_cell_chain(config: LoadCells) -> Corruption[Any]:
+    """Build load cells from the single stages: the definition that :func:`load_cells` is tested against.
+
+    With a clock the reading is a block of substeps (see :func:`~surefoot.sensors.sample_and_hold`).
+    """
+    element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
+    bridge: list[Corruption[Any]] = [
+        gain_drift(config.initial_gain_std, config.gain_drift),
+        drift(config.initial_zero_std, config.zero_drift),
+    ]
+    if config.warms:
+        warming = partial(thermal_drift, ramp=config.temperature_ramp, rise=config.temperature_rise)
+        span = (config.initial_gain_std, config.gain_drift, config.span_tempco)
+        zero = (config.initial_zero_std, config.zero_drift, config.zero_tempco)
+        bridge = [warming(*span, relative=True), warming(*zero)]
+    converter: list[Corruption[Any]] = [gain(config.slope), offset(config.zero_code)]
+    converter.append(white_noise(config.noise_counts))
+    if config.adc_bits:
+        converter += [saturate(*config.code_range), quantize(1.0)]
+    way = [_wire(config)] if config.wire.acts else []
+    if config.rate is None:
+        return chain(*element, *bridge, moving_average(config.settling), *converter, *way)
+    measured = chain(*element, *bridge)
+    held = sample_and_hold(measured, config.rate, settling=config.settling, converter=chain(*converter))
+    return chain(held, *way)
+
+
+def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
+    """Build load cells with their stages fused, for speed.
+
+    ``init(shape, rng)`` takes the shape of the readings, (..., K). ``apply(block, state, rng, dt)`` takes
+    true loads in N at the ends of S equal substeps that fill dt, shape (..., S, K), and returns counts,
+    shape (..., K).
+
+    The spring elements are stepped once a block, at the load of its last conversion; one that a chip
+    finishes without the host looking leaves no trace in them.
+
+    Of cells that remember loads (``mechanics``, ``settling``) a conversion of one that is not finite reads
+    NaN and leaves no trace; the next block goes on from the last finite load.
+
+    Args:
+        config: The instrument.
+    """
+    low, high = config.code_range
+    zero_code, rate, clipped = config.zero_code, config.rate, config.adc_bits > 0
+    walks, noise = (config.gain_drift, config.zero_drift), config.noise_counts
+    drawn_per_step = sum(walk > 0.0 for walk in walks) + (noise > 0.0)
+    slopes, both_walks = Table(config.slope), Table(walks)
+    initial_std = Table([config.initial_gain_std, config.initial_zero_std])
+    warms, ramp, rise = config.warms, config.temperature_ramp, config.temperature_rise
+    tempco_std = Table([config.span_tempco, config.zero_tempco])
+    settling = config.settling
+    average = moving_average(settling)
+    element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
+    way = _wire(config) if config.wire.acts else None
+    remembers = element is not None or settling > 1
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LoadCellState:
+        if not shape or shape[-1] != config.channels:
+            raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
+        nothing = filled(rng, 0.0, shape, dtype)
+        period, due = (nothing, nothing) if rate is None else init_clock(rate, shape, rng, dtype)
+        unread = nothing + float("nan")
+        window: Any = ()
+        if settling > 1 and rate is None:
+            window = average.init(shape, rng, dtype)
+        elif settling > 1:
+            window = init_window(settling, shape, rng, dtype)
+        felt = element.init(shape, rng, dtype) if element else ()
+        # Gain, zero; of cells that warm up gain, its coefficient, zero, its coefficient: the single stages'.
+        drawn = normal(rng, (4 if warms else 2, *shape), dtype)
+        error = drawn[:: 2 if warms else 1] * initial_std.like(drawn, len(shape))
+        thermal = filled(rng, 0.0, (0,), dtype)
+        if warms:
+            tempco = drawn[1::2] * tempco_std.like(drawn, len(shape))
+            thermal = namespace(drawn).concat([tempco, nothing[None]])
+        brought = way.init(shape, rng, dtype) if way else ()
+        return LoadCellState(period, due, nothing, unread, error, thermal, window, felt, brought)
+
+    def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
+        if state.error.dtype != block.dtype:
+            state = state._replace(**{name: cast_like(getattr(state, name), block) for name in _OWN})
+        xp = namespace(block)
+        period, due, previous, held, error, thermal, window, felt, brought = state
+        if remembers:
+            block = xp.where(xp.isfinite(block), block, float("nan"))
+        load = last = block[..., -1, :] + 0.0
+        drawn = number = finished = last
+        if rate is not None:
+            number, at, due = latest_conversion(period, due, dt)
+            finished = number >= 0.0
+            position = at * (block.shape[-2] / dt)
+            if remembers:
+                # A chip that finishes no conversion goes on from what its cell feels.
+                position = limit(position, 0.0, float("inf"))
+            load = interpolate(block, previous, position)
+            if remembers:
+                last = xp.where(xp.isnan(last), previous, last)
+        if element:
+            load, felt = element.apply(load, felt, rng, dt)
+        if drawn_per_step:
+            drawn = normal(rng, (drawn_per_step, *load.shape), load.dtype)
+        if all(walks):
+            error = error + drawn[:2] * (dt**0.5 * both_walks.like(load, load.ndim))
+        elif any(walks):
+            step = max(walks) * dt**0.5 * drawn[0]
+            error = xp.stack([error[0] + step, error[1]] if walks[0] else [error[0], error[1] + step])
+        if warms:
+            temperature = warmed(thermal[2], ramp, rise, dt)
+            error = error + thermal[:2] * (temperature - thermal[2])
+            thermal = xp.concat([thermal[:2], temperature[None]])
+        bridge = load * (1.0 + error[0]) + error[1]
+        if settling > 1 and rate is None:
+            bridge, window = average.apply(bridge, window, rng, dt)
+        elif settling > 1 and rate is not None:
+            most = most_conversions(rate, dt)
+            bridge, window = settle(cast_like(window, bridge), bridge, number, finished, most)
+        counts = bridge * slopes.like(load) + zero_code
+        if noise:
+            counts = counts + noise * drawn[-1]
+        if clipped:
+            counts = round_off(limit(counts, low, high))
+        if rate is not None:
+            counts = xp.where(finished, counts, held)
+        held = counts
+        if way:
+            counts, brought = way.apply(counts, brought, rng, dt)
+        return counts, LoadCellState(period, due, last, held, error, thermal, window, felt, brought)
+
+    return Corruption(init, apply)
+
+
+def static_counts(
+    config: LoadCells, state: LoadCellState, load: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Read loads at rest, such as weights on a bench: one fresh conversion each, and no drift meanwhile.
+
+    Args:
+        config: The instrument.
+        state: Its state from ``load_cells(config).init((K,), rng)``; it is not changed.
+        load: True loads in N, shape (..., K).
+        rng: Where the noise comes from.
+
+    Returns:
+        Counts, shape (..., K).
+
+    >>> config = LoadCells(adc_bits=0, input_noise=0.0, initial_gain_std=0.0, initial_zero_std=0.0,
+    ...                    polarity=(1,), channels=4)
+    >>> rng = np.random.default_rng(0)
+    >>> static_counts(config, load_cells(config).init((4,), rng), np.array([[1.0, 2.0, 3.0, 4.0]]), rng)
+    array([[1., 2., 3., 4.]])
+    """
+    load = np.asarray(load, dtype=np.float64)
+    if load.shape[-1:] != (config.channels,):
+        raise ValueError(
+            f"'load' must hold {config.channels} cells on its last axis, got shape {load.shape}."
+        )
+    if state.mechanics:
+        load = bent(state.mechanics, load, config.capacity) + shifted_zero(config.mechanics, state.mechanics)
+    counts: NDArray[np.float64] = config.zero_code + config.slope * (
+        (1.0 + state.error[0]) * load + state.error[1]
+    )
+    counts += config.noise_counts * rng.standard_normal(load.shape)
+    if config.adc_bits:
+        counts = np.rint(np.clip(counts, *config.code_range))
+    return counts
+
+
+def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
+    """Compute the map that would undo the errors of the cells' gains and zeros at this moment.
+
+    Zeros hold what impacts and overloads have done to them. What no map of counts can undo, bends, lag and
+    creep, is not in it.
+
+    Returns:
+        Scale in N per count and offset in N, both (..., K): the true load is scale * counts + offset.
+    """
+    gain_true = 1.0 + state.error[0]
+    scale = 1.0 / (Table(config.slope).like(gain_true) * gain_true)
+    offset = -config.zero_code * scale - state.error[1] / gain_true
+    if state.mechanics:
+        offset = offset - shifted_zero(config.mechanics, state.mechanics)
+    return scale, offset
+
+
+def _wire(config: LoadCells) -> Corruption[WireState]:
+    rated = config.counts_per_newton * config.capacity
+    return wire(config.wire, rated, config.code_range, config.adc_bits, config.coding)

@@ -1,0 +1,230 @@
+r"""Six-axis sensors down to their gauges: wrenches in, raw counts out.
+
+Each of :math:`k \ge 6` gauges feels all six components of a wrench (in-situ paper: Traversaro, Pucci and
+Nori, 2015, Eq. 2, turned round),
+
+.. math:: r = \mathrm{round}(A w + o + n), \qquad w = C (r - o), \quad C A = I.
+
+The maker measured :math:`A_0` once and hands out :math:`C_0 = A_0^+`. Since then every axis has changed a
+little, many times, and each change acted on what the ones before had left:
+
+.. math:: A = A_0 (I + D X D^{-1} / N)^N, \qquad N = 64,
+
+with the full scales :math:`D` of the axes and a normal :math:`X`, gains on its diagonal and cross-talk beside
+it: to first order :math:`A_0 (I + D X D^{-1})`, but no gain turns round and no sensor loses an axis, however
+far it has wandered. Zeros, their drift and the noise are those of the gauges, and are given as what
+:math:`C_0` makes of them. More than six gauges have zeros and noise of the same size that no wrench could
+cause, so that they do what redundant gauges do.
+
+The load creeps and lags (see :mod:`surefoot.sensors.stages.creep` and
+:mod:`surefoot.sensors.stages.hysteresis`), heat
+moves zeros and gains (:mod:`surefoot.sensors.stages.temperature`), and the converter rounds and clips.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import device as device_of
+from numpy.typing import NDArray
+
+from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
+from surefoot.sensors.randomness import filled, normal, uniform
+from surefoot.sensors.stages.creep import CreepState, creep
+from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
+from surefoot.sensors.stages.temperature import warmed
+
+DOUBLINGS = 6
+"""The matrix has wandered in N = 2^6 small changes."""
+
+SMALLEST_LOOP = 1e-3
+"""Share of the full scales down to which loops of hysteresis are resolved: 1.5 N and 0.035 N m."""
+
+
+class StrainGaugeState(NamedTuple):
+    """A sensor in use.
+
+    Attributes:
+        response: A without the heat in counts per N and N m, shape (..., k, 6); constant from power-up.
+        tempco: What a kelvin adds to a gauge, shape (2, ..., k): relative gain in 1/K and zero in counts/K;
+            constant from power-up.
+        zero: o in counts, now and with the heat, shape (..., k).
+        temperature: Rise since power-up in K, shape (...).
+        creep: What the loads have left to creep.
+        hysteresis: What the loads have left in the slacks.
+    """
+
+    response: Array
+    tempco: Array
+    zero: Array
+    temperature: Array
+    creep: CreepState
+    hysteresis: HysteresisState
+
+
+def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
+    """Build a six-axis sensor of strain gauges.
+
+    ``init(shape, rng)`` takes the shape of the readings, (..., k). ``apply(wrench, state, rng, dt)`` takes
+    true wrenches at the instant of reading in N and N m, at and in the sensor's frame, shape (..., 6), and
+    returns counts, shape (..., k).
+
+    Args:
+        config: The instrument.
+
+    >>> from surefoot.sensors import preset
+    >>> sensor, rng = strain_gauges(preset("icub-ftsens-leg", StrainGauges)), np.random.default_rng(0)
+    >>> counts, state = sensor.apply(np.zeros(6), sensor.init((6,), rng), rng, 0.01)
+    >>> float(abs(counts - np.round(counts)).max()), bool(abs(counts).max() > 100.0)
+    (0.0, True)
+    """
+    k, (low, high) = config.channels, config.code_range
+    scale, nominal = config.full_scale, config.nominal_response
+    eye, response = Table(np.eye(AXES)), Table(nominal)
+    talk = config.gain_error_std * np.eye(AXES) + config.cross_talk_std * (1.0 - np.eye(AXES))
+    wandering = Table(talk * scale[:, None] / scale / 2.0**DOUBLINGS)
+    offset_map = Table(_gauge_map(config, config.offset_force, config.offset_torque).T)
+    tempco_map = Table(_gauge_map(config, config.zero_tempco_force, config.zero_tempco_torque).T)
+    # A matrix for each of the draws of a step, which are stacked: noise and, where zeros walk, their walk.
+    noisy = config.noise_force > 0.0 or config.noise_torque > 0.0
+    walks = config.zero_drift_force > 0.0 or config.zero_drift_torque > 0.0
+    noise_map = Table(_gauge_map(config, config.noise_force, config.noise_torque).T)
+    walk_map = Table(_gauge_map(config, config.zero_drift_force, config.zero_drift_torque).T)
+    of_load = config.hysteresis_of == "load"
+    true = np.repeat([config.hysteresis_true_force, config.hysteresis_true_torque], 3)
+    felt = np.eye(AXES) if of_load else np.abs(nominal)
+    most = (felt * scale).max(axis=1)
+    lagging = hysteresis(
+        config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=(felt * true).max(axis=1) / most
+    )
+    creeping = creep(config.creep_shares, config.creep_time_constants)
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> StrainGaugeState:
+        if not shape or shape[-1] != k:
+            raise ValueError(f"The last axis must hold the {k} gauges, got shape {shape}.")
+        batch = tuple(shape[:-1])
+        drawn = normal(rng, (*batch, AXES, AXES), dtype)
+        grown = eye.like(drawn) + drawn * wandering.like(drawn)
+        for _ in range(DOUBLINGS):
+            grown = grown @ grown
+        zero = uniform(rng, -1.0, 1.0, shape, dtype) @ offset_map.like(drawn)
+        heat = normal(rng, (2, *shape), dtype)
+        tempco = namespace(drawn).stack([config.span_tempco * heat[0], heat[1] @ tempco_map.like(drawn)])
+        return StrainGaugeState(
+            response.like(drawn) @ grown,
+            tempco,
+            zero,
+            filled(rng, 0.0, batch, dtype),
+            creeping.init((*batch, AXES), rng, dtype),
+            lagging.init((*batch, AXES if of_load else k), rng, dtype),
+        )
+
+    def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
+        if tuple(wrench.shape) != (*state.zero.shape[:-1], AXES):
+            raise ValueError(
+                f"Wrenches of these sensors must have the shape {(*state.zero.shape[:-1], AXES)}, "
+                f"got {tuple(wrench.shape)}."
+            )
+        matrix, tempco, zero, before = (cast_like(part, wrench) for part in state[:4])
+        load, crept = creeping.apply(wrench, state.creep, rng, dt)
+        lagged = state.hysteresis
+        if of_load:
+            load, lagged = lagging.apply(load, lagged, rng, dt)
+        counts = (matrix @ load[..., None])[..., 0]
+        if not of_load:
+            counts, lagged = lagging.apply(counts, lagged, rng, dt)
+        if walks:
+            drawn = normal(rng, tuple(zero.shape), wrench.dtype)
+            zero = zero + dt**0.5 * (drawn @ walk_map.like(wrench))
+        temperature = before
+        if config.temperature_ramp:
+            temperature = warmed(before, config.temperature_ramp, config.temperature_rise, dt)
+            zero = zero + tempco[1] * (temperature - before)[..., None]
+            counts = counts * (1.0 + tempco[0] * temperature[..., None])
+        counts = counts + zero
+        if noisy:
+            counts = counts + normal(rng, tuple(counts.shape), wrench.dtype) @ noise_map.like(wrench)
+        if config.adc_bits:
+            counts = round_off(limit(counts, low, high))
+        return counts, StrainGaugeState(matrix, tempco, zero, temperature, crept, lagged)
+
+    return Corruption(init, apply)
+
+
+def read_sequence(
+    config: StrainGauges, wrench: Array, state: StrainGaugeState, rng: Rng, dt: float
+) -> tuple[Array, StrainGaugeState, Array]:
+    """Read recorded wrenches one after the other, as ``apply`` would.
+
+    Args:
+        config: The instrument.
+        wrench: True wrenches in N and N m, at and in the sensor's frame, shape (..., n, 6); the batch may be
+            narrower than the state's, so that many sensors feel the same recording.
+        state: The sensors before the first of them.
+        rng: Where noise and drift come from.
+        dt: Time between them in s.
+
+    Returns:
+        Counts, shape (..., n, k), the sensor after the last of them, and the rise of its temperature since
+        power-up in K at each of them, shape (..., n).
+    """
+    xp, sensor = namespace(wrench), strain_gauges(config)
+    batch, count = tuple(state.zero.shape[:-1]), wrench.shape[-2]
+    wrench = xp.broadcast_to(wrench, (*batch, count, AXES))
+    space = {"dtype": wrench.dtype, "device": device_of(wrench)}
+    counts = xp.empty((*batch, count, config.channels), **space)
+    temperature = xp.empty((*batch, count), **space)
+    for index in range(count):
+        counts[..., index, :], state = sensor.apply(wrench[..., index, :], state, rng, dt)
+        temperature[..., index] = state.temperature
+    return counts, state, temperature
+
+
+def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array, Array]:
+    """Compute what the gauges put out at this moment but for creep, hysteresis, noise and the converter.
+
+    With hysteresis it holds at the ends of cycles of the amplitudes ``config.hysteresis_true_force`` and
+    ``config.hysteresis_true_torque``.
+
+    Returns:
+        A in counts per N and N m, shape (..., k, 6), and o in counts, shape (..., k): the reading of w is
+        A w + o, and the map that undoes it w = A^+ (r - o).
+    """
+    heated = 1.0 + state.tempco[0] * state.temperature[..., None]
+    return state.response * heated[..., None], state.zero + 0.0
+
+
+def shift_zero(
+    config: StrainGauges, state: StrainGaugeState, rng: Rng, force_std: float, torque_std: float
+) -> StrainGaugeState:
+    """Let the zeros jump, as they do from one recording to the next.
+
+    Args:
+        config: The instrument.
+        state: The sensor before.
+        rng: Where the jump comes from.
+        force_std: Standard deviation of the jump, as the maker's matrix shows it, in N on each axis.
+        torque_std: The same for torques in N m.
+
+    Returns:
+        The sensor after.
+    """
+    check_not_negative(force_std=force_std, torque_std=torque_std)
+    drawn = normal(rng, tuple(state.zero.shape), state.zero.dtype)
+    jump = drawn @ Table(_gauge_map(config, force_std, torque_std).T).like(drawn)
+    return state._replace(zero=state.zero + jump)
+
+
+def _gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
+    """Turn k independent unit errors into counts that C_0 shows as that force and torque, shape (k, k)."""
+    response = config.nominal_response
+    image: NDArray[np.float64] = response * np.repeat([force, torque], 3)
+    if config.channels == AXES:
+        return image
+    # Beyond what a wrench can cause: as much as there is on average within it.
+    beyond = np.linalg.svd(response, full_matrices=True)[0][:, AXES:]
+    whole: NDArray[np.float64] = np.concatenate(
+        [image, np.sqrt(np.square(image).sum() / AXES) * beyond], axis=1
+    )
+    return whole

@@ -1,0 +1,1 @@
+"""Broken channels, and when they break."""

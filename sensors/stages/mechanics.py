@@ -1,0 +1,180 @@
+"""What happens to a load before a bridge turns it into a voltage: the metal's part of a load cell.
+
+In the order in which it is applied: the characteristic bends
+(:func:`~surefoot.sensors.drawn_nonlinearity`), the element lags (:func:`~surefoot.sensors.stages.hysteresis`)
+and
+goes on yielding (:func:`~surefoot.sensors.stages.creep`), the foot braces itself anew at impacts
+(:func:`~surefoot.sensors.stages.mounting`), and what was bent too far stays so
+(:func:`~surefoot.sensors.stages.overload`).
+Every part is off where its field is zero, costs nothing then and draws nothing.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from surefoot.sensors._arrays import namespace
+from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.stages.creep import check_creep, creep
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mounting import WARP, mounting
+from surefoot.sensors.stages.nonlinearity import drawn_nonlinearity
+from surefoot.sensors.stages.overload import overload
+
+SMALLEST_LOOP = 2.0**-7
+"""Share of the capacity down to which loops of hysteresis are resolved: 0.8 N of 98.1 N."""
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """The spring elements of a set of cells and how they are mounted; by default ideal."""
+
+    nonlinearity: float = 0.0
+    """Largest departure from the straight line through zero and the capacity, at half of the capacity, in
+    shares of the capacity; each cell draws its own, uniformly and of either sign. 2e-4 is a bar cell of class
+    C3's, 5e-4 a cheap one's, 2e-3 a ring's (data sheets)."""
+
+    hysteresis: float = 0.0
+    """Width of a loop at mid-load over the load's swing, of loops larger than 1/128 of the capacity. 2e-4,
+    5e-4 and 2e-3 by the same data sheets."""
+
+    creep_shares: tuple[float, ...] = ()
+    """What each exponential of the creep adds in the end in shares of the load. A cheap bar cell's add up to
+    5e-4 in 30 minutes, a good one's to 1.5e-4 (data sheets)."""
+
+    creep_time_constants: tuple[float, ...] = ()
+    """Time constants of the exponentials in s; most of a kitchen scale's creep was seen within 60 s."""
+
+    mounting_warp_std: float = 0.0
+    """Standard deviation of what an impact adds to each zero along the warp (+, -, -, +) of a foot of four
+    cells in N. Zeros of force plates were seen off by 2.5 and 6 N along it; what one impact does nobody has
+    published."""
+
+    mounting_common_std: float = 0.0
+    """Standard deviation of what an impact adds to all zeros of a foot alike in N."""
+
+    impact_threshold: float = 10.0
+    """Change of a foot's load from one reading to the next beyond which there is an impact, in N."""
+
+    overload_share: float = 0.0
+    """Share of a load's excess over the safe overload by which the zero stays off for good. Data sheets do
+    not give it."""
+
+    safe_overload: float = 1.5
+    """Largest load that leaves no trace in shares of the capacity; 1.5 by most data sheets."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no spring element can be."""
+        require_not_negative(
+            self,
+            "nonlinearity",
+            "hysteresis",
+            "mounting_warp_std",
+            "mounting_common_std",
+            "impact_threshold",
+            "overload_share",
+        )
+        require_positive(self, "safe_overload")
+        require(self.nonlinearity < 1.0 / 12.0, self, "nonlinearity", "be below 1/12")
+        require(self.hysteresis < 0.125, self, "hysteresis", "be below 1/8")
+        require(self.overload_share <= 1.0, self, "overload_share", "be at most 1")
+        check_creep(self)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether impacts move the zeros."""
+        return self.mounting_warp_std > 0.0 or self.mounting_common_std > 0.0
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything happens to a load at all."""
+        creeps = any(self.creep_shares)
+        return bool(self.nonlinearity or self.hysteresis or creeps or self.jumps or self.overload_share)
+
+
+IDEAL = Mechanics()
+"""Spring elements that hand the load on as it is."""
+
+
+class MechanicsState(NamedTuple):
+    """Spring elements in use; ``()`` for every part that is off.
+
+    Attributes:
+        nonlinearity: A :class:`~surefoot.sensors.NonlinearityState`.
+        hysteresis: A :class:`~surefoot.sensors.HysteresisState`.
+        creep: A :class:`~surefoot.sensors.CreepState`.
+        mounting: A :class:`~surefoot.sensors.MountingState`.
+        overload: An :class:`~surefoot.sensors.OverloadState`.
+    """
+
+    nonlinearity: Any
+    hysteresis: Any
+    creep: Any
+    mounting: Any
+    overload: Any
+
+
+def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
+    """Build the spring elements of cells; readings are loads in N, shape (..., K).
+
+    A load that is not finite, as of a simulation that blew up, comes out as NaN and leaves no trace.
+
+    Args:
+        config: The elements and their mounting.
+        capacity: Rated load of a cell in N.
+
+    >>> import numpy as np
+    >>> element, rng = mechanics(Mechanics(overload_share=0.1), 100.0), np.random.default_rng(0)
+    >>> state = element.init((1,), rng)
+    >>> _, state = element.apply(np.array([250.0]), state, rng, 0.0125)
+    >>> element.apply(np.array([0.0]), state, rng, 0.0125)[0]
+    array([10.])
+    """
+    on: dict[str, Corruption[Any]] = {}
+    if config.nonlinearity:
+        on["nonlinearity"] = drawn_nonlinearity(config.nonlinearity, capacity)
+    if config.hysteresis:
+        on["hysteresis"] = hysteresis(config.hysteresis, capacity, smallest=SMALLEST_LOOP)
+    if any(config.creep_shares):
+        on["creep"] = creep(config.creep_shares, config.creep_time_constants)
+    if config.jumps:
+        on["mounting"] = mounting(
+            config.impact_threshold, config.mounting_warp_std, config.mounting_common_std
+        )
+    if config.overload_share:
+        on["overload"] = overload(config.overload_share, config.safe_overload * capacity)
+    off = MechanicsState(*((),) * len(MechanicsState._fields))
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> MechanicsState:
+        return off._replace(**{name: stage.init(shape, rng, dtype) for name, stage in on.items()})
+
+    def apply(load: Array, state: MechanicsState, rng: Rng, dt: float) -> tuple[Array, MechanicsState]:
+        after, xp = {}, namespace(load)
+        load = xp.where(xp.isfinite(load), load, float("nan"))
+        for name, stage in on.items():
+            load, after[name] = stage.apply(load, getattr(state, name), rng, dt)
+        return load, off._replace(**after)
+
+    return Corruption(init, apply)
+
+
+def shifted_zero(config: Mechanics, state: MechanicsState) -> Array:
+    """Tell what impacts and overloads have done to the zeros until now in N, shape (..., K); 0.0 without."""
+    zero = 0.0
+    if state.mounting:
+        zero = zero + state.mounting.zero
+    if state.overload:
+        zero = zero + config.overload_share * (state.overload.excess[0] + state.overload.excess[1])
+    return zero
+
+
+def bent(state: MechanicsState, load: Array, capacity: float) -> Array:
+    """Bend loads at rest as their cells do, without lag, creep or jumps; both in N, shape (..., K)."""
+    if not state.nonlinearity:
+        return load
+    u = (load / capacity).clip(-1.0, 1.0)
+    return load + 4.0 * capacity * state.nonlinearity.quadratic * u * (1.0 - u)
+
+
+CELLS_OF_A_FOOT = len(WARP)
+"""Mounting acts on whole feet of as many cells."""

@@ -1,0 +1,97 @@
+r"""What impacts do to a foot's zeros: bolts and plates settle anew, and the cells brace each other.
+
+A rigid sole on four cells is one support too many: they can press against each other in the one mode that
+neither the foot's load nor its moments show, (+, -, +, -) around the corners, which is **(+, -, -, +) in
+the order front-left, front-right, rear-left, rear-right**. At an impact the zero of the cell :math:`i` goes
+on by
+
+.. math:: \Delta z_i = w_i\, \sigma_w \xi_w + \sigma_c \xi_c, \qquad \xi \sim N(0, 1),
+
+the same two numbers for the whole foot, and stays there. A force plate was seen to keep (2.55, -2.52, 2.58,
+-2.60) N and another (-5.0, 6.3, -5.7, 6.3) N after it was unloaded (recordings of Kistler plates in the
+files of ezc3d); how far one impact of a robot's foot goes nobody has published: choose it within these.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from surefoot.sensors._arrays import Table, cast_like, namespace
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.randomness import filled, normal
+from surefoot.sensors.transport.rare import change_rows
+
+WARP = (1, -1, -1, 1)
+"""Signs of the warp for (front-left, front-right, rear-left, rear-right)."""
+
+
+class MountingState(NamedTuple):
+    """How F feet of C cells sit.
+
+    Attributes:
+        zero: What impacts have done to each zero, in the unit of the readings, shape (..., F * C).
+        load: Each foot's load at the last reading, shape (..., F); NaN before the first.
+        impact: For each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (..., F).
+    """
+
+    zero: Array
+    load: Array
+    impact: Array
+
+
+def mounting(
+    threshold: float, warp_std: float, common_std: float = 0.0, *, warp: Sequence[int] = WARP
+) -> Corruption[MountingState]:
+    """Let the zeros of a foot jump at impacts, touch-down as well as lift-off.
+
+    An impact begins where the foot's load, the sum of its channels, changes by more than the threshold from
+    one reading to the next, and lasts as long as it does: one jump each, however many readings that takes.
+    A reading that was lost or is not finite is passed over.
+
+    Args:
+        threshold: Change between two readings beyond which there is an impact, in the unit of the readings;
+            it goes with the rate at which the stage is stepped.
+        warp_std: Standard deviation of a jump of each zero along the warp, in the unit of the readings.
+        common_std: Standard deviation of the part of the jump that all cells of a foot share.
+        warp: Signs of the warp, +1 or -1 for each cell of a foot; their number says how many cells it has.
+
+    Raises:
+        ValueError: If a number is negative, or a sign is none; from ``init`` if channels make no whole feet.
+    """
+    check_not_negative(threshold=threshold, warp_std=warp_std, common_std=common_std)
+    cells = len(warp)
+    if not cells or any(sign not in (-1, 1) for sign in warp):
+        raise ValueError(f"'warp' must hold +1 or -1 for each cell of a foot, got {tuple(warp)}.")
+    modes = ([warp_std * sign for sign in warp], [common_std] * cells)
+    moving = [Table(mode) for mode in modes if any(mode)]
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> MountingState:
+        if not shape or shape[-1] % cells:
+            raise ValueError(f"The last axis must hold whole feet of {cells} cells, got shape {shape}.")
+        feet = (*shape[:-1], shape[-1] // cells)
+        return MountingState(
+            filled(rng, 0.0, shape, dtype),
+            filled(rng, float("nan"), feet, dtype),
+            filled(rng, 0.0, feet, dtype),
+        )
+
+    def apply(reading: Array, state: MountingState, rng: Rng, dt: float) -> tuple[Array, MountingState]:
+        xp = namespace(reading)
+        zero, before, impact = (cast_like(part, reading) for part in state)
+        by_foot = xp.reshape(reading, (*before.shape, cells))
+        # Added up one by one: libraries are slow at short sums.
+        load = sum((by_foot[..., cell] for cell in range(1, cells)), by_foot[..., 0])
+        lost = ~xp.isfinite(load)
+        # Neither the first reading nor one without a value is compared: NaN exceeds nothing.
+        hit = (xp.abs(load - before) > threshold) & ~lost
+        start = hit & (impact < 0.5)
+
+        def jump(few: Array) -> Array:
+            one, *others = (normal(rng, (*few.shape[:-1], 1), few.dtype) * mode.like(few) for mode in moving)
+            return few + sum(others, one)
+
+        if moving:
+            zero = change_rows(zero, start, jump)
+        load, hit = xp.where(lost, before, load), cast_like(hit, reading)
+        return reading + zero, MountingState(zero, load, hit)
+
+    return Corruption(init, apply)

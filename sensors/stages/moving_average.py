@@ -1,0 +1,101 @@
+r"""The filter of a converter: a mean over the last readings, once or several times over.
+
+A sigma-delta converter averages its modulator's bits over a conversion, and again over conversions: a
+cascade of :math:`m` means over :math:`n` readings each, a sinc filter of order :math:`m`,
+
+.. math:: |H(f)| = \left| \frac{\sin(\pi f n T)}{n \sin(\pi f T)} \right|^m .
+
+Its gain at rest is one, its zeros lie at the multiples of :math:`1 / (n T)`, every frequency is late by the
+same group delay :math:`m (n - 1) T / 2`, and a step has settled after :math:`m (n - 1) + 1` readings
+(Hogenauer, 1981, of which this is the impulse response). An HX711 settles in four conversions by its data
+sheet, 50 ms at 80 SPS, as :math:`n = 4` does at its conversion rate and :math:`m (n - 1) \approx 4 T_c / T`
+on substeps of the length :math:`T` of a conversion's :math:`T_c`.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surefoot.sensors._arrays import cast_like, namespace, on_host
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_whole
+from surefoot.sensors.randomness import filled
+
+
+class MovingAverageState(NamedTuple):
+    """What a filter remembers.
+
+    Attributes:
+        window: The readings before, the oldest first, shape (L, ..., K) with L = m (n - 1); NaN before the
+            first, which then counts as having been there for ever.
+    """
+
+    window: Array
+
+
+def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corruption[MovingAverageState]:
+    """Average over the last readings, which must be equally far apart in time.
+
+    A reading that is not finite makes its own output NaN and spoils no other: the one before it, or at the
+    start the one after it, takes its place.
+
+    Args:
+        count: Over how many readings n; 1 changes nothing.
+        order: How many times m.
+        blocks: Whether a reading is a block of substeps, shape (..., S, K), as a stage with a clock takes
+            it: each substep is filtered and the result is a block again, so that the filter can stand before
+            :func:`~surefoot.sensors.devices.load_cells` or :func:`~surefoot.sensors.sample_and_hold`.
+
+    Raises:
+        ValueError: If a number is not a positive whole one.
+
+    >>> import numpy as np
+    >>> mean, rng = moving_average(4), np.random.default_rng(0)
+    >>> state, read = mean.init((1,), rng), []
+    >>> for load in (0.0, 8.0, 8.0, 8.0, 8.0):
+    ...     reading, state = mean.apply(np.array([load]), state, rng, 0.0125)
+    ...     read.append(float(reading[0]))
+    >>> read
+    [0.0, 2.0, 4.0, 6.0, 8.0]
+    """
+    check_whole(count=count, order=order)
+    kernel = np.ones(1)
+    for _ in range(order):
+        kernel = np.convolve(kernel, np.full(count, 1.0 / count))
+    weights = kernel.tolist()
+    length = len(weights) - 1
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> MovingAverageState:
+        return MovingAverageState(filled(rng, float("nan"), (length, *shape), dtype))
+
+    def apply(
+        reading: Array, state: MovingAverageState, rng: Rng, dt: float
+    ) -> tuple[Array, MovingAverageState]:
+        if not length:
+            return reading + 0.0, state
+        xp = namespace(reading)
+        block = xp.moveaxis(reading, -2, 0) if blocks else reading[None]
+        window = cast_like(state.window, reading)
+        came = xp.isfinite(block)
+        if not on_host(block) or not xp.all(came):
+            block = _filled_up(xp, block, came, window[-1])
+        rows = xp.concat([xp.where(xp.isnan(window), block[:1], window), block])
+        # The kernel is its own mirror image: the oldest row comes first either way.
+        averaged = weights[0] * rows[: block.shape[0]]
+        for number, weight in enumerate(weights[1:], start=1):
+            averaged = averaged + weight * rows[number : number + block.shape[0]]
+        averaged = xp.where(came, averaged, float("nan"))
+        kept = MovingAverageState(rows[block.shape[0] :])
+        return (xp.moveaxis(averaged, 0, -2) if blocks else averaged[0]), kept
+
+    return Corruption(init, apply)
+
+
+def _filled_up(xp: Any, block: Array, came: Array, before: Array) -> Array:
+    """Put the reading before, or at the start the one after, in the place of each one that did not come."""
+    rows = []
+    for row, here in zip(block, came, strict=True):
+        before = xp.where(here, row, before)
+        rows.append(before)
+    for index in range(len(rows) - 2, -1, -1):
+        rows[index] = xp.where(xp.isnan(rows[index]), rows[index + 1], rows[index])
+    return xp.stack(rows)

@@ -1,0 +1,187 @@
+"""What happens to a code between a converter and the host: on its wire, its bus and its radio.
+
+In the order in which it is applied: spikes couple into the converter
+(:func:`~surefoot.sensors.transport.spikes`), bits
+of words turn over (:func:`~surefoot.sensors.transport.wrong_words`), a reader repeats what it has
+(:func:`~surefoot.sensors.transport.stale_repeats`), packets get lost, alone and in bursts
+(:func:`~surefoot.sensors.transport.burst_gaps`), and the others come late
+(:func:`~surefoot.sensors.latency`). What is
+lost is NaN. Every part is off where its field is zero, costs nothing then and draws nothing.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.transport.burst_gaps import burst_gaps
+from surefoot.sensors.transport.link import latency
+from surefoot.sensors.transport.spikes import spikes
+from surefoot.sensors.transport.stale_repeats import stale_repeats
+from surefoot.sensors.transport.wrong_words import wrong_words
+
+ALONE = 1e-9
+"""Mean length in s of a gap that holds one packet."""
+
+
+@dataclass(frozen=True)
+class Wire:
+    """The way of an instrument's codes to the host; by default they all arrive, right and at once."""
+
+    spike_rate: float = 0.0
+    """Mean number of spikes of a channel in a second in 1/s."""
+
+    spike_size: float = 0.1
+    """Standard deviation of a spike in shares of the rated load."""
+
+    wrong_words: float = 0.0
+    """Probability that one bit of a reading arrives the wrong way round. 1 to 5 % of the values of one
+    bit-banged HX711 were wrong, most of other people's never."""
+
+    stale_repeats: float = 0.0
+    """Probability that the host is handed its last reading again; 0.73 in a log of a NAO's feet."""
+
+    packet_loss: float = 0.0
+    """Share of the readings that get lost, each on its own, all channels together."""
+
+    gap_share: float = 0.0
+    """Share of the time that is lost in bursts, all channels together. A gap of 0.125 s a minute is 0.002."""
+
+    gap_length: float = 0.125
+    """Mean length of a burst in s; gaps of 0.17 s (iCub) and 22.6 s (balance board) were seen."""
+
+    delay: float = 0.0
+    """Mean delay of a reading in s; 0.020 over the CoP paper's wireless network."""
+
+    jitter: float = 0.0
+    """Standard deviation of the delay in s; 0.004 there. No reading overtakes the one before it."""
+
+    under_way: int = 8
+    """How many readings can be under way: at least the delay over the time between two of them."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no wire can be."""
+        require_not_negative(self, *(name for name in self.__dataclass_fields__ if name != "under_way"))
+        require_positive(self, "gap_length")
+        require_whole(self, "under_way")
+        require(self.wrong_words <= 1.0, self, "wrong_words", "be at most 1")
+        for name in ("stale_repeats", "packet_loss", "gap_share"):
+            require(getattr(self, name) < 1.0, self, name, "be below 1")
+
+    @property
+    def late(self) -> bool:
+        """Whether readings come later than they were made."""
+        return self.delay > 0.0 or self.jitter > 0.0
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything happens to a code at all."""
+        errors = self.spike_rate, self.wrong_words, self.stale_repeats, self.packet_loss, self.gap_share
+        return any(errors) or self.late
+
+
+DIRECT = Wire()
+"""A wire at the end of which everything arrives, right and at once."""
+
+
+class Wired(Protocol):
+    """An instrument with a wire: :class:`~surefoot.sensors.LoadCells`, for instance."""
+
+    @property
+    def wire(self) -> Wire:
+        """What happens to a code on its way to the host."""
+
+
+def check_wire(config: Wire | Wired, dt: float) -> None:
+    """Refuse a wire that cannot hold what is under way, before the first step would.
+
+    Args:
+        config: The wire, or an instrument that has one.
+        dt: Time between readings in s.
+
+    Raises:
+        ValueError: If more readings are under way than ``under_way``; the message says how many are.
+
+    >>> from surefoot.sensors import preset
+    >>> check_wire(preset("hx711-bar-cells"), dt=0.0125)
+    """
+    on = config if isinstance(config, Wire) else config.wire
+    if on.late and on.delay >= on.under_way * dt:
+        raise ValueError(
+            f"Of readings {dt:.3g} s apart that are {on.delay:.3g} s late, more are under way than "
+            f"Wire.under_way = {on.under_way}; give at least {int(on.delay / dt) + 2}."
+        )
+
+
+class WireState(NamedTuple):
+    """A wire in use; ``()`` for every part that is off or remembers nothing.
+
+    Attributes:
+        spikes: Always ``()``.
+        wrong_words: Always ``()``.
+        stale_repeats: A :class:`~surefoot.sensors.RepeatState`.
+        packet_loss: A :class:`~surefoot.sensors.GapState`.
+        gaps: Another.
+        latency: A :class:`~surefoot.sensors.LatencyState`.
+    """
+
+    spikes: Any
+    wrong_words: Any
+    stale_repeats: Any
+    packet_loss: Any
+    gaps: Any
+    latency: Any
+
+
+def wire(
+    config: Wire,
+    rated: ArrayLike,
+    code_range: tuple[ArrayLike, ArrayLike],
+    bits: int,
+    coding: str = "two's complement",
+) -> Corruption[WireState]:
+    """Build the way of codes to the host; readings are counts, shape (..., K).
+
+    Args:
+        config: The wire.
+        rated: Rated load in counts, a number or shape (K,).
+        code_range: Lowest and highest code, numbers or shapes (K,).
+        bits: Bits of a word; 0 for an instrument without a converter, whose readings are no words.
+        coding: How a word stands for a number (see :func:`~surefoot.sensors.transport.wrong_words`).
+
+    Raises:
+        ValueError: If words of an instrument without a converter are to be wrong; from ``apply`` if readings
+            follow each other so fast that more are under way than the wire holds (see :func:`check_wire`).
+    """
+    if config.wrong_words and not bits:
+        raise ValueError("Wire.wrong_words must be 0 for an instrument without a converter: it has no words.")
+    on: dict[str, Corruption[Any]] = {}
+    if config.spike_rate:
+        size = config.spike_size * np.abs(np.asarray(rated))
+        on["spikes"] = spikes(config.spike_rate, size, code_range=code_range if bits else None)
+    if config.wrong_words:
+        on["wrong_words"] = wrong_words(config.wrong_words, bits, coding)
+    if config.stale_repeats:
+        on["stale_repeats"] = stale_repeats(config.stale_repeats)
+    if config.packet_loss:
+        on["packet_loss"] = burst_gaps(config.packet_loss, ALONE)
+    if config.gap_share:
+        on["gaps"] = burst_gaps(config.gap_share, config.gap_length)
+    if config.late:
+        on["latency"] = latency(config.delay, config.jitter, config.under_way)
+    off = WireState(*((),) * len(WireState._fields))
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> WireState:
+        return off._replace(**{name: stage.init(shape, rng, dtype) for name, stage in on.items()})
+
+    def apply(counts: Array, state: WireState, rng: Rng, dt: float) -> tuple[Array, WireState]:
+        check_wire(config, dt)
+        after = {}
+        for name, stage in on.items():
+            counts, after[name] = stage.apply(counts, getattr(state, name), rng, dt)
+        return counts, off._replace(**after)
+
+    return Corruption(init, apply)
