@@ -141,12 +141,10 @@ def walks() -> Iterator[tuple[str, Digest]]:
             digest.add(str(type(error)))
             yield f"wrapped {name} {device['config']} {method} ({type(error).__name__})", digest
             continue
-        observation, info = env.reset(seed=11)
+        observation, _ = env.reset(seed=11)
         for _ in range(STEPS):
             digest.add(observation)
-            observation, _, terminated, truncated, info = env.step(
-                np.zeros(env.action_space.shape, np.float32)
-            )
+            observation, _, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
             if terminated or truncated:
                 break
         yield f"wrapped {name} {device['config']} {method}", digest
