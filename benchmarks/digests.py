@@ -9,6 +9,7 @@ Two versions of surefoot that compute the same print the same on the same machin
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 from hashlib import sha256
 from itertools import product
 from typing import Any
@@ -64,8 +65,9 @@ class Digest:
     def add(self, value: Any) -> None:
         """Take a value in."""
         if isinstance(value, dict):
-            for item in value.values():
-                self.add(item)
+            self.add(list(value.values()))
+        elif is_dataclass(value):
+            self.add(list(vars(value).values()))
         elif isinstance(value, (list, tuple)):
             for item in value:
                 self.add(item)
@@ -102,7 +104,7 @@ def sensors() -> Iterator[tuple[str, Digest]]:
     makers: dict[type, tuple[int, Any]] = {
         LoadCells: (8, load_cells),
         ForceTorque: (12, force_torque),
-        StrainGauges: (12, strain_gauges),
+        StrainGauges: (6, strain_gauges),
         Imu: (6, imu),
         Encoders: (5, encoders),
         Link: (5, lambda config: latency(config.delay, config.jitter)),
@@ -114,11 +116,13 @@ def sensors() -> Iterator[tuple[str, Digest]]:
         time = np.arange(STEPS)[:, None] / 80
         loads = 10.0 + 8.0 * np.sin(time * (1.0 + np.arange(channels)))
         for library in ("numpy", "torch"):
-            rng, digest = np.random.default_rng(3), Digest()
-            state = chain.init((channels,), rng)
+            torches = library == "torch"
+            rng: Any = torch.Generator().manual_seed(3) if torches else np.random.default_rng(3)
+            digest = Digest()
+            state = chain.init((channels,), rng, torch.float64 if torches else np.float64)
             for row in loads:
                 row = np.tile(row, (10, 1)) if kind is LoadCells else row  # ten substeps of a block
-                load: Any = row if library == "numpy" else torch.as_tensor(row)
+                load: Any = torch.as_tensor(row) if torches else row
                 reading, state = chain.apply(load, state, rng, 1 / 80)
                 digest.add(reading)
             yield f"sensor {name} x{severity:g} {library}", digest
