@@ -28,7 +28,7 @@ from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
-from surefoot.experiments.in_situ.rig_record import record_rig
+from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.study.tables import Table, number
 from surefoot.sensors import StrainGauges, preset, strain_gauges
 from surefoot.sensors.devices.strain_gauges import read_sequence

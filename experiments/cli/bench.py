@@ -23,9 +23,9 @@ def bench_cells(
         return
     from surefoot.experiments.demo.tables import paper_table_2, table_2, table_3
     from surefoot.experiments.study.files import atomic_path
-    from surefoot.experiments.weights.bench import run_bench
+    from surefoot.experiments.weights.weighing import run_weighing
 
-    report = run_bench(seed=seed)
+    report = run_weighing(seed=seed)
     tables = (paper_table_2()[0], table_2(report), table_3(report))
     for table in tables:
         console.print(table.to_rich())

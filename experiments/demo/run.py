@@ -27,7 +27,7 @@ from surefoot.experiments.study.stages import Stage, Work, machine, stages
 from surefoot.experiments.walks.closed_loop import LoopRun, run_loop
 from surefoot.experiments.walks.video import Film, Reel, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
-from surefoot.experiments.weights.bench import BenchReport, run_bench
+from surefoot.experiments.weights.weighing import WeighingReport, run_weighing
 
 __all__ = ["DemoResults", "run_demo"]
 
@@ -52,7 +52,7 @@ class DemoResults:
     """
 
     options: DemoOptions
-    bench: BenchReport
+    bench: WeighingReport
     scores: Frame = field(default_factory=pd.DataFrame)
     errors: Frame = field(default_factory=pd.DataFrame)
     outcomes: dict[tuple[str, float], list[Outcome]] = field(default_factory=dict)
@@ -76,7 +76,7 @@ def run_demo(options: DemoOptions, console: Console | None = None) -> DemoResult
         What was found; it is in files under ``options.out`` as well.
     """
     prepare_rendering()
-    results = DemoResults(options, run_bench(), machine=machine())
+    results = DemoResults(options, run_weighing(), machine=machine())
     with stages(options.jobs, results.seconds, console) as stage:
         logs = _record(stage, options)
         _replay(stage, results, logs)

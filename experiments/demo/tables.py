@@ -11,7 +11,7 @@ from surefoot.experiments.study.frames import Column, Frame
 from surefoot.experiments.study.style import in_order, look_of
 from surefoot.experiments.study.tables import Table, number, with_interval
 from surefoot.experiments.walks.score import mean_interval, survival_curve
-from surefoot.experiments.weights.bench import BenchReport
+from surefoot.experiments.weights.weighing import WeighingReport
 
 __all__ = ["loop_table", "paper_table_2", "sensitivity_table", "table_2", "table_3", "walking_table"]
 
@@ -47,7 +47,7 @@ def paper_table_2() -> tuple[Table, float]:
     return table, float(difference.max())
 
 
-def table_2(report: BenchReport) -> Table:
+def table_2(report: WeighingReport) -> Table:
     """Lay out the virtual bench as the paper's Table 2: codes under known loads, and lines."""
     load = report.channel_load
     shown = [int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0)]
@@ -70,7 +70,7 @@ def table_2(report: BenchReport) -> Table:
     return Table("table2_bench", "The same of the virtual bench", ("cell", *heads, "c", "d"), rows, note)
 
 
-def table_3(report: BenchReport) -> Table:
+def table_3(report: WeighingReport) -> Table:
     """Lay out the bench's errors on held-out holes as the paper's Table 3."""
     initial, calibrated = report.initial, report.calibrated
     paper = TABLE_3

@@ -1,1 +1,1 @@
-"""In-situ calibration of F/T sensors: logs of robots, the simulated rig, studies and pages."""
+"""The study of the in-situ paper, on a simulated rig: methods, truth, claims and page."""

@@ -16,7 +16,7 @@ from surefoot.calibration.imu.accelerometer import calibrate_accelerometer
 from surefoot.calibration.imu.motion import gravity_from_imu
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
-from surefoot.experiments.in_situ.rig_record import RigRecording
+from surefoot.envs.leg_rig.recording import RigRecording
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 from surefoot.sensors.devices.strain_gauges import StrainGaugeState, read_sequence, shift_zero, true_response
 
@@ -106,7 +106,7 @@ def read_sensors(
     Returns:
         Counts, shape (J, n, 6), and the truth, for each seed.
     """
-    limb: Limb = getattr(runs[0][0], f"limb_{sensor}")
+    limb = Limb(*getattr(runs[0][0], f"limb_{sensor}"))
     wrench = np.array([[getattr(recording, f"wrench_{sensor}") for recording in run] for run in runs])
     place = ("foot", "leg").index(sensor)
     rng = np.random.default_rng([_STREAM, place, *seeds])

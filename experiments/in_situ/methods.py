@@ -11,7 +11,7 @@ from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset, savitzky_golay
-from surefoot.experiments.in_situ.score import offset_of_set
+from surefoot.experiments.force_torque.score import offset_of_set
 
 __all__ = ["FITTED", "METHODS", "MethodResult", "calibrate_by_all", "filtered", "paper_calibration"]
 

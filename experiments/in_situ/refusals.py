@@ -13,6 +13,7 @@ from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.results import CalibrationRefused
+from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.in_situ.instruments import (
     SensorTruth,
     accelerometer_bias,
@@ -22,7 +23,6 @@ from surefoot.experiments.in_situ.instruments import (
     static_sets,
 )
 from surefoot.experiments.in_situ.methods import paper_calibration
-from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig
 from surefoot.experiments.in_situ.study_score import wrench_error
 
 __all__ = ["CASES", "Case", "refusal_row"]

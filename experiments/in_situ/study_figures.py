@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from surefoot.calibration.in_situ.paper_offset import estimate_offset
-from surefoot.experiments.in_situ._space import draw_shell, few_ticks
+from surefoot.experiments.force_torque.ellipsoids import draw_shell, few_ticks
+from surefoot.experiments.force_torque.score import force_ellipsoid
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult
-from surefoot.experiments.in_situ.score import force_ellipsoid
 from surefoot.experiments.in_situ.study_pieces import Shown
 from surefoot.experiments.study.canvas import figure_at, grid_of
 from surefoot.experiments.study.frames import Frame

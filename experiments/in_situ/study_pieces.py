@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
+from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,
@@ -20,7 +21,6 @@ from surefoot.experiments.in_situ.instruments import (
     static_sets,
 )
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult, calibrate_by_all, of_fit
-from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig
 from surefoot.experiments.in_situ.study_score import fit_row, set_rows
 from surefoot.experiments.study.frames import Frame
 from surefoot.sensors import StrainGauges

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.experiments.force_torque.score import added_mass, semi_axes
 from surefoot.experiments.in_situ.instruments import SensorTruth
 from surefoot.experiments.in_situ.methods import FITTED, MethodResult
-from surefoot.experiments.in_situ.score import added_mass, semi_axes
 
 __all__ = ["fit_row", "set_rows", "wrench_error"]
 

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.experiments.weights.bench import run_bench
+from surefoot.experiments.weights.weighing import run_weighing
 from surefoot.sensors import ForceTorque, LoadCells
 from surefoot.wrappers.instruments import Instruments, SensorsInAnkles
 
@@ -66,7 +66,7 @@ class FootInstruments:
             state: Any = part.init(rng)
             if cells is not None and not in_ankles:
                 if ankle is None:
-                    self.bench = run_bench(cells=cells, state=state, seed=seed).channels.value
+                    self.bench = run_weighing(cells=cells, state=state, seed=seed).channels.value
                 # Every chip delivers once before the walk, as they do while a robot boots.
                 _, state = part.read(truth, state, rng, 1.0 / cells.rate[0] if cells.rate else 0.0125)
             self._streams.append(rng)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from surefoot.envs.leg_rig.icub import load_icub_leg_spec
+from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.envs.leg_rig.spec import ADDED_MASSES, limb_beyond, sensor_frames
-from surefoot.experiments.in_situ.rig_record import record_rig
 
 
 @pytest.fixture

@@ -1,5 +1,10 @@
 """Made logs and episodes: small, seeded, and known to the last digit."""
 
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
 import numpy as np
 import pytest
 
@@ -12,6 +17,22 @@ from surefoot.experiments.policy import evaluate, evaluation
 SAMPLES = 60
 MASS = 5.3
 MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "surefoot": 97.0}
+
+
+@pytest.fixture(scope="session")
+def benchmark_script() -> Callable[[str], ModuleType]:
+    """Give a function that imports a script of benchmarks/, or skips where there are none: in the wheel."""
+
+    def load(name: str) -> ModuleType:
+        path = Path(__file__).parents[2] / "benchmarks" / f"{name}.py"
+        if not path.is_file():
+            pytest.skip("the benchmarks are not part of the wheel")
+        spec = importlib.util.spec_from_file_location(name, path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture

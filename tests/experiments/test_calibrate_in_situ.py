@@ -3,7 +3,9 @@
 import dataclasses
 import html
 import json
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pyarrow.compute as pc
@@ -11,10 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.in_situ.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
-from surefoot.experiments.in_situ.export import read_calibration, read_icub_matrix
-from surefoot.experiments.in_situ.log import config_beside
-from surefoot.experiments.in_situ.sample import make_sample, write_sample
+from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
+from surefoot.experiments.force_torque.export import read_calibration
+from surefoot.experiments.force_torque.icub import read_icub_matrix
+from surefoot.experiments.force_torque.log import config_beside
+
+Script = Callable[[str], ModuleType]
 
 
 @pytest.fixture(scope="module")
@@ -99,8 +103,8 @@ def test_what_is_refused_leaves_nothing_behind(short: Path, tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_sample_is_what_its_script_makes(tmp_path: Path) -> None:
-    path = write_sample(tmp_path / "again.parquet")
+def test_the_sample_is_what_its_script_makes(tmp_path: Path, benchmark_script: Script) -> None:
+    path = benchmark_script("in_situ_sample").write_sample(tmp_path / "again.parquet")
     assert path.with_suffix(".toml").read_text() == SAMPLE.with_suffix(".toml").read_text()
     made, shipped = pq.read_table(path), pq.read_table(SAMPLE)
     assert made.schema.equals(shipped.schema)
@@ -110,8 +114,8 @@ def test_the_sample_is_what_its_script_makes(tmp_path: Path) -> None:
         np.testing.assert_allclose(a, b, atol=1.0 if "count" in name else 0.02)
 
 
-def test_the_sample_tells_no_truth() -> None:
-    columns, _, truth = make_sample()
+def test_the_sample_holds_no_truth(benchmark_script: Script) -> None:
+    columns, _, truth = benchmark_script("in_situ_sample").make_sample()
     assert not any("truth" in name for name in columns)
     factory = config_beside(SAMPLE).factory_matrix
     assert factory is not None

@@ -11,15 +11,14 @@ import yaml
 
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.experiments.in_situ.export import (
+from surefoot.experiments.force_torque.export import (
     offset_wrench,
     read_calibration,
-    read_icub_matrix,
-    write_icub_matrix,
     write_json,
     write_ros2_parameters,
     write_yaml,
 )
+from surefoot.experiments.force_torque.icub import read_icub_matrix, write_icub_matrix
 from surefoot.experiments.logs.format import LogError
 from surefoot.sensors import FTSENS_SN039, FTSENS_SN142
 

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from surefoot.calibration import GRAVITY
-from surefoot.experiments.in_situ._config import _TABLES, InSituConfig, read_config
-from surefoot.experiments.in_situ.calibrate import SAMPLE
-from surefoot.experiments.in_situ.export import write_icub_matrix
-from surefoot.experiments.in_situ.log import read_in_situ_log
+from surefoot.experiments.force_torque.calibrate import SAMPLE
+from surefoot.experiments.force_torque.config import _TABLES, InSituConfig, read_config
+from surefoot.experiments.force_torque.icub import write_icub_matrix
+from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.logs.format import LogError
 
 RAW = [f"raw_{i}_count" for i in range(6)]

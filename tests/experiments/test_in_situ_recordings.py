@@ -1,37 +1,49 @@
 """In-situ calibration of real sensors; the recordings are found through SUREFOOT_DATA."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.experiments.in_situ.optical import LOADED, load_optical, optical_refusals, optical_sensor
-from surefoot.experiments.in_situ.recordings import gamma_on_arm, icub_foot, sensor_recordings_folder
 
-FOLDER = sensor_recordings_folder()
+DATA = Path(os.environ.get("SUREFOOT_DATA") or "nowhere")
 pytestmark = pytest.mark.skipif(
-    FOLDER is None, reason="the environment variable SUREFOOT_DATA names no folder with real recordings"
+    not (DATA / "ft").is_dir(),
+    reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
 )
 
 
 @pytest.fixture(scope="module")
-def foot():
-    return {(row.method, row.fitted): row for row in icub_foot(FOLDER)}
+def metal(benchmark_script):
+    return benchmark_script("in_situ_real")
 
 
 @pytest.fixture(scope="module")
-def gamma():
-    return {row.gravity: row for row in gamma_on_arm(FOLDER)}
+def printed(benchmark_script):
+    return benchmark_script("in_situ_optical")
 
 
 @pytest.fixture(scope="module")
-def optical():
-    return load_optical(FOLDER)
+def foot(metal):
+    return {(row.method, row.fitted): row for row in metal.icub_foot(DATA)}
 
 
 @pytest.fixture(scope="module")
-def predicted(optical):
-    return {row.method: row for row in optical_sensor(optical)}
+def gamma(metal):
+    return {row.gravity: row for row in metal.gamma_on_arm(DATA)}
+
+
+@pytest.fixture(scope="module")
+def optical(printed):
+    return printed.load_optical(DATA)
+
+
+@pytest.fixture(scope="module")
+def predicted(printed, optical):
+    return {row.method: row for row in printed.optical_sensor(optical)}
 
 
 def test_the_foots_forces_come_right_on_the_half_that_was_not_fitted(foot):
@@ -78,10 +90,10 @@ def test_the_gammas_load_and_ellipsoid_are_those_of_independent_code(gamma):
         assert row.held_out < 0.1
 
 
-def test_a_printed_sensor_is_refused_for_not_being_linear(optical):
+def test_a_printed_sensor_is_refused_for_not_being_linear(printed, optical):
     with pytest.raises(CalibrationRefused, match="follows gravity in no linear way"):
         calibrate_in_situ(optical.sets)
-    refusals = optical_refusals(optical)
+    refusals = printed.optical_refusals(optical)
     assert len(refusals) > 1
     assert any("standard deviation" in refusal for refusal in refusals)
 
@@ -94,19 +106,19 @@ def test_regressing_on_readings_loses_the_printed_sensors_base(predicted):
     assert ours.com_error < 0.015
 
 
-def test_a_matrix_that_is_too_small_predicts_the_printed_sensors_unseen_loads_better(predicted):
+def test_a_matrix_that_is_too_small_predicts_the_printed_sensors_unseen_loads_better(printed, predicted):
     paper, ours, known = (
-        predicted[name].rmse(LOADED)[0]
+        predicted[name].rmse(printed.LOADED)[0]
         for name in ("paper (III-B, III-C)", "in situ", "in situ, base known to 1 %")
     )
-    zero = predicted["told nothing: zero"].rmse(LOADED)[0]
+    zero = predicted["told nothing: zero"].rmse(printed.LOADED)[0]
     assert paper < known < ours < zero
 
 
-def test_no_linear_map_predicts_the_printed_sensors_unseen_loads(predicted):
-    zero = predicted["told nothing: zero"].rmse(LOADED)[2]
+def test_no_linear_map_predicts_the_printed_sensors_unseen_loads(printed, predicted):
+    zero = predicted["told nothing: zero"].rmse(printed.LOADED)[2]
     for method in ("linear", "linear, ridge", "with squares, ridge"):
-        assert predicted[f"told all wrenches: {method}"].rmse(LOADED)[2] > 0.5 * zero
+        assert predicted[f"told all wrenches: {method}"].rmse(printed.LOADED)[2] > 0.5 * zero
 
 
 def test_without_the_bare_load_only_a_known_base_gives_a_matrix(predicted):

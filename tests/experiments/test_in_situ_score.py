@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
-from surefoot.experiments.in_situ.rig_record import record_rig
-from surefoot.experiments.in_situ.score import (
+from surefoot.envs.leg_rig.recording import record_rig
+from surefoot.experiments.force_torque.score import (
     added_mass,
     expected_wrench,
     force_ellipsoid,

@@ -10,6 +10,7 @@ from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
 from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ import methods, study, study_pieces
 from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.experiments.in_situ.instruments import (
@@ -23,7 +24,6 @@ from surefoot.experiments.in_situ.instruments import (
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult, calibrate_by_all
 from surefoot.experiments.in_situ.printed import PRINTED
 from surefoot.experiments.in_situ.refusals import CASES, refusal_row
-from surefoot.experiments.in_situ.rig_record import record_rig
 from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
 from surefoot.experiments.in_situ.study_page import InSituStudyPage
 from surefoot.experiments.in_situ.study_pieces import KINDS, exact_piece, sweep_piece, white_piece

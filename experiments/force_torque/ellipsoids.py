@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from surefoot.experiments.in_situ.score import Ellipsoid
+from surefoot.experiments.force_torque.score import Ellipsoid
 
 __all__ = ["draw_shell", "few_ticks"]
 

@@ -10,8 +10,8 @@ from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.paper_offset import estimate_offset
-from surefoot.experiments.in_situ.log import InSituLog
-from surefoot.experiments.in_situ.score import (
+from surefoot.experiments.force_torque.log import InSituLog
+from surefoot.experiments.force_torque.score import (
     AddedMassEstimate,
     added_mass,
     expected_wrench,

@@ -11,17 +11,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.fit import Limb
 from surefoot.envs.leg_rig.icub import load_icub_leg_spec
+from surefoot.envs.leg_rig.motion import RIG_SPEED_DEG, HipMotion, sweep, swing
 from surefoot.envs.leg_rig.spec import (
     HIP_JOINTS,
+    SENSORS,
+    LimbBody,
     added_mass,
     limb_beyond,
     load_leg_rig_spec,
     read_wrenches,
     sensor_frames,
 )
-from surefoot.experiments.in_situ.rig_motion import RIG_SPEED_DEG, HipMotion, sweep, swing
 
 __all__ = ["HipMotion", "RigRecording", "record_rig", "sweep", "swing"]
 
@@ -71,8 +72,8 @@ class RigRecording:
     added_com_foot: NDArray[np.float64]
     added_com_leg: NDArray[np.float64]
     added_inertia: float
-    limb_foot: Limb
-    limb_leg: Limb
+    limb_foot: LimbBody
+    limb_leg: LimbBody
 
     @property
     def gravity_foot(self) -> NDArray[np.float64]:
@@ -120,8 +121,7 @@ def record_rig(
         fast_motion: Swing at 0.8 to 2 Hz (:func:`swing`) rather than sweep slowly (:func:`sweep`).
         at_rest: Stand still in each posture, so that no inertia is felt at all.
         icub: Take the right leg of the official iCub v2.5 (:mod:`surefoot.envs.leg_rig.icub`), with its knee
-        held
-            and without a floor.
+            held and without a floor.
 
     Returns:
         A recording for each configuration, in the order given.
@@ -156,10 +156,7 @@ def record_rig(
 def _record(model: mujoco.MjModel, configuration: int, motion: HipMotion) -> RigRecording:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    limbs = []
-    for sensor in ("foot", "leg"):
-        body = limb_beyond(model, data, sensor)
-        limbs.append(Limb(body.mass, body.mass_com, body.inertia))
+    limb_foot, limb_leg = (limb_beyond(model, data, sensor) for sensor in SENSORS)
     origins, rotations = sensor_frames(data)
     arms = data.site("imu").xpos - origins
     load = added_mass(configuration)
@@ -189,8 +186,8 @@ def _record(model: mujoco.MjModel, configuration: int, motion: HipMotion) -> Rig
         added_com_foot=np.array(load.com_foot),
         added_com_leg=added_com_leg,
         added_inertia=load.inertia,
-        limb_foot=limbs[0],
-        limb_leg=limbs[1],
+        limb_foot=limb_foot,
+        limb_leg=limb_leg,
     )
 
 

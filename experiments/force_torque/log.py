@@ -17,10 +17,10 @@ from surefoot.calibration.imu.accelerometer import AccelerometerModel, calibrate
 from surefoot.calibration.imu.motion import gravity_from_imu
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.in_situ._checks import check_channels, contiguous, in_time, with_values
-from surefoot.experiments.in_situ._config import AddedMass, InSituConfig, read_config
-from surefoot.experiments.in_situ._signs import check_acceleration, check_against_factory, check_spin
-from surefoot.experiments.in_situ._table import Samples, read_samples
+from surefoot.experiments.force_torque.checks import check_channels, contiguous, in_time, with_values
+from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, read_config
+from surefoot.experiments.force_torque.signs import check_acceleration, check_against_factory, check_spin
+from surefoot.experiments.force_torque.table import Samples, read_samples
 from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["InSituConfig", "InSituLog", "config_beside", "read_config", "read_in_situ_log"]

@@ -1,4 +1,8 @@
-"""A calibrated six-axis sensor whole: JSON, which reads back to the last digit, and YAML of the same."""
+"""A calibrated six-axis sensor as files: JSON and YAML in full, and an offset for ROS 2.
+
+JSON reads back to the last digit by :func:`read_calibration`; YAML says the same to people and to other
+programs. The ``force_torque_sensor_broadcaster`` of ROS 2 adds an offset to the wrench that a driver reports.
+"""
 
 import dataclasses
 import json
@@ -15,7 +19,14 @@ from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.logs.checks import LogError
 from surefoot.experiments.study.files import write_text
 
-__all__ = ["calibration_facts", "read_calibration", "write_json", "write_yaml"]
+__all__ = [
+    "calibration_facts",
+    "offset_wrench",
+    "read_calibration",
+    "write_json",
+    "write_ros2_parameters",
+    "write_yaml",
+]
 
 FORMAT = "surefoot-in-situ-calibration"
 VERSION = 1
@@ -196,3 +207,69 @@ def _stats_of(told: dict[str, Any]) -> FitStats:
     for key, absent in (("residual_rms", np.nan), ("condition", np.inf)):
         given[key] = absent if given[key] is None else given[key]
     return FitStats(**given)
+
+
+def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[np.float64]:
+    """Compute what the broadcaster of ROS 2 must add to the wrench C r of a driver: -C o, shape (6,).
+
+    Args:
+        fit: The calibration.
+        temperature: Of the sensor, in the unit of the fit's; needed where the fit knows its effect.
+
+    Raises:
+        ValueError: If the temperature is needed and missing.
+    """
+    if fit.temperature_coefficient is None:
+        return np.asarray(-fit.matrix @ fit.offset)
+    if temperature is None:
+        raise ValueError("The offset follows the temperature; give the one at which it shall hold.")
+    return np.asarray(
+        -fit.matrix @ (fit.offset + (temperature - fit.temperature_reference) * fit.temperature_coefficient)
+    )
+
+
+def write_ros2_parameters(
+    fit: InSituFit,
+    path: Path,
+    *,
+    temperature: float | None = None,
+    node: str = "force_torque_sensor_broadcaster",
+    frame_id: str = "ft_sensor",
+) -> Path:
+    """Write parameters of ROS 2's ``force_torque_sensor_broadcaster``.
+
+    The broadcaster publishes (reported + offset) x multiplier axis by axis and takes no matrix: C has to be
+    applied by the driver, which reports C r. The offset in this file is then -C o, so that C r - C o = C (r -
+    o) is published. A comment holds C.
+
+    Args:
+        fit: The calibration.
+        path: Where.
+        temperature: As :func:`offset_wrench` takes it.
+        node: Name of the broadcaster.
+        frame_id: Frame of the sensor.
+    """
+    rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in fit.matrix)
+    add = offset_wrench(fit, temperature)
+    axes = ("x", "y", "z")
+    parameters = {
+        node: {
+            "ros__parameters": {
+                "frame_id": frame_id,
+                "offset": {
+                    "force": {axis: float(add[i]) for i, axis in enumerate(axes)},
+                    "torque": {axis: float(add[3 + i]) for i, axis in enumerate(axes)},
+                },
+            }
+        }
+    }
+    text = (
+        f"# Made with surefoot {surefoot.__version__}. The broadcaster adds 'offset' (N, N m) to what the "
+        "driver\n# reports. The driver must report the matrix below times the raw counts, without an offset "
+        "of its own:\n# offset = -matrix offset_count, and what is published is matrix (raw - "
+        "offset_count), the wrench that\n# the limb exerts on the robot. For the wrench of the robot on the "
+        "limb turn the signs of both round.\n# The matrix (rows fx fy fz tx ty tz in N and N m per count):\n"
+        f"{rows}\n" + yaml.safe_dump(parameters, sort_keys=False)
+    )
+    write_text(path, text)
+    return path

@@ -1,28 +1,32 @@
 """In-situ calibration of a printed optical sensor of eight channels: a hard case, and one that is lost.
 
+    SUREFOOT_DATA=/path/to/recordings python benchmarks/in_situ_optical.py       # about 5 s
+
 Four loads, bare and with 0.719 kg at three places, were held in 12 postures each. A third of the loaded
 postures is saturated and left out. Of what is left, a linear response to the true wrenches leaves 30 counts
 RMS where the readings spread by 94, and parabolas do not predict better. The defaults refuse such data; with
 wide tolerances the fits are compared on the load that they have not seen, beside what one could reach who
 knew all wrenches.
 
-The recording is found through the environment variable ``SUREFOOT_DATA`` and is not part of this package.
+The recording is not part of this package: ``$SUREFOOT_DATA/ft`` has to hold ``printed_ft_8ch.npz``.
 """
 
+import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
 from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
-
-__all__ = ["LOADED", "HeldOut", "Optical", "OpticalRow", "load_optical", "optical_refusals", "optical_sensor"]
+from surefoot.experiments.study.tables import Table, number
 
 Floats = NDArray[np.float64]
 
@@ -224,3 +228,32 @@ def _rmse(error: Floats) -> tuple[float, float]:
     """RMSE of a force and of a torque over the samples that are whole."""
     force, torque = np.nanmean(error[:, :3] ** 2), np.nanmean(error[:, 3:] ** 2)
     return float(np.sqrt(force)), float(np.sqrt(torque))
+
+
+def optical_table(folder: Path) -> Table:
+    """Lay out what each method predicts of the printed sensor's loads."""
+    recording = load_optical(folder)
+    lines = []
+    for row in optical_sensor(recording):
+        force, torque, other = row.rmse(LOADED)
+        bare = row.rmse(("bare",))[2]
+        cells = (row.mass, 100.0 * row.com_error, force, torque, other, bare)
+        lines.append((row.method, *(number(cell) for cell in cells)))
+    return Table(
+        name="in_situ_optical",
+        title=f"Printed sensor: RMSE on the load that was not fitted (base: {recording.base[0]} kg)",
+        columns=("method", "base kg", "place cm", "force N", "torque N m", "offset of others N", "bare N"),
+        rows=tuple(lines),
+        note="Refused by default: " + " Then: ".join(optical_refusals(recording)),
+    )
+
+
+def main() -> None:
+    folder = Path(os.environ.get("SUREFOOT_DATA") or ".")
+    if not (folder / "ft" / "printed_ft_8ch.npz").is_file():
+        sys.exit("SUREFOOT_DATA names no folder with 'ft/printed_ft_8ch.npz'; it is not part of surefoot.")
+    Console().print(optical_table(folder).to_rich())
+
+
+if __name__ == "__main__":
+    main()

@@ -12,8 +12,7 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from surefoot.experiments.in_situ._columns import Columns
-from surefoot.experiments.in_situ._config import InSituConfig
+from surefoot.experiments.force_torque.config import Columns, InSituConfig
 from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["Names", "Samples", "read_samples"]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import surefoot
-from surefoot.experiments.in_situ.figures import force_ellipsoids, raw_ellipsoids, residuals_over_time
-from surefoot.experiments.in_situ.tables import (
+from surefoot.experiments.force_torque.figures import force_ellipsoids, raw_ellipsoids, residuals_over_time
+from surefoot.experiments.force_torque.tables import (
     Calibrated,
     limb_table,
     matrix_table,

@@ -1,6 +1,8 @@
 """The sample log of in-situ calibration that ships with the package: the iCub's leg on its stand, simulated.
 
-``python -m surefoot.experiments.in_situ.sample`` makes it anew. Its sensor is the leg's FTSens with all its
+    python benchmarks/in_situ_sample.py
+
+makes it again. Its sensor is the leg's FTSens with all its
 errors, whose maker's matrix, long outdated, goes with the log as the factory matrix; its IMU is that of a
 small robot after its zeros were taken. What the simulator knew is in neither file.
 """
@@ -12,12 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from surefoot.experiments.in_situ.calibrate import SAMPLE
-from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig
+from surefoot.envs.leg_rig.recording import RigRecording, record_rig
+from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
-
-__all__ = ["SampleTruth", "make_sample", "write_sample"]
 
 RATE = 10.0
 DURATION = 60.0

@@ -29,14 +29,14 @@ from surefoot.envs.plate import SolePlate
 from surefoot.sensors.devices.load_cells import LoadCells, LoadCellState, load_cells, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
-__all__ = ["BenchPlacements", "BenchReport", "BenchSetup", "run_bench"]
+__all__ = ["Placements", "WeighingReport", "WeighingSetup", "run_weighing"]
 
 _STREAM = 7001
 """Keeps the bench's randomness apart from every other stream with the same seed."""
 
 
 @dataclass(frozen=True)
-class BenchSetup:
+class WeighingSetup:
     """What stands on the bench, and how carefully."""
 
     channel_loads: tuple[float, ...] = (0.0, 0.001, 0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 4.0, 6.0)
@@ -86,7 +86,7 @@ class BenchSetup:
 
 
 @dataclass(frozen=True, eq=False)
-class BenchPlacements:
+class Placements:
     """Weighings of one foot at holes that its fit never saw.
 
     Attributes:
@@ -107,7 +107,7 @@ class BenchPlacements:
 
 
 @dataclass(frozen=True, eq=False)
-class BenchReport:
+class WeighingReport:
     """What the bench found.
 
     Attributes:
@@ -128,7 +128,7 @@ class BenchReport:
     corrections: tuple[CopCorrectionFit, CopCorrectionFit]
     initial: PlacementScore
     calibrated: PlacementScore
-    held_out: tuple[BenchPlacements, BenchPlacements]
+    held_out: tuple[Placements, Placements]
 
 
 @dataclass(eq=False)
@@ -137,7 +137,7 @@ class _Cells:
 
     config: LoadCells
     state: LoadCellState
-    setup: BenchSetup
+    setup: WeighingSetup
     rng: np.random.Generator
     bow: NDArray[np.float64] = field(init=False)
 
@@ -158,14 +158,14 @@ class _Cells:
         return mean
 
 
-def run_bench(
-    setup: BenchSetup | None = None,
+def run_weighing(
+    setup: WeighingSetup | None = None,
     cells: LoadCells = HX711_LOAD_CELLS,
     *,
     state: LoadCellState | None = None,
     layout: FeetLayout | None = None,
     seed: int = 0,
-) -> BenchReport:
+) -> WeighingReport:
     """Calibrate a robot's load cells on the bench.
 
     Args:
@@ -182,7 +182,7 @@ def run_bench(
     Raises:
         ValueError: If a foot does not have four cells, or there are fewer holes than asked for.
     """
-    setup = BenchSetup() if setup is None else setup
+    setup = WeighingSetup() if setup is None else setup
     layout = nao_shoe_layout() if layout is None else layout
     if cells.channels != layout.channels:
         raise ValueError(f"The layout has {layout.channels} cells, but 'cells' describes {cells.channels}.")
@@ -209,7 +209,7 @@ def run_bench(
         before, after = (part.force(raw)[held_out][:, where] for part in (nominal, channels.value))
         initial.append(fit.score(before, load[held_out], hole[held_out]))
         placements.append(
-            BenchPlacements(
+            Placements(
                 hole=hole[held_out],
                 load=load[held_out],
                 cop_initial=cop_of_cells(before, _positions(foot)),
@@ -218,7 +218,7 @@ def run_bench(
                 vgrf_calibrated=after.sum(axis=1),
             )
         )
-    return BenchReport(
+    return WeighingReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
         channel_code=code,
@@ -239,7 +239,7 @@ def _positions(foot: FootLayout) -> NDArray[np.float64]:
 
 
 def _place(
-    setup: BenchSetup, foot: FootLayout, rng: np.random.Generator
+    setup: WeighingSetup, foot: FootLayout, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
     """Put every weight at every chosen hole of one foot.
 

@@ -9,11 +9,12 @@ C 32767, which map counts as shares of the converter's 32767 to shares of the fu
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.study.files import atomic_path
 
-__all__ = ["ICUB_COUNTS", "icub_text", "read_icub_text", "read_matrix"]
+__all__ = ["icub_text", "read_icub_matrix", "read_icub_text", "read_matrix", "write_icub_matrix"]
 
 ICUB_COUNTS = 32767.0
 """Counts at the end of an FTSens's converter."""
@@ -115,3 +116,35 @@ def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | 
     if not np.isfinite(matrix).all():
         raise LogError(f"{path.name}: the factory matrix has an entry that is not finite; write all of it.")
     return matrix, None
+
+
+def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> Path:
+    """Write C as the iCub's FTSens reads it; offset and covariance are not in that format.
+
+    Args:
+        matrix: C in N and N m per count, shape (6, 6).
+        full_scale: Of the sensor in whole N and N m, shape (6,).
+        path: Where.
+
+    Raises:
+        ValueError: If the sensor has other than six channels, or an entry, as a share of full scale per 32767
+            counts, is not in [-1, 1).
+    """
+    text = icub_text(np.asarray(matrix), np.asarray(full_scale))
+    with atomic_path(path) as part:
+        part.write_bytes(text.encode("ascii"))
+    return path
+
+
+def read_icub_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read C and the full scales from an FTSens file.
+
+    Returns:
+        C in N and N m per count, shape (6, 6), and the full scales in N and N m, shape (6,).
+
+    Raises:
+        LogError: If the file is not there or not of the format.
+    """
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; give an FTSens matrix of 43 lines.")
+    return read_icub_text(path.read_text(encoding="utf-8", errors="replace"), path.name)

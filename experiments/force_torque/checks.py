@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.in_situ._config import InSituConfig
-from surefoot.experiments.in_situ._table import Samples
+from surefoot.experiments.force_torque.config import InSituConfig
+from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.checks import LogError
 
 __all__ = [

@@ -12,15 +12,11 @@ from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import KnownLimb
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.in_situ.export import (
-    write_icub_matrix,
-    write_json,
-    write_ros2_parameters,
-    write_yaml,
-)
-from surefoot.experiments.in_situ.log import InSituConfig, InSituLog, read_in_situ_log
-from surefoot.experiments.in_situ.page import InSituPage
-from surefoot.experiments.in_situ.tables import Calibrated
+from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
+from surefoot.experiments.force_torque.icub import write_icub_matrix
+from surefoot.experiments.force_torque.log import InSituConfig, InSituLog, read_in_situ_log
+from surefoot.experiments.force_torque.page import InSituPage
+from surefoot.experiments.force_torque.tables import Calibrated
 from surefoot.experiments.study.tables import Table
 
 __all__ = ["SAMPLE", "CalibratedSensor", "calibrate_in_situ_log"]

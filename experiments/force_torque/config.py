@@ -13,14 +13,98 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu.accelerometer import AccelerometerModel
 from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.experiments.in_situ._columns import Columns, check_column_names
-from surefoot.experiments.in_situ._matrix import read_matrix
-from surefoot.experiments.in_situ._units import UNITS, Units
+from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.logs.checks import LogError
 
-__all__ = ["AddedMass", "InSituConfig", "read_config"]
+__all__ = ["AddedMass", "Columns", "InSituConfig", "read_config"]
+
+_VECTORS = ("specific_force", "gravity", "angular_velocity", "added_com")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Names of the table's columns; ``None`` where the default name, or a pattern, finds them."""
+
+    time: str | None = None
+    """Empty for samples without an order in time."""
+    set: str | None = None
+    raw: tuple[str, ...] | None = None
+    specific_force: tuple[str, ...] | None = None
+    gravity: tuple[str, ...] | None = None
+    angular_velocity: tuple[str, ...] | None = None
+    temperature: str | None = None
+    added_mass: str | None = None
+    added_com: tuple[str, ...] | None = None
+
+
+def check_column_names(key: str, value: Any, file: str) -> None:
+    """Check what was given for a field of :class:`Columns`.
+
+    Args:
+        key: The field.
+        value: A name, or names.
+        file: Where it was given, for messages.
+
+    Raises:
+        LogError: If it is no name, or not as many names as the field asks for.
+    """
+    if key in ("raw", *_VECTORS):
+        if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
+            raise LogError(f"{file}: columns of '{key}' must be a list of names, got {value!r}.")
+        if key == "raw" and len(value) < 6:
+            raise LogError(
+                f"{file}: columns of 'raw' name {len(value)} channels ({', '.join(value)}), and a six-axis "
+                "sensor has at least 6; name them all."
+            )
+        if key != "raw" and len(value) != 3:
+            raise LogError(
+                f"{file}: columns of '{key}' must be three (x, y, z), got {len(value)}: {', '.join(value)}."
+            )
+    elif not isinstance(value, str):
+        raise LogError(f"{file}: the column of '{key}' must be a name, got {value!r}.")
+
+
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_ACCELERATION = {"m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY}
+_ANGULAR_VELOCITY = {"rad/s": 1.0, "deg/s": float(np.pi / 180.0)}
+_TEMPERATURE = {"degC": 0.0, "K": -273.15}
+
+UNITS = {
+    "time": _TIME,
+    "acceleration": _ACCELERATION,
+    "angular_velocity": _ANGULAR_VELOCITY,
+    "temperature": _TEMPERATURE,
+}
+"""What each unit that a configuration may name is worth in SI, by the fields of :class:`Units`."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """What one unit of a column is worth in SI."""
+
+    time: str = "s"
+    acceleration: str = "m/s^2"
+    angular_velocity: str = "rad/s"
+    temperature: str = "degC"
+
+    @property
+    def second(self) -> float:
+        return _TIME[self.time]
+
+    @property
+    def metre_per_second_squared(self) -> float:
+        return _ACCELERATION[self.acceleration]
+
+    @property
+    def radian_per_second(self) -> float:
+        return _ANGULAR_VELOCITY[self.angular_velocity]
+
+    @property
+    def zero_celsius(self) -> float:
+        return _TEMPERATURE[self.temperature]
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from surefoot.envs.leg_rig.env import LegRigEnv
+from surefoot.envs.leg_rig.recording import RigRecording, record_rig, sweep, swing
 from surefoot.envs.leg_rig.spec import ADDED_MASSES, HIP_RANGE
-from surefoot.experiments.in_situ.rig_record import RigRecording, record_rig, sweep, swing
 
 SHORT = {"duration": 100.0, "rate": 10.0}
 

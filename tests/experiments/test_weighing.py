@@ -9,11 +9,11 @@ import pytest
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.demo.paper_tables import TABLE_2, TABLE_3
-from surefoot.experiments.weights.bench import BenchSetup, run_bench
+from surefoot.experiments.weights.weighing import WeighingSetup, run_weighing
 from surefoot.sensors.devices.load_cells import load_cells, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS
 
-IDEAL = BenchSetup(cell_position_std=0.0, nonlinearity=0.0, hole_play=0.0, readings=1)
+IDEAL = WeighingSetup(cell_position_std=0.0, nonlinearity=0.0, hole_play=0.0, readings=1)
 
 
 def test_the_paper_s_coefficients_follow_from_its_counts():
@@ -24,7 +24,7 @@ def test_the_paper_s_coefficients_follow_from_its_counts():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_reaches_the_paper_s_table_3_on_holes_never_fitted(seed):
-    report = run_bench(seed=seed)
+    report = run_weighing(seed=seed)
     assert report.calibrated.cop <= TABLE_3["calibrated"].cop
     assert report.calibrated.vgrf <= TABLE_3["calibrated"].vgrf
     # By the data sheet's map it is off by centimetres and newtons, and the correction earns its keep.
@@ -36,7 +36,7 @@ def test_reaches_the_paper_s_table_3_on_holes_never_fitted(seed):
 
 
 def test_perfect_cells_on_a_perfect_plate_need_nothing():
-    report = run_bench(IDEAL, PERFECT_LOAD_CELLS)
+    report = run_weighing(IDEAL, PERFECT_LOAD_CELLS)
     assert report.calibrated.cop_raw < 1e-12
     assert report.calibrated.cop < 1e-9
     assert report.initial.vgrf < 1e-9
@@ -45,7 +45,7 @@ def test_perfect_cells_on_a_perfect_plate_need_nothing():
 
 def test_finds_the_cells_that_it_was_given():
     state = load_cells(HX711_LOAD_CELLS).init((8,), np.random.default_rng(71))
-    report = run_bench(replace(IDEAL, readings=80), state=state)
+    report = run_weighing(replace(IDEAL, readings=80), state=state)
     scale, offset = true_map(HX711_LOAD_CELLS, state)
     load = np.array([0.0, 10.0, 50.0])[:, None]
     np.testing.assert_allclose(
@@ -56,7 +56,7 @@ def test_finds_the_cells_that_it_was_given():
 def test_without_noise_the_cells_are_found_to_the_last_digits():
     exact = replace(HX711_LOAD_CELLS, adc_bits=0, input_noise=0.0)
     state = load_cells(exact).init((8,), np.random.default_rng(72))
-    report = run_bench(IDEAL, exact, state=state)
+    report = run_weighing(IDEAL, exact, state=state)
     scale, offset = true_map(exact, state)
     np.testing.assert_allclose(report.channels.value.scale, scale, rtol=1e-9)
     np.testing.assert_allclose(report.channels.value.offset, offset, atol=1e-9)
@@ -64,19 +64,19 @@ def test_without_noise_the_cells_are_found_to_the_last_digits():
 
 
 def test_the_correction_takes_out_what_sits_in_the_wrong_place():
-    crooked = run_bench(BenchSetup(cell_position_std=3e-3))
+    crooked = run_weighing(WeighingSetup(cell_position_std=3e-3))
     assert crooked.calibrated.cop_raw > 1e-3
     assert crooked.calibrated.cop < 3e-4
 
 
 def test_cells_that_drift_while_they_are_calibrated_spoil_the_bench():
-    report = run_bench(BenchSetup(seconds_per_weighing=10.0))
+    report = run_weighing(WeighingSetup(seconds_per_weighing=10.0))
     assert report.calibrated.cop > 20 * TABLE_3["calibrated"].cop
     assert report.calibrated.vgrf > 20 * TABLE_3["calibrated"].vgrf
 
 
 def test_the_same_seed_is_the_same_bench():
-    one, same, other = run_bench(seed=3), run_bench(seed=3), run_bench(seed=4)
+    one, same, other = run_weighing(seed=3), run_weighing(seed=3), run_weighing(seed=4)
     np.testing.assert_array_equal(one.channel_code, same.channel_code)
     assert one.calibrated == same.calibrated
     assert one.calibrated != other.calibrated
@@ -93,17 +93,17 @@ def test_the_same_seed_is_the_same_bench():
 )
 def test_refuses_a_bench_that_cannot_be_built(changes, message):
     with pytest.raises(ValueError, match=re.escape(message)):
-        BenchSetup(**changes)
+        WeighingSetup(**changes)
 
 
 def test_refuses_feet_that_do_not_fit_the_bench():
     with pytest.raises(
         ValueError, match=re.escape("The plate of foot 'left' has 180 holes, but 300 were asked for.")
     ):
-        run_bench(BenchSetup(fitted_holes=280))
+        run_weighing(WeighingSetup(fitted_holes=280))
     with pytest.raises(ValueError, match="The layout has 8 cells, but 'cells' describes 4"):
-        run_bench(cells=replace(HX711_LOAD_CELLS, channels=4))
+        run_weighing(cells=replace(HX711_LOAD_CELLS, channels=4))
     left, right = nao_shoe_layout().feet
     sensor = FootLayout("right", right.wrench_map, right.channel_names)
     with pytest.raises(ValueError, match="needs four load cells a foot, but foot 'right' has none or others"):
-        run_bench(layout=FeetLayout((left, sensor)))
+        run_weighing(layout=FeetLayout((left, sensor)))

@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surefoot.experiments.in_situ._space import draw_shell, few_ticks
-from surefoot.experiments.in_situ.score import force_ellipsoid
-from surefoot.experiments.in_situ.tables import Calibrated
+from surefoot.experiments.force_torque.ellipsoids import draw_shell, few_ticks
+from surefoot.experiments.force_torque.score import force_ellipsoid
+from surefoot.experiments.force_torque.tables import Calibrated
 from surefoot.experiments.study.canvas import figure_at, grid_of
 from surefoot.experiments.study.style import Look, look_of
 

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.experiments.in_situ._checks import contiguous
-from surefoot.experiments.in_situ._table import Samples
+from surefoot.experiments.force_torque.checks import contiguous
+from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.checks import LogError
 
 __all__ = ["check_acceleration", "check_against_factory", "check_spin"]

@@ -1,0 +1,1 @@
+"""Calibrate a six-axis force-torque sensor from the log of a robot (docs/in-situ-log.md)."""
