@@ -22,7 +22,7 @@ from surefoot.sensors.devices.strain_gauges import (
     true_response,
 )
 from surefoot.sensors.faults.channels import Fault, FaultState, apply_faults, channel_faults
-from surefoot.sensors.faults.schedule import CELLS, FEET, cell_names, parse_fault
+from surefoot.sensors.faults.words import CELLS, FEET, cell_names, parse_fault
 from surefoot.sensors.presets import (
     ATI_MINI45,
     BAR_CELLS_ON_HX711,
@@ -37,28 +37,30 @@ from surefoot.sensors.presets import (
     PRESETS,
     preset,
     resolve,
+    sized,
 )
 from surefoot.sensors.severity import scaled
-from surefoot.sensors.size import sized
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE, drift, gain, gain_drift, offset
+from surefoot.sensors.stages.clock import ClockState, sample_and_hold
+from surefoot.sensors.stages.converter import noise_density, quantize, saturate, white_noise
 from surefoot.sensors.stages.creep import CreepState, creep
-from surefoot.sensors.stages.drift import PER_SQRT_MINUTE, drift, gain_drift
-from surefoot.sensors.stages.gain import gain, offset
 from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
 from surefoot.sensors.stages.mechanics import Mechanics, MechanicsState, mechanics
 from surefoot.sensors.stages.mounting import MountingState, mounting
 from surefoot.sensors.stages.moving_average import MovingAverageState, moving_average
-from surefoot.sensors.stages.noise import noise_density, white_noise
 from surefoot.sensors.stages.nonlinearity import NonlinearityState, drawn_nonlinearity, nonlinearity
 from surefoot.sensors.stages.overload import OverloadState, overload
-from surefoot.sensors.stages.quantize import quantize, saturate
 from surefoot.sensors.stages.temperature import ThermalState, thermal_drift
-from surefoot.sensors.transport.burst_gaps import GapState, burst_gaps
-from surefoot.sensors.transport.clock import ClockState, sample_and_hold
+from surefoot.sensors.transport.errors import (
+    GapState,
+    RepeatState,
+    burst_gaps,
+    spikes,
+    stale_repeats,
+    wrong_words,
+)
 from surefoot.sensors.transport.link import Link, Packet, latency, receive, send
-from surefoot.sensors.transport.spikes import spikes
-from surefoot.sensors.transport.stale_repeats import RepeatState, stale_repeats
 from surefoot.sensors.transport.wire import Wire, WireState, check_wire, wire
-from surefoot.sensors.transport.wrong_words import wrong_words
 
 __all__ = [
     "ATI_MINI45",

@@ -1,8 +1,8 @@
 """A sensor is a chain of small corruptions, each a pair of pure functions.
 
-``init`` draws what a device keeps from power-up on (its gain, its zero, the phase of its clock), and
-``apply`` passes one reading on. State is a value and randomness an argument: an old state stays what
-it was, and what is constant over an episode cannot become a random walk over episodes.
+``init`` draws what a device keeps from power-up on (its scale, its offset, the phase of its clock), and
+``apply`` passes one reading on. State is a value and randomness an argument: an old state stays as it was,
+and what is constant over an episode cannot become a random walk over episodes.
 
 Every stage is written on the array API standard: NumPy arrays with a :class:`numpy.random.Generator`,
 or torch tensors with a ``torch.Generator``; any leading batch dimensions; float32 or float64, which the
@@ -34,14 +34,14 @@ class Corruption(NamedTuple, Generic[State]):
     apply: Callable[[Array, State, Rng, float], tuple[Array, State]]
 
 
-def stateless(function: Callable[[Array, Rng], Array]) -> Corruption[tuple[()]]:
-    """Make a corruption of a function of the reading (and of chance) alone."""
+def stateless(function: Callable[[Array, Rng, float], Array]) -> Corruption[tuple[()]]:
+    """Make a corruption of ``function(reading, rng, dt)``, which remembers nothing."""
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> tuple[()]:
         return ()
 
     def apply(reading: Array, state: tuple[()], rng: Rng, dt: float) -> tuple[Array, tuple[()]]:
-        return function(reading, rng), state
+        return function(reading, rng, dt), state
 
     return Corruption(init, apply)
 
@@ -71,17 +71,3 @@ def chain(*corruptions: Corruption[Any]) -> Corruption[tuple[Any, ...]]:
         return reading, tuple(states)
 
     return Corruption(init, apply)
-
-
-def check_not_negative(**values: float) -> None:
-    """Refuse a spread or a density below zero (or one that is no number), naming it."""
-    for name, value in values.items():
-        if not value >= 0.0 or value == float("inf"):
-            raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
-
-
-def check_whole(**values: int) -> None:
-    """Refuse what is no positive whole number, naming it."""
-    for name, value in values.items():
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise ValueError(f"'{name}' must be a positive whole number, got {value!r}.")

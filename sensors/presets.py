@@ -1,7 +1,8 @@
-"""Devices by their names."""
+"""Devices by their names, and load cells for robots of other weights."""
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any, Final, TypeVar
 
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.devices.encoders import Encoders
@@ -9,12 +10,15 @@ from surefoot.sensors.devices.force_torque import ForceTorque
 from surefoot.sensors.devices.imu import Imu
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN142, StrainGauges
-from surefoot.sensors.stages.drift import PER_SQRT_MINUTE
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.mechanics import Mechanics
 from surefoot.sensors.transport.link import Link
 from surefoot.sensors.transport.wire import Wire
 
 Config = TypeVar("Config")
+
+REFERENCE_WEIGHT: Final = 5.305 * 9.81
+"""Weight in N of a NAO, the robot for which the load cells below have their sizes."""
 
 HX711_LOAD_CELLS = LoadCells()
 """Eight uncalibrated cells of 98.1 N and 1 mV/V on HX711 chips at gain 128 and nominally 80 SPS."""
@@ -246,4 +250,40 @@ def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config]) -> Con
         return from_mapping(kind, config)
     raise TypeError(
         f"Give the name of a preset, a mapping or a {kind.__name__}, got {type(config).__name__}."
+    )
+
+
+def sized(config: LoadCells, weight: float) -> LoadCells:
+    """Choose cells of the same kind for a robot of another weight.
+
+    All that is given in newtons goes with the weight: capacity, zeros with their drift and temperature
+    coefficient, what impacts do to them, and the change of load that counts as an impact. What is relative
+    stays; noise and rounding are shares of the range, so they go along.
+
+    Args:
+        config: Cells as they would be under a NAO of 52 N; it is not changed.
+        weight: Weight of the robot in N.
+
+    Raises:
+        ValueError: If the weight is not positive and finite.
+
+    >>> cells = sized(LoadCells(), 33.3 * 9.81)
+    >>> round(cells.capacity), round(cells.initial_zero_std, 1), cells.initial_gain_std
+    (616, 9.4, 0.12)
+    """
+    if not 0.0 < weight < float("inf"):
+        raise ValueError(f"'weight' must be finite and positive, in N, got {weight}.")
+    factor, mechanics = float(weight) / REFERENCE_WEIGHT, config.mechanics
+    return replace(
+        config,
+        capacity=config.capacity * factor,
+        initial_zero_std=config.initial_zero_std * factor,
+        zero_drift=config.zero_drift * factor,
+        zero_tempco=config.zero_tempco * factor,
+        mechanics=replace(
+            mechanics,
+            mounting_warp_std=mechanics.mounting_warp_std * factor,
+            mounting_common_std=mechanics.mounting_common_std * factor,
+            impact_threshold=mechanics.impact_threshold * factor,
+        ),
     )

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from surefoot.sensors._arrays import cast_like, namespace
+from surefoot.sensors.arrays import cast_like, namespace
 from surefoot.sensors.corruption import Array, Corruption
 
 State = TypeVar("State")

@@ -6,9 +6,8 @@ from typing import Any
 
 from surefoot.sensors.configuration import require, require_not_negative
 from surefoot.sensors.corruption import Corruption, chain
-from surefoot.sensors.stages.drift import drift
-from surefoot.sensors.stages.noise import white_noise
-from surefoot.sensors.stages.quantize import quantize
+from surefoot.sensors.stages.affine import drift
+from surefoot.sensors.stages.converter import quantize, white_noise
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,9 @@ N m and noise :math:`n`. The map that undoes it is the in-situ paper's
 .. math:: w = C (s - o), \qquad C = (I + D E D^{-1})^{-1} K^{-1}, \quad o = K z.
 
 Channels are (fx, fy, fz, tx, ty, tz) of one sensor after the other. The codes reach the host over a wire
-(:mod:`surefoot.sensors.transport.wire`). Creep, hysteresis, temperature and crossed gauges are the part of
-:func:`~surefoot.sensors.devices.strain_gauges`, the finer model of the same kind of sensor; its converters,
-of
-100 readings a second and more, all convert at once, so that none has a clock here.
+(:mod:`surefoot.sensors.transport.wire`). The converters read all axes at once, 100 times a second and more:
+none has a clock here. :mod:`surefoot.sensors.devices.strain_gauges` is the finer model of the same kind of
+sensor, with creep, hysteresis, temperature and crossed gauges.
 """
 
 from dataclasses import dataclass
@@ -27,11 +26,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal
-from surefoot.sensors.stages.drift import PER_SQRT_MINUTE
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.transport.wire import DIRECT, Wire, wire
 
 AXES = 6
@@ -189,7 +188,7 @@ class ForceTorqueState(NamedTuple):
         error: E, relative errors of the gains on the diagonal and cross-talk in shares of the full scales
             beside it (row: what reads, column: what is felt), shape (..., sensors, 6, 6).
         zero: z in N and N m, shape (..., sensors, 6).
-        wire: A :class:`~surefoot.sensors.WireState`; ``()`` where nothing happens to codes.
+        wire: A :class:`~surefoot.sensors.transport.wire.WireState`; ``()`` where nothing happens to codes.
     """
 
     error: Array

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import require, require_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal

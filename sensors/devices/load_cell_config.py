@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
-from surefoot.sensors.stages.drift import PER_SQRT_MINUTE
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.mechanics import CELLS_OF_A_FOOT, IDEAL, Mechanics
 from surefoot.sensors.transport.wire import DIRECT, Wire
 

@@ -21,18 +21,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.corruption import Array, Corruption, Rng, chain
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.randomness import filled, normal
-from surefoot.sensors.stages.drift import drift, gain_drift
-from surefoot.sensors.stages.gain import gain, offset
-from surefoot.sensors.stages.mechanics import bent, mechanics, shifted_zero
-from surefoot.sensors.stages.moving_average import moving_average
-from surefoot.sensors.stages.noise import white_noise
-from surefoot.sensors.stages.quantize import quantize, saturate
-from surefoot.sensors.stages.temperature import thermal_drift, warmed
-from surefoot.sensors.transport.clock import (
+from surefoot.sensors.stages.affine import drift, gain, gain_drift, offset
+from surefoot.sensors.stages.clock import (
     init_clock,
     init_window,
     interpolate,
@@ -41,6 +35,10 @@ from surefoot.sensors.transport.clock import (
     sample_and_hold,
     settle,
 )
+from surefoot.sensors.stages.converter import quantize, saturate, white_noise
+from surefoot.sensors.stages.mechanics import bent, mechanics, shifted_zero
+from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.temperature import thermal_drift, warmed
 from surefoot.sensors.transport.wire import WireState, wire
 
 __all__ = [
@@ -66,10 +64,10 @@ class LoadCellState(NamedTuple):
         thermal: For cells that warm up, shape (3, ..., K): what a kelvin adds to each of the two errors, in
             1/K and N/K, and the rise of the temperature since power-up in K; empty, shape (0,), for others.
         window: For converters that average, their last conversions in N (see
-            :func:`~surefoot.sensors.transport.clock.settle`; without a clock a
-            :class:`~surefoot.sensors.MovingAverageState`); ``()`` for others.
-        mechanics: A :class:`~surefoot.sensors.MechanicsState`; ``()`` where nothing happens to loads.
-        wire: A :class:`~surefoot.sensors.WireState`; ``()`` where nothing happens to codes.
+            :func:`~surefoot.sensors.stages.clock.settle`; without a clock a
+            :class:`~surefoot.sensors.stages.moving_average.MovingAverageState`); ``()`` for others.
+        mechanics: What the spring elements remember; ``()`` where nothing happens to loads.
+        wire: What is on the wire; ``()`` where nothing happens to codes.
     """
 
     period: Array
@@ -90,7 +88,7 @@ _OWN = LoadCellState._fields[:6]
 def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     """Build load cells from the single stages: the definition that :func:`load_cells` is tested against.
 
-    With a clock the reading is a block of substeps (see :func:`~surefoot.sensors.sample_and_hold`).
+    With a clock the reading is a block of substeps (see :mod:`~surefoot.sensors.stages.clock`).
     """
     element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
     bridge: list[Corruption[Any]] = [

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.creep import check_creep
-from surefoot.sensors.stages.drift import PER_SQRT_MINUTE
 
 AXES = 6
 """Components of a wrench, (fx, fy, fz, tx, ty, tz)."""
@@ -84,7 +84,7 @@ class StrainGauges:
 
     hysteresis: float = 0.01
     """Width of a loop at mid-load over the load's peak-to-peak swing (see
-    :func:`~surefoot.sensors.stages.hysteresis`)."""
+    :func:`~surefoot.sensors.stages.hysteresis.hysteresis`)."""
 
     hysteresis_of: str = "load"
     """What lags: ``"load"``, each component of the wrench behind its own swing, or ``"gauges"``, each gauge

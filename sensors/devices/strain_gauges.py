@@ -27,8 +27,9 @@ import numpy as np
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import Table, cast_like, limit, namespace, round_off
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.configuration import check_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
 from surefoot.sensors.randomness import filled, normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep

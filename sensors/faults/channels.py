@@ -24,8 +24,8 @@ from array_api_compat import array_namespace
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import Table, cast_like, limit, round_off
-from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.arrays import Table, cast_like, limit, round_off
+from surefoot.sensors.configuration import is_whole, require, require_not_negative, require_positive
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled, uniform
 
@@ -87,7 +87,7 @@ class Fault:
     def __post_init__(self) -> None:
         """Refuse what cannot happen."""
         require(self.kind in KINDS, self, "kind", f"be one of {KINDS}")
-        require(_is_number(self.channel), self, "channel", "be a whole number from 0")
+        require(is_whole(self.channel) and self.channel >= 0, self, "channel", "be a whole number from 0")
         require_not_negative(self, "start", "burst")
         require_positive(self, "rate", "size")
         if self.stop is not None:
@@ -98,7 +98,7 @@ class Fault:
         require(0.0 < self.probability <= 1.0, self, "probability", "lie above 0 and at most at 1")
         swaps = self.kind == "swapped"
         require(
-            (_is_number(self.other) and self.other != self.channel) if swaps else self.other is None,
+            (is_whole(self.other) and 0 <= self.other != self.channel) if swaps else self.other is None,
             self,
             "other",
             "name another channel" if swaps else f"be None for a channel that is {self.kind}",
@@ -294,7 +294,3 @@ def _check(
             "level",
             "be given for an instrument without a converter, which has no rail",
         )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from math import expm1, isfinite
 from typing import Any, NamedTuple
 
-from surefoot.sensors._arrays import cast_like, namespace
+from surefoot.sensors.arrays import cast_like, namespace
 from surefoot.sensors.configuration import require
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled

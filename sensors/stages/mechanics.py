@@ -1,18 +1,16 @@
 """What happens to a load before a bridge turns it into a voltage: the metal's part of a load cell.
 
-In the order in which it is applied: the characteristic bends
-(:func:`~surefoot.sensors.drawn_nonlinearity`), the element lags (:func:`~surefoot.sensors.stages.hysteresis`)
-and
-goes on yielding (:func:`~surefoot.sensors.stages.creep`), the foot braces itself anew at impacts
-(:func:`~surefoot.sensors.stages.mounting`), and what was bent too far stays so
-(:func:`~surefoot.sensors.stages.overload`).
+In this order: the characteristic bends (:mod:`~surefoot.sensors.stages.nonlinearity`), the element lags
+(:mod:`~surefoot.sensors.stages.hysteresis`) and creeps (:mod:`~surefoot.sensors.stages.creep`), impacts move
+the offsets of a foot's cells (:mod:`~surefoot.sensors.stages.mounting`), and so does an overload
+(:mod:`~surefoot.sensors.stages.overload`).
 Every part is off where its field is zero, costs nothing then and draws nothing.
 """
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from surefoot.sensors._arrays import namespace
+from surefoot.sensors.arrays import namespace
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.stages.creep import check_creep, creep
@@ -100,11 +98,11 @@ class MechanicsState(NamedTuple):
     """Spring elements in use; ``()`` for every part that is off.
 
     Attributes:
-        nonlinearity: A :class:`~surefoot.sensors.NonlinearityState`.
-        hysteresis: A :class:`~surefoot.sensors.HysteresisState`.
-        creep: A :class:`~surefoot.sensors.CreepState`.
-        mounting: A :class:`~surefoot.sensors.MountingState`.
-        overload: An :class:`~surefoot.sensors.OverloadState`.
+        nonlinearity: A :class:`~surefoot.sensors.stages.nonlinearity.NonlinearityState`.
+        hysteresis: A :class:`~surefoot.sensors.stages.hysteresis.HysteresisState`.
+        creep: A :class:`~surefoot.sensors.stages.creep.CreepState`.
+        mounting: A :class:`~surefoot.sensors.stages.mounting.MountingState`.
+        overload: An :class:`~surefoot.sensors.stages.overload.OverloadState`.
     """
 
     nonlinearity: Any

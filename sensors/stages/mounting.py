@@ -15,10 +15,11 @@ files of ezc3d); how far one impact of a robot's foot goes nobody has published:
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from surefoot.sensors._arrays import Table, cast_like, namespace
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.arrays import Table, cast_like, namespace
+from surefoot.sensors.configuration import check_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled, normal
-from surefoot.sensors.transport.rare import change_rows
+from surefoot.sensors.rare import change_rows
 
 WARP = (1, -1, -1, 1)
 """Signs of the warp for (front-left, front-right, rear-left, rear-right)."""

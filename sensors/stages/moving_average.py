@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors._arrays import cast_like, namespace, on_host
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_whole
+from surefoot.sensors.arrays import cast_like, namespace, on_host
+from surefoot.sensors.configuration import check_whole
+from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled
 
 
@@ -43,7 +44,7 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
         order: How many times m.
         blocks: Whether a reading is a block of substeps, shape (..., S, K), as a stage with a clock takes
             it: each substep is filtered and the result is a block again, so that the filter can stand before
-            :func:`~surefoot.sensors.devices.load_cells` or :func:`~surefoot.sensors.sample_and_hold`.
+            load cells or :mod:`~surefoot.sensors.stages.clock`.
 
     Raises:
         ValueError: If a number is not a positive whole one.

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors._arrays import Table, cast_like, limit
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative, stateless
+from surefoot.sensors.arrays import Table, cast_like, limit
+from surefoot.sensors.configuration import check_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
 from surefoot.sensors.randomness import uniform
 
 CUBIC_PEAK = 1.5 * 3.0**0.5
@@ -60,7 +61,7 @@ def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) 
         )
     first, second, scales = Table(a * scale), Table(b * scale), Table(scale)
 
-    def bend(reading: Array, rng: Rng) -> Array:
+    def bend(reading: Array, rng: Rng, dt: float) -> Array:
         u = limit(reading / scales.like(reading), -1.0, 1.0)
         return reading + u * (1.0 - u) * (first.like(reading) + second.like(reading) * (1.0 + u))
 

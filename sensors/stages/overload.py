@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors._arrays import Table, cast_like, limit, namespace, on_host
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.arrays import Table, cast_like, limit, namespace, on_host
+from surefoot.sensors.configuration import check_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled
 
 

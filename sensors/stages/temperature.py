@@ -9,8 +9,9 @@ that the errors of the moment are in one place.
 from math import exp
 from typing import Any, NamedTuple
 
-from surefoot.sensors._arrays import cast_like
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_not_negative
+from surefoot.sensors.arrays import cast_like
+from surefoot.sensors.configuration import check_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled, normal
 
 

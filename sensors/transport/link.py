@@ -12,7 +12,7 @@ import numpy as np
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import cast_like, limit, namespace
+from surefoot.sensors.arrays import cast_like, limit, namespace
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled, normal

@@ -1,12 +1,9 @@
 """What happens to a code between a converter and the host: on its wire, its bus and its radio.
 
-In the order in which it is applied: spikes couple into the converter
-(:func:`~surefoot.sensors.transport.spikes`), bits
-of words turn over (:func:`~surefoot.sensors.transport.wrong_words`), a reader repeats what it has
-(:func:`~surefoot.sensors.transport.stale_repeats`), packets get lost, alone and in bursts
-(:func:`~surefoot.sensors.transport.burst_gaps`), and the others come late
-(:func:`~surefoot.sensors.latency`). What is
-lost is NaN. Every part is off where its field is zero, costs nothing then and draws nothing.
+In this order: spikes couple into the converter, bits of words turn over, a reader repeats what it has,
+packets get lost, alone and in bursts (:mod:`~surefoot.sensors.transport.errors`), and the others come late
+(:mod:`~surefoot.sensors.transport.link`). What is lost is NaN. Every part is off where its field is zero,
+costs nothing then and draws nothing.
 """
 
 from dataclasses import dataclass
@@ -17,11 +14,8 @@ from numpy.typing import ArrayLike
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.transport.burst_gaps import burst_gaps
+from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
 from surefoot.sensors.transport.link import latency
-from surefoot.sensors.transport.spikes import spikes
-from surefoot.sensors.transport.stale_repeats import stale_repeats
-from surefoot.sensors.transport.wrong_words import wrong_words
 
 ALONE = 1e-9
 """Mean length in s of a gap that holds one packet."""
@@ -122,10 +116,10 @@ class WireState(NamedTuple):
     Attributes:
         spikes: Always ``()``.
         wrong_words: Always ``()``.
-        stale_repeats: A :class:`~surefoot.sensors.RepeatState`.
-        packet_loss: A :class:`~surefoot.sensors.GapState`.
+        stale_repeats: A :class:`~surefoot.sensors.transport.errors.RepeatState`.
+        packet_loss: A :class:`~surefoot.sensors.transport.errors.GapState`.
         gaps: Another.
-        latency: A :class:`~surefoot.sensors.LatencyState`.
+        latency: A :class:`~surefoot.sensors.transport.link.LatencyState`.
     """
 
     spikes: Any
@@ -150,7 +144,7 @@ def wire(
         rated: Rated load in counts, a number or shape (K,).
         code_range: Lowest and highest code, numbers or shapes (K,).
         bits: Bits of a word; 0 for an instrument without a converter, whose readings are no words.
-        coding: How a word stands for a number (see :func:`~surefoot.sensors.transport.wrong_words`).
+        coding: How a word stands for a number (see :func:`~surefoot.sensors.transport.errors.wrong_words`).
 
     Raises:
         ValueError: If words of an instrument without a converter are to be wrong; from ``apply`` if readings

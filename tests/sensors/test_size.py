@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surefoot.sensors import HX711_LOAD_CELLS, NAO_FSR, load_cells, preset, sized
-from surefoot.sensors.size import REFERENCE_WEIGHT
+from surefoot.sensors.presets import REFERENCE_WEIGHT
 
 
 def test_cells_of_the_reference_robot_stay_as_they_are():

@@ -22,7 +22,7 @@ from surefoot.sensors import (
     wire,
 )
 from surefoot.sensors.corruption import chain
-from surefoot.sensors.transport.rare import change_at_random
+from surefoot.sensors.rare import change_at_random
 
 DT = 1 / 80
 CODES = LoadCells(

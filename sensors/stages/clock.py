@@ -12,8 +12,9 @@ from array_api_compat import array_namespace
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import cast_like, limit, namespace
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain, check_whole
+from surefoot.sensors.arrays import cast_like, limit, namespace
+from surefoot.sensors.configuration import check_whole
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain
 from surefoot.sensors.randomness import filled, uniform
 
 

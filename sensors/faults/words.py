@@ -48,7 +48,7 @@ def parse_fault(text: str, feet: Sequence[str] = FEET, cells: Sequence[str] = CE
     """Read one fault from words.
 
     Args:
-        text: A line as in :mod:`surefoot.sensors.faults.schedule`.
+        text: A line as in :mod:`surefoot.sensors.faults.words`.
         feet: What the feet are called, in the order of the channels.
         cells: What the cells of a foot are called, in the order of the channels.
 

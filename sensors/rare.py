@@ -12,7 +12,7 @@ from math import log1p
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors._arrays import namespace, on_host
+from surefoot.sensors.arrays import namespace, on_host
 from surefoot.sensors.corruption import Array, Rng
 from surefoot.sensors.randomness import uniform
 

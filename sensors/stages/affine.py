@@ -1,0 +1,122 @@
+"""Scale and offset, fixed or drifting: what turns a load into a voltage, and a voltage into a count.
+
+The drifting ones are random walks, b_{k+1} = b_k + sigma sqrt(dt) w_k with w_k ~ N(0, 1): their spread
+depends on the time that has passed and not on how finely that time was stepped.
+"""
+
+from typing import Any, NamedTuple
+
+from numpy.typing import ArrayLike
+
+from surefoot.sensors.arrays import cast_like
+from surefoot.sensors.configuration import check_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.randomness import constant, normal
+
+PER_SQRT_MINUTE = 60.0**-0.5
+"""Turns a density "per square root of a minute" into one per square root of a second."""
+
+
+class FixedState(NamedTuple):
+    """A number that stays as it is.
+
+    Attributes:
+        value: One number, or one a channel.
+    """
+
+    value: Array
+
+
+class WalkState(NamedTuple):
+    """Where a random walk stands.
+
+    Attributes:
+        error: One number a channel, shape (..., K).
+    """
+
+    error: Array
+
+
+def gain(value: ArrayLike) -> Corruption[FixedState]:
+    """Multiply readings by a number.
+
+    Args:
+        value: Reported units per unit read: one number, or one a channel.
+    """
+
+    def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
+        return reading * cast_like(state.value, reading), state
+
+    return Corruption(_fixed_init(value), apply)
+
+
+def offset(value: ArrayLike) -> Corruption[FixedState]:
+    """Add a number to readings.
+
+    Args:
+        value: In the unit of the readings: one number, or one a channel.
+    """
+
+    def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
+        return reading + cast_like(state.value, reading), state
+
+    return Corruption(_fixed_init(value), apply)
+
+
+def gain_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
+    r"""Multiply readings by one plus an error that starts anywhere and drifts.
+
+    Args:
+        initial_std: Standard deviation of the relative error of the scale at power-up.
+        density: Spread of its walk per :math:`\sqrt{s}`.
+
+    Raises:
+        ValueError: If an argument is negative.
+    """
+    check_not_negative(initial_std=initial_std, density=density)
+
+    def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
+        error = _walk_step(state, reading, density, rng, dt)
+        return reading * (1.0 + error), WalkState(error)
+
+    return Corruption(_walk_init(initial_std), apply)
+
+
+def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
+    r"""Add an offset that starts anywhere and drifts.
+
+    Args:
+        initial_std: Standard deviation of the offset at power-up, in the unit of the readings.
+        density: Spread of the walk, in the unit of the readings per :math:`\sqrt{s}`.
+
+    Raises:
+        ValueError: If an argument is negative.
+    """
+    check_not_negative(initial_std=initial_std, density=density)
+
+    def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
+        error = _walk_step(state, reading, density, rng, dt)
+        return reading + error, WalkState(error)
+
+    return Corruption(_walk_init(initial_std), apply)
+
+
+def _fixed_init(value: ArrayLike) -> Any:
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> FixedState:
+        return FixedState(constant(rng, value, dtype))
+
+    return init
+
+
+def _walk_init(initial_std: float) -> Any:
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> WalkState:
+        return WalkState(initial_std * normal(rng, shape, dtype))
+
+    return init
+
+
+def _walk_step(state: WalkState, reading: Array, density: float, rng: Rng, dt: float) -> Array:
+    error = cast_like(state.error, reading)
+    if density == 0.0:
+        return error
+    return error + density * dt**0.5 * normal(rng, tuple(error.shape), reading.dtype)

@@ -1,0 +1,83 @@
+"""What a converter does to a voltage: it adds noise, it clips, and it rounds."""
+
+from surefoot.sensors.arrays import limit, round_off
+from surefoot.sensors.configuration import check_not_negative
+from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
+from surefoot.sensors.randomness import normal
+
+
+def white_noise(std: float) -> Corruption[tuple[()]]:
+    """Add independent normal noise to every reading.
+
+    Args:
+        std: Its standard deviation in the unit of the readings; 0 draws nothing.
+
+    Raises:
+        ValueError: If it is negative.
+    """
+    check_not_negative(std=std)
+
+    def add(reading: Array, rng: Rng, dt: float) -> Array:
+        if std == 0.0:
+            return reading + 0.0
+        return reading + std * normal(rng, tuple(reading.shape), reading.dtype)
+
+    return stateless(add)
+
+
+def noise_density(density: float) -> Corruption[tuple[()]]:
+    """Add white noise given by its density, as data sheets of inertial sensors do.
+
+    A sample that stands for a time dt has a standard deviation of density / sqrt(dt). The noise is white up
+    to half the sampling rate, and an average over a given time spreads alike at any rate.
+
+    Args:
+        density: In the unit of the readings per square root of Hz.
+
+    Raises:
+        ValueError: If it is negative.
+    """
+    check_not_negative(density=density)
+
+    def add(reading: Array, rng: Rng, dt: float) -> Array:
+        if density == 0.0:
+            return reading + 0.0
+        return reading + density / dt**0.5 * normal(rng, tuple(reading.shape), reading.dtype)
+
+    return stateless(add)
+
+
+def saturate(low: float, high: float) -> Corruption[tuple[()]]:
+    """Clip readings to a range.
+
+    Args:
+        low: Lowest reading.
+        high: Highest reading.
+
+    Raises:
+        ValueError: If the range is empty.
+    """
+    if not low < high:
+        raise ValueError(f"'low' must be below 'high', got [{low}, {high}].")
+    return stateless(lambda reading, rng, dt: limit(reading, low, high))
+
+
+def quantize(resolution: float) -> Corruption[tuple[()]]:
+    """Round readings to whole multiples of a resolution (halves to even).
+
+    Args:
+        resolution: The step in the unit of the readings; 0 leaves them as they are.
+
+    Raises:
+        ValueError: If it is negative.
+    """
+    check_not_negative(resolution=resolution)
+
+    def round_to(reading: Array, rng: Rng, dt: float) -> Array:
+        if resolution == 0.0:
+            return reading + 0.0
+        if resolution == 1.0:
+            return round_off(reading)
+        return round_off(reading / resolution) * resolution
+
+    return stateless(round_to)

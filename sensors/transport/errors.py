@@ -1,0 +1,210 @@
+r"""What can happen to a reading on its way to the host: spikes, wrong words, stale repeats, gaps.
+
+**Spikes** are single readings that are off. They come as a Poisson process of the rate :math:`r` in each
+channel, so that a reading which stands for the time :math:`\Delta t` is off with the probability
+:math:`1 - e^{-r \Delta t}`, and by a normal number: a few are far out and some hide in the noise, which is
+what makes them hard to gate.
+
+**Wrong words**: a bit of a code arrives the wrong way round, because of an interrupt between two clock edges
+of a bit-banged bus or noise on its line. Which bit it is decides what that does: from one count, which nobody
+sees, to half of the range. Readings of HX711 chips were seen off by 320,000 counts now and then
+(esphome#2996); how often depends on the host, and nobody has published a rate.
+
+**Stale repeats**: a reader that finds no new value returns the last one again. A reader that polls its chips
+in turn, and a bus that misses one, keep what they have: in a log of a NAO's feet 73 % of the values repeat
+the one before. Each reading is a repeat with the probability p, independent of the others, so that a value
+stays for 1 / (1 - p) readings in the mean. (:func:`~surefoot.sensors.stages.clock.sample_and_hold` repeats
+because clocks differ.)
+
+**Gaps**: packets get lost, and seldom one alone. A link is good or bad (Gilbert, 1960; Elliott, 1963), and a
+bad one loses everything. It turns bad at the rate :math:`\mu` and good again at the rate :math:`\lambda`, in
+continuous time, so that with the mean length of a gap :math:`1 / \lambda` the share of the time that is lost
+and the correlation over a time :math:`t` are
+
+.. math:: p = \frac{\mu}{\lambda + \mu}, \qquad \rho(t) = e^{-(\lambda + \mu) t}, \qquad
+          \lambda + \mu = \frac{\lambda}{1 - p},
+
+however finely time is stepped. A log of an iCub has a gap of 0.17 s, one of a balance board's radio a gap of
+22.6 s.
+
+All of these are properties of an instrument. What breaks in one channel at a given time is a
+:class:`~surefoot.sensors.Fault`.
+"""
+
+from math import expm1
+from typing import Any, NamedTuple
+
+import numpy as np
+from array_api_compat import array_namespace
+from numpy.typing import ArrayLike
+
+from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
+from surefoot.sensors.configuration import check_not_negative, is_whole
+from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
+from surefoot.sensors.randomness import filled, normal, uniform
+from surefoot.sensors.rare import RARE, change_at_random, replace_where
+
+CODINGS = ("offset-binary", "two's complement")
+"""How a word stands for a number; the names of :class:`~surefoot.sensors.LoadCells`."""
+
+
+class RepeatState(NamedTuple):
+    """What a reader returned last.
+
+    Attributes:
+        held: Shape (..., K); NaN before the first.
+    """
+
+    held: Array
+
+
+class GapState(NamedTuple):
+    """Whether links are up.
+
+    Attributes:
+        lost: 1 within a gap and 0 elsewhere, shape (..., 1); (..., K) for channels with a link each.
+    """
+
+    lost: Array
+
+
+def spikes(
+    rate: float, size: ArrayLike, *, code_range: tuple[ArrayLike, ArrayLike] | None = None
+) -> Corruption[tuple[()]]:
+    """Add spikes at random.
+
+    Args:
+        rate: Mean number of spikes of a channel in a second in 1/s; 0 adds none.
+        size: Standard deviation of a spike in the unit of the readings, a number or shape (K,).
+        code_range: Lowest and highest code of a converter, numbers or shapes (K,), to which what is off is
+            clipped and rounded; ``None`` for readings that are no codes.
+
+    Raises:
+        ValueError: If an argument is negative.
+    """
+    check_not_negative(rate=rate)
+    sizes = np.asarray(size, dtype=np.float64)
+    if not np.all((sizes >= 0.0) & np.isfinite(sizes)):
+        raise ValueError(f"'size' must be finite and not negative, got {size!r}.")
+    tables = [Table(values) for values in (sizes, *(code_range or ()))]
+
+    def add(reading: Array, rng: Rng, dt: float) -> Array:
+        def spike(few: Array, spread: Array, *ends: Array) -> Array:
+            off = few + spread * normal(rng, tuple(few.shape), few.dtype)
+            return round_off(limit(off, *ends)) if ends else off
+
+        values = (table.like(reading) for table in tables)
+        return change_at_random(reading, -expm1(-rate * dt), spike, rng, *values)
+
+    return stateless(add)
+
+
+def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary") -> Corruption[tuple[()]]:
+    """Turn one bit of a reading over now and then, every bit alike.
+
+    Readings are counts, whole numbers that the word can hold; what is not (NaN) stays as it is. float32 holds
+    words of up to 24 bits.
+
+    Args:
+        probability: Probability that a word is wrong, for each channel and reading on its own.
+        bits: Bits of a word, 1 to 32.
+        coding: ``"offset-binary"``, from 0 to 2^bits - 1, or ``"two's complement"``, from -2^(bits - 1) to
+            2^(bits - 1) - 1, of which the highest bit counts negative.
+
+    Raises:
+        ValueError: If the probability does not lie in [0, 1], or there is no such word.
+
+    >>> rng = np.random.default_rng(0)
+    >>> word = wrong_words(1.0, bits=3, coding="two's complement")
+    >>> {int(word.apply(np.array([2.0]), (), rng, 1.0)[0][0]) for _ in range(100)} == {0, 3, -2}
+    True
+    """
+    if not 0.0 <= probability <= 1.0:
+        raise ValueError(f"'probability' must lie in [0, 1], got {probability}.")
+    if not (is_whole(bits) and 1 <= bits <= 32):
+        raise ValueError(f"'bits' must be a whole number from 1 to 32, got {bits!r}.")
+    if coding not in CODINGS:
+        raise ValueError(f"'coding' must be one of {CODINGS}, got {coding!r}.")
+    places = 2.0 ** np.arange(bits)
+    signs = np.where((places == places[-1]) & (coding == CODINGS[1]), -1.0, 1.0)
+    # A reading adds what the bit is worth where it was 0 and loses it where it was 1.
+    table = Table([places, places * signs])
+
+    def flip(word: Array, rng: Rng) -> Array:
+        xp = namespace(word)
+        drawn = uniform(rng, 0.0, 1.0, tuple(word.shape), word.dtype)
+        which = array_namespace(drawn).astype(limit(drawn * bits, 0.0, bits - 1.0), xp.int64)
+        place, worth = (
+            xp.reshape(xp.take(values, xp.reshape(which, (-1,)), axis=0), word.shape)
+            for values in table.like(word)
+        )
+        # Halving rounds down, so negative words show the bits of their two's complement.
+        above = xp.floor(word / place)
+        bit = above - 2.0 * xp.floor(above / 2.0)
+        return word + (1.0 - 2.0 * bit) * worth
+
+    def read(reading: Array, rng: Rng, dt: float) -> Array:
+        return change_at_random(reading, probability, lambda words: flip(words, rng), rng)
+
+    return stateless(read)
+
+
+def stale_repeats(probability: float, *, each: bool = False) -> Corruption[RepeatState]:
+    """Repeat the last value now and then.
+
+    Where there is none, before the first reading and after one that was lost, the new one passes.
+
+    Args:
+        probability: Probability that a reading is a repeat; 0 repeats nothing.
+        each: Whether each channel repeats on its own; otherwise those of a robot do so together.
+
+    Raises:
+        ValueError: If the probability does not lie in [0, 1).
+    """
+    if not 0.0 <= probability < 1.0:
+        raise ValueError(f"'probability' must lie in [0, 1), got {probability}.")
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> RepeatState:
+        return RepeatState(filled(rng, float("nan"), shape, dtype))
+
+    def apply(reading: Array, state: RepeatState, rng: Rng, dt: float) -> tuple[Array, RepeatState]:
+        held = cast_like(state.held, reading)
+        shape = tuple(reading.shape) if each else (*reading.shape[:-1], 1)
+        stale = uniform(rng, 0.0, 1.0, shape, reading.dtype) < probability
+        read = replace_where(reading, held, stale, probability <= RARE)
+        return read, RepeatState(read)
+
+    return Corruption(init, apply)
+
+
+def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corruption[GapState]:
+    """Lose readings in bursts: they are NaN.
+
+    Args:
+        share: Share of the time that is lost in the long run; 0 loses nothing.
+        mean_length: Mean length of a gap in s. Where it is not long against the time between
+            readings, gaps that fall between two of them are not seen, and those that are seem longer.
+        each: Whether each channel has a link of its own; otherwise the channels of a robot, which travel in
+            one packet, are lost together.
+
+    Raises:
+        ValueError: If the share does not lie in [0, 1) or the length is not positive.
+    """
+    if not 0.0 <= share < 1.0:
+        raise ValueError(f"'share' must lie in [0, 1), got {share}.")
+    if not 0.0 < mean_length < float("inf"):
+        raise ValueError(f"'mean_length' must be finite and positive, got {mean_length}.")
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> GapState:
+        drawn = uniform(rng, 0.0, 1.0, shape if each else (*shape[:-1], 1), dtype)
+        return GapState(cast_like(drawn < share, drawn))
+
+    def apply(reading: Array, state: GapState, rng: Rng, dt: float) -> tuple[Array, GapState]:
+        before = cast_like(state.lost, reading)
+        drawn = uniform(rng, 0.0, 1.0, tuple(before.shape), reading.dtype)
+        decayed = -expm1(-dt / (mean_length * (1.0 - share)))
+        lost = drawn < before * (1.0 - decayed) + decayed * share
+        gone = namespace(reading).where(lost, 0.0 * drawn + float("nan"), 0.0 * drawn)
+        return reading + gone, GapState(cast_like(lost, reading))
+
+    return Corruption(init, apply)
