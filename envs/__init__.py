@@ -2,12 +2,12 @@
 
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.env import ExerciseEnv
-from surefoot.envs.exercise.robots import load_robot_spec
 from surefoot.envs.gait.pattern import Pattern, plan_route, plan_walk
 from surefoot.envs.gait.route import Leg, checked_route
-from surefoot.envs.instrumentation.drawing import RobotDrawing
+from surefoot.envs.instrumentation.drawing import BelowSensor, RobotDrawing, below_ankle, below_cells
 from surefoot.envs.instrumentation.env import InstrumentedEnv
 from surefoot.envs.instrumentation.geometry import FootGeometry
+from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.envs.instrumentation.reader import FeetReader
 from surefoot.envs.instrumentation.spec import Instrumentation, instrument
 from surefoot.envs.instrumentation.truth import FeetTruth
@@ -18,10 +18,10 @@ from surefoot.envs.nao.balance import NaoBalanceEnv
 from surefoot.envs.nao.carry import NaoCarryEnv
 from surefoot.envs.nao.env import NaoEnv
 from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.nao.truth import Truth
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.envs.plate import SolePlate
-from surefoot.envs.robot import BelowSensor, below_ankle, below_cells, load_nao_spec
-from surefoot.envs.truth import Truth
+from surefoot.envs.robots.library import load_robot_spec
+from surefoot.envs.robots.nao import load_nao_spec
 
 __all__ = [
     "ADDED_MASSES",

@@ -1,5 +1,6 @@
 """What the robot commands itself at one control tick."""
 
+from math import atan2, cos, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -34,3 +35,31 @@ class Command(NamedTuple):
     stance: NDArray[np.bool_]
     swing: NDArray[np.bool_]
     phase: float
+
+
+def command_state(command: Command) -> list[float]:
+    """Tell the parts of the state that are commanded, from ``com_reference`` to ``phase``, shape (10,).
+
+    Places are in the level frame of the commanded soles: its origin is midway between them, and its heading
+    the mean of theirs.
+    """
+    soles = command.position_sole.tolist()
+    left, right = command.yaw_sole.tolist()
+    middle_x, middle_y = 0.5 * (soles[0][0] + soles[1][0]), 0.5 * (soles[0][1] + soles[1][1])
+    heading = atan2(sin(left) + sin(right), cos(left) + cos(right))
+    com, velocity, cop = command.com.tolist(), command.com_velocity.tolist(), command.cop.tolist()
+    angle = 2.0 * np.pi * command.phase
+    return [
+        *turned(com[0] - middle_x, com[1] - middle_y, heading),
+        *turned(velocity[0], velocity[1], heading),
+        *turned(cop[0] - middle_x, cop[1] - middle_y, heading),
+        *command.stance.tolist(),
+        sin(angle),
+        cos(angle),
+    ]
+
+
+def turned(x: float, y: float, heading: float) -> list[float]:
+    """Turn a vector of the world about the vertical into a frame with a heading in rad."""
+    c, s = cos(heading), sin(heading)
+    return [c * x + s * y, c * y - s * x]

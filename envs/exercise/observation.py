@@ -5,10 +5,9 @@ from math import atan2
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command
-from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.envs.observation import Observation, ObservationTable, command_state, turned
-from surefoot.envs.truth import CONTACT_FORCE
+from surefoot.envs.command import Command, command_state, turned
+from surefoot.envs.instrumentation.truth import CONTACT_FORCE, FeetTruth
+from surefoot.envs.observation import Observation, ObservationTable
 
 
 class ExerciseObserver:

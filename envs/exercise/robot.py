@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.exercise.robots import ROBOTS, load_robot_spec
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.spec import Instrumentation, instrument
+from surefoot.envs.robots.library import ROBOTS, load_robot_spec
 
 STANDING_STIFFNESS: Final = 2.0
 """Least stiffness of a leg's motor in multiples of m g h, the stiffness with which gravity tips a robot of
@@ -57,7 +57,7 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None) -> ExerciseRobo
     """Put sensors into a biped and make it strong enough to stand on one leg.
 
     Args:
-        robot: A name that :func:`~surefoot.envs.exercise.robots.load_robot_spec` knows, the path of an MJCF
+        robot: A name that :func:`~surefoot.envs.robots.library.load_robot_spec` knows, the path of an MJCF
         file with
             robot and floor, or such a ``mujoco.MjSpec``, which is not changed.
         feet: Names of the feet's bodies, the left one first; None to guess.

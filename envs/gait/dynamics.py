@@ -15,9 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.robot import motor_names
-
-__all__ = ["joint_torques", "joint_velocities", "motor_targets", "multibody_zmp"]
+from surefoot.envs.robots.nao import motor_names
 
 ARM_OF_TORQUE = 0.01
 """Torque in N m that weighs as much as a force of 1 N where both feet share a wrench.

@@ -16,16 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Footstep",
-    "GaitTiming",
-    "check_gait",
-    "end_of_path",
-    "place_footsteps",
-    "plan_footsteps",
-    "stance_of_stand",
-]
-
 CONTROL_RATE = 80
 """Control steps a second."""
 

@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.gait.footsteps import LEFT, Footstep, GaitTiming, stance_of_stand
-from surefoot.envs.gait.roll import TOE_AND_HEEL, pivot_of, roll_of_step
-from surefoot.envs.gait.swing import lift, minimum_jerk
-
-__all__ = ["Ground", "Walk", "lay_out"]
+from surefoot.envs.gait.swing import TOE_AND_HEEL, lift, minimum_jerk, pivot_of, roll_of_step
 
 COP_SOLE = (0.015, 0.010)
 """Where the centre of pressure is under a foot that carries alone: ahead of the ankle and inwards, in m."""

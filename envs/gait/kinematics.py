@@ -13,8 +13,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["JointTrack", "WholeBodyKinematics"]
-
 TOLERANCE = 2e-6
 """Largest error left in m and rad."""
 

@@ -25,11 +25,9 @@ from surefoot.envs.gait.footsteps import CONTROL_RATE, Footstep, GaitTiming, pla
 from surefoot.envs.gait.ground import Ground, Walk, lay_out
 from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait.preview import CartTable, track_zmp
-from surefoot.envs.gait.roll import checked_roll
 from surefoot.envs.gait.route import Leg, plan_legs
-from surefoot.envs.robot import load_nao_spec
-
-__all__ = ["Pattern", "plan_route", "plan_walk"]
+from surefoot.envs.gait.swing import checked_roll
+from surefoot.envs.robots.nao import load_nao_spec
 
 LIFT_HEIGHT = 0.015
 """How high a foot is lifted, in m."""

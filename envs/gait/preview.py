@@ -26,8 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-__all__ = ["CartTable", "PreviewGains", "PreviewTrack", "preview_gains", "track_zmp"]
-
 GRAVITY = 9.81
 """Acceleration of free fall in m/s²."""
 

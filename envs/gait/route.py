@@ -17,8 +17,6 @@ from surefoot.envs.gait.footsteps import (
 )
 from surefoot.envs.gait.ground import Walk
 
-__all__ = ["Leg", "checked_route", "plan_legs"]
-
 LEAST_STAND = 0.5
 """Shortest leg of standing in s: the weight has to settle."""
 

@@ -1,15 +1,40 @@
-"""The way of a foot through the air.
+"""The way of a foot through the air, and how it rolls: off over the toe, and down onto the heel.
 
 Both the way along the ground and the lift are polynomials of the phase of the swing, with zero velocity and
-acceleration at either end, so that a foot leaves and lands without a jolt.
+acceleration at either end, so that a foot leaves and lands without a jolt. A foot that rolls lifts its heel
+before it leaves while its toe stays where it is, and lands on its heel before it lays its toe down. While it
+does, it touches the ground with one edge only, where it then carries what load it has: its centre of pressure
+leaves the middle of the sole.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["lift", "minimum_jerk"]
+TOE_AND_HEEL = (0.10897, -0.06103)
+"""How far ahead of the sole's origin the sole's front and rear edges lie, in m."""
+
+MAX_ROLL = 0.2
+"""Largest pitch in rad: the rear of the sole is then 34 mm above the ground."""
+
+ROLL_SHARE = 0.5
+"""Share of a double support that a foot takes to roll, at its end with light load or after its landing."""
+
+
+class FootRoll(NamedTuple):
+    """The pitch of one foot from the double support before its swing to the one after it.
+
+    Attributes:
+        before: During the double support before, shape (double,), rad, positive toe down.
+        swing: In the air, shape (single,), rad.
+        after: During the double support after, shape (double,), rad.
+    """
+
+    before: NDArray[np.float64]
+    swing: NDArray[np.float64]
+    after: NDArray[np.float64]
 
 
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
@@ -43,3 +68,56 @@ def lift(phase: ArrayLike, height: float) -> NDArray[np.float64]:
         raise ValueError(f"'height' of the lift must not be negative, got {height} m.")
     s = np.clip(np.asarray(phase, dtype=np.float64), 0.0, 1.0)
     return height * 64.0 * (s * (1.0 - s)) ** 3
+
+
+def checked_roll(angle: float) -> float:
+    """Refuse a pitch that the sole cannot roll by.
+
+    Raises:
+        ValueError: If it is negative, too large or no number.
+    """
+    try:
+        number = float(angle)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 <= number <= MAX_ROLL:
+        raise ValueError(
+            f"'foot_roll' is a pitch between 0 (flat feet) and {MAX_ROLL} rad, got {angle!r}; try 0.05."
+        )
+    return number
+
+
+def roll_of_step(angle: float, double: int, single: int) -> FootRoll:
+    """Pitch a foot through one step, with zero rate and acceleration where a phase begins or ends.
+
+    Args:
+        angle: Pitch at lift-off, toe down, and at touch-down, heel down, in rad; negative for a step
+            backwards, which leaves with the heel and lands on the toe.
+        double: Control steps of a double support.
+        single: Control steps of a swing.
+    """
+    ticks = max(round(ROLL_SHARE * double), 1)
+    rolling = np.arange(ticks)
+    before, after = np.zeros(double), np.zeros(double)
+    before[double - ticks :] = angle * minimum_jerk((rolling + 1.0) / ticks)
+    after[:ticks] = -angle * minimum_jerk(1.0 - rolling / ticks)
+    air = (np.arange(single) + 1.0) / (single + 1.0)
+    swing = angle * (minimum_jerk(1.0 - 2.0 * air) - minimum_jerk(2.0 * air - 1.0))
+    return FootRoll(before, swing, after)
+
+
+def pivot_of(pitch: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Find how a sole's origin moves when the sole pitches about the edge that stays down.
+
+    Args:
+        pitch: Pitch in rad, positive toe down, any shape.
+
+    Returns:
+        How far it moves forward along its heading and how far up, in m, of the shape of the pitch.
+
+    >>> [round(float(part), 4) for part in pivot_of(0.1)]
+    [0.0005, 0.0109]
+    """
+    angle = np.asarray(pitch, dtype=np.float64)
+    edge = np.where(angle > 0.0, *TOE_AND_HEEL)
+    return edge * (1.0 - np.cos(angle)), edge * np.sin(angle)

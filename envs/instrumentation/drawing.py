@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -10,16 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.geometry import below
-from surefoot.envs.instrumentation.layout import FeetLayout, joint_name
-from surefoot.envs.robot import (
-    FEET,
-    BelowSensor,
-    below_ankle,
-    below_cells,
-    cell_positions,
-    hinge_joint_names,
-    load_nao_spec,
-)
+from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name
+from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names, load_nao_spec
 
 Placed = tuple[str, NDArray[np.float64], NDArray[np.float64]]
 """A site's body, its place there in m and its quaternion."""
@@ -29,6 +22,22 @@ _JOINTS = {
     mujoco.mjtJoint.mjJNT_SLIDE: "slide",
     mujoco.mjtJoint.mjJNT_BALL: "ball",
 }
+
+
+class BelowSensor(NamedTuple):
+    """What hangs below a sensor of each foot, (left, right), in the sole frames.
+
+    Attributes:
+        position_sensor_sole: Origins of the sensors' frames in m, shape (2, 3).
+        R_sole_sensor: Rotations from the sensors' frames to the sole frames, shape (2, 3, 3).
+        mass: Mass below in kg, shape (2,).
+        com_sole: Its centre of mass in m, shape (2, 3).
+    """
+
+    position_sensor_sole: NDArray[np.float64]
+    R_sole_sensor: NDArray[np.float64]
+    mass: NDArray[np.float64]
+    com_sole: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +101,7 @@ def draw_nao() -> RobotDrawing:
 
 
 def draw_robot(
-    model: mujoco.MjModel, data: mujoco.MjData, layout: FeetLayout, *, imu: str, prefix: str
+    model: mujoco.MjModel, data: mujoco.MjData, layout: MeasuredRobot, *, imu: str, prefix: str
 ) -> RobotDrawing:
     """Draw a robot whose feet were measured.
 
@@ -208,3 +217,30 @@ def _physical(inertia: NDArray[np.float64]) -> NDArray[np.float64]:
     """Keep rounding from breaking the triangle inequality, which MuJoCo's compiler insists on."""
     physical: NDArray[np.float64] = np.minimum(inertia, np.roll(inertia, 1) + np.roll(inertia, 2))
     return physical
+
+
+def below_ankle(model: mujoco.MjModel) -> BelowSensor:
+    """Describe what a six-axis sensor at the ankle carries: the foot with its sole plate."""
+    return _below(model, [f"{foot}_ankle_ft" for foot in FEET])
+
+
+def below_cells(model: mujoco.MjModel) -> BelowSensor:
+    """Describe what the load cells carry: the sole plate; their common frame is the sole's."""
+    return _below(model, [f"{foot}_sole" for foot in FEET])
+
+
+def _below(model: mujoco.MjModel, sites: list[str]) -> BelowSensor:
+    """Measure the bodies that hang on those of the sites, which move with the soles as one."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    position, rotation, mass, com = [], [], [], []
+    for name, foot in zip(sites, FEET, strict=True):
+        sensor, sole = data.site(name), data.site(f"{foot}_sole")
+        body = int(model.site(name).bodyid[0])
+        R_sole_world = sole.xmat.reshape(3, 3).T
+        position.append(R_sole_world @ (sensor.xpos - sole.xpos))
+        rotation.append(R_sole_world @ sensor.xmat.reshape(3, 3))
+        mass.append(float(model.body_subtreemass[body]))
+        com.append(R_sole_world @ (data.subtree_com[body] - sole.xpos))
+    return BelowSensor(np.array(position), np.array(rotation), np.array(mass), np.array(com))

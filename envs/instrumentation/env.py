@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.envs.instrumentation.drawing import RobotDrawing
-from surefoot.envs.instrumentation.info import StepTruth
-from surefoot.envs.instrumentation.layout import joint_name
-from surefoot.envs.instrumentation.reader import FeetReader
-from surefoot.envs.instrumentation.sensors import SensorReader
+from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
+from surefoot.envs.instrumentation.robot import joint_name
 from surefoot.envs.instrumentation.soles import put_soles
 from surefoot.envs.instrumentation.spec import Instrumentation, instrument_as, refuse_taken
 from surefoot.envs.instrumentation.swap import (
@@ -24,6 +22,7 @@ from surefoot.envs.instrumentation.swap import (
     swap_in,
     why_not_in_place,
 )
+from surefoot.envs.instrumentation.truth import StepTruth
 
 
 class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):

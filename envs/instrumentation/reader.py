@@ -1,7 +1,7 @@
-"""The rows of an instrumented robot without sensors: computed beside the simulation, from a copy."""
+"""The rows of a robot: read from sensors in its model, or computed beside the simulation from a copy."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import mujoco
 import numpy as np
@@ -10,13 +10,54 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.envs.instrumentation.drawing import draw_robot
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import below
-from surefoot.envs.instrumentation.layout import FOOT_WIDTH, TORSO_WIDTH, encoders, measure_feet
-from surefoot.envs.instrumentation.spec import find_imu
+from surefoot.envs.instrumentation.robot import FOOT_WIDTH, TORSO_WIDTH, encoders, measure_robot
+from surefoot.envs.instrumentation.spec import Instrumentation, find_imu
 from surefoot.envs.instrumentation.truth import FeetTruth
 
 Array = NDArray[np.float64]
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+class SensorReader:
+    """Reads the sensors that were added to a model, and keeps them still where they would be seen.
+
+    Args:
+        model: The instrumented robot.
+        data: Its state.
+        instrumentation: What was added.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, instrumentation: Instrumentation) -> None:
+        columns = instrumentation.columns(model)
+        first = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, instrumentation.first_sensor)
+        self._model, self._data, self._layout = model, data, instrumentation.layout
+        self._row = data.sensordata[None, columns]
+        self._scratch = mujoco.MjData(model)
+        self._scratch_row = self._scratch.sensordata[None, columns]
+        self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        self._stages = model.sensor_needstage[first:]
+        self._stages_on = self._stages.copy()
+
+    def after_step(self) -> FeetTruth:
+        """Read what was at the beginning of the last substep, shape (1, ...)."""
+        return FeetTruth(self._row, self._layout)
+
+    def now(self) -> FeetTruth:
+        """Read what is in the present state, of which a copy is evaluated, shape (1, ...)."""
+        mujoco.mj_getState(self._model, self._data, self._state, _STATE)
+        mujoco.mj_setState(self._model, self._scratch, self._state, _STATE)
+        mujoco.mj_forward(self._model, self._scratch)
+        return FeetTruth(self._scratch_row, self._layout)
+
+    @contextmanager
+    def still(self) -> Iterator[None]:
+        """Leave the sensors out meanwhile: some make MuJoCo compute what is zero without them."""
+        self._stages[:] = 0
+        try:
+            yield
+        finally:
+            self._stages[:] = self._stages_on
 
 
 class FeetReader:
@@ -55,7 +96,7 @@ class FeetReader:
         prefix: str = "surefoot/",
     ) -> None:
         pose = standing_pose(model)
-        self.layout = measure_feet(model, pose, feet, cells, margin)
+        self.layout = measure_robot(model, pose, feet, cells, margin)
         imu = find_imu(model, self.layout.torso)
         self.drawing = draw_robot(model, pose, self.layout, imu=imu, prefix=prefix)
         self._model, self._watched, self._data = model, data, mujoco.MjData(model)

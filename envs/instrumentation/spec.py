@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_robot
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import FootGeometry
-from surefoot.envs.instrumentation.layout import FeetLayout, joint_name, measure_feet
+from surefoot.envs.instrumentation.plate import SolePlate
+from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name, measure_robot
 from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.envs.plate import SolePlate
 
 _CONTACT_DATA = 0b10110
 """Bits of a contact sensor's force, torque and position."""
@@ -37,7 +37,7 @@ class Instrumentation:
     """
 
     spec: mujoco.MjSpec
-    layout: FeetLayout
+    layout: MeasuredRobot
     drawing: RobotDrawing
     first_sensor: str
 
@@ -154,7 +154,7 @@ def instrument_as(
 ) -> Instrumentation:
     """Put sensors into a specification, which is changed, of a robot that is measured in compiled form."""
     data = standing_pose(model)
-    layout = measure_feet(model, data, feet, cells, margin)
+    layout = measure_robot(model, data, feet, cells, margin)
     refuse_taken({sensor.name for sensor in spec.sensors} | {site.name for site in spec.sites}, prefix)
     own_imu = find_imu(model, layout.torso)
     drawing = draw_robot(model, data, layout, imu=own_imu, prefix=prefix)

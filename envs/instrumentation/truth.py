@@ -8,15 +8,19 @@ The cells are springs under a massless plate that covers the sole (:class:`~sure
 share what the ground exerts, and their centre of pressure is that of the contacts.
 """
 
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.layout import FOOT_WIDTH, TORSO_WIDTH, FeetLayout
-from surefoot.envs.truth import centre_of_pressure, cop_in_sole
+from surefoot.envs.instrumentation.robot import FOOT_WIDTH, TORSO_WIDTH, MeasuredRobot
 
 Array = NDArray[np.float64]
+
+CONTACT_FORCE = 5.0
+"""Vertical force in N above which a centre of pressure is defined."""
 
 
 class FeetTruth:
@@ -27,7 +31,7 @@ class FeetTruth:
         layout: The robot, in whose order the columns are.
     """
 
-    def __init__(self, rows: Array, layout: FeetLayout) -> None:
+    def __init__(self, rows: Array, layout: MeasuredRobot) -> None:
         self.rows = rows.copy()
         self.layout = layout
         self._end = FOOT_WIDTH * len(layout.feet)
@@ -186,3 +190,92 @@ def _wrench(foot: list[float]) -> list[float]:
 def _rotation(axes: Array) -> Array:
     """Turn three axes in a row, shape (..., 9), into a rotation with these columns, shape (..., 3, 3)."""
     return axes.reshape(*axes.shape[:-1], 3, 3).swapaxes(-1, -2)
+
+
+def centre_of_pressure(ground: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Find where on the ground the vertical forces of contacts act together.
+
+    Args:
+        ground: Force in N, torque in N m and the place in m at which they act, in the world,
+            shape (..., n, 9).
+
+    Returns:
+        The centre of pressure in m, shape (..., 2); NaN where n contacts bear no more than 5 N together.
+    """
+    force, torque, position = ground[..., :3], ground[..., 3:6], ground[..., 6:]
+    moment = torque + np.cross(position * (1.0, 1.0, 0.0), force)
+    load = force[..., 2].sum(axis=-1)
+    load = np.where(load > CONTACT_FORCE, load, np.nan)
+    return np.stack([-moment[..., 1].sum(axis=-1) / load, moment[..., 0].sum(axis=-1) / load], axis=-1)
+
+
+def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Find where each foot's load acts on its sole.
+
+    Args:
+        wrench_sole: Wrenches at and in the sole frames in N and N m, shape (..., 6).
+
+    Returns:
+        The centres of pressure in the sole frames in m, shape (..., 2); NaN at no more than 5 N.
+    """
+    load = np.where(wrench_sole[..., 2] > CONTACT_FORCE, wrench_sole[..., 2], np.nan)
+    return np.stack([-wrench_sole[..., 4] / load, wrench_sole[..., 3] / load], axis=-1)
+
+
+class StepTruth(Mapping[str, Array]):
+    """Arrays at the last row, each computed when it is asked for; pickled and copied as a ``dict``.
+
+    Args:
+        truth: What was read, shape (S, ...).
+    """
+
+    def __init__(self, truth: FeetTruth) -> None:
+        self._truth = truth
+
+    def __getitem__(self, name: str) -> Array:
+        return _QUANTITIES[name](self._truth)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_QUANTITIES)
+
+    def __len__(self) -> int:
+        return len(_QUANTITIES)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Mapping) or set(other) != set(self):
+            return False
+        return all(np.array_equal(self[name], other[name], equal_nan=True) for name in self)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
+
+
+def _force_cell(truth: FeetTruth) -> Array:
+    if truth.layout.flaw:
+        return np.full(4 * len(truth.layout.feet), np.nan)
+    force: Array = truth.force_cell[-1].copy()
+    return force
+
+
+def _cop_foot(truth: FeetTruth) -> Array:
+    has_area = np.array([not foot.flaw for foot in truth.layout.feet])
+    return np.where(has_area[:, None], cop_in_sole(truth.wrench_sole[-1]), np.nan)
+
+
+_QUANTITIES: Final[dict[str, Callable[[FeetTruth], Array]]] = {
+    "force_cell": _force_cell,
+    "vgrf": FeetTruth.vgrf,
+    "cop_world": FeetTruth.cop_world,
+    "cop_foot": _cop_foot,
+    "com": lambda truth: truth.com[-1].copy(),
+    "wrench_sole": lambda truth: truth.wrench_sole[-1].copy(),
+}
+"""How each quantity follows from a step's truth."""
+
+QUANTITIES: Final = tuple(_QUANTITIES)
+"""Names of what is told of a step."""

@@ -123,7 +123,7 @@ def load_leg_rig_spec(
     """
     load = added_mass(configuration)
     slack = positive("knee_slack", knee_slack, or_zero=True)
-    xml = files("surefoot.envs.assets").joinpath("leg_rig.xml").read_text(encoding="utf-8")
+    xml = files("surefoot.envs.leg_rig").joinpath("rig.xml").read_text(encoding="utf-8")
     spec = mujoco.MjSpec.from_string(xml)
     body, geom = spec.body("added_mass"), spec.geom("added_mass")
     # A body's frame may lie anywhere: only its place, mass and inertia say what it is.

@@ -1,18 +1,16 @@
 """The robot balances with a load that it does not know: only its feet tell where it stands."""
 
 from collections.abc import Sequence
-from math import atan2, exp, hypot
+from math import atan2, exp, hypot, pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command
-from surefoot.envs.disturbances.surprise import Surprise, refuse_planned_payload
-from surefoot.envs.nao.balance_command import RandomSway
+from surefoot.envs.command import Command, turned
+from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import NaoStandEnv
-from surefoot.envs.observation import turned
 
 COP_SCALE = 0.015
 """Error of the centre of pressure in m at which its reward is down to 1/e."""
@@ -88,7 +86,7 @@ class NaoBalanceEnv(NaoStandEnv):
                 f"'sway' must be bounds (forward, left) between 0 and {LARGEST_SWAY} m, which keep the robot "
                 f"over its feet; got {list(sway)}."
             )
-        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX)
+        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX, CONTROL_STEP)
         self.stand_time = self._surprise.stand_time
         self._bounds = (bounds[0], bounds[1])
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
@@ -135,3 +133,71 @@ class NaoBalanceEnv(NaoStandEnv):
         planned_y -= 0.5 * (planned_left[1] + planned_right[1])
         x, y = turned(x, y, atan2(ahead_y + also_y, ahead_x + also_x))
         return hypot(x - planned_x, y - planned_y)
+
+
+Pair = tuple[float, float]
+"""Something forward and to the left."""
+
+SHORTEST_PERIOD = 3.0
+
+LONGEST_PERIOD = 8.0
+"""Bounds of the periods of the sines that a sway is the sum of, in s."""
+
+WAVES = 3
+"""How many sines each axis has."""
+
+FADE_TIME = 2.0
+"""How long in s a sway takes to reach its full size."""
+
+
+class RandomSway:
+    r"""A sum of sines with random shares, periods and phases, faded in after a quiet stand.
+
+    With the smooth step :math:`f(\tau) = 10\tau^3 - 15\tau^4 + 6\tau^5` over the time :math:`\tau` since the
+    stand, in shares of the fade, and sines :math:`g`, the sway :math:`f g` and its first two derivatives are
+    continuous; the amplitudes of an axis add up to at most its bound.
+
+    Args:
+        amplitude: Bounds (forward, left) in m.
+        stand_time: How long it is still first, in s.
+        rng: Draws everything.
+    """
+
+    def __init__(self, amplitude: tuple[float, float], stand_time: float, rng: np.random.Generator) -> None:
+        share = rng.dirichlet(np.ones(WAVES), 2) * rng.uniform(0.5, 1.0, (2, 1))
+        self._rate = 2.0 * pi / rng.uniform(SHORTEST_PERIOD, LONGEST_PERIOD, (2, WAVES))
+        self._phase = rng.uniform(-pi, pi, (2, WAVES))
+        self._waves = np.stack([share * np.array(amplitude)[:, None], self._rate], axis=-1).tolist()
+        self._stand_time = stand_time
+
+    def at(self, time: float) -> tuple[Pair, Pair, Pair]:
+        """Give the sway, its velocity and its acceleration, (forward, left), in m, m/s and m/s^2."""
+        since = (time - self._stand_time) / FADE_TIME
+        if since <= 0.0:
+            return (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)
+        fade, rise, bend = _fade(since)
+        angle = self._rate * (time - self._stand_time) + self._phase
+        motions = []
+        for waves, sines, cosines in zip(
+            self._waves, np.sin(angle).tolist(), np.cos(angle).tolist(), strict=True
+        ):
+            wave = slope = curve = 0.0
+            for (size, rate), sine, cosine in zip(waves, sines, cosines, strict=True):
+                wave += size * sine
+                slope += size * cosine * rate
+                curve -= size * sine * (rate * rate)
+            motions.append(
+                (fade * wave, rise * wave + fade * slope, bend * wave + 2.0 * rise * slope + fade * curve)
+            )
+        forward, left = motions
+        return (forward[0], left[0]), (forward[1], left[1]), (forward[2], left[2])
+
+
+def _fade(since: float) -> tuple[float, float, float]:
+    """The smooth step in shares of the fade, and its first two derivatives in time in 1/s and 1/s^2."""
+    if since >= 1.0:
+        return 1.0, 0.0, 0.0
+    fade = since**3 * (10.0 - 15.0 * since + 6.0 * since**2)
+    rise = 30.0 * since**2 * (1.0 - since) ** 2 / FADE_TIME
+    bend = 60.0 * since * (1.0 - since) * (1.0 - 2.0 * since) / FADE_TIME**2
+    return fade, rise, bend

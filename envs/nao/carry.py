@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.disturbances.surprise import Surprise, refuse_planned_payload
 from surefoot.envs.gait.footsteps import GaitTiming, check_gait
 from surefoot.envs.gait.pattern import plan_walk
-from surefoot.envs.nao.pattern import NaoPatternEnv
+from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
+from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.envs.nao.walk import NaoPatternEnv
 from surefoot.envs.options import numbers_of, positive
 
 PAYLOAD_BOX = ((-0.18, -0.02, 0.0), (0.22, 0.02, 0.10))
@@ -93,7 +94,7 @@ class NaoCarryEnv(NaoPatternEnv):
         self._speeds = numbers_of(speeds)
         if not self._speeds:
             raise ValueError("'speeds' must hold at least one speed in m/s, got none.")
-        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX)
+        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX, CONTROL_STEP)
         self.stand_time = self._surprise.stand_time
         self._timing = GaitTiming(stand_time=self.stand_time)
         for speed in self._speeds:

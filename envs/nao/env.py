@@ -10,10 +10,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
-from surefoot.envs.disturbances.payload import Payload
-from surefoot.envs.disturbances.pushes import Pushes
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
-from surefoot.envs.nao.observation import NaoObserver, Observation
+from surefoot.envs.nao.disturbances import Payload, Pushes
+from surefoot.envs.nao.observation import NaoObserver
+from surefoot.envs.nao.truth import Truth, TruthChannels
+from surefoot.envs.observation import Observation
 from surefoot.envs.options import (
     check_render_mode,
     checked_action,
@@ -23,7 +24,7 @@ from surefoot.envs.options import (
     positive,
 )
 from surefoot.envs.rendering import Marker, SceneRenderer
-from surefoot.envs.robot import (
+from surefoot.envs.robots.nao import (
     LEG_MOTORS,
     cell_positions,
     hinge_joint_names,
@@ -32,7 +33,6 @@ from surefoot.envs.robot import (
     motor_of_joint,
     place_on_ground,
 )
-from surefoot.envs.truth import Truth, TruthChannels
 
 CONTROL_STEP = 1.0 / 80.0
 """Duration of one environment step in s."""

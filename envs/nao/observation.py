@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command
-from surefoot.envs.observation import FORCE_BOUND, Observation, ObservationTable, command_state, turned
-from surefoot.envs.robot import hinge_joint_names
-from surefoot.envs.truth import CONTACT_FORCE, Truth, TruthChannels
-
-__all__ = ["NaoObserver", "Observation"]
+from surefoot.envs.command import Command, command_state, turned
+from surefoot.envs.instrumentation.truth import CONTACT_FORCE
+from surefoot.envs.nao.truth import Truth, TruthChannels
+from surefoot.envs.observation import FORCE_BOUND, Observation, ObservationTable
+from surefoot.envs.robots.nao import hinge_joint_names
 
 
 class NaoObserver:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.envs.command import Command
 from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
 from surefoot.envs.options import positive
-from surefoot.envs.robot import FEET, place_on_ground
+from surefoot.envs.robots.nao import FEET, place_on_ground
 
 LEG_LENGTH = 0.2029
 """Thigh and tibia in m."""

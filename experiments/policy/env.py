@@ -14,7 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.controllers.posture import PostureDrive, posture_matrix
-from surefoot.envs.robot import motor_of_joint
+from surefoot.envs.robots.nao import motor_of_joint
 from surefoot.experiments.policy.tasks import Task, task_named
 from surefoot.experiments.walks.walkers import TruthTap
 from surefoot.wrappers.foot_sensors import FootSensors

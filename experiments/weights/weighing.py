@@ -25,7 +25,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import ChannelFit, fit_channels
 from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
-from surefoot.envs.plate import SolePlate
+from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.sensors.devices.load_cells import LoadCells, LoadCellState, load_cells, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 

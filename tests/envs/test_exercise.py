@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 import surefoot  # noqa: F401
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.exercise.robot import STANDING_STIFFNESS, prepare_robot
-from surefoot.envs.exercise.robots import ROBOTS
+from surefoot.envs.robots.library import ROBOTS
 
 LEG = """
 <body name="{s}_hip" pos="0 {y} -0.05"><joint name="{s}_yaw" axis="0 0 1"/>

@@ -9,7 +9,7 @@ from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.kinematics import WholeBodyKinematics
 from surefoot.envs.gait.pattern import plan_route, plan_walk
 from surefoot.envs.gait.route import Leg
-from surefoot.envs.robot import load_nao_spec
+from surefoot.envs.robots.nao import load_nao_spec
 
 WALKS = {
     "slow": (0.02, 0.0),

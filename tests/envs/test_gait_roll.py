@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from surefoot.envs.gait.pattern import plan_walk
-from surefoot.envs.gait.roll import TOE_AND_HEEL, pivot_of, roll_of_step
+from surefoot.envs.gait.swing import TOE_AND_HEEL, pivot_of, roll_of_step
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.envs.robot import FEET, cell_positions, load_nao_spec
+from surefoot.envs.robots.nao import FEET, cell_positions, load_nao_spec
 
 ANGLE = 0.08
 

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.envs.disturbances.payload import POSITION_PAYLOAD_TORSO, Payload
+from surefoot.envs.nao.disturbances import POSITION_PAYLOAD_TORSO, Payload
 from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.envs.robot import load_nao_spec
+from surefoot.envs.robots.nao import load_nao_spec
 
 GRAVITY = 9.81
 ZERO = np.zeros(11, dtype=np.float32)

@@ -10,7 +10,7 @@ import pytest
 from surefoot.envs import FeetReader, NaoStandEnv, instrument, load_nao_spec, load_robot_spec
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.envs.robot import CELLS, FEET
+from surefoot.envs.robots.nao import CELLS, FEET
 
 FEET_OF = {
     "nao": ["l_ankle", "r_ankle"],

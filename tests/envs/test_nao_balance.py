@@ -7,11 +7,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
-from surefoot.envs.disturbances.payload import Payload
-from surefoot.envs.nao.balance import LARGEST_SWAY, NaoBalanceEnv
-from surefoot.envs.nao.balance_command import FADE_TIME, RandomSway
+from surefoot.envs.nao.balance import FADE_TIME, LARGEST_SWAY, NaoBalanceEnv, RandomSway
+from surefoot.envs.nao.disturbances import Payload
 from surefoot.envs.nao.env import CONTROL_STEP
-from surefoot.envs.robot import load_nao_spec
+from surefoot.envs.robots.nao import load_nao_spec
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 ZERO = np.zeros(11, dtype=np.float32)

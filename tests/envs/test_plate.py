@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.envs.plate import SolePlate
+from surefoot.envs.instrumentation.plate import SolePlate
 
 RECTANGLE = np.array([(0.085, 0.049), (0.085, -0.049), (-0.085, 0.049), (-0.085, -0.049)])
 RECTANGLE += np.array([0.024, 0.007])

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.envs.robot import (
+from surefoot.envs.robots.nao import (
     CELLS,
     FEET,
     LEG_MOTORS,

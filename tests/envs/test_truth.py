@@ -4,11 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from surefoot.envs.instrumentation.drawing import below_ankle, below_cells
 from surefoot.envs.nao.env import SUBSTEPS, NaoEnv
 from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.nao.truth import Truth, TruthChannels
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.envs.robot import FEET, below_ankle, below_cells, load_nao_spec
-from surefoot.envs.truth import Truth, TruthChannels
+from surefoot.envs.robots.nao import FEET, load_nao_spec
 
 GRAVITY = 9.81
 PLATE_MASS = 0.05

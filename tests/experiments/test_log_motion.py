@@ -20,7 +20,7 @@ from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.wrappers import FootSensors, SelfCalibration
 
-NAO = str(files("surefoot.envs.assets").joinpath("nao.xml"))
+NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 MOTION = ("joint_", "accelerometer_", "gyroscope_")
 
 

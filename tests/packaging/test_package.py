@@ -43,7 +43,7 @@ def test_every_public_name_exists(name: str) -> None:
 def test_package_is_typed_and_carries_its_models() -> None:
     root = Path(surefoot.__file__).parent
     assert (root / "py.typed").is_file()
-    assert (Path(surefoot.envs.__file__).parent / "assets" / "nao.xml").is_file()
+    assert (Path(surefoot.envs.__file__).parent / "robots" / "nao.xml").is_file()
 
 
 def test_a_robot_needs_three_small_packages() -> None:

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs import RobotDrawing
-from surefoot.envs.instrumentation.info import TOLD
-from surefoot.envs.truth import CONTACT_FORCE, cop_in_sole
+from surefoot.envs.instrumentation.truth import CONTACT_FORCE, QUANTITIES, cop_in_sole
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +28,7 @@ class BatchTruth(Mapping[str, Floats]):
 
     def __getitem__(self, name: str) -> Floats:
         truth = self._truth
-        if name not in TOLD:
+        if name not in QUANTITIES:
             raise KeyError(name)
         if name == "force_cell":
             flawed = self._drawing.position_cell_sole is None
@@ -60,7 +59,7 @@ class BatchTruth(Mapping[str, Floats]):
         return np.array([not foot.flaw for foot in layout.feet])
 
     def __iter__(self) -> Iterator[str]:
-        return iter(TOLD)
+        return iter(QUANTITIES)
 
     def __len__(self) -> int:
-        return len(TOLD)
+        return len(QUANTITIES)

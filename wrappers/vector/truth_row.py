@@ -16,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
-from surefoot.envs.instrumentation.layout import FOOT_WIDTH, TORSO_WIDTH
+from surefoot.envs.instrumentation.robot import FOOT_WIDTH, TORSO_WIDTH
 from surefoot.wrappers.raw_view import TRUE_KEYS, own_copy
 from surefoot.wrappers.source import find_source, with_source
 from surefoot.wrappers.telemetry import MEASURED

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.envs.instrumentation.feet import find_feet
 from surefoot.envs.instrumentation.geometry import FootGeometry, below, checked_layout, measure_foot
-from surefoot.envs.plate import SolePlate
+from surefoot.envs.instrumentation.plate import SolePlate
 
 FOOT_WIDTH: Final = 27
 """Columns of a foot: ankle's force and torque, contacts' force, torque and place, sole's place and axes."""
@@ -21,7 +21,7 @@ TORSO_WIDTH: Final = 27
 
 
 @dataclass(frozen=True, eq=False)
-class FeetLayout:
+class MeasuredRobot:
     """A robot with F feet and J encoders, measured.
 
     Attributes:
@@ -58,13 +58,13 @@ class FeetLayout:
         return FOOT_WIDTH * len(self.feet) + TORSO_WIDTH + len(self.joint_names) + 1
 
 
-def measure_feet(
+def measure_robot(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     feet: Sequence[str] | None,
     cells: Mapping[str, ArrayLike] | None,
     margin: float,
-) -> FeetLayout:
+) -> MeasuredRobot:
     """Measure a robot in the pose of ``data``.
 
     Args:
@@ -88,7 +88,7 @@ def measure_feet(
             f"The torso and the feet need names: give the bodies {unnamed or ['torso']} one each."
         )
     places = _places(geometry, cells or {}, margin)
-    return FeetLayout(
+    return MeasuredRobot(
         feet=geometry,
         cells=places,
         plates=tuple(None if place is None else SolePlate(place, np.ones(4)) for place in places),

@@ -7,7 +7,7 @@ from typing import Final
 import gymnasium
 import mujoco
 
-from surefoot.envs.robot import load_nao_spec
+from surefoot.envs.robots.nao import load_nao_spec
 
 _GYMNASIUM: Final = {"humanoid": "humanoid.xml", "walker2d": "walker2d_v5.xml"}
 

@@ -1,16 +1,64 @@
-"""A mass that the robot picks up on its way."""
+"""Small pushes against the torso, and a mass that the robot picks up on its way."""
 
-from collections.abc import Sequence
-from math import isfinite
+from collections.abc import Mapping, Sequence
+from math import cos, isfinite, pi, sin
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.options import numbers_of
+from surefoot.envs.options import checked_range, numbers_of, positive
 
-__all__ = ["POSITION_PAYLOAD_TORSO", "Payload"]
+PUSH_TIME = 0.1
+"""How long a push lasts in s."""
+
+
+class Pushes:
+    """Horizontal pushes of constant force at the torso's centre of mass, at random times.
+
+    Args:
+        model: The robot.
+        impulse: Smallest and largest impulse in N s.
+        interval: Mean time from one push to the next in s; the intervals are exponentially distributed.
+        dt: Control step in s.
+
+    Attributes:
+        quiet_time: How long after a reset none comes, in s.
+    """
+
+    quiet_time = 0.0
+
+    def __init__(self, model: Any, impulse: Sequence[float], interval: float, dt: float) -> None:
+        self._impulse = checked_range("push_impulse", impulse)
+        self._interval = positive("push_interval", interval) / dt
+        self._length = round(PUSH_TIME / dt)
+        self._dt = dt
+        self._body = int(model.body("torso").id)
+        self._next = 0.0
+        self._left = 0
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Draw when the first push comes."""
+        self._left = 0
+        self._next = self.quiet_time / self._dt + rng.exponential(self._interval)
+
+    def apply(self, data: Any, rng: np.random.Generator) -> None:
+        """Push, or not, during the control step that follows."""
+        if self._impulse[1] == 0.0:
+            return
+        self._next -= 1.0
+        if self._left > 0:
+            self._left -= 1
+            if self._left == 0:
+                data.xfrc_applied[self._body, :3] = 0.0
+        if self._next <= 0.0:
+            force = rng.uniform(*self._impulse) / (self._length * self._dt)
+            angle = rng.uniform(-pi, pi)
+            data.xfrc_applied[self._body, :3] = (force * cos(angle), force * sin(angle), 0.0)
+            self._left = self._length
+            self._next = rng.exponential(self._interval)
+
 
 POSITION_PAYLOAD_TORSO = (0.06, 0.0, 0.04)
 """Where a payload's centre of mass lies in the torso's frame, in m: held before the chest."""
@@ -132,3 +180,53 @@ def _checked(payload: Any) -> tuple[float, float]:
             f"None for none; got {payload!r}."
         )
     return numbers[0], numbers[1]
+
+
+class Surprise:
+    """When an episode is still, and what it has its robot carry later.
+
+    Args:
+        stand_time: Length of the quiet stand in s, with which an episode begins: calibrators get a standing
+            start.
+        payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
+        payload_time: Earliest and latest moment at which it comes, in s after the quiet stand.
+        payload_box: Two corners of the box in the torso's frame within which its centre of mass lies, in m,
+            shape (2, 3).
+        dt: Control step in s.
+
+    Raises:
+        ValueError: If an option is out of its range, naming it.
+    """
+
+    def __init__(
+        self,
+        stand_time: float,
+        payload_mass: Sequence[float],
+        payload_time: Sequence[float],
+        payload_box: Sequence[Sequence[float]],
+        dt: float,
+    ) -> None:
+        self.stand_time = positive("stand_time", stand_time, or_zero=True)
+        self.stand_ticks = round(self.stand_time / dt)
+        self._mass = checked_range("payload_mass", payload_mass)
+        self._time = checked_range("payload_time", payload_time)
+        self._box = np.array(payload_box, dtype=np.float64)
+
+    def draw(self, payload: Payload, rng: np.random.Generator) -> None:
+        """Plan the payload of an episode: its mass, when it comes, and where within the box it lies."""
+        mass = rng.uniform(*self._mass)
+        time = self.stand_time + rng.uniform(*self._time)
+        low, high = self._box
+        payload.plan(mass, time, rng.uniform(low, high).tolist())
+
+
+def refuse_planned_payload(task: str, options: Mapping[str, Any]) -> None:
+    """Refuse the option of :class:`NaoEnv` whose place is taken by a payload that is drawn.
+
+    Raises:
+        TypeError: If it is among the options.
+    """
+    if "payload" in options:
+        raise TypeError(
+            f"{task} draws its payload: give 'payload_mass' and 'payload_time' in place of 'payload'."
+        )

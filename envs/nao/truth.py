@@ -16,11 +16,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.plate import SolePlate
-from surefoot.envs.robot import FEET, cell_positions, hinge_joint_names
-
-CONTACT_FORCE = 5.0
-"""Vertical force in N above which a centre of pressure is defined."""
+from surefoot.envs.instrumentation.plate import SolePlate
+from surefoot.envs.instrumentation.truth import centre_of_pressure
+from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
 
 class TruthChannels:
@@ -107,7 +105,7 @@ class Truth:
         """Wrenches that the feet pass up at and in the ankle sensors' frames in N and N m, shape (S, 2, 6).
 
         What the ground exerts on the foot, and gravity less inertia of all that hangs below the sensor
-        (:func:`~surefoot.envs.robot.below_ankle`): a foot in the air reads its own weight, downwards.
+        (:func:`~surefoot.envs.robots.nao.below_ankle`): a foot in the air reads its own weight, downwards.
         """
         return -self.rows[:, self.channels.ankle].reshape(-1, 2, 6)
 
@@ -177,33 +175,3 @@ class Truth:
         """
         cop: NDArray[np.float64] = centre_of_pressure(self.rows[-1, self.channels.ground].reshape(2, 9))
         return cop
-
-
-def centre_of_pressure(ground: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Find where on the ground the vertical forces of contacts act together.
-
-    Args:
-        ground: Force in N, torque in N m and the place in m at which they act, in the world,
-            shape (..., n, 9).
-
-    Returns:
-        The centre of pressure in m, shape (..., 2); NaN where n contacts bear no more than 5 N together.
-    """
-    force, torque, position = ground[..., :3], ground[..., 3:6], ground[..., 6:]
-    moment = torque + np.cross(position * (1.0, 1.0, 0.0), force)
-    load = force[..., 2].sum(axis=-1)
-    load = np.where(load > CONTACT_FORCE, load, np.nan)
-    return np.stack([-moment[..., 1].sum(axis=-1) / load, moment[..., 0].sum(axis=-1) / load], axis=-1)
-
-
-def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Find where each foot's load acts on its sole.
-
-    Args:
-        wrench_sole: Wrenches at and in the sole frames in N and N m, shape (..., 6).
-
-    Returns:
-        The centres of pressure in the sole frames in m, shape (..., 2); NaN at no more than 5 N.
-    """
-    load = np.where(wrench_sole[..., 2] > CONTACT_FORCE, wrench_sole[..., 2], np.nan)
-    return np.stack([-wrench_sole[..., 4] / load, wrench_sole[..., 3] / load], axis=-1)

@@ -5,7 +5,6 @@ speaks of joints, motors and feet.
 """
 
 from importlib.resources import files
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -39,7 +38,7 @@ def load_nao_spec() -> mujoco.MjSpec:
     Returns:
         A specification of its own, to instrument or perturb in memory and then ``compile()``.
     """
-    xml = files("surefoot.envs.assets").joinpath("nao.xml").read_text(encoding="utf-8")
+    xml = files("surefoot.envs.robots").joinpath("nao.xml").read_text(encoding="utf-8")
     return mujoco.MjSpec.from_string(xml)
 
 
@@ -103,46 +102,3 @@ def place_on_ground(
     data.qpos[:2] = position_sole[:, :2].mean(axis=0) - middle[:2]
     data.qpos[2] = position_sole[:, 2].min() - lowest
     mujoco.mj_kinematics(model, data)
-
-
-class BelowSensor(NamedTuple):
-    """What hangs below a sensor of each foot, (left, right), in the sole frames.
-
-    Attributes:
-        position_sensor_sole: Origins of the sensors' frames in m, shape (2, 3).
-        R_sole_sensor: Rotations from the sensors' frames to the sole frames, shape (2, 3, 3).
-        mass: Mass below in kg, shape (2,).
-        com_sole: Its centre of mass in m, shape (2, 3).
-    """
-
-    position_sensor_sole: NDArray[np.float64]
-    R_sole_sensor: NDArray[np.float64]
-    mass: NDArray[np.float64]
-    com_sole: NDArray[np.float64]
-
-
-def below_ankle(model: mujoco.MjModel) -> BelowSensor:
-    """Describe what a six-axis sensor at the ankle carries: the foot with its sole plate."""
-    return _below(model, [f"{foot}_ankle_ft" for foot in FEET])
-
-
-def below_cells(model: mujoco.MjModel) -> BelowSensor:
-    """Describe what the load cells carry: the sole plate; their common frame is the sole's."""
-    return _below(model, [f"{foot}_sole" for foot in FEET])
-
-
-def _below(model: mujoco.MjModel, sites: list[str]) -> BelowSensor:
-    """Measure the bodies that hang on those of the sites, which move with the soles as one."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    position, rotation, mass, com = [], [], [], []
-    for name, foot in zip(sites, FEET, strict=True):
-        sensor, sole = data.site(name), data.site(f"{foot}_sole")
-        body = int(model.site(name).bodyid[0])
-        R_sole_world = sole.xmat.reshape(3, 3).T
-        position.append(R_sole_world @ (sensor.xpos - sole.xpos))
-        rotation.append(R_sole_world @ sensor.xmat.reshape(3, 3))
-        mass.append(float(model.body_subtreemass[body]))
-        com.append(R_sole_world @ (data.subtree_com[body] - sole.xpos))
-    return BelowSensor(np.array(position), np.array(rotation), np.array(mass), np.array(com))

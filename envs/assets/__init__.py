@@ -1,1 +1,0 @@
-"""MJCF models of the robots."""

@@ -1,1 +1,0 @@
-"""Pushes and loads."""

@@ -1,0 +1,1 @@
+"""Descriptions of robots: the NAO-class biped, and those that others made."""
