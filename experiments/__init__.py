@@ -1,35 +1,44 @@
-"""What the ``surefoot`` command runs: logs, the virtual bench, replays, scores, closed loops and reports.
+"""What the ``surefoot`` command runs: logs, simulated walks, studies, policies and pages.
 
 * :func:`read_log` and :func:`write_log` for logs of simulated and real robots (docs/log-format.md).
 * :func:`record_walk`, :func:`replay_logs` and :func:`score_forces`: a walk, the same stream through every
-  calibrator, and how far each is from the truth.
-* :func:`run_weighing` and :func:`run_loop` for the virtual bench and the walker on calibrated feet.
+  calibrator, and how far each is from the truth; :func:`run_loop` for the walker on calibrated feet.
 """
 
-from surefoot.experiments.logs.format import Log, LogError, LogTruth, read_log, write_log
-from surefoot.experiments.walks.closed_loop import LoopRun, run_loop
-from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
-from surefoot.experiments.walks.replay import Replayed, replay_logs
-from surefoot.experiments.walks.score import Score, mean_interval, score_forces
-from surefoot.experiments.weights.weighing import WeighingReport, WeighingSetup, run_weighing
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from surefoot.experiments.logs.format import Log, LogError, LogTruth, read_log, write_log
+    from surefoot.experiments.walks.closed_loop import run_loop
+    from surefoot.experiments.walks.record import record_walk
+    from surefoot.experiments.walks.replay import replay_logs
+    from surefoot.experiments.walks.score import score_forces
 
 __all__ = [
-    "CONDITIONS",
-    "Condition",
     "Log",
     "LogError",
     "LogTruth",
-    "LoopRun",
-    "Replayed",
-    "Score",
-    "WeighingReport",
-    "WeighingSetup",
-    "mean_interval",
     "read_log",
     "record_walk",
     "replay_logs",
     "run_loop",
-    "run_weighing",
     "score_forces",
     "write_log",
 ]
+
+_HOMES = {
+    "logs.format": ("Log", "LogError", "LogTruth", "read_log", "write_log"),
+    "walks.closed_loop": ("run_loop",),
+    "walks.record": ("record_walk",),
+    "walks.replay": ("replay_logs",),
+    "walks.score": ("score_forces",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first asked for, so that the command starts fast."""
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"surefoot.experiments.{module}"), name)
+    raise AttributeError(f"module 'surefoot.experiments' has no attribute '{name}'")

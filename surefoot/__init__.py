@@ -1,8 +1,8 @@
 """Honest models of the sensors that biped robots stand on, and calibrators that undo their errors.
 
-``import surefoot`` needs no simulator: where Gymnasium and MuJoCo are installed it registers the
-``surefoot/...`` environments, elsewhere it offers :mod:`surefoot.calibration` and
-:mod:`surefoot.sensors` alone.
+``import surefoot`` needs no simulator. Where Gymnasium and MuJoCo are installed it registers the
+``surefoot/...`` environments as soon as Gymnasium is imported; elsewhere it offers
+:mod:`surefoot.calibration` and :mod:`surefoot.sensors` alone.
 """
 
 from importlib import import_module
@@ -24,4 +24,4 @@ def __getattr__(name: str) -> Any:
 
 
 if find_spec("gymnasium") is not None and find_spec("mujoco") is not None:
-    import_module("surefoot.registration").register_environments()
+    import_module("surefoot.registration").register_with_gymnasium()

@@ -160,7 +160,7 @@ class ArenaPage:
                 f"This run took: {took}. What is finished is kept, so that a run goes on where it stopped.",
             ),
             commands=(
-                f"surefoot bench calibration --scenario {scenario} --seeds {options.seeds}{quick} "
+                f"surefoot compare walking --scenario {scenario} --seeds {options.seeds}{quick} "
                 f"--out {options.out}",
             ),
         )

@@ -5,15 +5,15 @@ from typing import Annotated
 
 import typer
 
-from surefoot.experiments.cli.console import console, fail
+from surefoot.experiments.cli.console import console, fail, keep_old_name, one_line_errors, show
 
 __all__ = ["app"]
 
 app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
 
 
-@app.command("walking")
-def calibrate_walking(
+@app.command()
+def walk(
     log: Annotated[Path, typer.Argument(help="A log, .parquet or .csv; see docs/log-format.md.")],
     method: Annotated[
         str | None,
@@ -38,7 +38,7 @@ def calibrate_walking(
     from surefoot.experiments.logs.format import MAX_GAP, read_log
     from surefoot.experiments.walking.calibrate import DEFAULT_METHOD, calibrate_log
 
-    try:
+    with one_line_errors():
         result = calibrate_log(
             read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP),
             DEFAULT_METHOD if method is None else method,
@@ -49,34 +49,29 @@ def calibrate_walking(
             zero_phase=zero_phase,
             file=log.name,
         )
-    except (ValueError, OSError) as error:
-        fail(str(error))
     for notice in result.notices:
         typer.echo(f"Note: {notice}")
-    for table in result.tables:
-        console.print(table.to_rich())
+    show(result.tables)
     typer.echo(f"Calibrated walk: {result.walk}\nParameters:      {result.parameters}")
     typer.echo(f"Report:          {result.page}")
 
 
-@app.command("bench")
-def calibrate_bench(
+@app.command()
+def weights(
     weighings: Annotated[Path, typer.Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
     out: Annotated[Path | None, typer.Option(help="Where to write the map as JSON.")] = None,
 ) -> None:
     """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
     from surefoot.experiments.weights.calibrate import fit_weighings
 
-    try:
+    with one_line_errors():
         table, path = fit_weighings(weighings, weighings.with_suffix(".map.json") if out is None else out)
-    except (ValueError, OSError) as error:
-        fail(str(error))
-    console.print(table.to_rich())
+    show([table])
     typer.echo(f"Map: {path}")
 
 
-@app.command("in-situ")
-def calibrate_in_situ(
+@app.command()
+def ft(
     logs: Annotated[
         list[Path] | None,
         typer.Argument(help="A log with all sets, or one file a set, .parquet or .csv; docs/in-situ-log.md."),
@@ -105,7 +100,7 @@ def calibrate_in_situ(
         fail("give the log of a sensor, or --sample for the one that ships with surefoot.")
     paths = [SAMPLE] if sample else list(logs or ())
     folder = out if out is not None else (Path("out/in-situ") if sample else paths[0].parent)
-    try:
+    with one_line_errors():
         told = read_config(config) if config is not None else config_beside(paths[0])
         told = told.override(
             raw=_names(raw),
@@ -115,12 +110,9 @@ def calibrate_in_situ(
             set=set_,
         )
         result = calibrate_in_situ_log(paths, told, folder=folder, console=console)
-    except (ValueError, OSError) as error:
-        fail(str(error))
     for notice in result.notices:
         typer.echo(f"Note: {notice}")
-    for table in result.tables:
-        console.print(table.to_rich())
+    show(result.tables)
     for what, path in result.files.items():
         typer.echo(f"{what.capitalize() + ':':<13}{path}")
 
@@ -128,3 +120,7 @@ def calibrate_in_situ(
 def _names(listed: str | None) -> tuple[str, ...] | None:
     """Part names of columns at their commas."""
     return None if listed is None else tuple(name.strip() for name in listed.split(","))
+
+
+for _old, _command, _new in (("walking", walk, "walk"), ("bench", weights, "weights"), ("in-situ", ft, "ft")):
+    keep_old_name(app, _old, _command, f"surefoot calibrate {_old}", f"surefoot calibrate {_new}")

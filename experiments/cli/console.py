@@ -1,18 +1,53 @@
-"""What all commands share; private to the command line."""
+"""What all commands share: output, one-line errors, old names, common options."""
 
-from typing import NoReturn
+import functools
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 
-__all__ = ["console", "fail"]
+__all__ = ["Jobs", "Out", "console", "fail", "keep_old_name", "one_line_errors", "show"]
 
 console = Console()
 if not console.is_terminal:
     console = Console(width=160)
+
+Out = Annotated[Path, typer.Option(help="Folder for everything that is made.")]
+Jobs = Annotated[int, typer.Option(help="Processes that work at the same time.", min=1)]
 
 
 def fail(message: str) -> NoReturn:
     """End with one line that says what is wrong and what to do, and exit code 2."""
     typer.echo(f"surefoot: {message}", err=True)
     raise typer.Exit(2)
+
+
+@contextmanager
+def one_line_errors(out: Path | None = None, cure: str = "give another folder with --out.") -> Iterator[None]:
+    """Turn what a user can mend into one line; a failure to write names the folder and the cure."""
+    try:
+        yield
+    except (ValueError, FileNotFoundError) as error:
+        fail(str(error))
+    except OSError as error:
+        fail(str(error) if out is None else f"cannot write to '{out}': {error.strerror or error}; {cure}")
+
+
+def show(tables: Iterable[Any]) -> None:
+    """Print a study's tables."""
+    for table in tables:
+        console.print(table.to_rich())
+
+
+def keep_old_name(app: typer.Typer, name: str, command: Callable[..., None], old: str, new: str) -> None:
+    """Let a command's old name work, hidden from --help, saying the new one."""
+
+    @functools.wraps(command)
+    def renamed(*args: Any, **options: Any) -> None:
+        typer.echo(f"surefoot: '{old}' is now '{new}'.", err=True)
+        command(*args, **options)
+
+    app.command(name, hidden=True)(renamed)

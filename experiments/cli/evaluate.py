@@ -6,9 +6,11 @@ from typing import Annotated, Any
 
 import typer
 
-from surefoot.experiments.cli.console import console, fail
+from surefoot.experiments.cli.console import console, fail, one_line_errors, show
 
 __all__ = ["evaluate"]
+
+ROOM = "give another folder with --out, or make room."
 
 
 def evaluate(
@@ -73,19 +75,16 @@ def evaluate(
     }
     chosen = {name: value for name, value in given.items() if value}
     try:
-        evaluation = Evaluation(seeds=seeds, first_seed=first_seed, task=task, **chosen)
-        with EvaluationFolder(out, evaluation).opened() as folder:
-            for _ in track(folder.run(jobs), "Episodes", folder.missing, console=console):
-                pass
-        _report(folder.frame, out, folder.origins)
+        with one_line_errors(out, ROOM):
+            evaluation = Evaluation(seeds=seeds, first_seed=first_seed, task=task, **chosen)
+            with EvaluationFolder(out, evaluation).opened() as folder:
+                for _ in track(folder.run(jobs), "Episodes", folder.missing, console=console):
+                    pass
+            _report(folder.frame, out, folder.origins)
     except KeyboardInterrupt:
         kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
         typer.echo(f"Stopped.{kept}", err=True)
         raise typer.Exit(130) from None
-    except (ValueError, FileNotFoundError) as error:
-        fail(str(error))
-    except OSError as error:
-        fail(f"cannot write to '{out}': {error.strerror}; give another folder with --out, or make room.")
 
 
 def _was_given(ctx: typer.Context, name: str) -> bool:
@@ -103,7 +102,7 @@ def _page_of(named: list[str], out: Path | None) -> None:
 
     if out is None:
         fail("--page-of needs a folder for the page; give one with --out.")
-    try:
+    with one_line_errors(out):
         # A path that holds a '=' is a path if it is there.
         parts = [("", "", text) if Path(text).exists() else text.rpartition("=") for text in named]
         frames = []
@@ -115,10 +114,6 @@ def _page_of(named: list[str], out: Path | None) -> None:
                 known.setdefault(name, []).append(origin)
         origins = {name: merged(name, of) for name, of in known.items()}
         _report(pd.concat(frames, ignore_index=True), out, origins)
-    except (ValueError, FileNotFoundError) as error:
-        fail(str(error))
-    except OSError as error:
-        fail(f"cannot write to '{out}': {error.strerror}; give another folder with --out.")
 
 
 def _report(frame: Any, out: Path | None, origins: Mapping[str, Any]) -> None:
@@ -129,7 +124,7 @@ def _report(frame: Any, out: Path | None, origins: Mapping[str, Any]) -> None:
     from surefoot.experiments.policy.train import POLICY
 
     page = EvaluationPage(frame, origins)
-    console.print(score_table(page.frame).to_rich())
+    show([score_table(page.frame)])
     if out is None:
         return
     write_scores(out, page.frame, origins)

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from surefoot.experiments.cli.console import console, fail
+from surefoot.experiments.cli.console import fail, show
 
 __all__ = ["replay", "sweep"]
 
@@ -88,8 +88,7 @@ def sweep(
         fail(str(error))
     except OSError as error:
         fail(f"cannot write to '{out}': {error.strerror or error}; what is finished is kept.")
-    for table in page.tables:
-        console.print(table.to_rich())
+    show(page.tables)
     kept = len(results.rows) - results.computed
     typer.echo(f"{results.computed} cells run, {kept} were there, {len(results.failed)} failed.")
     typer.echo(f"Report: {report}")

@@ -256,7 +256,7 @@ class DemoPage:
             "Repeat any single cell",
             (say(TEXTS["repeat"]), f"This run took: {took}."),
             commands=(
-                f"surefoot calibrate walking {log} --method window --settle {options.settle:g}",
+                f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",
                 f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed} "
                 f"--duration {options.loop_duration:g} --video walk.mp4",
                 f"surefoot demo --seeds {options.seeds} --jobs {options.jobs} --out {options.out}",

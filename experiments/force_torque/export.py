@@ -135,7 +135,7 @@ def read_calibration(path: Path) -> InSituFit:
         LogError: If the file is not there, is no calibration, or one of another version.
     """
     if not path.is_file():
-        raise LogError(f"{path}: no such file; 'surefoot calibrate in-situ' writes one.")
+        raise LogError(f"{path}: no such file; 'surefoot calibrate ft' writes one.")
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:

@@ -121,7 +121,7 @@ def _named(samples: Samples, name: str) -> Samples:
 
 def _read_table(path: Path, config: InSituConfig) -> pa.Table:
     if not path.is_file():
-        raise LogError(f"{path}: no such file; 'surefoot calibrate in-situ --sample' shows one that works.")
+        raise LogError(f"{path}: no such file; 'surefoot calibrate ft --sample' shows one that works.")
     try:
         if path.suffix == ".parquet":
             return pq.read_table(path)

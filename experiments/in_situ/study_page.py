@@ -147,7 +147,7 @@ class InSituStudyPage:
                 f"This run took: {took}. What is finished is kept, so that a run goes on where it stopped.",
             ),
             commands=(
-                f"surefoot bench in-situ --seeds {options.seeds}{quick} --jobs {options.jobs} "
+                f"surefoot compare in-situ --seeds {options.seeds}{quick} --jobs {options.jobs} "
                 f"--out {options.out}",
             ),
         )

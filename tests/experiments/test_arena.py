@@ -135,14 +135,14 @@ def test_the_page_holds_everything(results: ArenaResults) -> None:
 
 def test_the_command(results: ArenaResults, tmp_path: Path) -> None:
     runner = CliRunner()
-    unknown = runner.invoke(app, ["bench", "calibration", "--scenario", "moon", "--out", str(tmp_path)])
+    unknown = runner.invoke(app, ["compare", "walking", "--scenario", "moon", "--out", str(tmp_path)])
     assert unknown.exit_code == 2
     assert "There is no scenario 'moon'. Available: speed-0.02" in unknown.output
-    unknown = runner.invoke(app, ["bench", "calibration", "--method", "magic", "--out", str(tmp_path)])
+    unknown = runner.invoke(app, ["compare", "walking", "--method", "magic", "--out", str(tmp_path)])
     assert unknown.exit_code == 2
     assert "Method 'magic' does not exist." in unknown.output
     # Without a subcommand it is still the bench.
-    assert "Table 3" in runner.invoke(app, ["bench"]).stdout
+    assert "Table 3" in runner.invoke(app, ["compare", "weights"]).stdout
 
 
 def test_options_refuse_what_cannot_be_done() -> None:

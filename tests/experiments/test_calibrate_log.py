@@ -261,13 +261,13 @@ def test_a_channel_that_is_out_is_told_of(log: Log, tmp_path: Path) -> None:
 def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path) -> None:
     gap = dataclasses.replace(log, time=log.time + 22.6 * (np.arange(len(log)) >= 30))
     path = write_log(gap, tmp_path / "walk.csv")
-    refused = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--method", "none"])
+    refused = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])
     assert refused.exit_code == 2
     assert refused.stderr == (
         "surefoot: walk.csv: column 'time_s' leaps by 22.6 s at row 30 (at most 0.1 s); cut the log there "
         "and calibrate the parts one by one, or bridge it with --split-gaps.\n"
     )
-    result = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--method", "none", "--split-gaps"])
+    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none", "--split-gaps"])
     assert result.exit_code == 0, result.output
     assert (
         "Note: walk.csv: column 'time_s' leaps 1 times by more than 0.1 s, the longest by 22.6 s; after each "
@@ -275,7 +275,7 @@ def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path) -> None:
     )
     assert "the clock jumped; filters begin anew" in result.stdout
     both = ["--split-gaps", "--zero-phase"]
-    refused = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--method", "none", *both])
+    refused = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none", *both])
     assert refused.stderr == (
         "surefoot: walk.csv: --zero-phase filters across the gaps that --split-gaps lets through; use one of "
         "them.\n"

@@ -1,8 +1,11 @@
 """The command: what it says, and that it says it in one line with a cure when something is wrong."""
 
+import ast
 import dataclasses
 import importlib.util
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,24 +21,73 @@ from surefoot.experiments.logs.format import Log, write_log
 RUNNER = CliRunner()
 
 
+COMMANDS = ("demo", "view", "compare", "calibrate", "train", "evaluate", "sweep", "replay")
+
+
 def test_version_and_help() -> None:
     assert RUNNER.invoke(app, ["--version"]).stdout == f"surefoot {surefoot.__version__}\n"
     shown = RUNNER.invoke(app, ["--help"]).stdout
-    for command in ("demo", "bench", "calibrate", "view"):
-        assert command in shown
+    places = [shown.find(f"│ {command} ") for command in COMMANDS]
+    assert places == sorted(places)
+    assert places[0] > 0
+    assert "bench" not in shown
+    assert "walking" not in RUNNER.invoke(app, ["calibrate", "--help"]).stdout
 
 
-def test_bench_prints_the_papers_tables(tmp_path: Path) -> None:
-    result = RUNNER.invoke(app, ["bench", "--out", str(tmp_path)])
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\n"
+        "from surefoot.__main__ import main\n"
+        "sys.argv = ['surefoot', '--help']\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = {"numpy", "scipy", "pandas", "pyarrow", "matplotlib", "jinja2", "joblib", "gymnasium", "mujoco"}
+    assert heavy & set(ast.literal_eval(done.stderr)) == set()
+    assert "calibrate" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("bench calibration", "compare walking"),
+        ("bench in-situ", "compare in-situ"),
+        ("calibrate walking", "calibrate walk"),
+        ("calibrate bench", "calibrate weights"),
+        ("calibrate in-situ", "calibrate ft"),
+    ],
+)
+def test_an_old_name_works_as_the_new_one_and_says_it(old: str, new: str, tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.touch()
+    rest = ["gone.csv"] if old.startswith("calibrate") else ["--out", str(blocked / "out")]
+    by_old, by_new = (RUNNER.invoke(app, [*name.split(), *rest]) for name in (old, new))
+    assert by_old.exit_code == by_new.exit_code == 2
+    assert by_old.stderr == f"surefoot: 'surefoot {old}' is now 'surefoot {new}'.\n{by_new.stderr}"
+
+
+def test_the_full_study_chooses_its_scenarios_itself() -> None:
+    fails(
+        ["compare", "walking", "--full", "--method", "tare"],
+        "--full has scenarios and methods of its own; leave out --scenario and --method.",
+    )
+
+
+@pytest.mark.parametrize("command", ["compare weights", "bench"])
+def test_weights_print_the_papers_tables(tmp_path: Path, command: str) -> None:
+    result = RUNNER.invoke(app, [*command.split(), "--out", str(tmp_path)])
     assert result.exit_code == 0
     assert "Table 2: the paper's counts, fitted again" in result.stdout
     assert "Table 3: the bench before and after calibration" in result.stdout
     assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
+    assert ("is now 'surefoot compare weights'" in result.stderr) == (command == "bench")
 
 
 def test_calibrating_a_walk(log: Log, tmp_path: Path) -> None:
     path = write_log(log, tmp_path / "walk.parquet")
-    result = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--method", "none"])
+    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])
     assert result.exit_code == 0, result.output
     walk = pd.read_parquet(tmp_path / "walk.none.parquet")
     assert len(walk) == len(log)
@@ -50,19 +102,19 @@ def test_calibrating_a_walk(log: Log, tmp_path: Path) -> None:
 
 def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path) -> None:
     path = write_log(dataclasses.replace(log, truth=None, seed=None), tmp_path / "walk.csv")
-    result = RUNNER.invoke(app, ["calibrate", "walking", str(path), "--out", str(tmp_path / "new")])
+    result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     assert "Errors" not in result.stdout
     assert (tmp_path / "new" / "walk.surefoot.parquet").is_file()
 
 
-def test_calibrating_a_bench(tmp_path: Path) -> None:
+def test_calibrating_from_weights(tmp_path: Path) -> None:
     load = np.array([0.0, 0.01, 0.05, 0.2, 1.0])
     table = pd.DataFrame({"load_kg": load, "raw_left_front_left_count": 8.3e6 - 4e5 * load})
-    table.to_csv(tmp_path / "bench.csv", index=False)
-    result = RUNNER.invoke(app, ["calibrate", "bench", str(tmp_path / "bench.csv")])
+    table.to_csv(tmp_path / "scales.csv", index=False)
+    result = RUNNER.invoke(app, ["calibrate", "weights", str(tmp_path / "scales.csv")])
     assert result.exit_code == 0, result.output
-    found = json.loads((tmp_path / "bench.map.json").read_text())
+    found = json.loads((tmp_path / "scales.map.json").read_text())
     assert found["channels"] == ["left_front_left"]
     assert found["scale_N_per_count"][0] == pytest.approx(-9.81 / 4e5)
 
@@ -75,21 +127,21 @@ def fails(arguments: list[str], message: str) -> None:
 
 def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     path = str(write_log(log, tmp_path / "walk.parquet"))
-    walking = ["calibrate", "walking"]
+    walk = ["calibrate", "walk"]
     fails(
-        [*walking, "gone.parquet"],
+        [*walk, "gone.parquet"],
         "gone.parquet: no such file; 'surefoot demo' records logs under out/demo/logs.",
     )
     fails(
-        [*walking, path, "--method", "kalman"],
+        [*walk, path, "--method", "kalman"],
         "Method 'kalman' does not exist. Available: 'surefoot', 'window', 'quasi-static', 'tare', 'none'.",
     )
     fails(
-        [*walking, path, "--start", "bench"],
+        [*walk, path, "--start", "bench"],
         "The log's description has no 'bench' map; start from 'nominal', or add the map.",
     )
     fails(
-        [*walking, path, "--settle", "99"],
+        [*walk, path, "--settle", "99"],
         "No sample from 99 s on has finite forces, so there is nothing to score; the walk ends at 0.7375 s: "
         "walk longer or settle for less.",
     )
@@ -121,15 +173,15 @@ BAD_WEIGHINGS = {
 
 
 @pytest.mark.parametrize("case", BAD_WEIGHINGS)
-def test_a_bad_bench_is_refused(tmp_path: Path, case: str) -> None:
+def test_bad_weighings_are_refused(tmp_path: Path, case: str) -> None:
     columns, message = BAD_WEIGHINGS[case]
-    pd.DataFrame(columns).to_csv(tmp_path / "bench.csv", index=False)
-    fails(["calibrate", "bench", str(tmp_path / "bench.csv")], f"bench.csv: {message}")
+    pd.DataFrame(columns).to_csv(tmp_path / "scales.csv", index=False)
+    fails(["calibrate", "weights", str(tmp_path / "scales.csv")], f"scales.csv: {message}")
 
 
 def test_one_weight_is_no_line(tmp_path: Path) -> None:
-    pd.DataFrame({"load_N": [1.0, 1.0], "raw_a_count": [5, 6]}).to_csv(tmp_path / "bench.csv", index=False)
-    result = RUNNER.invoke(app, ["calibrate", "bench", str(tmp_path / "bench.csv")])
+    pd.DataFrame({"load_N": [1.0, 1.0], "raw_a_count": [5, 6]}).to_csv(tmp_path / "scales.csv", index=False)
+    result = RUNNER.invoke(app, ["calibrate", "weights", str(tmp_path / "scales.csv")])
     assert result.exit_code == 2
     assert result.stderr.startswith("surefoot: The cell 'a' saw only the load 1, and a line needs two.")
 

@@ -189,7 +189,7 @@ def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: _Recorded, tmp_pa
 
 
 def test_the_command_calibrates_it(recorded: _Recorded, tmp_path: Path) -> None:
-    arguments = ["calibrate", "walking", str(recorded.path), "--method", "tare", "--out", str(tmp_path)]
+    arguments = ["calibrate", "walk", str(recorded.path), "--method", "tare", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     walk = pd.read_parquet(tmp_path / "walk.tare.parquet")

@@ -1,5 +1,6 @@
 """What must hold of the package as a user installs it."""
 
+import ast
 import json
 import os
 import subprocess
@@ -73,9 +74,24 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
 def test_import_is_light() -> None:
     printed = run_python(
         "import sys, surefoot\n"
-        "print([m for m in ('mujoco', 'torch', 'pandas', 'matplotlib') if m in sys.modules])"
+        "heavy = ('numpy', 'gymnasium', 'mujoco', 'torch', 'pandas', 'matplotlib')\n"
+        "print([m for m in heavy if m in sys.modules])"
     )
     assert printed.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    "imports",
+    [
+        "import surefoot, gymnasium",
+        "import gymnasium, surefoot",
+        "import surefoot, importlib.util; importlib.util.find_spec('gymnasium'); import gymnasium.envs",
+    ],
+)
+def test_environments_are_registered_in_every_order_of_imports(imports: str) -> None:
+    printed = run_python(f"{imports}; print(sorted(i for i in gymnasium.registry if i[:9] == 'surefoot/'))")
+    ids = ("Exercise", "LegRig", "NaoBalance", "NaoCarry", "NaoStand", "NaoWalk")
+    assert ast.literal_eval(printed) == [f"surefoot/{name}-v0" for name in ids]
 
 
 def test_unknown_subpackage_is_an_attribute_error() -> None:

@@ -1,0 +1,129 @@
+"""``surefoot compare``: studies that hold calibrators against each other."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from surefoot.experiments.cli.console import Jobs, Out, fail, keep_old_name, one_line_errors, show
+
+__all__ = ["app", "full_study", "old_app"]
+
+app = typer.Typer(help="Compare calibrators in simulation, and report.", no_args_is_help=True)
+
+
+@app.command()
+def walking(
+    out: Out = Path("out/compare-walking"),
+    seeds: Annotated[
+        int | None, typer.Option(help="Walks of each scenario; 20 by default, 10 with --full.", min=1)
+    ] = None,
+    scenario: Annotated[
+        list[str] | None, typer.Option(help="A scenario to run; give it again for more. All by default.")
+    ] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="A method to run; give it again for more. All by default.")
+    ] = None,
+    jobs: Jobs = 2,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Two seeds, short walks, no scenario that takes minutes.")
+    ] = False,
+    full: Annotated[
+        bool,
+        typer.Option("--full", help="The CoP paper's study instead: its tables, a bad start, closed loops."),
+    ] = False,
+) -> None:
+    """Compare the online calibrators on the same walks, in every scenario."""
+    if full:
+        if scenario or method:
+            fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
+        full_study(out, 10 if seeds is None else seeds, jobs, quick)
+        return
+    from surefoot.experiments.arena.bound import bound_of
+    from surefoot.experiments.arena.options import ArenaOptions
+    from surefoot.experiments.arena.page import ArenaPage
+    from surefoot.experiments.arena.run import run_arena
+
+    with one_line_errors(out):
+        options = ArenaOptions(
+            out=out,
+            seeds=20 if seeds is None else seeds,
+            scenarios=tuple(scenario or ()),
+            methods=tuple(method or ()),
+            jobs=jobs,
+        )
+        out.mkdir(parents=True, exist_ok=True)
+        results = run_arena(options.quickly() if quick else options, bound=bound_of)
+    page = ArenaPage(results)
+    report = page.write()
+    parts = (page.targets, page.overview, page.timing, page.alarms, page.faults)
+    show(table for table in parts if table is not None)
+    typer.echo(f"Report: {report}")
+
+
+def full_study(out: Path, seeds: int, jobs: int, quick: bool) -> None:
+    """Run the CoP paper's study and write its page."""
+    from surefoot.experiments.demo.options import DemoOptions
+    from surefoot.experiments.demo.page import DemoPage
+    from surefoot.experiments.demo.recordings_section import recordings_section
+    from surefoot.experiments.demo.run import run_demo
+
+    options = DemoOptions(out=out, seeds=seeds, jobs=jobs)
+    with one_line_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    page = DemoPage(run_demo(options.quick() if quick else options), recordings_section(out))
+    report = page.write()
+    show(page.tables)
+    typer.echo(f"Report: {report}")
+
+
+@app.command()
+def in_situ(
+    out: Out = Path("out/compare-in-situ"),
+    seeds: Annotated[int, typer.Option(help="Sensors and IMUs, each with errors of its own.", min=1)] = 50,
+    jobs: Jobs = 2,
+    quick: Annotated[bool, typer.Option("--quick", help="Two seeds at 10 samples a second.")] = False,
+) -> None:
+    """Compare in-situ methods on a simulated leg with known masses, as the in-situ paper."""
+    from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
+    from surefoot.experiments.in_situ.study_page import InSituStudyPage
+
+    with one_line_errors(out):
+        options = InSituStudyOptions(out=out, seeds=seeds, jobs=jobs)
+        out.mkdir(parents=True, exist_ok=True)
+        results = run_in_situ_study(options.quickly() if quick else options)
+    page = InSituStudyPage(results)
+    report = page.write()
+    show(page.tables)
+    typer.echo(f"Report: {report}")
+
+
+@app.command()
+def weights(
+    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder for the tables as CSV.")] = None,
+) -> None:
+    """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
+    from surefoot.experiments.demo.tables import paper_table_2, table_2, table_3
+    from surefoot.experiments.study.files import atomic_path
+    from surefoot.experiments.weights.weighing import run_weighing
+
+    report = run_weighing(seed=seed)
+    tables = (paper_table_2()[0], table_2(report), table_3(report))
+    show(tables)
+    if out is not None:
+        for table in tables:
+            with atomic_path(out / f"{table.name}.csv") as part:
+                table.to_frame().to_csv(part, index=False)
+
+
+old_app = typer.Typer(invoke_without_command=True, help="Now 'surefoot compare'.")
+keep_old_name(old_app, "calibration", walking, "surefoot bench calibration", "surefoot compare walking")
+keep_old_name(old_app, "in-situ", in_situ, "surefoot bench in-situ", "surefoot compare in-situ")
+
+
+@old_app.callback()
+def _bench(context: typer.Context, seed: int = 0, out: Path | None = None) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo("surefoot: 'surefoot bench' is now 'surefoot compare weights'.", err=True)
+        weights(seed, out)

@@ -1,0 +1,47 @@
+"""``surefoot demo`` and ``surefoot view``: a first picture."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from surefoot.experiments.cli.compare import full_study
+from surefoot.experiments.cli.console import Jobs, Out, fail
+
+__all__ = ["demo", "view"]
+
+
+def demo(
+    out: Out = Path("out/demo"),
+    seeds: Annotated[int, typer.Option(help="Walks at each speed, and in each closed loop.", min=1)] = 10,
+    jobs: Jobs = 2,
+    quick: Annotated[bool, typer.Option("--quick", help="One speed, two seeds, short walks.")] = False,
+) -> None:
+    """Walk at three speeds, calibrate the same streams by every method, close the loop, and report."""
+    full_study(out, seeds, jobs, quick)
+
+
+def view(
+    feed: Annotated[
+        str, typer.Option(help="CoP fed back: true, none (drifting raw), tare, quasi-static or window.")
+    ] = "window",
+    speed: Annotated[float, typer.Option(help="Walking speed in m/s.")] = 0.04,
+    seed: Annotated[int, typer.Option(help="Seed of the walk and its sensors.")] = 0,
+    duration: Annotated[float, typer.Option(help="Duration in s, 4 s of standing included.")] = 20.0,
+    severity: Annotated[float, typer.Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
+    video: Annotated[Path | None, typer.Option(help="Write an .mp4 here in place of a window.")] = None,
+) -> None:
+    """Watch the walker in a window, or film it."""
+    from surefoot.experiments.walks.video import film_walk, prepare_rendering, watch_walk
+
+    prepare_rendering()
+    if video is not None and video.suffix != ".mp4":
+        fail(f"'{video}' must end in .mp4.")
+    try:
+        if video is None:
+            watch_walk(feed, speed=speed, seed=seed, duration=duration, severity=severity)
+        else:
+            film = film_walk(video, feed, speed=speed, seed=seed, duration=duration, severity=severity)
+            typer.echo(f"Film: {film}")
+    except (ValueError, OSError, ImportError) as error:
+        fail(str(error))
