@@ -1,4 +1,4 @@
-"""What each ingredient of the surefoot estimator is worth: each switched off in turn, on the same walks.
+"""What each ingredient of the moment filter is worth: each switched off in turn, on the same walks.
 
     python benchmarks/ablation.py --seeds 10
 
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def _replay(logs: list[Log], options: dict[str, Any]) -> list[Any]:
-    return replay_logs(logs, "surefoot", **options)
+    return replay_logs(logs, "moment", **options)
 
 
 def _score(log: Log, force: Any) -> tuple[float, float, float]:

@@ -64,7 +64,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
     parser.add_argument("--robots", nargs="+", default=["g1", "t1", "op3"])
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--method", default="surefoot")
+    parser.add_argument("--method", default="moment")
     parser.add_argument("--duration", type=float, default=60.0, help="s")
     parser.add_argument("--settle", type=float, default=20.0, help="s from which errors count")
     arguments = parser.parse_args()

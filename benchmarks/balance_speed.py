@@ -65,8 +65,8 @@ def stacks() -> dict[str, gym.Env[Any, Any]]:
         "environment": bare(),
         "FootSensors": sensed(),
         "SelfCalibration(none)": SelfCalibration(sensed(), "none"),
-        "SelfCalibration(surefoot)": SelfCalibration(sensed(), "surefoot", **EXPECTED_LOADS),
-        "a policy's feed, surefoot": make_feed("surefoot", duration=120.0)[0],
+        "SelfCalibration(moment)": SelfCalibration(sensed(), "moment", **EXPECTED_LOADS),
+        "a policy's feed, moment": make_feed("moment", duration=120.0)[0],
     }
 
 
@@ -115,7 +115,7 @@ def vectors(robots: int) -> dict[str, Any]:
         "environment": copies(),
         "FootSensors": felt(copies(TruthRow)),
         "SelfCalibration(none)": VectorSelfCalibration(felt(copies(TruthRow)), "none"),
-        "SelfCalibration(surefoot)": VectorSelfCalibration(felt(copies(TruthRow)), **EXPECTED_LOADS),
+        "SelfCalibration(moment)": VectorSelfCalibration(felt(copies(TruthRow)), **EXPECTED_LOADS),
     }
 
 

@@ -43,7 +43,7 @@ from surefoot.sensors import (
     strain_gauges,
 )
 
-METHODS = ("surefoot", "window", "quasi-static", "tare", "none")
+METHODS = ("moment", "window", "quasi-static", "tare", "none")
 """By their names of version 0.1, which later versions take as well."""
 
 TASKS = {

@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=4096)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--methods", nargs="+", default=["surefoot"], choices=list(METHODS))
+    parser.add_argument("--methods", nargs="+", default=["moment"], choices=list(METHODS))
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     device, robots = torch.device(arguments.device), arguments.robots

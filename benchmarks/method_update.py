@@ -4,7 +4,7 @@
 
 Methods take turns sample by sample in one process, so that what else the machine does hits all of them
 alike. The sliding window solves on every fourth sample (40 samples, 5 iterations, 16 parameters; the CoP
-paper: 2.5 ms), the surefoot estimator on every sixteenth. No test asserts these figures.
+paper: 2.5 ms), the moment filter on every sixteenth. No test asserts these figures.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from surefoot.calibration import (
 )
 
 DT = 1.0 / 80.0
-EVERY = {"surefoot": 16}
+EVERY = {"moment": 16}
 MASS = 5.305
 
 

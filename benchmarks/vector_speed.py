@@ -76,7 +76,7 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=64, help="number of robots")
     parser.add_argument("--steps", type=int, default=32, help="steps of each stack in a round")
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--methods", nargs="+", default=["surefoot"])
+    parser.add_argument("--methods", nargs="+", default=["moment"])
     parser.add_argument("--shares", action="store_true", help="also profile the last stack")
     arguments = parser.parse_args()
 

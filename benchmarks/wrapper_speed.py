@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--env", default="surefoot/NaoWalk-v0", help="for instance Humanoid-v5")
     parser.add_argument("--config", default="hx711-load-cells", help="the feet's sensors")
     parser.add_argument("--speed", type=float, default=0.04, help="walking speed in m/s")
-    parser.add_argument("--methods", nargs="+", default=["none", "tare", "window", "surefoot"])
+    parser.add_argument("--methods", nargs="+", default=["none", "tare", "window", "moment"])
     parser.add_argument("--shares", action="store_true", help="also profile the last environment")
     arguments = parser.parse_args()
 

@@ -1,7 +1,9 @@
 """What an online method is, and what it must be told; private, public in the package's own namespace."""
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +16,19 @@ from surefoot.calibration.reference import GRAVITY, Reference
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
+
+
+OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
+"""Today's names of methods by the names that they had before."""
+
+
+def method_name(name: str) -> str:
+    """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that says it."""
+    if name not in OLD_NAMES:
+        return name
+    today = OLD_NAMES[name]
+    warnings.warn(f"The method {name!r} is called {today!r} now.", DeprecationWarning, stacklevel=3)
+    return today
 
 
 class OnlineMethod(NamedTuple):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from surefoot.calibration._setup import setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.online import online_method
+from surefoot.calibration.online import method_name, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.state import load_state, save_state
@@ -65,7 +65,7 @@ class FootCalibrator:
     def __init__(
         self,
         layout: FeetLayout,
-        method: str = "surefoot",
+        method: str = "moment",
         *,
         mass: float,
         initial: Parameters | None = None,
@@ -73,11 +73,11 @@ class FootCalibrator:
         lag: int = 2,
         **options: Any,
     ) -> None:
-        self.method = method
+        self.method = method_name(method)
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
-        self._init, self._update = online_method(method, self.setup, **options)
+        self._init, self._update = online_method(self.method, self.setup, **options)
         self._state: Any = None
 
     @property

@@ -2,7 +2,7 @@
 
 An online method is a pair of pure functions over a state that is a value,
 
-    init, update = online_method("surefoot", setup)
+    init, update = online_method("moment", setup)
     state = init(raw)                                       # the kind and batch shape of readings to come
     state, estimate = update(state, raw, reference, dt)     # one sample
 
@@ -15,7 +15,7 @@ estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
 
 | name | learns | from |
 |---|---|---|
-| ``"surefoot"`` | scales, offsets, the reference's errors, faults | the robot's motion, feet in the air |
+| ``"moment"`` | scales, offsets, the reference's errors, faults | the robot's motion, feet in the air |
 | ``"window"`` | scales and offsets | the robot's motion, standing and walking (CoP paper, Eqs. 12-14) |
 | ``"quasi-static"`` | scales and offsets | the centre of mass alone (Han's method) |
 | ``"tare"`` | offsets | feet in the air |
@@ -27,14 +27,14 @@ from dataclasses import fields
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from surefoot.calibration._setup import OnlineMethod, OnlineSetup
+from surefoot.calibration._setup import OnlineMethod, OnlineSetup, method_name
 from surefoot.calibration.baselines.none import uncorrected
 from surefoot.calibration.baselines.tare import TareConfig, tare
 from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
 from surefoot.calibration.window.config import WindowConfig, window
 from surefoot.calibration.window.quasi_static import quasi_static
 
-__all__ = ["METHODS", "MethodEntry", "OnlineMethod", "OnlineSetup", "online_method"]
+__all__ = ["METHODS", "MethodEntry", "OnlineMethod", "OnlineSetup", "method_name", "online_method"]
 
 
 class MethodEntry(NamedTuple):
@@ -51,7 +51,7 @@ class MethodEntry(NamedTuple):
 
 METHODS = MappingProxyType(
     {
-        "surefoot": MethodEntry(moment_filter, MomentFilterConfig),
+        "moment": MethodEntry(moment_filter, MomentFilterConfig),
         "window": MethodEntry(window, WindowConfig),
         "quasi-static": MethodEntry(quasi_static, WindowConfig),
         "tare": MethodEntry(tare, TareConfig),
@@ -65,7 +65,7 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     """Build a method by its name.
 
     Args:
-        name: A key of :data:`METHODS`.
+        name: A key of :data:`METHODS`, or an old name, with a ``DeprecationWarning``.
         setup: What the method must be told about the robot.
         options: Fields of the method's config.
 
@@ -75,8 +75,9 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     >>> online_method("windows", ...)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    ValueError: Method 'windows' does not exist. Available: 'surefoot', 'window', ..., 'tare', 'none'.
+    ValueError: Method 'windows' does not exist. Available: 'moment', 'window', ..., 'tare', 'none'.
     """
+    name = method_name(name)
     if name not in METHODS:
         available = ", ".join(repr(key) for key in METHODS)
         raise ValueError(f"Method {name!r} does not exist. Available: {available}.")

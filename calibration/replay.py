@@ -17,7 +17,7 @@ from surefoot.calibration.front_end.filters import zero_phase as filter_zero_pha
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.online import METHODS, online_method
+from surefoot.calibration.online import METHODS, method_name, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 
@@ -60,6 +60,7 @@ def replay(
     Raises:
         ValueError: If a field has another length than the readings, or an array or option does not fit.
     """
+    method = method_name(method)
     readings = np.asarray(raw)
     if readings.dtype.kind != "f":
         readings = readings.astype(np.float64)

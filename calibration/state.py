@@ -13,6 +13,8 @@ from array_api_compat import array_namespace, is_array_api_obj
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
+from surefoot.calibration._setup import OLD_NAMES
+
 _FORMAT = "surefoot-state-1"
 
 
@@ -45,7 +47,7 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
         path: A file that :func:`save_state` wrote.
         like: A state of the same method and setup, such as a fresh one: it tells the library, the device and
             what must fit. It is not changed.
-        notes: Texts that must be as they were saved.
+        notes: Texts that must be as they were saved; under ``method`` an old name of the method is accepted.
 
     Returns:
         The saved state.
@@ -58,6 +60,9 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
         raise ValueError(f"'{path}' is not a saved state: it lacks the mark '{_FORMAT}'.")
     for name, text in notes.items():
         saved = str(entries.get(f"note.{name}", "nothing"))
+        if name == "method":
+            method, space, options = saved.partition(" ")
+            saved = OLD_NAMES.get(method, method) + space + options
         if saved != text:
             raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
     saved_leaves = {name[6:]: entry for name, entry in entries.items() if name.startswith("state.")}

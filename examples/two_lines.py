@@ -29,5 +29,5 @@ def cop_error(method: str, seconds: float = 20.0, seed: int = 0) -> float:
 
 
 if __name__ == "__main__":
-    for name in ("none", "tare", "quasi-static", "window", "surefoot"):
+    for name in ("none", "tare", "quasi-static", "window", "moment"):
         print(f"{name:>12}: {cop_error(name):5.1f} mm")

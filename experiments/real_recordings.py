@@ -111,7 +111,7 @@ METHODS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "none": ("none", {}),
     "tare": ("tare", {}),
     "standing start": ("none", {}),
-    "surefoot": ("surefoot", {}),
+    "moment": ("moment", {}),
     "window": ("window", {**_WIDE, "standing_patience": 3.0}),
     "window, weight alone": ("window", {**_WIDE, "cop_weight": 0.0, "standing_start": False}),
 }

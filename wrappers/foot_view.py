@@ -19,7 +19,7 @@ DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 CERTAINTY: Final = ("foot_force_std", "cop_std")
 """Parts that only a method with a covariance can tell."""
 
-CERTAIN_METHODS: Final = ("surefoot",)
+CERTAIN_METHODS: Final = ("moment",)
 """Methods that claim one."""
 
 PARTS: Final = (*DEFAULT, "wrench", "vgrf", *CERTAINTY, "foot_flags")

@@ -25,7 +25,7 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> di
         method: The calibrator.
     """
     options: dict[str, float] = {}
-    if method == "surefoot" and all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors):
+    if method == "moment" and all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors):
         options["leap"] = NO_LEAP
     if all(foot.position_cell_sole is not None for foot in layout.feet):
         return options

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from surefoot.calibration import FootCalibrator, Parameters, Reference
+from surefoot.calibration._setup import method_name
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.state import load_state, save_state
 from surefoot.wrappers.beliefs import Beliefs, nothing
@@ -92,7 +93,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        method: str = "surefoot",
+        method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         show: Sequence[str] = DEFAULT,
@@ -105,6 +106,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         stream: int = BELIEF_STREAM,
         **options: Any,
     ) -> None:
+        method = method_name(method)
         sensors = find_sensors(env, SelfCalibration, FootSensors, gym.Wrapper)
         start = StartingMap(initial, sensors.instruments.nominal, bench_scale_error, bench_offset_error)
         gym.utils.RecordConstructorArgs.__init__(

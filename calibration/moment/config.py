@@ -1,4 +1,4 @@
-r"""The surefoot estimator: a Kalman filter on rows that are linear in what is unknown.
+r"""The moment filter: a Kalman filter on rows that are linear in what is unknown.
 
 The CoP paper divides moments by forces before it compares (Eq. 14), and needs Gauss-Newton for that. Left
 undivided, the six Newton-Euler equations (Eqs. 6, 7) are *linear* in gains a, offsets b and, to first order,
@@ -42,7 +42,7 @@ from surefoot.calibration._setup import (
 
 @dataclass(frozen=True, kw_only=True)
 class MomentFilterConfig:
-    """Options of the surefoot estimator; the defaults are those of cheap cells under a small humanoid."""
+    """Options of the moment filter; the defaults are those of cheap cells under a small humanoid."""
 
     every: int = 16
     """Samples from one update to the next."""
@@ -146,7 +146,7 @@ class MomentFilterConfig:
 
 
 def moment_filter(setup: OnlineSetup, config: MomentFilterConfig | None = None) -> OnlineMethod:
-    """Build the surefoot estimator as a pair of pure functions.
+    """Build the moment filter as a pair of pure functions.
 
     Args:
         setup: What the method must be told about the robot.

@@ -23,7 +23,7 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
     Args:
         log: The log.
         judged: Samples that are scored, shape (N,).
-        options: What the surefoot estimator is told besides the log.
+        options: What the moment filter is told besides the log.
     """
     walks = log.truth is not None and bool(log.about.get("speed_m_s"))
     if not walks or not judged.any() or not np.isfinite(log.raw).all():

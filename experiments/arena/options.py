@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from surefoot.calibration import METHODS
+from surefoot.calibration.online import METHODS, method_name
 from surefoot.experiments.walks.walkers import STAND_TIME, check_study
 
 __all__ = ["TRUE_MAP", "ArenaOptions"]
@@ -39,6 +39,7 @@ class ArenaOptions:
     def __post_init__(self) -> None:
         """Refuse what cannot be done."""
         check_study(self, "seeds", "jobs")
+        object.__setattr__(self, "methods", tuple(map(method_name, self.methods)))
         unknown = [name for name in self.methods if name not in METHODS and name != TRUE_MAP]
         if unknown:
             available = ", ".join(map(repr, METHODS))

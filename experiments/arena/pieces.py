@@ -113,7 +113,7 @@ def bound_piece(name: str, options: ArenaOptions, bound: Bound) -> Frame:
     rows = []
 
     def told(stream: Stream) -> dict[str, float]:
-        return asdict(bound(stream.log, stream.judged, scenario.options_of("surefoot")))
+        return asdict(bound(stream.log, stream.judged, scenario.options_of("moment")))
 
     for stream in _streams(scenario, options)[0]:
         # A bound knows of no fault: what it says of a channel that fails would mean nothing.

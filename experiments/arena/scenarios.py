@@ -109,7 +109,7 @@ _ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", F
 _BOTH = Condition("both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque())
 # Eight seconds are too short to wait for a standing start that does not come.
 _IMPATIENT = {name: {"standing_patience": 3.0} for name in ("window", "quasi-static")}
-_WIDE_ZEROS = {"surefoot": {"offset_std": 0.1}}
+_WIDE_ZEROS = {"moment": {"offset_std": 0.1}}
 """What is known of the six-axis sensors: zeros of some 5 N, a tenth of the weight."""
 
 _FOOT_LENGTH = {"foot_length": 0.17}

@@ -153,7 +153,7 @@ def timing_table(timing: Frame, scores: Frame) -> Table:
     return Table("timing", "Time of one update", columns, tuple(rows))
 
 
-def target_table(scores: Frame, timing: Frame, method: str = "surefoot") -> Table | None:
+def target_table(scores: Frame, timing: Frame, method: str = "moment") -> Table | None:
     """Hold a method against what it was set out to reach, or ``None`` if it was not run.
 
     Args:

@@ -17,7 +17,7 @@ def walk(
     log: Annotated[Path, typer.Argument(help="A log, .parquet or .csv; see docs/log-format.md.")],
     method: Annotated[
         str | None,
-        typer.Option(help="surefoot, window, quasi-static, tare or none; by default as FootCalibrator."),
+        typer.Option(help="moment, window, quasi-static, tare or none; by default as FootCalibrator."),
     ] = None,
     start: Annotated[
         str | None,

@@ -26,7 +26,7 @@ def evaluate(
     feed: Annotated[
         list[str] | None,
         typer.Option(
-            help="true, none (drifting raw), bench, quasi-static, window or surefoot; again for more."
+            help="true, none (drifting raw), bench, quasi-static, window or moment; again for more."
         ),
     ] = None,
     severity: Annotated[

@@ -216,7 +216,7 @@ def target_table(
         name = f"severity {severity:g}, {_feed_name(feed)} CoP fed back: share that falls"
         if feed == "none":
             row(name, "> 50 %", f"{100 * share:.0f} %", share > 0.5)
-        elif feed in ("window", "surefoot", "true"):
+        elif feed in ("window", "moment", "true"):
             row(name, "0 %", f"{100 * share:.0f} %", share == 0)
     return Table("targets", "Set out to reach", ("what", "target", "measured", "reached"), tuple(rows))
 

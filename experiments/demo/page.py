@@ -24,7 +24,7 @@ __all__ = ["DemoPage"]
 
 PAPER, BAD = CONDITIONS
 PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}
-DRAWN = ("truth", "none", "quasi-static", "window", "surefoot")
+DRAWN = ("truth", "none", "quasi-static", "window", "moment")
 YARDSTICKS = (
     (PAPER, "baseline", f"{PAPER.title}, against the baseline"),
     (PAPER, "truth", f"{PAPER.title}, against the truth"),

@@ -151,7 +151,7 @@ def _close_the_loop(stage: Stage, results: DemoResults) -> None:
         speed, seed = _telling_seed(results.loop[results.loop["severity"] == severity])
         results.filmed = (severity, speed, seed)
         shots: Work = [
-            (_film_job, (feed, speed, seed, options.film_duration, severity)) for feed in ("none", "surefoot")
+            (_film_job, (feed, speed, seed, options.film_duration, severity)) for feed in ("none", "moment")
         ]
         results.film = join_reels(options.out, *stage.run("film", shots))
 
@@ -167,8 +167,8 @@ def _film_job(feed: str, speed: float, seed: int, duration: float, severity: flo
 def _telling_seed(loop: Frame) -> tuple[float, int]:
     """Choose the walk to film: raw it falls, if it may be after some steps; calibrated it does not."""
     fell = loop.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
-    if {"none", "surefoot"} <= set(fell.columns):
-        telling = fell[fell["none"] & ~fell["surefoot"]]
+    if {"none", "moment"} <= set(fell.columns):
+        telling = fell[fell["none"] & ~fell["moment"]]
         if len(telling):
             time = loop[loop["feed"] == "none"].set_index(["speed", "seed"])["time"].loc[telling.index]
             where: Any = (time - (STAND_TIME + 6.0)).abs().idxmin()

@@ -8,7 +8,7 @@ TEXTS = {
     "introduction": """
         A NAO-class biped of 5.3 kg walks in MuJoCo on eight load cells, four under each foot, whose
         gains and zeros are wrong and drift. Every walk was recorded once, and the same stream of counts
-        went through every calibration method: the surefoot estimator, the sliding window of the CoP
+        went through every calibration method: the moment filter, the sliding window of the CoP
         paper, Han's quasi-static method, a tare in swing, and none at all. The methods were told what a
         robot knows (late and noisy encoders and IMU, and a model of itself whose mass and centre of mass
         are off), never the truth; the truth is used here to score them.""",

@@ -48,7 +48,7 @@ def force_ellipsoids(path: Path, found: Calibrated) -> Path:
         path: Where to save the figure.
         found: The calibrated log.
     """
-    looks = (look_of("surefoot")._replace(label="calibrated"), factory_look())
+    looks = (look_of("moment")._replace(label="calibrated"), factory_look())
     with figure_at(path, 10.4, 0.4 + 2.9 * _rows(found)) as figure:
         for i, (data, axes) in enumerate(zip(found.sets, _spaces(figure, found), strict=True)):
             for matrix, look in zip(found.matrices(), looks, strict=False):

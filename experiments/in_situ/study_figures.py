@@ -18,7 +18,7 @@ from surefoot.experiments.study.style import Look, look_of
 
 __all__ = ["force_figure", "limb_figure", "method_look", "raw_figure"]
 
-_LOOKS = {"surefoot": "surefoot", "no-loop": "tare", "paper": "window", "manufacturer": "none"}
+_LOOKS = {"surefoot": "moment", "no-loop": "tare", "paper": "window", "manufacturer": "none"}
 
 
 def method_look(method: str) -> Look:

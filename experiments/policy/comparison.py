@@ -24,7 +24,7 @@ __all__ = [
     "severities_of",
 ]
 
-CALIBRATED = "surefoot"
+CALIBRATED = "moment"
 """The feed that is held against the others."""
 
 NOBODY = "zero"
@@ -32,11 +32,11 @@ NOBODY = "zero"
 
 _PAIRS = (
     ("true", "none", "true less drifting"),
-    (CALIBRATED, "none", "surefoot less drifting"),
-    (CALIBRATED, "window", "surefoot less window"),
-    (CALIBRATED, "quasi-static", "surefoot less Han"),
-    (CALIBRATED, "bench", "surefoot less bench"),
-    ("true", CALIBRATED, "true less surefoot"),
+    (CALIBRATED, "none", "moment less drifting"),
+    (CALIBRATED, "window", "moment less window"),
+    (CALIBRATED, "quasi-static", "moment less Han"),
+    (CALIBRATED, "bench", "moment less bench"),
+    ("true", CALIBRATED, "true less moment"),
 )
 
 _INPUTS = ("frozen", "swapped", "shuffled")

@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.calibration._setup import method_name
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robots.nao import motor_of_joint
 from surefoot.experiments.policy.tasks import Task, task_named
@@ -41,7 +42,7 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
         "bench": {"method": "none", "initial": "bench"},
         "quasi-static": {"method": "quasi-static"},
         "window": {"method": "window"},
-        "surefoot": {"method": "surefoot", **EXPECTED_LOADS},
+        "moment": {"method": "moment", **EXPECTED_LOADS},
     }
 )
 """What a policy may be given for the centre of pressure, and the options of :class:`SelfCalibration`."""
@@ -105,6 +106,7 @@ def make_feed(
     Raises:
         ValueError: If there is no such feed or task, or an option is refused.
     """
+    feed = method_name(feed)
     if feed not in FEEDS:
         raise ValueError(f"There is no feed '{feed}'. Available: {', '.join(map(repr, FEEDS))}.")
     tap = TruthTap(gym.make(task_named(task).env_id, disable_env_checker=True, **env_options))

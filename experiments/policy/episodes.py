@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from surefoot.calibration._setup import OLD_NAMES
 from surefoot.experiments.policy.env import FEEDS
 from surefoot.experiments.policy.evaluate import COP_INPUTS
 from surefoot.experiments.policy.scores import controllers_of, in_order
@@ -49,6 +50,7 @@ def read_episodes(path: Path, controller: str = "") -> Frame:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
     names = {name: _names(path, frame[name]) for name in _NAMES}
     names["controller"] = names["controller"].replace("", UNNAMED)
+    names["feed"] = names["feed"].replace(OLD_NAMES)
     frame = frame.assign(**names, **{name: _numbers(path, frame[name]) for name in _NUMBERS})
     for name, known in (("feed", list(FEEDS)), ("cop_input", list(COP_INPUTS)), ("task", list(TASKS))):
         if unknown := sorted(set(frame[name]) - set(known)):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import surefoot
+from surefoot.calibration._setup import method_name
 from surefoot.experiments.policy.controllers import controller_hash, load_controller, trained_on
 from surefoot.experiments.policy.env import FEEDS, make_feed
 from surefoot.experiments.policy.evaluate import (
@@ -62,6 +63,7 @@ class Evaluation:
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
         task_named(self.task)
+        object.__setattr__(self, "feeds", tuple(map(method_name, self.feeds)))
         for name in ("controllers", "feeds", "severities", "cop_inputs"):
             values = getattr(self, name)
             if not values or len(set(values)) < len(values):

@@ -50,12 +50,12 @@ def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] 
         won = won_back(own, CALIBRATED, severity)
         if won is not None:
             measured = "{:.1f} % ({:.1f} to {:.1f})".format(*(100 * part for part in won))
-            row(f"{at}of the loss won back by surefoot", "≥ 90 %", measured, won[0] >= 0.9)
+            row(f"{at}of the loss won back by moment", "≥ 90 %", measured, won[0] >= 0.9)
         for other, name in (("window", "window"), ("quasi-static", "Han")):
             gap = difference(own, Run(CALIBRATED), Run(other), severity)
             if gap is not None:
                 measured = interval_text(gap)
-                row(f"{at}surefoot less {name}", "> 0, clearly", measured, gap.apart and gap.mean > 0.0)
+                row(f"{at}moment less {name}", "> 0, clearly", measured, gap.apart and gap.mean > 0.0)
     for answer in randomisation:
         alone, gap = answer.deciding
         row(

@@ -42,7 +42,7 @@ _INTRODUCTION = """
 _FEEDS = """
     What is fed back: 'true', the simulator's own; 'none', readings of drifting feet as they are; 'bench', by
     coefficients from a bench just before the episode; 'quasi-static', Han's method; 'window', that of the CoP
-    paper; and 'surefoot'. What was not run is left out."""
+    paper; and 'moment'. What was not run is left out."""
 
 _AMOUNT = """
     {episodes} episodes of {count} seeds ({seeds}). {paired} Intervals are 95 %: of means Student's t, of the

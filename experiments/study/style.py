@@ -37,7 +37,7 @@ _LOOKS = {
     "tare": Look("swing tare", "#009E73", "-", "^"),
     "quasi-static": Look("Han (quasi-static)", "#CC79A7", "-", "s"),
     "window": Look("window (CoP paper)", "#0072B2", "-", "o"),
-    "surefoot": Look("surefoot", "#E69F00", "-", "P"),
+    "moment": Look("moment", "#E69F00", "-", "P"),
 }
 _SHORT = {
     "truth": "truth",
@@ -49,7 +49,7 @@ _SHORT = {
     "tare": "tare",
     "quasi-static": "Han",
     "window": "window",
-    "surefoot": "surefoot",
+    "moment": "moment",
 }
 
 

@@ -11,6 +11,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from surefoot.calibration._setup import method_name
 from surefoot.experiments.policy.controllers import controller_hash
 from surefoot.experiments.sweep.episode import Cell
 from surefoot.experiments.sweep.scenarios import SWEEP_FEEDS, SweepScenario, scenario_named
@@ -45,7 +46,7 @@ class SweepPlan:
     """
 
     controllers: tuple[str, ...] = ("zero", "stabiliser")
-    feeds: tuple[str, ...] = ("true", "none", "surefoot")
+    feeds: tuple[str, ...] = ("true", "none", "moment")
     scenarios: tuple[str, ...] = ("speed-0.04",)
     severities: tuple[float, ...] = (1.0, 3.0)
     seeds: tuple[int, ...] = tuple(range(10))
@@ -56,6 +57,7 @@ class SweepPlan:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done, before anything is."""
+        object.__setattr__(self, "feeds", tuple(map(method_name, self.feeds)))
         for name in _GRID:
             _check_axis(name, getattr(self, name))
         if unknown := [feed for feed in self.feeds if feed not in SWEEP_FEEDS]:

@@ -122,13 +122,13 @@ def _table() -> dict[str, SweepScenario]:
             "balance",
             "balance under a payload and pushes",
             _BALANCE,
-            methods={"surefoot": dict(EXPECTED_LOADS)},
+            methods={"moment": dict(EXPECTED_LOADS)},
         ),
         SweepScenario(
             "carry",
             "walking under a payload and pushes",
             _CARRY,
-            methods={"surefoot": dict(EXPECTED_LOADS)},
+            methods={"moment": dict(EXPECTED_LOADS)},
         ),
     )
     return {scenario.name: scenario for scenario in (*walked, *own)}

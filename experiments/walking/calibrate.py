@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from surefoot.calibration import Estimate, FootCalibrator, Parameters, replay
+from surefoot.calibration._setup import method_name
 from surefoot.experiments.logs.checks import LogError
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
@@ -74,6 +75,7 @@ def calibrate_log(
         LogError: If there is no such starting map, or the feet's total cannot be in newtons.
         ValueError: If there is no such method, or nothing to score after ``settle``.
     """
+    method = method_name(method)
     file = stem if file is None else file
     start = str(log.about.get("start", "nominal")) if start is None else start
     began = starting_map(log, start)

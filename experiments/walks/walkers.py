@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from surefoot.calibration.online import METHODS
+from surefoot.calibration.online import METHODS, method_name
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
 from surefoot.wrappers.foot_sensors import FootSensors
@@ -88,6 +88,7 @@ def make_walker(
     Raises:
         ValueError: If there is no such feed, or the environment refuses an option.
     """
+    feed = method_name(feed)
     if feed not in FEEDS:
         raise ValueError(f"There is no feed '{feed}'. Available: {', '.join(map(repr, FEEDS))}.")
     # The walk is cut off before the pattern stops: what is scored is standing first and then walking.

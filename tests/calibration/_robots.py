@@ -1,4 +1,4 @@
-"""Robots that walk side by side, and the surefoot estimator over their streams."""
+"""Robots that walk side by side, and the moment filter over their streams."""
 
 import numpy as np
 from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
@@ -33,7 +33,7 @@ def fleet(seeds, speeds=(0.02, 0.04, 0.1), faults=BAD, **options):
     return logs, np.stack([log.raw for log in logs], axis=1), reference
 
 
-def calibrated(raw, reference, faults=BAD, name="surefoot", **options):
+def calibrated(raw, reference, faults=BAD, name="moment", **options):
     return replay(LAYOUT, name, raw, reference, DT, mass=believed_mass(faults), initial=NOMINAL, **options)
 
 

@@ -124,7 +124,7 @@ def forces(log):
 
 
 def calibrated(force, reference):
-    return replay(LAYOUT, "surefoot", force, reference, DT, mass=believed_mass(BAD), initial=IDENTITY)
+    return replay(LAYOUT, "moment", force, reference, DT, mass=believed_mass(BAD), initial=IDENTITY)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The surefoot estimator over streams: what it finds and what it refuses."""
+"""The moment filter over streams: what it finds and what it refuses."""
 
 from dataclasses import replace
 
@@ -172,7 +172,7 @@ def on_other_cells(counts, seed=4):
 def test_three_cells_are_enough_and_five_not_too_many(counts):
     feet, log, force, raw = on_other_cells(counts)
     estimate, start = (
-        replay(feet, name, raw, log.reference, DT, mass=MASS, lag=0) for name in ("surefoot", "none")
+        replay(feet, name, raw, log.reference, DT, mass=MASS, lag=0) for name in ("moment", "none")
     )
     assert errors(estimate, log, 8.0)[0] < 2.5
     assert errors(start, log, 8.0)[0] > 4.0
@@ -196,7 +196,7 @@ def test_a_plate_alone_is_calibrated_by_who_moves_on_it():
         swing=np.zeros((n, 1), bool),
     )
     estimate, start = (
-        replay(plate, name, raw, reference, DT, mass=MASS, lag=0) for name in ("surefoot", "none")
+        replay(plate, name, raw, reference, DT, mass=MASS, lag=0) for name in ("moment", "none")
     )
     assert errors(estimate, log, 8.0)[0] < 2.5
     assert errors(start, log, 8.0)[0] > 4.0

@@ -1,4 +1,4 @@
-"""The surefoot estimator fed garbage, units that are off and options without meaning."""
+"""The moment filter fed garbage, units that are off and options without meaning."""
 
 import numpy as np
 import pytest
@@ -132,12 +132,12 @@ def test_units_a_thousand_times_off_are_refused_and_flagged(field):
         (
             {"windw": 1},
             ValueError,
-            "Method 'surefoot' has no option 'windw'. Available: ['every', 'average', 'scale_std',",
+            "Method 'moment' has no option 'windw'. Available: ['every', 'average', 'scale_std',",
         ),
     ],
 )  # fmt: skip
 def test_options_without_meaning_are_refused(options, error, message):
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)
     with pytest.raises(error) as raised:
-        online_method("surefoot", setup, **options)
+        online_method("moment", setup, **options)
     assert str(raised.value).startswith(message)

@@ -1,4 +1,4 @@
-"""The surefoot estimator on ankle sensors; and that batch, library, dtype and saving do not matter."""
+"""The moment filter on ankle sensors; and that batch, library, dtype and saving do not matter."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_single_precision_is_close_after_many_steps():
         *(part.astype(np.float32) if part.dtype.kind == "f" else part for part in log.reference)
     )
     double, narrow = (
-        replay(LAYOUT, "surefoot", raw, reference, DT, mass=MASS, initial=identity)
+        replay(LAYOUT, "moment", raw, reference, DT, mass=MASS, initial=identity)
         for raw, reference in ((force, log.reference), (force.astype(np.float32), single))
     )
     assert narrow.force.dtype == narrow.covariance.dtype == narrow.cop_covariance.dtype == np.float32

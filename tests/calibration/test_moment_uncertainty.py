@@ -1,4 +1,4 @@
-"""How sure the surefoot estimator is of what it says, and whether it may be."""
+"""How sure the moment filter is of what it says, and whether it may be."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_what_is_claimed_of_forces_and_of_the_centre_of_pressure_follows_from_th
 
 def test_innovations_are_told_when_a_block_ends_and_only_then():
     log = walk(0, 0.1, 2.0, 1.0, BAD)
-    method = online_method("surefoot", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL))
+    method = online_method("moment", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL))
     state = method.init(log.raw[0])
     for k in range(len(log.raw)):
         state, estimate = method.update(state, log.raw[k], rows_of(log.reference, k), DT)

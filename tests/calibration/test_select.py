@@ -110,7 +110,7 @@ def test_a_standing_start_begins_anew_for_who_forgets(log):
     np.testing.assert_array_equal(forgot.walking, [False, True, True])
 
 
-@pytest.mark.parametrize("name", ["surefoot", "window"])
+@pytest.mark.parametrize("name", ["moment", "window"])
 def test_who_forgets_between_blocks_learns_all_the_same(name, log):
     method = build(name)
     state, _ = stream(method, log, WHOLE + 7)
@@ -186,23 +186,23 @@ def test_who_is_frozen_learns_nothing_and_reads_on(name, lag, log):
 
 
 def test_a_clock_that_jumps_does_not_end_the_frost(log):
-    method = build("surefoot")
+    method = build("moment")
     state, before = stream(method, log, 100)
     after, estimate = update_frozen(method, state, *at(log, 100), 10.0)
     np.testing.assert_array_equal(after.covariance, state.covariance)
     np.testing.assert_array_equal(estimate.scale, before[-1].scale)
 
 
-@pytest.mark.parametrize("name", ["surefoot", "window"])
+@pytest.mark.parametrize("name", ["moment", "window"])
 def test_who_learns_at_every_sample_cannot_be_frozen(name, log):
-    options = {"every": 1} | ({"average": 1} if name == "surefoot" else {})
+    options = {"every": 1} | ({"average": 1} if name == "moment" else {})
     method = build(name, **options)
     with pytest.raises(ValueError, match="'every' of 2 or more"):
         stream(method, log, 60, update=lambda *args: update_frozen(method, *args))
 
 
 def test_torch_selects_as_numpy_does(log):
-    method = build("surefoot")
+    method = build("moment")
     state, _ = stream(method, log, 40)
     to_torch = lambda tree: type(tree)(  # noqa: E731
         *(

@@ -113,7 +113,7 @@ def test_ten_millimetres_clearly_cost():
 
 def test_sensors_and_calibration_wrap_it_unchanged():
     bare = NaoBalanceEnv(stand_time=0.1)
-    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoBalance-v0", stand_time=0.1)), "surefoot")
+    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoBalance-v0", stand_time=0.1)), "moment")
     observation, _ = env.reset(seed=3)
     for key in bare.observation_space.spaces:
         assert observation[key].shape == bare.observation_space[key].shape

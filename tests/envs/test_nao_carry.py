@@ -111,7 +111,7 @@ def test_the_centre_of_pressure_pays_as_much_as_all_the_rest():
 
 def test_sensors_and_calibration_wrap_it_unchanged():
     bare = NaoCarryEnv(**SHORT)
-    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoCarry-v0", **SHORT)), "surefoot")
+    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoCarry-v0", **SHORT)), "moment")
     env.reset(seed=3)
     bare.reset(seed=3)
     for _ in range(30):

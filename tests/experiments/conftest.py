@@ -16,7 +16,7 @@ from surefoot.experiments.policy import evaluate, evaluation
 
 SAMPLES = 60
 MASS = 5.3
-MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "surefoot": 97.0}
+MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "moment": 97.0}
 
 
 @pytest.fixture(scope="session")

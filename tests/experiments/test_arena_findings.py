@@ -76,9 +76,9 @@ def test_without_a_centre_of_pressure_forces_are_ranked() -> None:
 
 @pytest.mark.parametrize(("nees", "inside"), [(1.0, "yes"), (1.8, "no"), (0.4, "no")])
 def test_targets_are_judged(nees: float, inside: str) -> None:
-    scores = scores_of(PLAIN.name, {"surefoot": [1.9, 1.8], "window": [9, 8]}, nees_end=nees)
+    scores = scores_of(PLAIN.name, {"moment": [1.9, 1.8], "window": [9, 8]}, nees_end=nees)
     timing = pd.DataFrame(
-        {"method": ["surefoot", "window"], "median_us": [90.0, 70.0], "mean_us": [95.0, 200.0]}
+        {"method": ["moment", "window"], "median_us": [90.0, 70.0], "mean_us": [95.0, 200.0]}
     )
     table = target_table(scores, timing)
     assert table is not None

@@ -105,7 +105,7 @@ def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path) -> None:
     result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     assert "Errors" not in result.stdout
-    assert (tmp_path / "new" / "walk.surefoot.parquet").is_file()
+    assert (tmp_path / "new" / "walk.moment.parquet").is_file()
 
 
 def test_calibrating_from_weights(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     )
     fails(
         [*walk, path, "--method", "kalman"],
-        "Method 'kalman' does not exist. Available: 'surefoot', 'window', 'quasi-static', 'tare', 'none'.",
+        "Method 'kalman' does not exist. Available: 'moment', 'window', 'quasi-static', 'tare', 'none'.",
     )
     fails(
         [*walk, path, "--start", "bench"],
@@ -148,7 +148,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(["view", "--video", "walk.gif"], "'walk.gif' must end in .mp4.")
     fails(
         ["view", "--feed", "guess", "--video", "walk.mp4"],
-        "There is no feed 'guess'. Available: 'true', 'none', 'tare', 'quasi-static', 'window', 'surefoot'.",
+        "There is no feed 'guess'. Available: 'true', 'none', 'tare', 'quasi-static', 'window', 'moment'.",
     )
 
 

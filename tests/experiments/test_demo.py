@@ -21,7 +21,7 @@ from surefoot.experiments.demo.run import DemoResults, _telling_seed, run_demo
 from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.walks.walkers import STAND_TIME
 
-METHODS = {"none", "tare", "quasi-static", "window", "surefoot"}
+METHODS = {"none", "tare", "quasi-static", "window", "moment"}
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +187,7 @@ def test_recordings_are_laid_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 
 def test_the_walk_to_film_falls_raw_and_stands_calibrated() -> None:
-    ends = {"none": [5.0, 9.5, 30.0, 9.0], "surefoot": [30.0, 30.0, 30.0, 9.0]}
+    ends = {"none": [5.0, 9.5, 30.0, 9.0], "moment": [30.0, 30.0, 30.0, 9.0]}
     loop = pd.DataFrame(
         {"speed": 0.1, "seed": seed, "feed": feed, "fell": time < 30.0, "time": time}
         for feed, times in ends.items()

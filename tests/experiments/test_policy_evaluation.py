@@ -218,7 +218,7 @@ def test_controllers_have_names(tmp_path):
 
 def test_the_command_compares_and_makes_a_page(tmp_path, invented):
     out = tmp_path / "out"
-    arguments = ["evaluate", "zero", "shipped", "--feed", "true", "--feed", "none", "--feed", "surefoot",
+    arguments = ["evaluate", "zero", "shipped", "--feed", "true", "--feed", "none", "--feed", "moment",
                  "--seeds", "3", "--out", str(out)]  # fmt: skip
     answer = RUNNER.invoke(app, arguments)
     assert answer.exit_code == 0, answer.output

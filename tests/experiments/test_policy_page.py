@@ -21,7 +21,7 @@ from surefoot.experiments.sweep import figures as sweep_figures
 from surefoot.experiments.sweep.tables import outcome_table
 from surefoot.experiments.walks.score import Interval
 
-MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "surefoot": 97.0}
+MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "moment": 97.0}
 TRAINED = {"clean": Origin("1", "true", "surefoot 9.9"), "wild": Origin("2", "randomised", "surefoot 9.9")}
 
 
@@ -52,18 +52,18 @@ def test_targets_are_met_or_not_by_the_numbers():
     good = reached(frame_of(episodes(cop_inputs=("shuffled",))))
     assert set(good.values()) == {"yes"}
     assert len(good) == 1 + 2 * 4 + 1
-    bad = {"true": 100.0, "none": 98.5, "quasi-static": 99.6, "window": 99.5, "surefoot": 99.4}
+    bad = {"true": 100.0, "none": 98.5, "quasi-static": 99.6, "window": 99.5, "moment": 99.4}
     assert set(reached(frame_of(episodes(means=bad, fell=2))).values()) == {"no"}
     met = reached(frame_of(episodes(means=bad, fell=2)))
     assert met["survives on true CoP"] == "no"
     assert met["severity 1: return on drifting CoP below that on true CoP"] == "no"
-    assert met["severity 1: of the loss won back by surefoot"] == "no"
-    assert met["severity 1: surefoot less Han"] == "no"
+    assert met["severity 1: of the loss won back by moment"] == "no"
+    assert met["severity 1: moment less Han"] == "no"
     assert reached(frame_of(episodes(fell=1)))["survives on true CoP"] == "yes"
 
 
 def test_what_was_not_run_is_left_out(tmp_path):
-    rows = reached(frame_of(episodes(means={"true": 100.0, "surefoot": 97.0})))
+    rows = reached(frame_of(episodes(means={"true": 100.0, "moment": 97.0})))
     assert list(rows) == ["survives on true CoP"]
     assert reached(frame_of(episodes(means={"none": 50.0, "window": 60.0}))) == {}
     page = EvaluationPage(frame_of(episodes(means={"none": 50.0}, severities=(1.0,))))
@@ -82,11 +82,11 @@ def test_what_was_not_run_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("wild", "enough", "both"),
     [
-        ({"none": 70.0, "surefoot": 90.0}, "is not enough", (WORSE, BETTER)),
-        ({"none": 70.0, "surefoot": 99.0}, "is not enough", (BETTER, BETTER)),
-        ({"none": 70.0, "surefoot": 97.0}, "is not enough", (UNCLEAR, BETTER)),
-        ({"none": 99.0, "surefoot": 99.9}, "is enough", (BETTER, BETTER)),
-        ({"none": 97.0, "surefoot": 97.0}, "cannot be told from calibration alone", (UNCLEAR, UNCLEAR)),
+        ({"none": 70.0, "moment": 90.0}, "is not enough", (WORSE, BETTER)),
+        ({"none": 70.0, "moment": 99.0}, "is not enough", (BETTER, BETTER)),
+        ({"none": 70.0, "moment": 97.0}, "is not enough", (UNCLEAR, BETTER)),
+        ({"none": 99.0, "moment": 99.9}, "is enough", (BETTER, BETTER)),
+        ({"none": 97.0, "moment": 97.0}, "cannot be told from calibration alone", (UNCLEAR, UNCLEAR)),
     ],
 )
 def test_the_answer_on_randomisation_follows_the_numbers(wild, enough, both):
@@ -127,7 +127,7 @@ def test_what_is_not_clear_is_not_said_to_be_as_good_and_the_gap_that_decides_is
 def test_a_loss_that_is_none_is_not_won_back():
     flat = dict.fromkeys(MEANS, 100.0)
     frame = frame_of(episodes("zero", flat))
-    assert won_back(frame, "surefoot", 1.0) is None
+    assert won_back(frame, "moment", 1.0) is None
     assert all(row[3] == "" for row in score_table(frame).rows)
     said = controller_findings(frame, "zero")
     assert "no clear loss" in said[1]
@@ -135,13 +135,13 @@ def test_a_loss_that_is_none_is_not_won_back():
     # Exactly the same returns on all feet: no division by nothing.
     same = frame.assign(total=100.0)
     assert won_back(same, "window", 2.0) is None
-    assert "surefoot wins 94." in controller_findings(frame_of(episodes()), "clean")[1]
+    assert "moment wins 94." in controller_findings(frame_of(episodes()), "clean")[1]
 
 
 def test_the_page_is_one_file_with_everything(tmp_path):
     frame = frame_of(
         episodes(cop_inputs=("frozen", "swapped", "shuffled")),
-        episodes("wild", {"true": 95.0, "none": 70.0, "surefoot": 90.0}),
+        episodes("wild", {"true": 95.0, "none": 70.0, "moment": 90.0}),
         episodes("zero", dict.fromkeys(MEANS, 60.0), fell=3),
     )
     page = EvaluationPage(frame, TRAINED | {"zero": Origin(versions="surefoot 9.9")})
@@ -169,8 +169,8 @@ def test_the_page_is_one_file_with_everything(tmp_path):
     cells = pd.read_csv(tmp_path / "tables" / "randomisation.csv")
     assert list(cells["trained on"]) == ["true feet", "randomised feet"]
     assert float(cells["drifting, 2"][1].split(" ± ")[0]) == pytest.approx(70.0, abs=3.0)
-    whole = "--feed true --feed none --feed quasi-static --feed window --feed surefoot"
-    some = "--feed true --feed none --feed surefoot"
+    whole = "--feed true --feed none --feed quasi-static --feed window --feed moment"
+    some = "--feed true --feed none --feed moment"
     rest = "--severity 1 --severity 2 --seeds 20 --first-seed 0"
     assert page.commands() == [
         f"surefoot evaluate clean --task balance {whole} {rest} --uses-cop",
@@ -211,7 +211,7 @@ def undrawn(monkeypatch):
 
 
 def test_rows_of_other_seeds_are_not_called_paired(tmp_path, undrawn):
-    clean, wild = episodes(), episodes("wild", {"true": 95.0, "none": 70.0, "surefoot": 90.0})
+    clean, wild = episodes(), episodes("wild", {"true": 95.0, "none": 70.0, "moment": 90.0})
     few = [result for result in wild if result.seed >= 12]
     page = EvaluationPage(frame_of(clean, few), TRAINED)
     text = page.write(tmp_path).read_text(encoding="utf-8")
@@ -233,18 +233,18 @@ def test_rows_of_other_seeds_are_not_called_paired(tmp_path, undrawn):
     apart = [result for result in episodes("wild", seeds=40) if result.seed >= 20]
     assert answers(frame_of(clean, apart), "clean", "wild") == []
     # Pairs share seeds, all four do not.
-    odd = [r for r in wild if r.feed != "surefoot" or r.seed < 5]
+    odd = [r for r in wild if r.feed != "moment" or r.seed < 5]
     held = [r for r in clean if r.feed != "none" or r.seed >= 5]
     assert answers(frame_of(held, odd), "clean", "wild") == []
     assert two_by_two(frame_of(clean, apart), "clean", "wild", []).rows[0] == ("true feet", "–")
 
 
 def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
-    # Where all three feeds were run, drifting feet cost nothing; they do only where surefoot was not run.
+    # Where all three feeds were run, drifting feet cost nothing; they do only where moment was not run.
     rng = np.random.default_rng(3)
     noise = rng.normal(0.0, 1.0, (3, 30))
     cost = np.where(np.arange(30) < 15, 0.0, 100.0)
-    totals = {"true": noise[0], "none": noise[1] - cost, "surefoot": noise[2][:15]}
+    totals = {"true": noise[0], "none": noise[1] - cost, "moment": noise[2][:15]}
     frame = episodes_frame(
         [
             EpisodeResult(feed, "felt", 1.0, seed, total, False, 9.0, 0.0, 0.0, "clean")
@@ -252,7 +252,7 @@ def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
             for seed, total in enumerate(of)
         ]
     )
-    assert won_back(frame, "surefoot", 1.0) is None
+    assert won_back(frame, "moment", 1.0) is None
 
 
 def test_names_stay_apart_however_short_they_are_cut(tmp_path, monkeypatch, undrawn):

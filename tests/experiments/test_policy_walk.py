@@ -101,7 +101,7 @@ def test_what_is_shipped_for_walking_fits_the_task():
 def test_the_sweep_knows_the_task():
     scenario = scenario_named("carry")
     assert scenario.environment == TASKS["walk"].env_id
-    assert scenario.calibration_for("surefoot")["mass_change"] > 0.0
+    assert scenario.calibration_for("moment")["mass_change"] > 0.0
     assert "mass_change" not in scenario.calibration_for("window")
 
 

@@ -45,5 +45,5 @@ def test_a_map_that_is_not_there_is_refused(log: Log) -> None:
         starting_map(log, "bench")
     with pytest.raises(LogError, match=r"starts from 'nominal' or 'bench', not from 'factory'\."):
         replay_logs([log], "none", "factory")
-    with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'surefoot', 'window'"):
+    with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'moment', 'window'"):
         replay_logs([log], "kalman")

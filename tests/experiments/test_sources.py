@@ -19,7 +19,7 @@ def test_what_an_episode_runs_is_in_its_hash():
 
     sys.setprofile(note)
     try:
-        run_episode(zero_action, "surefoot", 3, duration=0.5)
+        run_episode(zero_action, "moment", 3, duration=0.5)
     finally:
         sys.setprofile(None)
     assert {"surefoot.envs.nao.balance", "surefoot.calibration.moment.stream"} <= ran

@@ -118,7 +118,7 @@ def test_the_page_is_one_file_with_everything(tmp_path: Path) -> None:
     assert page.half is not None
     assert len(page.half.rows) == 4
     outcomes = pd.read_csv(tmp_path / "tables" / "outcome_stand.csv")
-    fed = outcomes[(outcomes["controller"] == "stabiliser") & (outcomes["feed"] == "surefoot")]
+    fed = outcomes[(outcomes["controller"] == "stabiliser") & (outcomes["feed"] == "moment")]
     assert list(fed["fell (%)"].str.split().str[0].astype(int)) == [0, 100]
     assert list(fed["episodes"]) == [4, 4]
 

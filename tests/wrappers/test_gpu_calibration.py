@@ -38,7 +38,7 @@ def log(toy):
     return raw.float(), force[clock], [part[clock] for part in motion]
 
 
-def make(method="surefoot", robots=N, **options):
+def make(method="moment", robots=N, **options):
     options = {"mass": MASS, "dt": DT, "lag": 0} | options
     if method in ("window", "quasi-static"):
         options |= {"standing_start": False}
@@ -129,7 +129,7 @@ def test_a_partial_reset_leaves_the_others_alone(method, fresh, log):
         assert torch.equal(ours.force[[1, 2]], theirs.force[[1, 2]])
 
 
-@pytest.mark.parametrize("method", ["surefoot", "window", "tare"])
+@pytest.mark.parametrize("method", ["moment", "window", "tare"])
 def test_who_is_frozen_learns_nothing(method, log):
     module = make(method)
     before = run(module, log, 160)[-1]

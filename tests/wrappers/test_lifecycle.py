@@ -152,7 +152,7 @@ def test_files_of_other_robots_and_sensors_are_refused(tmp_path, make_bare) -> N
     with pytest.raises(RuntimeError, match=r"no calibrator before the first reset\(\)"):
         calibrated.load(tmp_path / "a.npz")
     calibrated.reset(seed=0)
-    with pytest.raises(ValueError, match="was saved for method 'nothing', but this is 'surefoot"):
+    with pytest.raises(ValueError, match="was saved for method 'nothing', but this is 'moment"):
         calibrated.load(tmp_path / "a.npz")
 
 

@@ -94,7 +94,7 @@ def test_a_mass_believed_wrong_is_told_each_robots_calibrator():
 
 def test_robots_learn_to_tell_their_centre_of_pressure():
     errors = {}
-    for method in ("none", "surefoot"):
+    for method in ("none", "moment"):
         env = _vector(method=method)
         env.reset(seed=8)
         found = []
@@ -104,8 +104,8 @@ def test_robots_learn_to_tell_their_centre_of_pressure():
             found.append(np.linalg.norm(seen["cop_foot"] - truth, axis=-1))
             assert not terminated.any()
         errors[method] = np.nanmedian(found[320:], axis=(0, 2))
-    assert (errors["surefoot"] < 0.006).all(), errors
-    assert errors["surefoot"].mean() < 0.4 * errors["none"].mean(), errors
+    assert (errors["moment"] < 0.006).all(), errors
+    assert errors["moment"].mean() < 0.4 * errors["none"].mean(), errors
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from surefoot.calibration._setup import OLD_NAMES
+
 RobotIds = Tensor | slice | Sequence[int] | int | None
 """Robots as managers name them: their numbers or one, a mask (bool), a slice, or ``None`` for all."""
 
@@ -182,6 +184,8 @@ class BatchModule(nn.Module, ABC):
         """Refuse a saved state of another module, naming the first difference."""
         for name, ours in identity.items():
             theirs = saved.get("identity", {}).get(name)
+            if name == "method":
+                theirs = OLD_NAMES.get(theirs, theirs)
             if theirs != ours:
                 raise ValueError(
                     f"The saved state is of another {type(self).__name__}: its {name} is {theirs!r}, this "

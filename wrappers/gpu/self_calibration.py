@@ -1,6 +1,6 @@
 """Calibrators for thousands of robots at once: readings and beliefs in, calibrated forces out, on the device.
 
-    calibrator = SelfCalibrationModule(layout, "surefoot", env.num_envs, env.device, mass=35.0,
+    calibrator = SelfCalibrationModule(layout, "moment", env.num_envs, env.device, mass=35.0,
                                        dt=env.step_dt, lag=0, initial=feet.nominal)
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, online_method
-from surefoot.calibration._setup import setup_from_options
+from surefoot.calibration._setup import method_name, setup_from_options
 from surefoot.calibration.select import put_back, select, update_frozen
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
 
@@ -74,11 +74,11 @@ class SelfCalibrationModule(BatchModule):
         **options: Any,
     ) -> None:
         super().__init__(num_envs, device, dtype, dt, counter)
-        self.method, self.frozen = method, False
+        self.method, self.frozen = method_name(method), False
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
-        self._method = online_method(method, self.setup, **options)
+        self._method = online_method(self.method, self.setup, **options)
         self._options = dict(sorted(options.items()))
         self._fresh = self._method.init(
             torch.zeros((num_envs, layout.channels), dtype=dtype, device=self.device)

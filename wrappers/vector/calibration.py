@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters, Reference, online_method
-from surefoot.calibration._setup import setup_from_options
+from surefoot.calibration._setup import method_name, setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.select import select
 from surefoot.wrappers.contacts import CONTACT_MARGIN
@@ -84,6 +84,7 @@ class BatchCalibration:
             raise ValueError(
                 f"Calibration while walking needs a robot on two feet, got the feet {drawing.feet}."
             )
+        method = method_name(method)
         self._sensors, self._fresh, self._stream = sensors, fresh, stream
         self._initial = StartingMap(initial, instruments.nominal, bench_scale_error, bench_offset_error)
         self._model = BatchNominal(drawing, sensors.count, mass_error=mass_error, com_offset=com_offset)

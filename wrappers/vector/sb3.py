@@ -130,7 +130,7 @@ class VecSelfCalibration(VecEnvWrapper):
     def __init__(
         self,
         venv: VecEnv,
-        method: str = "surefoot",
+        method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         lag: int | None = None,

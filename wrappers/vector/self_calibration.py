@@ -57,7 +57,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     def __init__(
         self,
         env: VectorEnv[Any, Any, Any],
-        method: str = "surefoot",
+        method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         lag: int | None = None,
