@@ -34,7 +34,7 @@ def run(robot: str, seed: int, method: str, duration: float, settle: float) -> t
     env = gym.make("surefoot/Exercise-v0", robot=robot, duration=duration)
     body: Any = env.unwrapped
     weight = float(body.model.body_subtreemass[0]) * GRAVITY
-    cells = replace(sized(HX711_LOAD_CELLS, weight), initial_zero_std=0.03 * weight)
+    cells = replace(sized(HX711_LOAD_CELLS, weight), initial_offset_std=0.03 * weight)
     sensed = FootSensors(env, cells)
     calibrated = SelfCalibration(sensed, method)
     calibrated.reset(seed=seed)

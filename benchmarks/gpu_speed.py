@@ -23,7 +23,7 @@ from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule
 
 DT, MASS, STEPS, WARM = 1.0 / 80.0, 5.305, 96, 16
 FAULTS = [Fault("spiking", 0), Fault("dropped", 5, probability=0.1, burst=0.1)]
-WARMING = replace(HX711_LOAD_CELLS, zero_tempco=0.005, span_tempco=5e-5, temperature_ramp=0.03)
+WARMING = replace(HX711_LOAD_CELLS, offset_tempco=0.005, scale_tempco=5e-5, temperature_ramp=0.03)
 
 
 def time_steps(name: str, call: Callable[[int], object], device: torch.device) -> None:

@@ -52,7 +52,7 @@ def simulate(duration: float, seed: int = 0) -> tuple[list[InSituSet], float]:
     # The sets are of one sensor, switched on anew for each.
     state = state._replace(
         response=np.broadcast_to(state.response[:1], state.response.shape).copy(),
-        zero=np.broadcast_to(state.zero[:1], state.zero.shape).copy(),
+        offset=np.broadcast_to(state.offset[:1], state.offset.shape).copy(),
         tempco=np.broadcast_to(state.tempco[:1], state.tempco.shape).copy(),
     )
     wrench = np.stack([recording.wrench_leg for recording in recordings])

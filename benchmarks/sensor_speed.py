@@ -20,18 +20,19 @@ from surefoot.sensors import HX711_LOAD_CELLS, LoadCells, Mechanics, Wire, load_
 from surefoot.sensors.randomness import normal
 
 DT = 1 / 80
-BARE = replace(HX711_LOAD_CELLS, gain_drift=0.0, zero_drift=0.0, input_noise=0.0, rate=None)
+BARE = replace(HX711_LOAD_CELLS, scale_drift=0.0, offset_drift=0.0, input_noise=0.0, rate=None)
 
 
 def variants() -> dict[str, LoadCells]:
     """The whole, the default device, nothing but a fixed bridge and a converter, and each link alone."""
     found = {"whole chain": WHOLE, "hx711-load-cells": HX711_LOAD_CELLS, "bare": BARE}
-    found["walks of gain and zero"] = replace(BARE, gain_drift=WHOLE.gain_drift, zero_drift=WHOLE.zero_drift)
+    drifts = {"scale_drift": WHOLE.scale_drift, "offset_drift": WHOLE.offset_drift}
+    found["drift of scale and offset"] = replace(BARE, **drifts)
     found["noise"] = replace(BARE, input_noise=WHOLE.input_noise)
     found["temperature"] = replace(
         BARE,
-        span_tempco=WHOLE.span_tempco,
-        zero_tempco=WHOLE.zero_tempco,
+        scale_tempco=WHOLE.scale_tempco,
+        offset_tempco=WHOLE.offset_tempco,
         temperature_ramp=WHOLE.temperature_ramp,
         temperature_rise=WHOLE.temperature_rise,
     )

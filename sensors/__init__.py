@@ -17,7 +17,7 @@ from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN
 from surefoot.sensors.devices.strain_gauges import (
     StrainGaugeState,
     read_sequence,
-    shift_zero,
+    shift_offset,
     strain_gauges,
     true_response,
 )
@@ -40,7 +40,7 @@ from surefoot.sensors.presets import (
     sized,
 )
 from surefoot.sensors.severity import scaled
-from surefoot.sensors.stages.affine import PER_SQRT_MINUTE, drift, gain, gain_drift, offset
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE, drift, offset, scale, scale_drift
 from surefoot.sensors.stages.clock import ClockState, sample_and_hold
 from surefoot.sensors.stages.converter import noise_density, quantize, saturate, white_noise
 from surefoot.sensors.stages.creep import CreepState, creep
@@ -119,8 +119,6 @@ __all__ = [
     "encoders",
     "force_torque",
     "from_mapping",
-    "gain",
-    "gain_drift",
     "hysteresis",
     "imu",
     "latency",
@@ -141,9 +139,11 @@ __all__ = [
     "resolve",
     "sample_and_hold",
     "saturate",
+    "scale",
+    "scale_drift",
     "scaled",
     "send",
-    "shift_zero",
+    "shift_offset",
     "sized",
     "spikes",
     "stale_repeats",

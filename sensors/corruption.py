@@ -53,8 +53,8 @@ def chain(*corruptions: Corruption[Any]) -> Corruption[tuple[Any, ...]]:
         *corruptions: The stages; none leaves readings as they are.
 
     >>> import numpy as np
-    >>> from surefoot.sensors import chain, gain, offset, quantize
-    >>> cell = chain(gain(3.0), offset(0.4), quantize(1.0))
+    >>> from surefoot.sensors import chain, scale, offset, quantize
+    >>> cell = chain(scale(3.0), offset(0.4), quantize(1.0))
     >>> rng = np.random.default_rng(0)
     >>> cell.apply(np.array([1.0, 2.0]), cell.init((2,), rng), rng, 0.0125)[0]
     array([3., 6.])

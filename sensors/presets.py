@@ -24,8 +24,8 @@ HX711_LOAD_CELLS = LoadCells()
 """Eight uncalibrated cells of 98.1 N and 1 mV/V on HX711 chips at gain 128 and nominally 80 SPS."""
 
 BAR_CELLS_ON_HX711 = LoadCells(
-    span_tempco=5e-5,
-    zero_tempco=5e-4 * 9.81,
+    scale_tempco=5e-5,
+    offset_tempco=5e-4 * 9.81,
     temperature_ramp=14.0 / 900.0,
     temperature_rise=14.0,
     settling=4,
@@ -49,11 +49,11 @@ BAR_CELLS_ON_HX711 = LoadCells(
         under_way=4,
     ),
 )
-"""The same cells with every link of the chain: a cheap bar cell's data sheet (nonlinearity, hysteresis and
-creep in half an hour of 5e-4 each, zero of 5e-5 of the capacity per kelvin), a foot that warms up by 14 K in
-a quarter of an hour and more, an HX711 that settles in 4 conversions, and the CoP paper's wireless network
-(20 +- 4 ms). The warp of an impact, the share of an overload and the rates of spikes, wrong words, repeats
-and losses are chosen within what logs and bug reports tell."""
+"""The same cells with every error: a cheap bar cell's data sheet (nonlinearity, hysteresis and creep in half
+an hour of 5e-4 each, offset of 5e-5 of the capacity per kelvin), a foot that warms up by 14 K in a quarter of
+an hour, an HX711 that settles in 4 conversions, and the CoP paper's wireless network (20 +- 4 ms). The warp
+of an impact, the share of an overload and the rates of spikes, wrong words, repeats and losses are chosen
+within what logs and bug reports report."""
 
 NAO_FSR = LoadCells(
     capacity=25.0,
@@ -65,10 +65,10 @@ NAO_FSR = LoadCells(
     polarity=(1,),
     input_noise=1.6e-3,
     rate=None,
-    initial_gain_std=0.3,
-    initial_zero_std=0.1,
-    gain_drift=0.02 * PER_SQRT_MINUTE,
-    zero_drift=0.02 * PER_SQRT_MINUTE,
+    initial_scale_std=0.3,
+    initial_offset_std=0.1,
+    scale_drift=0.02 * PER_SQRT_MINUTE,
+    offset_drift=0.02 * PER_SQRT_MINUTE,
     mechanics=Mechanics(
         nonlinearity=0.06,
         hysteresis=0.1,
@@ -78,9 +78,9 @@ NAO_FSR = LoadCells(
     ),
     wire=Wire(stale_repeats=0.73),
 )
-"""Eight force-sensing resistors under a NAO's soles. Seen: the range of 25 N (Aldebaran), zeros of at most
+"""Eight force-sensing resistors under a NAO's soles. Seen: the range of 25 N (Aldebaran), offsets of at most
 0.2 N in swing, 73 % of the readings repeated, and a robot of 5.3 kg that its feet call 3.5 kg (an own look
-at a public log), for which the spread of the gains stands. By the data sheet of such resistors (Interlink
+at a public log), for which the spread of the scales stands. By the data sheet of such resistors (Interlink
 FSR 400): hysteresis of 10 %, drift of at most 5 % a decade of time. Inferred: 10 bits of 0.05 N, noise of
 0.05 N, bends, walks and jumps. The readings that are stuck at zero half of the time are not in it: add
 :class:`~surefoot.sensors.Fault` s."""
@@ -90,10 +90,10 @@ PERFECT_LOAD_CELLS = LoadCells(
     polarity=(1,),
     input_noise=0.0,
     rate=None,
-    initial_gain_std=0.0,
-    initial_zero_std=0.0,
-    gain_drift=0.0,
-    zero_drift=0.0,
+    initial_scale_std=0.0,
+    initial_offset_std=0.0,
+    scale_drift=0.0,
+    offset_drift=0.0,
 )
 """Cells that report the true load at the instant they are read, in N."""
 
@@ -107,13 +107,13 @@ ATI_MINI45 = ForceTorque(
     resolution_torque=0.005,
     noise_force=0.25,
     noise_torque=0.005,
-    initial_gain_std=0.01,
+    initial_scale_std=0.01,
     cross_talk_std=0.005,
-    initial_zero_force_std=1.0,
-    initial_zero_torque_std=0.03,
-    gain_drift=0.0,
-    zero_drift_force=0.05 * PER_SQRT_MINUTE,
-    zero_drift_torque=0.001 * PER_SQRT_MINUTE,
+    initial_offset_force_std=1.0,
+    initial_offset_torque_std=0.03,
+    scale_drift=0.0,
+    offset_drift_force=0.05 * PER_SQRT_MINUTE,
+    offset_drift_torque=0.001 * PER_SQRT_MINUTE,
 )
 """Two sensors of the class of an ATI Mini45 with its range of 580 N and 20 N m. Of its errors only this is
 told: offsets move within hours, calibration is to be repeated every year (in-situ paper), and a sister
@@ -125,13 +125,13 @@ PERFECT_FORCE_TORQUE = ForceTorque(
     resolution_torque=0.0,
     noise_force=0.0,
     noise_torque=0.0,
-    initial_gain_std=0.0,
+    initial_scale_std=0.0,
     cross_talk_std=0.0,
-    initial_zero_force_std=0.0,
-    initial_zero_torque_std=0.0,
-    gain_drift=0.0,
-    zero_drift_force=0.0,
-    zero_drift_torque=0.0,
+    initial_offset_force_std=0.0,
+    initial_offset_torque_std=0.0,
+    scale_drift=0.0,
+    offset_drift_force=0.0,
+    offset_drift_torque=0.0,
 )
 """Sensors that report the true wrench, in N and N m."""
 
@@ -139,13 +139,13 @@ ICUB_FTSENS_LEG = StrainGauges()
 """The old FTSens in an iCub's leg, number 39."""
 
 ICUB_FTSENS_FOOT = StrainGauges(
-    FTSENS_SN142, gain_error_std=0.15, hysteresis_true_force=10.0, hysteresis_true_torque=0.5
+    FTSENS_SN142, scale_error_std=0.15, hysteresis_true_force=10.0, hysteresis_true_torque=0.5
 )
 """The younger one in a foot, number 142; the weight of a foot of 0.8 kg shows as an ellipsoid with axes of
 1.3 to 1 in the median (in-situ paper, Table I: 1.4), of 1.1 to 1.6 in 80 % of sensors."""
 
 PERFECT_STRAIN_GAUGES = StrainGauges(
-    gain_error_std=0.0,
+    scale_error_std=0.0,
     cross_talk_std=0.0,
     offset_force=0.0,
     offset_torque=0.0,
@@ -155,11 +155,11 @@ PERFECT_STRAIN_GAUGES = StrainGauges(
     hysteresis=0.0,
     creep_shares=(),
     creep_time_constants=(),
-    zero_drift_force=0.0,
-    zero_drift_torque=0.0,
-    zero_tempco_force=0.0,
-    zero_tempco_torque=0.0,
-    span_tempco=0.0,
+    offset_drift_force=0.0,
+    offset_drift_torque=0.0,
+    offset_tempco_force=0.0,
+    offset_tempco_torque=0.0,
+    scale_tempco=0.0,
 )
 """Gauges of which the maker's matrix, that of the leg's sensor, makes the true wrench."""
 
@@ -256,7 +256,7 @@ def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config]) -> Con
 def sized(config: LoadCells, weight: float) -> LoadCells:
     """Choose cells of the same kind for a robot of another weight.
 
-    All that is given in newtons goes with the weight: capacity, zeros with their drift and temperature
+    All that is given in newtons goes with the weight: capacity, offsets with their drift and temperature
     coefficient, what impacts do to them, and the change of load that counts as an impact. What is relative
     stays; noise and rounding are shares of the range, so they go along.
 
@@ -268,7 +268,7 @@ def sized(config: LoadCells, weight: float) -> LoadCells:
         ValueError: If the weight is not positive and finite.
 
     >>> cells = sized(LoadCells(), 33.3 * 9.81)
-    >>> round(cells.capacity), round(cells.initial_zero_std, 1), cells.initial_gain_std
+    >>> round(cells.capacity), round(cells.initial_offset_std, 1), cells.initial_scale_std
     (616, 9.4, 0.12)
     """
     if not 0.0 < weight < float("inf"):
@@ -277,9 +277,9 @@ def sized(config: LoadCells, weight: float) -> LoadCells:
     return replace(
         config,
         capacity=config.capacity * factor,
-        initial_zero_std=config.initial_zero_std * factor,
-        zero_drift=config.zero_drift * factor,
-        zero_tempco=config.zero_tempco * factor,
+        initial_offset_std=config.initial_offset_std * factor,
+        offset_drift=config.offset_drift * factor,
+        offset_tempco=config.offset_tempco * factor,
         mechanics=replace(
             mechanics,
             mounting_warp_std=mechanics.mounting_warp_std * factor,

@@ -30,12 +30,12 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
         LoadCells: (
             "input_noise",
-            "initial_gain_std",
-            "initial_zero_std",
-            "gain_drift",
-            "zero_drift",
-            "span_tempco",
-            "zero_tempco",
+            "initial_scale_std",
+            "initial_offset_std",
+            "scale_drift",
+            "offset_drift",
+            "scale_tempco",
+            "offset_tempco",
             "mechanics",
             "wire",
         ),
@@ -59,17 +59,17 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
         ForceTorque: (
             "noise_force",
             "noise_torque",
-            "initial_gain_std",
+            "initial_scale_std",
             "cross_talk_std",
-            "initial_zero_force_std",
-            "initial_zero_torque_std",
-            "gain_drift",
-            "zero_drift_force",
-            "zero_drift_torque",
+            "initial_offset_force_std",
+            "initial_offset_torque_std",
+            "scale_drift",
+            "offset_drift_force",
+            "offset_drift_torque",
             "wire",
         ),
         StrainGauges: (
-            "gain_error_std",
+            "scale_error_std",
             "cross_talk_std",
             "offset_force",
             "offset_torque",
@@ -77,11 +77,11 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "noise_torque",
             "hysteresis",
             "creep_shares",
-            "zero_drift_force",
-            "zero_drift_torque",
-            "zero_tempco_force",
-            "zero_tempco_torque",
-            "span_tempco",
+            "offset_drift_force",
+            "offset_drift_torque",
+            "offset_tempco_force",
+            "offset_tempco_torque",
+            "scale_tempco",
         ),
         Imu: (
             "accelerometer_noise",
@@ -104,14 +104,14 @@ LIMITS: Mapping[type, Mapping[str, float]] = MappingProxyType(
     {
         Mechanics: {"nonlinearity": 0.08, "hysteresis": 0.12, "overload_share": 1.0},
         Wire: {"wrong_words": 1.0, "stale_repeats": 0.95, "packet_loss": 0.95, "gap_share": 0.95},
-        StrainGauges: {"gain_error_std": 0.5, "cross_talk_std": 0.5, "hysteresis": 0.08},
+        StrainGauges: {"scale_error_std": 0.5, "cross_talk_std": 0.5, "hysteresis": 0.08},
     }
 )
 """Where a severity above 1 leaves off scaling a field: beyond, readings would fall under a growing load
 (nonlinearity, hysteresis), more would stay of an overload than there was, more readings be wrong than there
-are, none be news, or a sensor lose an axis. A configuration that is beyond already stays as it is. The gains
+are, none be news, or a sensor lose an axis. A configuration that is beyond already stays as it is. The scales
 and the cross-talk of a :class:`~surefoot.sensors.ForceTorque` have one limit together, 0.25 for
-``initial_gain_std + 5 cross_talk_std``, at which both leave off."""
+``initial_scale_std + 5 cross_talk_std``, at which both leave off."""
 
 IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
@@ -179,7 +179,7 @@ def scaled(config: Config, severity: float) -> Config:
 
     >>> from surefoot.sensors import LoadCells
     >>> worse = scaled(LoadCells(), 2.0)
-    >>> worse.initial_zero_std, worse.adc_bits
+    >>> worse.initial_offset_std, worse.adc_bits
     (3.0, 24)
     """
     if not 0.0 <= severity < float("inf"):
@@ -210,11 +210,11 @@ def _limited(config: Any, errors: Mapping[str, Any], severity: float) -> dict[st
     limits = LIMITS.get(type(config), {})
     found = {name: min(errors[name], max(most, getattr(config, name))) for name, most in limits.items()}
     if isinstance(config, ForceTorque):
-        together = config.initial_gain_std + 5.0 * config.cross_talk_std
+        together = config.initial_scale_std + 5.0 * config.cross_talk_std
         if severity * together > MOST_ERROR:
             # A hair less, or rounding could take it over the limit.
             factor = max(1.0, MOST_ERROR * (1.0 - 1e-12) / together)
-            names = ("initial_gain_std", "cross_talk_std")
+            names = ("initial_scale_std", "cross_talk_std")
             found |= {name: factor * getattr(config, name) for name in names}
     if isinstance(config, Wire) and config.late:
         found["under_way"] = ceil(severity * config.under_way)

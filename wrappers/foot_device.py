@@ -10,11 +10,11 @@ from surefoot.sensors import (
     ForceTorque,
     LoadCells,
     force_torque,
-    from_mapping,
     load_cells,
     preset,
     resolve,
 )
+from surefoot.sensors.configuration import current_names, from_mapping
 
 FootDevice = LoadCells | ForceTorque
 """What can be under a foot."""
@@ -36,12 +36,10 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
             return preset(config, ForceTorque)
         names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
         raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")
-    if (
-        isinstance(config, Mapping)
-        and not set(config) <= _keys(LoadCells)
-        and set(config) <= _keys(ForceTorque)
-    ):
-        return from_mapping(ForceTorque, config)
+    if isinstance(config, Mapping):
+        config = current_names(config)
+        if not set(config) <= _keys(LoadCells) and set(config) <= _keys(ForceTorque):
+            return from_mapping(ForceTorque, config)
     return resolve(config, LoadCells)
 
 

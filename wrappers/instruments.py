@@ -167,7 +167,7 @@ class SensorsInAnkles:
     def true_map(self, state: ForceTorqueState) -> Parameters:
         """Tell the map that would undo each axis's own errors now; cross-talk is left out."""
         gain = 1.0 + np.diagonal(state.error, axis1=-2, axis2=-1).ravel()
-        return Parameters(self.nominal.scale / gain, self.preload - state.zero.ravel() / gain)
+        return Parameters(self.nominal.scale / gain, self.preload - state.offset.ravel() / gain)
 
     def cross_talk(self, state: ForceTorqueState) -> Floats:
         """Tell what each channel feels of the others', rows read and columns felt, shape (K, K)."""

@@ -102,7 +102,7 @@ _PLAIN_WALK = _speed(0.04)
 _WARM = Condition(
     "warming",
     "warming up by 20 K in ten minutes",
-    LoadCells(rate=None, zero_tempco=0.03, span_tempco=5e-4, temperature_ramp=20.0 / 600.0),
+    LoadCells(rate=None, offset_tempco=0.03, scale_tempco=5e-4, temperature_ramp=20.0 / 600.0),
     "nominal",
 )
 _ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque())

@@ -18,7 +18,12 @@ from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
 from surefoot.envs.leg_rig.recording import RigRecording
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
-from surefoot.sensors.devices.strain_gauges import StrainGaugeState, read_sequence, shift_zero, true_response
+from surefoot.sensors.devices.strain_gauges import (
+    StrainGaugeState,
+    read_sequence,
+    shift_offset,
+    true_response,
+)
 
 __all__ = [
     "XSENS_MTX",
@@ -48,7 +53,7 @@ XSENS_MTX = Imu(
 per root hertz, 50 m/s^2 and 1200 deg/s of range. Its gyroscope was zeroed at rest; its accelerometer was not
 calibrated. The walks are ours: the maker gives none."""
 
-ZERO_SHIFT = (2.0, 0.05)
+OFFSET_SHIFT = (2.0, 0.05)
 """Standard deviation of what the zeros jump by between sets, in N and N m."""
 
 _STREAM = 0x1F75
@@ -86,8 +91,8 @@ def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> S
             hysteresis=0.0,
             creep_shares=(),
             creep_time_constants=(),
-            zero_drift_force=0.0,
-            zero_drift_torque=0.0,
+            offset_drift_force=0.0,
+            offset_drift_torque=0.0,
         )
     return replace(config, noise_force=0.0, noise_torque=0.0) if exact else config
 
@@ -112,26 +117,26 @@ def read_sensors(
     rng = np.random.default_rng([_STREAM, place, *seeds])
     state = strain_gauges(config).init((len(seeds), len(runs[0]), config.channels), rng)
     for i, seed in enumerate(seeds):
-        # One sensor reads all sets: its zeros jump in between, and nothing else.
+        # One sensor reads all sets: its offsets jump in between, and nothing else.
         one = _one_sensor(config, len(runs[0]), np.random.default_rng([_STREAM, place + 2, seed]))
-        state.response[i], state.zero[i], state.tempco[:, i] = one.response, one.zero, one.tempco
-    response, zero = true_response(config, state)
+        state.response[i], state.offset[i], state.tempco[:, i] = one.response, one.offset, one.tempco
+    response, offset = true_response(config, state)
     dt = float(runs[0][0].time[1] - runs[0][0].time[0])
     counts, after, _ = read_sequence(config, wrench, state, rng, dt)
     _, last = true_response(config, after)
     return [
         (of_seed, SensorTruth(np.array(A[0]), (first + end) / 2.0, np.array(end[-1]), limb))
-        for of_seed, A, first, end in zip(counts, response, zero, last, strict=True)
+        for of_seed, A, first, end in zip(counts, response, offset, last, strict=True)
     ]
 
 
 def _one_sensor(config: StrainGauges, sets: int, rng: np.random.Generator) -> StrainGaugeState:
     """Draw one sensor before each of its sets, as a batch of them."""
     first = strain_gauges(config).init((config.channels,), rng)
-    zeros = [first.zero]
+    offsets = [first.offset]
     for _ in range(1, sets):
-        zeros.append(shift_zero(config, first._replace(zero=zeros[-1]), rng, *ZERO_SHIFT).zero)
-    return first._replace(zero=np.array(zeros), tempco=np.asarray(first.tempco)[:, None])
+        offsets.append(shift_offset(config, first._replace(offset=offsets[-1]), rng, *OFFSET_SHIFT).offset)
+    return first._replace(offset=np.array(offsets), tempco=np.asarray(first.tempco)[:, None])
 
 
 def read_imus(

@@ -106,10 +106,10 @@ def cells_of(severity: float) -> LoadCells:
     preset = HX711_LOAD_CELLS
     return replace(
         preset,
-        initial_gain_std=severity * preset.initial_gain_std,
-        initial_zero_std=severity * preset.initial_zero_std,
-        gain_drift=severity * preset.gain_drift,
-        zero_drift=severity * preset.zero_drift,
+        initial_scale_std=severity * preset.initial_scale_std,
+        initial_offset_std=severity * preset.initial_offset_std,
+        scale_drift=severity * preset.scale_drift,
+        offset_drift=severity * preset.offset_drift,
     )
 
 

@@ -55,7 +55,7 @@ CONDITIONS = (
     Condition(
         "paper",
         "the paper's conditions",
-        LoadCells(gain_drift=0.005 * PER_SQRT_MINUTE, zero_drift=0.2 * PER_SQRT_MINUTE),
+        LoadCells(scale_drift=0.005 * PER_SQRT_MINUTE, offset_drift=0.2 * PER_SQRT_MINUTE),
         "bench",
     ),
     Condition("bad-start", "bad start", HX711_LOAD_CELLS, "nominal"),

@@ -150,7 +150,7 @@ class _Cells:
         bowed = load + self.bow * self.config.capacity * 4.0 * share * (1.0 - share)
         step = np.sqrt(self.setup.seconds_per_weighing)
         walk = np.cumsum(self.rng.standard_normal((2, *load.shape)), axis=1) * step
-        wander = np.array([self.config.gain_drift, self.config.zero_drift])[:, None, None]
+        wander = np.array([self.config.scale_drift, self.config.offset_drift])[:, None, None]
         aged = self.state._replace(error=self.state.error[:, None, :] + wander * walk)
         self.state = self.state._replace(error=aged.error[:, -1])
         repeated = np.broadcast_to(bowed, (self.setup.readings, *load.shape))

@@ -1,4 +1,4 @@
-"""Magnetic joint encoders: a zero that is a little off, some noise, and 12 bits a turn."""
+"""Magnetic joint encoders: an offset that is a little off, some noise, and 12 bits a turn."""
 
 from dataclasses import dataclass
 from math import tau
@@ -18,7 +18,7 @@ class Encoders:
     """Bits a turn; 0 does not round."""
 
     bias_std: float = 1.0e-3
-    """Standard deviation of the joint's zero in rad, constant from power-up."""
+    """Standard deviation of the joint's offset in rad, constant from power-up."""
 
     noise_std: float = 3.0e-4
     """Noise of one reading in rad."""

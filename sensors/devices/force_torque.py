@@ -1,15 +1,15 @@
 r"""Six-axis force-torque sensors: wrenches in, counts out.
 
-Six strain gauges feel all six components of a wrench, and a matrix of the maker's turns them back. What is
-wrong with it is a matrix as well: gains that are not quite the maker's on its diagonal, and beside it the
-cross-talk of one axis into another. Then the zero is not zero, both wander, and the converter adds noise,
-clips and rounds:
+Six strain gauges feel all six components of a wrench, and a matrix of the maker's turns them back. The error
+of that matrix is a matrix as well: on its diagonal the errors of the scales, beside it the cross-talk of one
+axis into another. Each axis has an offset. Scales and offsets drift, and the converter adds noise, clips and
+rounds:
 
 .. math:: s = \mathrm{round}\big(K ((I + D E D^{-1}) w + z) + n\big),
 
 with the counts :math:`K` per newton and newton metre, the full scales :math:`D` of the axes, without which a
-cross-talk between forces and torques would have no meaning, the errors :math:`E`, the zero :math:`z` in N and
-N m and noise :math:`n`. The map that undoes it is the in-situ paper's
+cross-talk between forces and torques would have no meaning, the errors :math:`E`, the offset :math:`z` in N
+and N m and noise :math:`n`. The map that undoes it is the in-situ paper's
 (Traversaro, Pucci and Nori, 2015, Eq. 2),
 
 .. math:: w = C (s - o), \qquad C = (I + D E D^{-1})^{-1} K^{-1}, \quad o = K z.
@@ -37,7 +37,8 @@ AXES = 6
 """Channels of a sensor."""
 
 MOST_ERROR = 0.25
-"""Largest spread of a gain and five cross-talks together at which all sensors can be inverted."""
+"""Largest ``initial_scale_std + 5 cross_talk_std`` (one axis and the five others) for which the matrices of
+all sensors that can be drawn are invertible."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class ForceTorque:
     """A set of six-axis sensors; the defaults are like the FTSens in an iCub's ankles, by the maker's matrix.
 
     Resolution and noise are those seen on a real iCub (steps of 0.05 to 0.068 N and 1.1 mN m, 0.10 to 0.15 N
-    and 2 to 3 mN m at rest). Its factory gains were off by 11 to 19 %, its zeros in a leg by up to 290 N; the
-    defaults take the zeros of a sensor that was tared before it was mounted.
+    and 2 to 3 mN m at rest). The scales of its maker's matrix were off by 11 to 19 %, the offsets in a leg
+    were up to 290 N; the defaults take the offsets of a sensor that was tared before it was mounted.
     """
 
     sensors: int = 2
@@ -72,27 +73,27 @@ class ForceTorque:
     noise_torque: float = 0.0025
     """Standard deviation of the noise of a reading in N m."""
 
-    initial_gain_std: float = 0.08
-    """Standard deviation of the relative error of each axis's gain at power-up."""
+    initial_scale_std: float = 0.08
+    """Standard deviation of the relative error of each axis's scale at power-up."""
 
     cross_talk_std: float = 0.01
     """Standard deviation of what one axis feels of another, in shares of the full scales; constant from
     power-up."""
 
-    initial_zero_force_std: float = 5.0
-    """Standard deviation of a force's zero at power-up in N."""
+    initial_offset_force_std: float = 5.0
+    """Standard deviation of a force's offset at power-up in N."""
 
-    initial_zero_torque_std: float = 0.1
-    """Standard deviation of a torque's zero at power-up in N m."""
+    initial_offset_torque_std: float = 0.1
+    """Standard deviation of a torque's offset at power-up in N m."""
 
-    gain_drift: float = 0.002 * PER_SQRT_MINUTE
-    """Random walk of each axis's gain per sqrt(s); 0.2 % per square root of a minute."""
+    scale_drift: float = 0.002 * PER_SQRT_MINUTE
+    """Random walk of each axis's scale per sqrt(s); 0.2 % per square root of a minute."""
 
-    zero_drift_force: float = 0.2 * PER_SQRT_MINUTE
-    """Random walk of a force's zero in N/sqrt(s); 0.2 N per square root of a minute."""
+    offset_drift_force: float = 0.2 * PER_SQRT_MINUTE
+    """Random walk of a force's offset in N/sqrt(s); 0.2 N per square root of a minute."""
 
-    zero_drift_torque: float = 0.004 * PER_SQRT_MINUTE
-    """Random walk of a torque's zero in N m/sqrt(s); 4 mN m per square root of a minute."""
+    offset_drift_torque: float = 0.004 * PER_SQRT_MINUTE
+    """Random walk of a torque's offset in N m/sqrt(s); 4 mN m per square root of a minute."""
 
     wire: Wire = DIRECT
     """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
@@ -123,10 +124,11 @@ class ForceTorque:
             f"be zero if and only if resolution_force ({self.resolution_force!r}) is",
         )
         require(
-            self.initial_gain_std + 5.0 * self.cross_talk_std <= MOST_ERROR,
+            self.initial_scale_std + 5.0 * self.cross_talk_std <= MOST_ERROR,
             self,
             "cross_talk_std",
-            "keep initial_gain_std + 5 cross_talk_std within 0.25, or some sensors could not be inverted",
+            f"keep initial_scale_std + 5 cross_talk_std within {MOST_ERROR}, "
+            "or some sensors could not be inverted",
         )
 
     @property
@@ -185,14 +187,14 @@ class ForceTorqueState(NamedTuple):
     """Sensors in use.
 
     Attributes:
-        error: E, relative errors of the gains on the diagonal and cross-talk in shares of the full scales
+        error: E, relative errors of the scales on the diagonal and cross-talk in shares of the full scales
             beside it (row: what reads, column: what is felt), shape (..., sensors, 6, 6).
-        zero: z in N and N m, shape (..., sensors, 6).
-        wire: A :class:`~surefoot.sensors.transport.wire.WireState`; ``()`` where nothing happens to codes.
+        offset: z in N and N m, shape (..., sensors, 6).
+        wire: What is on the wire; ``()`` where nothing happens to codes.
     """
 
     error: Array
-    zero: Array
+    offset: Array
     wire: Any = ()
 
 
@@ -207,11 +209,11 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
         config: The instrument.
     """
     eye = np.eye(AXES)
-    spread = Table(config.initial_gain_std * eye + config.cross_talk_std * (1.0 - eye))
-    diagonal, ratio = Table(eye), Table(_scale_ratio(config))
-    zero_std = Table(_pair(config.initial_zero_force_std, config.initial_zero_torque_std))
-    zero_walk = Table(_pair(config.zero_drift_force, config.zero_drift_torque))
-    gain_walk = config.gain_drift
+    spread = Table(config.initial_scale_std * eye + config.cross_talk_std * (1.0 - eye))
+    diagonal, ratio = Table(eye), Table(_full_scale_ratio(config))
+    offset_std = Table(_pair(config.initial_offset_force_std, config.initial_offset_torque_std))
+    offset_walk = Table(_pair(config.offset_drift_force, config.offset_drift_torque))
+    scale_walk = config.scale_drift
     noise = Table(np.tile(_pair(config.noise_force, config.noise_torque), config.sensors))
     slope, ends = Table(config.slope), tuple(Table(end) for end in config.code_range)
     rated = config.full_scale * config.slope
@@ -221,47 +223,47 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
         if not shape or shape[-1] != config.channels:
             raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
         each = (*shape[:-1], config.sensors, AXES)
-        error, zero = normal(rng, (*each, AXES), dtype), normal(rng, each, dtype)
+        error, offset = normal(rng, (*each, AXES), dtype), normal(rng, each, dtype)
         brought = way.init(shape, rng, dtype) if way else ()
-        return ForceTorqueState(error * spread.like(error), zero * zero_std.like(zero), brought)
+        return ForceTorqueState(error * spread.like(error), offset * offset_std.like(offset), brought)
 
     def apply(wrench: Array, state: ForceTorqueState, rng: Rng, dt: float) -> tuple[Array, ForceTorqueState]:
         xp = namespace(wrench)
-        error, zero = (cast_like(part, wrench) for part in state[:2])
-        drawn = normal(rng, (3, *zero.shape), wrench.dtype)
-        error = error + (gain_walk * dt**0.5) * drawn[0][..., None] * diagonal.like(wrench)
-        zero = zero + dt**0.5 * zero_walk.like(wrench) * drawn[1]
-        true = xp.reshape(wrench, zero.shape)
-        felt = true + xp.sum(error * ratio.like(wrench) * true[..., None, :], axis=-1) + zero
-        read = xp.reshape(felt, wrench.shape) + xp.reshape(drawn[2], wrench.shape) * noise.like(wrench)
+        error, offset = cast_like(state.error, wrench), cast_like(state.offset, wrench)
+        of_scale, of_offset, of_noise = normal(rng, (3, *offset.shape), wrench.dtype)
+        error = error + (scale_walk * dt**0.5) * of_scale[..., None] * diagonal.like(wrench)
+        offset = offset + dt**0.5 * offset_walk.like(wrench) * of_offset
+        true = xp.reshape(wrench, offset.shape)
+        felt = true + xp.sum(error * ratio.like(wrench) * true[..., None, :], axis=-1) + offset
+        read = xp.reshape(felt, wrench.shape) + xp.reshape(of_noise, wrench.shape) * noise.like(wrench)
         if config.converts:
             low, high = (end.like(wrench) for end in ends)
             read = round_off(limit(read * slope.like(wrench), low, high))
         brought = state.wire
         if way:
             read, brought = way.apply(read, brought, rng, dt)
-        return read, ForceTorqueState(error, zero, brought)
+        return read, ForceTorqueState(error, offset, brought)
 
     return Corruption(init, apply)
 
 
 def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Array]:
-    """Compute the map that would undo the sensors' errors at this moment.
+    """Return the map that would undo the sensors' errors at this moment.
 
     Returns:
-        The matrix C in N and N m per count, shape (..., sensors, 6, 6), and the zero o in counts, shape
+        The matrix C in N and N m per count, shape (..., sensors, 6, 6), and the offset o in counts, shape
         (..., sensors, 6): the true wrench is C (s - o).
     """
-    xp = namespace(state.zero)
-    slope = Table(config.slope[:AXES]).like(state.zero)
-    gain = Table(np.eye(AXES)).like(state.zero) + state.error * Table(_scale_ratio(config)).like(state.zero)
-    return xp.linalg.inv(gain) / slope, state.zero * slope
+    xp = namespace(state.offset)
+    slope = Table(config.slope[:AXES]).like(state.offset)
+    eye, ratio = (Table(part).like(state.offset) for part in (np.eye(AXES), _full_scale_ratio(config)))
+    return xp.linalg.inv(eye + state.error * ratio) / slope, state.offset * slope
 
 
-def _scale_ratio(config: ForceTorque) -> NDArray[np.float64]:
-    """D E D^-1 is E times this, shape (6, 6): the full scale of the row over that of the column."""
-    scale = config.full_scale[:AXES]
-    return scale[:, None] / scale
+def _full_scale_ratio(config: ForceTorque) -> NDArray[np.float64]:
+    """Return what turns E into D E D^-1: the full scale of the row over that of the column, shape (6, 6)."""
+    full = config.full_scale[:AXES]
+    return full[:, None] / full
 
 
 def _pair(force: float, torque: float) -> NDArray[np.float64]:

@@ -48,24 +48,24 @@ class LoadCells:
     """Lowest and highest conversion rate in 1/s; each chip draws its own rate and its own phase.
     ``None`` converts at the instant the host reads."""
 
-    initial_gain_std: float = 0.12
-    """Standard deviation of the relative error of a gain at power-up; 0.12 was never calibrated."""
+    initial_scale_std: float = 0.12
+    """Standard deviation of the relative error of a scale at power-up; 0.12 was never calibrated."""
 
-    initial_zero_std: float = 1.5
-    """Standard deviation of a zero at power-up in N."""
+    initial_offset_std: float = 1.5
+    """Standard deviation of an offset at power-up in N."""
 
-    gain_drift: float = 0.02 * PER_SQRT_MINUTE
-    """Random walk of the gain's relative error per sqrt(s); 2 % per square root of a minute."""
+    scale_drift: float = 0.02 * PER_SQRT_MINUTE
+    """Random walk of the scale's relative error per sqrt(s); 2 % per square root of a minute."""
 
-    zero_drift: float = 1.0 * PER_SQRT_MINUTE
-    """Random walk of the zero in N/sqrt(s); 1 N per square root of a minute."""
+    offset_drift: float = 1.0 * PER_SQRT_MINUTE
+    """Random walk of the offset in N/sqrt(s); 1 N per square root of a minute."""
 
-    span_tempco: float = 0.0
-    """Standard deviation of the relative change of a gain per kelvin in 1/K, each cell its own; 5e-5 is
+    scale_tempco: float = 0.0
+    """Standard deviation of the relative change of a scale per kelvin in 1/K, each cell its own; 5e-5 is
     typical of a bar cell."""
 
-    zero_tempco: float = 0.0
-    """Standard deviation of the change of a zero per kelvin in N/K, each cell its own; 0.005 (5e-5 of the
+    offset_tempco: float = 0.0
+    """Standard deviation of the change of an offset per kelvin in N/K, each cell its own; 0.005 (5e-5 of the
     capacity) is a good cell's, 0.03 a cheap one's, and the converter adds 1.2e-4."""
 
     temperature_ramp: float = 0.0
@@ -80,7 +80,7 @@ class LoadCells:
     1.5 conversions later than 1 does."""
 
     mechanics: Mechanics = IDEAL
-    """What happens to a load before the bridge: bends, lag, creep, jumps of the zero."""
+    """What happens to a load before the bridge: bends, lag, creep, jumps of the offset."""
 
     wire: Wire = DIRECT
     """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
@@ -115,12 +115,12 @@ class LoadCells:
         require_not_negative(
             self,
             "input_noise",
-            "initial_gain_std",
-            "initial_zero_std",
-            "gain_drift",
-            "zero_drift",
-            "span_tempco",
-            "zero_tempco",
+            "initial_scale_std",
+            "initial_offset_std",
+            "scale_drift",
+            "offset_drift",
+            "scale_tempco",
+            "offset_tempco",
             "temperature_ramp",
             "temperature_rise",
         )
@@ -141,7 +141,7 @@ class LoadCells:
             not self.mechanics.jumps or self.channels % CELLS_OF_A_FOOT == 0,
             self,
             "channels",
-            f"be whole feet of {CELLS_OF_A_FOOT} cells where impacts move their zeros",
+            f"be whole feet of {CELLS_OF_A_FOOT} cells where impacts move their offsets",
         )
         require(isinstance(self.wire, Wire), self, "wire", "be a Wire")
         require(
@@ -154,7 +154,7 @@ class LoadCells:
     @property
     def warms(self) -> bool:
         """Whether temperature matters: the cells warm up and care."""
-        return self.temperature_ramp > 0.0 and (self.span_tempco > 0.0 or self.zero_tempco > 0.0)
+        return self.temperature_ramp > 0.0 and (self.scale_tempco > 0.0 or self.offset_tempco > 0.0)
 
     @property
     def counts_per_newton(self) -> float:

@@ -1,17 +1,16 @@
 """Strain-gauge load cells on converters of their own: newtons in, counts out.
 
-The order of the stages is the order in the instrument. The spring element does to the load what
-:mod:`surefoot.sensors.stages.mechanics` tells, where that is not left ideal. A bridge scales the load by a
-gain that
-is not quite the data sheet's and adds a zero, both of which wander; the converter averages its last few
-conversions if it has a filter, adds noise, clips, rounds, and finishes a conversion when its own clock says
-so; the host reads what the wire (:mod:`surefoot.sensors.transport.wire`) brings.
+The order of the stages is the order in the instrument. The spring element acts on the load
+(:mod:`surefoot.sensors.stages.mechanics`), unless it is left ideal. A bridge turns the load into a voltage
+with a scale that is not quite the data sheet's and adds an offset; both drift. The converter averages its
+last few conversions if it has a filter, adds noise, clips, rounds, and finishes a conversion when its own
+clock says so. The host reads what the wire (:mod:`surefoot.sensors.transport.wire`) brings.
 
     s = round(s_0 + k ((1 + g) F + z) + n)
 
 with the nominal counts per newton k (negative for a bridge wired the other way round), the code s_0
-of an unloaded cell, the error g of the gain, the zero z in N and noise n. Both errors start anywhere, walk
-at random and, where the cells warm up, follow the temperature. All that a robot may know of
+of an unloaded cell, the relative error g of the scale, the offset z in N and noise n. Both errors start
+anywhere, walk at random and, where the cells warm up, follow the temperature. All that a robot may know of
 it is the *nominal* map F_0 = c_0 s + d_0 with c_0 = 1 / k and d_0 = -s_0 / k.
 """
 
@@ -25,7 +24,7 @@ from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_of
 from surefoot.sensors.corruption import Array, Corruption, Rng, chain
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.randomness import filled, normal
-from surefoot.sensors.stages.affine import drift, gain, gain_drift, offset
+from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
 from surefoot.sensors.stages.clock import (
     init_clock,
     init_window,
@@ -36,7 +35,7 @@ from surefoot.sensors.stages.clock import (
     settle,
 )
 from surefoot.sensors.stages.converter import quantize, saturate, white_noise
-from surefoot.sensors.stages.mechanics import bent, mechanics, shifted_zero
+from surefoot.sensors.stages.mechanics import bent, mechanics, shifted_offset
 from surefoot.sensors.stages.moving_average import moving_average
 from surefoot.sensors.stages.temperature import thermal_drift, warmed
 from surefoot.sensors.transport.wire import WireState, wire
@@ -59,10 +58,11 @@ class LoadCellState(NamedTuple):
         due: Time to the next conversion in s, shape (..., K).
         previous: Load at the end of the block before in N, shape (..., K).
         held: The last conversion in counts, shape (..., K); NaN before the first.
-        error: What wanders, shape (2, ..., K): the relative error of the gain, and the zero of the bridge
-            in N at the nominal gain.
+        error: What drifts, shape (2, ..., K): the relative error of the scale (row :data:`SCALE`), and the
+            offset of the bridge in N at the nominal scale (row :data:`OFFSET`).
         thermal: For cells that warm up, shape (3, ..., K): what a kelvin adds to each of the two errors, in
-            1/K and N/K, and the rise of the temperature since power-up in K; empty, shape (0,), for others.
+            1/K and N/K, and the rise of the temperature since power-up in K (row :data:`RISE`); empty, shape
+            (0,), for others.
         window: For converters that average, their last conversions in N (see
             :func:`~surefoot.sensors.stages.clock.settle`; without a clock a
             :class:`~surefoot.sensors.stages.moving_average.MovingAverageState`); ``()`` for others.
@@ -81,8 +81,11 @@ class LoadCellState(NamedTuple):
     wire: Any = ()
 
 
-_OWN = LoadCellState._fields[:6]
-"""Arrays of the cells themselves; their parts look after their own."""
+SCALE, OFFSET, RISE = 0, 1, 2
+"""Rows of :attr:`LoadCellState.error` and :attr:`LoadCellState.thermal`."""
+
+_OWN = ("period", "due", "previous", "held", "error", "thermal")
+"""Fields with arrays of the cells themselves; the others are states of their parts, which cast them."""
 
 
 def load_cell_chain(config: LoadCells) -> Corruption[Any]:
@@ -92,15 +95,16 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     """
     element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
     bridge: list[Corruption[Any]] = [
-        gain_drift(config.initial_gain_std, config.gain_drift),
-        drift(config.initial_zero_std, config.zero_drift),
+        scale_drift(config.initial_scale_std, config.scale_drift),
+        drift(config.initial_offset_std, config.offset_drift),
     ]
     if config.warms:
         warming = partial(thermal_drift, ramp=config.temperature_ramp, rise=config.temperature_rise)
-        span = (config.initial_gain_std, config.gain_drift, config.span_tempco)
-        zero = (config.initial_zero_std, config.zero_drift, config.zero_tempco)
-        bridge = [warming(*span, relative=True), warming(*zero)]
-    converter: list[Corruption[Any]] = [gain(config.slope), offset(config.zero_code)]
+        bridge = [
+            warming(config.initial_scale_std, config.scale_drift, config.scale_tempco, relative=True),
+            warming(config.initial_offset_std, config.offset_drift, config.offset_tempco),
+        ]
+    converter: list[Corruption[Any]] = [scale(config.slope), offset(config.zero_code)]
     converter.append(white_noise(config.noise_counts))
     if config.adc_bits:
         converter += [saturate(*config.code_range), quantize(1.0)]
@@ -130,12 +134,12 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """
     low, high = config.code_range
     zero_code, rate, clipped = config.zero_code, config.rate, config.adc_bits > 0
-    walks, noise = (config.gain_drift, config.zero_drift), config.noise_counts
+    walks, noise = (config.scale_drift, config.offset_drift), config.noise_counts
     drawn_per_step = sum(walk > 0.0 for walk in walks) + (noise > 0.0)
     slopes, both_walks = Table(config.slope), Table(walks)
-    initial_std = Table([config.initial_gain_std, config.initial_zero_std])
+    initial_std = Table([config.initial_scale_std, config.initial_offset_std])
     warms, ramp, rise = config.warms, config.temperature_ramp, config.temperature_rise
-    tempco_std = Table([config.span_tempco, config.zero_tempco])
+    tempco_std = Table([config.scale_tempco, config.offset_tempco])
     settling = config.settling
     average = moving_average(settling)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
@@ -154,7 +158,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         elif settling > 1:
             window = init_window(settling, shape, rng, dtype)
         felt = element.init(shape, rng, dtype) if element else ()
-        # Gain, zero; of cells that warm up gain, its coefficient, zero, its coefficient: the single stages'.
+        # In the order of the single stages: scale, offset, each with its coefficient in cells that warm up.
         drawn = normal(rng, (4 if warms else 2, *shape), dtype)
         error = drawn[:: 2 if warms else 1] * initial_std.like(drawn, len(shape))
         thermal = filled(rng, 0.0, (0,), dtype)
@@ -190,13 +194,16 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         if all(walks):
             error = error + drawn[:2] * (dt**0.5 * both_walks.like(load, load.ndim))
         elif any(walks):
-            step = max(walks) * dt**0.5 * drawn[0]
-            error = xp.stack([error[0] + step, error[1]] if walks[0] else [error[0], error[1] + step])
+            only = SCALE if walks[SCALE] else OFFSET
+            rows = [error[SCALE], error[OFFSET]]
+            rows[only] = rows[only] + walks[only] * dt**0.5 * drawn[0]
+            error = xp.stack(rows)
         if warms:
-            temperature = warmed(thermal[2], ramp, rise, dt)
-            error = error + thermal[:2] * (temperature - thermal[2])
-            thermal = xp.concat([thermal[:2], temperature[None]])
-        bridge = load * (1.0 + error[0]) + error[1]
+            tempco, before = thermal[:RISE], thermal[RISE]
+            temperature = warmed(before, ramp, rise, dt)
+            error = error + tempco * (temperature - before)
+            thermal = xp.concat([tempco, temperature[None]])
+        bridge = load * (1.0 + error[SCALE]) + error[OFFSET]
         if settling > 1 and rate is None:
             bridge, window = average.apply(bridge, window, rng, dt)
         elif settling > 1 and rate is not None:
@@ -220,7 +227,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
 def static_counts(
     config: LoadCells, state: LoadCellState, load: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Read loads at rest, such as weights on a bench: one fresh conversion each, and no drift meanwhile.
+    """Return readings of loads at rest, such as known weights: one conversion each, without drift between.
 
     Args:
         config: The instrument.
@@ -231,7 +238,7 @@ def static_counts(
     Returns:
         Counts, shape (..., K).
 
-    >>> config = LoadCells(adc_bits=0, input_noise=0.0, initial_gain_std=0.0, initial_zero_std=0.0,
+    >>> config = LoadCells(adc_bits=0, input_noise=0.0, initial_scale_std=0.0, initial_offset_std=0.0,
     ...                    polarity=(1,), channels=4)
     >>> rng = np.random.default_rng(0)
     >>> static_counts(config, load_cells(config).init((4,), rng), np.array([[1.0, 2.0, 3.0, 4.0]]), rng)
@@ -243,9 +250,11 @@ def static_counts(
             f"'load' must hold {config.channels} cells on its last axis, got shape {load.shape}."
         )
     if state.mechanics:
-        load = bent(state.mechanics, load, config.capacity) + shifted_zero(config.mechanics, state.mechanics)
+        load = bent(state.mechanics, load, config.capacity) + shifted_offset(
+            config.mechanics, state.mechanics
+        )
     counts: NDArray[np.float64] = config.zero_code + config.slope * (
-        (1.0 + state.error[0]) * load + state.error[1]
+        (1.0 + state.error[SCALE]) * load + state.error[OFFSET]
     )
     counts += config.noise_counts * rng.standard_normal(load.shape)
     if config.adc_bits:
@@ -254,19 +263,19 @@ def static_counts(
 
 
 def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
-    """Compute the map that would undo the errors of the cells' gains and zeros at this moment.
+    """Return the map that would undo the errors of the cells' scales and offsets at this moment.
 
-    Zeros hold what impacts and overloads have done to them. What no map of counts can undo, bends, lag and
-    creep, is not in it.
+    What impacts and overloads have done is part of the offsets. Nonlinearity, hysteresis and creep, which no
+    map of counts can undo, are left out.
 
     Returns:
         Scale in N per count and offset in N, both (..., K): the true load is scale * counts + offset.
     """
-    gain_true = 1.0 + state.error[0]
-    scale = 1.0 / (Table(config.slope).like(gain_true) * gain_true)
-    offset = -config.zero_code * scale - state.error[1] / gain_true
+    scale_true = 1.0 + state.error[SCALE]
+    scale = 1.0 / (Table(config.slope).like(scale_true) * scale_true)
+    offset = -config.zero_code * scale - state.error[OFFSET] / scale_true
     if state.mechanics:
-        offset = offset - shifted_zero(config.mechanics, state.mechanics)
+        offset = offset - shifted_offset(config.mechanics, state.mechanics)
     return scale, offset
 
 

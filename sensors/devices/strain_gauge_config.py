@@ -40,7 +40,7 @@ FTSENS_SN142: Matrix = (
 class StrainGauges:
     """A six-axis sensor as its k >= 6 gauges see it; the defaults are the old FTSens in an iCub's leg.
 
-    Matrix, converter, noise and range of the zeros are published or measured figures. Those of creep and
+    Matrix, converter, noise and range of the offsets are published or measured figures. Those of creep and
     drift are typical of strain-gauge transducers: nobody has published them for this sensor.
     """
 
@@ -54,13 +54,13 @@ class StrainGauges:
     full_scale_torque: float = 35.0
     """Largest torque about each axis in N m: what cross-talk and hysteresis are shares of."""
 
-    gain_error_std: float = 0.2
-    """How far each axis's gain has wandered off since the matrix was made: standard deviation of its
-    logarithm. Factory gains of one iCub's foot were off by 11 to 19 %."""
+    scale_error_std: float = 0.2
+    """How far each axis's scale has wandered off since the matrix was made: standard deviation of its
+    logarithm. Factory scales of one iCub's foot were off by 11 to 19 %."""
 
     cross_talk_std: float = 0.03
     """Standard deviation of what one axis has come to feel of another, in shares of the full scales. With a
-    gain error of 0.2 the maker's matrix shows the weight of a leg of 4.9 kg as an ellipsoid whose longest
+    scale error of 0.2 the maker's matrix shows the weight of a leg of 4.9 kg as an ellipsoid whose longest
     axis is 1.9 times the shortest in the median, 1.4 to 2.8 times in 80 % of sensors; the old one in an
     iCub's leg showed 1.7 to 1.9 (in-situ paper, Table I: 77, 44 and 40 N with no mass added)."""
 
@@ -104,22 +104,22 @@ class StrainGauges:
     creep_time_constants: tuple[float, ...] = (30.0, 600.0)
     """Time constants of the exponentials in s."""
 
-    zero_drift_force: float = 0.05 * PER_SQRT_MINUTE
-    """Random walk of the zeros, as the maker's matrix shows it, in N/sqrt(s); 0.05 N per square root of a
+    offset_drift_force: float = 0.05 * PER_SQRT_MINUTE
+    """Random walk of the offsets, as the maker's matrix shows it, in N/sqrt(s); 0.05 N per square root of a
     minute, or 0.4 N in an hour."""
 
-    zero_drift_torque: float = 0.001 * PER_SQRT_MINUTE
+    offset_drift_torque: float = 0.001 * PER_SQRT_MINUTE
     """The same for torques in N m/sqrt(s)."""
 
-    zero_tempco_force: float = 0.05
-    """Standard deviation of what a kelvin does to the zeros, as the maker's matrix shows it, in N/K, each
+    offset_tempco_force: float = 0.05
+    """Standard deviation of what a kelvin does to the offsets, as the maker's matrix shows it, in N/K, each
     sensor its own; one iCub's went by 0.71 N from 25 to 39 degrees Celsius."""
 
-    zero_tempco_torque: float = 0.001
+    offset_tempco_torque: float = 0.001
     """The same for torques in N m/K."""
 
-    span_tempco: float = 2e-4
-    """Standard deviation of the relative change of a gauge's gain per kelvin in 1/K, each gauge its own."""
+    scale_tempco: float = 2e-4
+    """Standard deviation of the relative change of a gauge's scale per kelvin in 1/K, each gauge its own."""
 
     temperature_ramp: float = 0.0
     """Rate at which the sensor warms up from power-up on in K/s; 0 has been on for long, 14/900 with a rise
@@ -135,7 +135,7 @@ class StrainGauges:
         self._check_matrix()
         others = ("matrix", "adc_bits", "hysteresis_of", "creep_shares", "creep_time_constants")
         require_not_negative(self, *(name for name in self.__dataclass_fields__ if name not in others))
-        for name in ("gain_error_std", "cross_talk_std"):
+        for name in ("scale_error_std", "cross_talk_std"):
             require(getattr(self, name) <= 0.5, self, name, "be at most 0.5")
         whole = isinstance(self.adc_bits, int) and not isinstance(self.adc_bits, bool)
         possible = whole and (self.adc_bits == 0 or 2 <= self.adc_bits <= 32)

@@ -5,20 +5,20 @@ Nori, 2015, Eq. 2, turned round),
 
 .. math:: r = \mathrm{round}(A w + o + n), \qquad w = C (r - o), \quad C A = I.
 
-The maker measured :math:`A_0` once and hands out :math:`C_0 = A_0^+`. Since then every axis has changed a
+The maker measured :math:`A_0` once and supplies :math:`C_0 = A_0^+`. Since then every axis has changed a
 little, many times, and each change acted on what the ones before had left:
 
 .. math:: A = A_0 (I + D X D^{-1} / N)^N, \qquad N = 64,
 
-with the full scales :math:`D` of the axes and a normal :math:`X`, gains on its diagonal and cross-talk beside
-it: to first order :math:`A_0 (I + D X D^{-1})`, but no gain turns round and no sensor loses an axis, however
-far it has wandered. Zeros, their drift and the noise are those of the gauges, and are given as what
-:math:`C_0` makes of them. More than six gauges have zeros and noise of the same size that no wrench could
-cause, so that they do what redundant gauges do.
+with the full scales :math:`D` of the axes and a normal :math:`X`, errors of the scales on its diagonal and
+cross-talk beside it. To first order this is :math:`A_0 (I + D X D^{-1})`, but no scale changes its sign and
+no sensor loses an axis, however large the errors. Offsets, their drift and the noise are those of the gauges,
+and are given as what :math:`C_0` makes of them. More than six gauges have offsets and noise of the same size
+that no wrench could cause: that is the redundancy of such gauges.
 
 The load creeps and lags (see :mod:`surefoot.sensors.stages.creep` and
-:mod:`surefoot.sensors.stages.hysteresis`), heat
-moves zeros and gains (:mod:`surefoot.sensors.stages.temperature`), and the converter rounds and clips.
+:mod:`surefoot.sensors.stages.hysteresis`), heat changes offsets and scales
+(:mod:`surefoot.sensors.stages.temperature`), and the converter rounds and clips.
 """
 
 from typing import Any, NamedTuple
@@ -37,7 +37,10 @@ from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
 from surefoot.sensors.stages.temperature import warmed
 
 DOUBLINGS = 6
-"""The matrix has wandered in N = 2^6 small changes."""
+"""The matrix has changed in N = 2^6 small steps: squared six times."""
+
+SCALE, OFFSET = 0, 1
+"""Rows of :attr:`StrainGaugeState.tempco`."""
 
 SMALLEST_LOOP = 1e-3
 """Share of the full scales down to which loops of hysteresis are resolved: 1.5 N and 0.035 N m."""
@@ -48,9 +51,9 @@ class StrainGaugeState(NamedTuple):
 
     Attributes:
         response: A without the heat in counts per N and N m, shape (..., k, 6); constant from power-up.
-        tempco: What a kelvin adds to a gauge, shape (2, ..., k): relative gain in 1/K and zero in counts/K;
-            constant from power-up.
-        zero: o in counts, now and with the heat, shape (..., k).
+        tempco: What a kelvin adds to a gauge, shape (2, ..., k): to its scale, relative, in 1/K (row
+            :data:`SCALE`), and to its offset in counts/K (row :data:`OFFSET`); constant from power-up.
+        offset: o in counts, with drift and heat, shape (..., k).
         temperature: Rise since power-up in K, shape (...).
         creep: What the loads have left to creep.
         hysteresis: What the loads have left in the slacks.
@@ -58,7 +61,7 @@ class StrainGaugeState(NamedTuple):
 
     response: Array
     tempco: Array
-    zero: Array
+    offset: Array
     temperature: Array
     creep: CreepState
     hysteresis: HysteresisState
@@ -81,21 +84,21 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     (0.0, True)
     """
     k, (low, high) = config.channels, config.code_range
-    scale, nominal = config.full_scale, config.nominal_response
+    full_scale, nominal = config.full_scale, config.nominal_response
     eye, response = Table(np.eye(AXES)), Table(nominal)
-    talk = config.gain_error_std * np.eye(AXES) + config.cross_talk_std * (1.0 - np.eye(AXES))
-    wandering = Table(talk * scale[:, None] / scale / 2.0**DOUBLINGS)
+    talk = config.scale_error_std * np.eye(AXES) + config.cross_talk_std * (1.0 - np.eye(AXES))
+    change = Table(talk * full_scale[:, None] / full_scale / 2.0**DOUBLINGS)
     offset_map = Table(_gauge_map(config, config.offset_force, config.offset_torque).T)
-    tempco_map = Table(_gauge_map(config, config.zero_tempco_force, config.zero_tempco_torque).T)
-    # A matrix for each of the draws of a step, which are stacked: noise and, where zeros walk, their walk.
+    tempco_map = Table(_gauge_map(config, config.offset_tempco_force, config.offset_tempco_torque).T)
+    # One matrix for each draw of a step: noise and, where offsets drift, their drift.
     noisy = config.noise_force > 0.0 or config.noise_torque > 0.0
-    walks = config.zero_drift_force > 0.0 or config.zero_drift_torque > 0.0
+    walks = config.offset_drift_force > 0.0 or config.offset_drift_torque > 0.0
     noise_map = Table(_gauge_map(config, config.noise_force, config.noise_torque).T)
-    walk_map = Table(_gauge_map(config, config.zero_drift_force, config.zero_drift_torque).T)
+    walk_map = Table(_gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T)
     of_load = config.hysteresis_of == "load"
     true = np.repeat([config.hysteresis_true_force, config.hysteresis_true_torque], 3)
     felt = np.eye(AXES) if of_load else np.abs(nominal)
-    most = (felt * scale).max(axis=1)
+    most = (felt * full_scale).max(axis=1)
     lagging = hysteresis(
         config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=(felt * true).max(axis=1) / most
     )
@@ -106,28 +109,31 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             raise ValueError(f"The last axis must hold the {k} gauges, got shape {shape}.")
         batch = tuple(shape[:-1])
         drawn = normal(rng, (*batch, AXES, AXES), dtype)
-        grown = eye.like(drawn) + drawn * wandering.like(drawn)
+        grown = eye.like(drawn) + drawn * change.like(drawn)
         for _ in range(DOUBLINGS):
             grown = grown @ grown
-        zero = uniform(rng, -1.0, 1.0, shape, dtype) @ offset_map.like(drawn)
+        offset = uniform(rng, -1.0, 1.0, shape, dtype) @ offset_map.like(drawn)
         heat = normal(rng, (2, *shape), dtype)
-        tempco = namespace(drawn).stack([config.span_tempco * heat[0], heat[1] @ tempco_map.like(drawn)])
+        tempco = namespace(drawn).stack([config.scale_tempco * heat[0], heat[1] @ tempco_map.like(drawn)])
         return StrainGaugeState(
             response.like(drawn) @ grown,
             tempco,
-            zero,
+            offset,
             filled(rng, 0.0, batch, dtype),
             creeping.init((*batch, AXES), rng, dtype),
             lagging.init((*batch, AXES if of_load else k), rng, dtype),
         )
 
     def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
-        if tuple(wrench.shape) != (*state.zero.shape[:-1], AXES):
+        if tuple(wrench.shape) != (*state.offset.shape[:-1], AXES):
             raise ValueError(
-                f"Wrenches of these sensors must have the shape {(*state.zero.shape[:-1], AXES)}, "
+                f"Wrenches of these sensors must have the shape {(*state.offset.shape[:-1], AXES)}, "
                 f"got {tuple(wrench.shape)}."
             )
-        matrix, tempco, zero, before = (cast_like(part, wrench) for part in state[:4])
+        matrix, tempco, offset, before = (
+            cast_like(part, wrench)
+            for part in (state.response, state.tempco, state.offset, state.temperature)
+        )
         load, crept = creeping.apply(wrench, state.creep, rng, dt)
         lagged = state.hysteresis
         if of_load:
@@ -136,19 +142,19 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         if not of_load:
             counts, lagged = lagging.apply(counts, lagged, rng, dt)
         if walks:
-            drawn = normal(rng, tuple(zero.shape), wrench.dtype)
-            zero = zero + dt**0.5 * (drawn @ walk_map.like(wrench))
+            drawn = normal(rng, tuple(offset.shape), wrench.dtype)
+            offset = offset + dt**0.5 * (drawn @ walk_map.like(wrench))
         temperature = before
         if config.temperature_ramp:
             temperature = warmed(before, config.temperature_ramp, config.temperature_rise, dt)
-            zero = zero + tempco[1] * (temperature - before)[..., None]
-            counts = counts * (1.0 + tempco[0] * temperature[..., None])
-        counts = counts + zero
+            offset = offset + tempco[OFFSET] * (temperature - before)[..., None]
+            counts = counts * (1.0 + tempco[SCALE] * temperature[..., None])
+        counts = counts + offset
         if noisy:
             counts = counts + normal(rng, tuple(counts.shape), wrench.dtype) @ noise_map.like(wrench)
         if config.adc_bits:
             counts = round_off(limit(counts, low, high))
-        return counts, StrainGaugeState(matrix, tempco, zero, temperature, crept, lagged)
+        return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged)
 
     return Corruption(init, apply)
 
@@ -156,7 +162,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
 def read_sequence(
     config: StrainGauges, wrench: Array, state: StrainGaugeState, rng: Rng, dt: float
 ) -> tuple[Array, StrainGaugeState, Array]:
-    """Read recorded wrenches one after the other, as ``apply`` would.
+    """Return the readings of recorded wrenches, one after the other, as ``apply`` would make them.
 
     Args:
         config: The instrument.
@@ -171,7 +177,7 @@ def read_sequence(
         power-up in K at each of them, shape (..., n).
     """
     xp, sensor = namespace(wrench), strain_gauges(config)
-    batch, count = tuple(state.zero.shape[:-1]), wrench.shape[-2]
+    batch, count = tuple(state.offset.shape[:-1]), wrench.shape[-2]
     wrench = xp.broadcast_to(wrench, (*batch, count, AXES))
     space = {"dtype": wrench.dtype, "device": device_of(wrench)}
     counts = xp.empty((*batch, count, config.channels), **space)
@@ -183,7 +189,7 @@ def read_sequence(
 
 
 def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array, Array]:
-    """Compute what the gauges put out at this moment but for creep, hysteresis, noise and the converter.
+    """Return the map from wrenches to counts at this moment, without creep, hysteresis, noise and converter.
 
     With hysteresis it holds at the ends of cycles of the amplitudes ``config.hysteresis_true_force`` and
     ``config.hysteresis_true_torque``.
@@ -192,14 +198,14 @@ def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array,
         A in counts per N and N m, shape (..., k, 6), and o in counts, shape (..., k): the reading of w is
         A w + o, and the map that undoes it w = A^+ (r - o).
     """
-    heated = 1.0 + state.tempco[0] * state.temperature[..., None]
-    return state.response * heated[..., None], state.zero + 0.0
+    heated = 1.0 + state.tempco[SCALE] * state.temperature[..., None]
+    return state.response * heated[..., None], state.offset + 0.0
 
 
-def shift_zero(
+def shift_offset(
     config: StrainGauges, state: StrainGaugeState, rng: Rng, force_std: float, torque_std: float
 ) -> StrainGaugeState:
-    """Let the zeros jump, as they do from one recording to the next.
+    """Return the sensor after its offsets have jumped, as they do from one recording to the next.
 
     Args:
         config: The instrument.
@@ -212,13 +218,13 @@ def shift_zero(
         The sensor after.
     """
     check_not_negative(force_std=force_std, torque_std=torque_std)
-    drawn = normal(rng, tuple(state.zero.shape), state.zero.dtype)
+    drawn = normal(rng, tuple(state.offset.shape), state.offset.dtype)
     jump = drawn @ Table(_gauge_map(config, force_std, torque_std).T).like(drawn)
-    return state._replace(zero=state.zero + jump)
+    return state._replace(offset=state.offset + jump)
 
 
 def _gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
-    """Turn k independent unit errors into counts that C_0 shows as that force and torque, shape (k, k)."""
+    """Return what turns k unit errors into counts that C_0 shows as that force and torque, shape (k, k)."""
     response = config.nominal_response
     image: NDArray[np.float64] = response * np.repeat([force, torque], 3)
     if config.channels == AXES:

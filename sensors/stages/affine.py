@@ -37,7 +37,7 @@ class WalkState(NamedTuple):
     error: Array
 
 
-def gain(value: ArrayLike) -> Corruption[FixedState]:
+def scale(value: ArrayLike) -> Corruption[FixedState]:
     """Multiply readings by a number.
 
     Args:
@@ -63,7 +63,7 @@ def offset(value: ArrayLike) -> Corruption[FixedState]:
     return Corruption(_fixed_init(value), apply)
 
 
-def gain_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
+def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkState]:
     r"""Multiply readings by one plus an error that starts anywhere and drifts.
 
     Args:

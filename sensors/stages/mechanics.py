@@ -44,18 +44,18 @@ class Mechanics:
     """Time constants of the exponentials in s; most of a kitchen scale's creep was seen within 60 s."""
 
     mounting_warp_std: float = 0.0
-    """Standard deviation of what an impact adds to each zero along the warp (+, -, -, +) of a foot of four
+    """Standard deviation of what an impact adds to each offset along the warp (+, -, -, +) of a foot of four
     cells in N. Zeros of force plates were seen off by 2.5 and 6 N along it; what one impact does nobody has
     published."""
 
     mounting_common_std: float = 0.0
-    """Standard deviation of what an impact adds to all zeros of a foot alike in N."""
+    """Standard deviation of what an impact adds to all offsets of a foot alike in N."""
 
     impact_threshold: float = 10.0
     """Change of a foot's load from one reading to the next beyond which there is an impact, in N."""
 
     overload_share: float = 0.0
-    """Share of a load's excess over the safe overload by which the zero stays off for good. Data sheets do
+    """Share of a load's excess over the safe overload by which the offset stays off for good. Data sheets do
     not give it."""
 
     safe_overload: float = 1.5
@@ -80,7 +80,7 @@ class Mechanics:
 
     @property
     def jumps(self) -> bool:
-        """Whether impacts move the zeros."""
+        """Whether impacts move the offsets."""
         return self.mounting_warp_std > 0.0 or self.mounting_common_std > 0.0
 
     @property
@@ -156,14 +156,14 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
     return Corruption(init, apply)
 
 
-def shifted_zero(config: Mechanics, state: MechanicsState) -> Array:
-    """Tell what impacts and overloads have done to the zeros until now in N, shape (..., K); 0.0 without."""
-    zero = 0.0
+def shifted_offset(config: Mechanics, state: MechanicsState) -> Array:
+    """Return what impacts and overloads have done to the offsets in N, shape (..., K); 0.0 without."""
+    offset = 0.0
     if state.mounting:
-        zero = zero + state.mounting.zero
+        offset = offset + state.mounting.offset
     if state.overload:
-        zero = zero + config.overload_share * (state.overload.excess[0] + state.overload.excess[1])
-    return zero
+        offset = offset + config.overload_share * (state.overload.excess[0] + state.overload.excess[1])
+    return offset
 
 
 def bent(state: MechanicsState, load: Array, capacity: float) -> Array:

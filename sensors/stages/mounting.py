@@ -1,8 +1,8 @@
-r"""What impacts do to a foot's zeros: bolts and plates settle anew, and the cells brace each other.
+r"""What impacts do to a foot's offsets: bolts and plates settle anew, and the cells brace each other.
 
 A rigid sole on four cells is one support too many: they can press against each other in the one mode that
 neither the foot's load nor its moments show, (+, -, +, -) around the corners, which is **(+, -, -, +) in
-the order front-left, front-right, rear-left, rear-right**. At an impact the zero of the cell :math:`i` goes
+the order front-left, front-right, rear-left, rear-right**. At an impact the offset of the cell :math:`i` goes
 on by
 
 .. math:: \Delta z_i = w_i\, \sigma_w \xi_w + \sigma_c \xi_c, \qquad \xi \sim N(0, 1),
@@ -29,12 +29,12 @@ class MountingState(NamedTuple):
     """How F feet of C cells sit.
 
     Attributes:
-        zero: What impacts have done to each zero, in the unit of the readings, shape (..., F * C).
+        offset: What impacts have done to each offset, in the unit of the readings, shape (..., F * C).
         load: Each foot's load at the last reading, shape (..., F); NaN before the first.
         impact: For each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (..., F).
     """
 
-    zero: Array
+    offset: Array
     load: Array
     impact: Array
 
@@ -42,7 +42,7 @@ class MountingState(NamedTuple):
 def mounting(
     threshold: float, warp_std: float, common_std: float = 0.0, *, warp: Sequence[int] = WARP
 ) -> Corruption[MountingState]:
-    """Let the zeros of a foot jump at impacts, touch-down as well as lift-off.
+    """Let the offsets of a foot jump at impacts, touch-down as well as lift-off.
 
     An impact begins where the foot's load, the sum of its channels, changes by more than the threshold from
     one reading to the next, and lasts as long as it does: one jump each, however many readings that takes.
@@ -51,7 +51,7 @@ def mounting(
     Args:
         threshold: Change between two readings beyond which there is an impact, in the unit of the readings;
             it goes with the rate at which the stage is stepped.
-        warp_std: Standard deviation of a jump of each zero along the warp, in the unit of the readings.
+        warp_std: Standard deviation of a jump of each offset along the warp, in the unit of the readings.
         common_std: Standard deviation of the part of the jump that all cells of a foot share.
         warp: Signs of the warp, +1 or -1 for each cell of a foot; their number says how many cells it has.
 
@@ -77,7 +77,7 @@ def mounting(
 
     def apply(reading: Array, state: MountingState, rng: Rng, dt: float) -> tuple[Array, MountingState]:
         xp = namespace(reading)
-        zero, before, impact = (cast_like(part, reading) for part in state)
+        offset, before, impact = (cast_like(part, reading) for part in state)
         by_foot = xp.reshape(reading, (*before.shape, cells))
         # Added up one by one: libraries are slow at short sums.
         load = sum((by_foot[..., cell] for cell in range(1, cells)), by_foot[..., 0])
@@ -91,8 +91,8 @@ def mounting(
             return few + sum(others, one)
 
         if moving:
-            zero = change_rows(zero, start, jump)
+            offset = change_rows(offset, start, jump)
         load, hit = xp.where(lost, before, load), cast_like(hit, reading)
-        return reading + zero, MountingState(zero, load, hit)
+        return reading + offset, MountingState(offset, load, hit)
 
     return Corruption(init, apply)

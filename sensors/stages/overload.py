@@ -1,8 +1,8 @@
 r"""Overload: a spring element that was bent too far does not come all the way back.
 
 Up to its safe overload, 150 % of the rated load for most cells (ring cells FRB, for instance; beyond 200 %
-they break), a cell keeps its zero. What goes beyond is partly set: with the largest excesses so far to
-either side, :math:`e_+ = \max(x - x_s, 0)` and :math:`e_- = \min(x + x_s, 0)`, the zero lies at
+they break), a cell keeps its offset. What goes beyond is partly set: with the largest excesses so far to
+either side, :math:`e_+ = \max(x - x_s, 0)` and :math:`e_- = \min(x + x_s, 0)`, the offset lies at
 
 .. math:: z = s\, (e_+ + e_-)
 
@@ -34,7 +34,7 @@ class OverloadState(NamedTuple):
 
 
 def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
-    """Shift the zero for good after a load beyond the safe overload, towards that load.
+    """Shift the offset for good after a load beyond the safe overload, towards that load.
 
     The shift shows from the reading on that is too large; one that is not finite leaves no trace.
 

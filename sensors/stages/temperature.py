@@ -1,4 +1,4 @@
-r"""What temperature does to a strain-gauge bridge: zero and span move with it.
+r"""What temperature does to a strain-gauge bridge: offset and span move with it.
 
 A device warms up after it was switched on, along a ramp :math:`T = r t` or, as one with a heat loss does,
 levelling off, :math:`T = T_\infty (1 - e^{-r t / T_\infty})`. Its errors, besides walking at random, follow
@@ -52,7 +52,7 @@ def thermal_drift(
     rise: float = 0.0,
     relative: bool = False,
 ) -> Corruption[ThermalState]:
-    """Let an offset or a gain start anywhere, wander, and follow the temperature.
+    """Let an offset or a scale start anywhere, wander, and follow the temperature.
 
     Args:
         initial_std: Standard deviation of the error at power-up, in the unit of the readings (relative: 1).
@@ -60,7 +60,7 @@ def thermal_drift(
         tempco_std: Standard deviation of its temperature coefficient, in that unit per K.
         ramp: Rate at which the device warms up at first, in K/s.
         rise: Where the rise levels off in K; 0 for a ramp that goes on.
-        relative: Whether the error is one of the gain rather than an offset.
+        relative: Whether the error is one of the scale rather than an offset.
 
     Raises:
         ValueError: If an argument is negative.

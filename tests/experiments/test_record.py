@@ -49,8 +49,8 @@ def test_every_condition_starts_where_it_says(walk: dict[str, Log]) -> None:
 def test_severity_scales_the_preset() -> None:
     assert cells_of(1.0) == HX711_LOAD_CELLS
     twice = cells_of(2.0)
-    assert twice.initial_gain_std == 2 * HX711_LOAD_CELLS.initial_gain_std
-    assert twice.zero_drift == 2 * HX711_LOAD_CELLS.zero_drift
+    assert twice.initial_scale_std == 2 * HX711_LOAD_CELLS.initial_scale_std
+    assert twice.offset_drift == 2 * HX711_LOAD_CELLS.offset_drift
     assert twice.rate == HX711_LOAD_CELLS.rate
-    with pytest.raises(ValueError, match=r"LoadCells\.initial_gain_std must be finite and not negative"):
+    with pytest.raises(ValueError, match=r"LoadCells\.initial_scale_std must be finite and not negative"):
         cells_of(-1.0)

@@ -26,7 +26,7 @@ def promised(density, walk, tau):
 
 def test_load_cells_have_the_noise_and_the_walk_of_their_configuration():
     dt, walk = 1 / 80, 2e-4
-    config = replace(HX711_LOAD_CELLS, rate=None, gain_drift=0.0, zero_drift=walk, initial_gain_std=0.0)
+    config = replace(HX711_LOAD_CELLS, rate=None, scale_drift=0.0, offset_drift=walk, initial_scale_std=0.0)
     rng, cells = np.random.default_rng(0), load_cells(config)
     state, rows = cells.init((40, 8), rng), []
     block = np.zeros((40, 1, 8))

@@ -23,6 +23,7 @@ from surefoot.sensors import (
     preset,
     resolve,
 )
+from surefoot.sensors.configuration import OLD_NAMES
 
 TAU = {"creep_time_constants": [3.0]}
 
@@ -76,6 +77,16 @@ def test_a_mapping_may_hold_mappings() -> None:
         resolve({"wire": {"dealy": 0.02}}, LoadCells)
 
 
+def test_names_of_version_0_1_are_read_and_answered_with_the_new_ones() -> None:
+    with pytest.warns(DeprecationWarning, match="'gain_drift' is called 'scale_drift' now"):
+        assert resolve({"gain_drift": 0.5}, LoadCells) == LoadCells(scale_drift=0.5)
+    with pytest.raises(ValueError, match=r"\['zero_drift'\] are old names of fields that are there as well"):
+        resolve({"zero_drift": 0.5, "offset_drift": 0.5}, LoadCells)
+    named = {name for kind in PRESETS for name in kind.__dataclass_fields__}
+    assert set(OLD_NAMES.values()) <= named
+    assert not set(OLD_NAMES) & named
+
+
 def test_anything_else_is_refused() -> None:
     with pytest.raises(TypeError, match="name of a preset, a mapping or a LoadCells, got int"):
         resolve(3, LoadCells)
@@ -90,12 +101,12 @@ def test_anything_else_is_refused() -> None:
             lambda: LoadCells(input_noise=-1.0),
             "LoadCells.input_noise must be finite and not negative, got -1.0",
         ),
-        (lambda: LoadCells(gain_drift=float("nan")), "LoadCells.gain_drift must be .*, got nan"),
+        (lambda: LoadCells(scale_drift=float("nan")), "LoadCells.scale_drift must be .*, got nan"),
         (
             lambda: LoadCells(temperature_ramp=-0.1),
             "LoadCells.temperature_ramp must be finite and not negative, got -0.1",
         ),
-        (lambda: LoadCells(initial_zero_std="1"), "LoadCells.initial_zero_std must be .*, got '1'"),
+        (lambda: LoadCells(initial_offset_std="1"), "LoadCells.initial_offset_std must be .*, got '1'"),
         (lambda: LoadCells(capacity=0.0), "LoadCells.capacity must be finite and positive, got 0.0"),
         (lambda: LoadCells(channels=0), "LoadCells.channels must be a positive whole number, got 0"),
         (lambda: LoadCells(adc_bits=40), "LoadCells.adc_bits must lie in 0 to 32, got 40"),

@@ -27,8 +27,6 @@ from surefoot.sensors import (
     drift,
     encoders,
     force_torque,
-    gain,
-    gain_drift,
     hysteresis,
     imu,
     latency,
@@ -45,6 +43,8 @@ from surefoot.sensors import (
     quantize,
     sample_and_hold,
     saturate,
+    scale,
+    scale_drift,
     spikes,
     stale_repeats,
     strain_gauges,
@@ -80,7 +80,7 @@ def cells_with(**fields: Any) -> Callable[[], Corruption[Any]]:
     return lambda: load_cells(LoadCells(**fields))
 
 
-WARM = {"span_tempco": 5e-5, "zero_tempco": 0.03, "temperature_ramp": 0.5, "temperature_rise": 14.0}
+WARM = {"scale_tempco": 5e-5, "offset_tempco": 0.03, "temperature_ramp": 0.5, "temperature_rise": 14.0}
 WARM_GAUGES = {"hysteresis_of": "gauges", "temperature_ramp": 0.5, "temperature_rise": 14.0}
 BENT = Mechanics(
     nonlinearity=0.01,
@@ -118,17 +118,17 @@ FAULTS = (
 # Name: (how to make it, channels, whether it reads blocks of substeps).
 STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
     "empty chain": (chain, 8, False),
-    "gain": (lambda: gain([1.5] * 8), 8, False),
+    "gain": (lambda: scale([1.5] * 8), 8, False),
     "offset": (lambda: offset(0.3), 8, False),
     "drift": (lambda: drift(1.5, 0.1), 8, False),
-    "gain drift": (lambda: gain_drift(0.1, 0.01), 8, False),
+    "gain drift": (lambda: scale_drift(0.1, 0.01), 8, False),
     "white noise": (lambda: white_noise(0.2), 8, False),
     "noise density": (lambda: noise_density(0.02), 8, False),
     "saturate": (lambda: saturate(-1.0, 1.0), 8, False),
     "quantize": (lambda: quantize(0.25), 8, False),
     "latency": (lambda: latency(0.02, 0.004), 8, False),
     "sample and hold": (lambda: sample_and_hold(white_noise(0.1), (60.0, 94.0)), 8, True),
-    "chain": (lambda: chain(gain(2.0), drift(1.0, 0.1), quantize(0.01)), 8, False),
+    "chain": (lambda: chain(scale(2.0), drift(1.0, 0.1), quantize(0.01)), 8, False),
     "load cells, stage by stage": (lambda: load_cell_chain(LoadCells()), 8, True),
     "thermal drift": (lambda: thermal_drift(1.0, 0.1, 0.01, ramp=0.5, rise=14.0), 8, False),
     "thermal gain": (lambda: thermal_drift(0.1, 0.0, 1e-3, ramp=0.5, relative=True), 8, False),
@@ -166,8 +166,8 @@ STAGES: dict[str, tuple[Callable[[], Corruption[Any]], int, bool]] = {
         6,
         False,
     ),
-    "load cells, walking gains only": (cells_with(zero_drift=0.0), 8, True),
-    "load cells, walking zeros only": (cells_with(gain_drift=0.0, input_noise=0.0), 8, True),
+    "load cells, walking gains only": (cells_with(offset_drift=0.0), 8, True),
+    "load cells, walking zeros only": (cells_with(scale_drift=0.0, input_noise=0.0), 8, True),
 }
 for kind, named in PRESETS.items():
     for preset_name, preset_config in named.items():
@@ -179,10 +179,10 @@ for kind, named in PRESETS.items():
         )
 
 NULL = {
-    "gain": (lambda: gain(1.0), False),
+    "gain": (lambda: scale(1.0), False),
     "offset": (lambda: offset(0.0), False),
     "drift": (drift, False),
-    "gain drift": (gain_drift, False),
+    "gain drift": (scale_drift, False),
     "white noise": (lambda: white_noise(0.0), False),
     "noise density": (lambda: noise_density(0.0), False),
     "quantize": (lambda: quantize(0.0), False),

@@ -12,12 +12,17 @@ QUIET = replace(
     CONFIG,
     noise_force=0.0,
     noise_torque=0.0,
-    gain_drift=0.0,
-    zero_drift_force=0.0,
-    zero_drift_torque=0.0,
+    scale_drift=0.0,
+    offset_drift_force=0.0,
+    offset_drift_torque=0.0,
     resolution_force=0.0,
     resolution_torque=0.0,
 )
+EQUAL_AT_POWER_UP = {
+    "initial_scale_std": 0.0,
+    "initial_offset_force_std": 0.0,
+    "initial_offset_torque_std": 0.0,
+}
 WRENCH = np.array([4.0, -3.0, 52.0, 1.2, -0.8, 0.3] * 2)
 
 
@@ -46,7 +51,7 @@ def test_a_quiet_sensor_is_an_affine_map():
 def test_the_true_matrix_undoes_the_errors_of_the_moment():
     """w = C (s - o) up to half a count (in-situ paper, Eq. 2), while everything drifts."""
     rng = np.random.default_rng(1)
-    config = replace(CONFIG, noise_force=0.0, noise_torque=0.0, gain_drift=0.02, zero_drift_force=0.5)
+    config = replace(CONFIG, noise_force=0.0, noise_torque=0.0, scale_drift=0.02, offset_drift_force=0.5)
     sensor = force_torque(config)
     state = sensor.init((3, 12), rng)
     for _ in range(100):
@@ -64,13 +69,15 @@ def test_errors_at_power_up_have_their_spread():
     beside = state.error[..., ~np.eye(6, dtype=bool)]
     assert diagonal.std() == pytest.approx(0.08, rel=0.02)
     assert beside.std() == pytest.approx(0.01, rel=0.02)
-    assert state.zero[..., :3].std() == pytest.approx(5.0, rel=0.02)
-    assert state.zero[..., 3:].std() == pytest.approx(0.1, rel=0.02)
+    assert state.offset[..., :3].std() == pytest.approx(5.0, rel=0.02)
+    assert state.offset[..., 3:].std() == pytest.approx(0.1, rel=0.02)
 
 
 def test_cross_talk_is_a_share_of_the_full_scales():
     """A full force reads as cross-talk times the full torque, and the other way round."""
-    config = replace(QUIET, initial_gain_std=0.0, initial_zero_force_std=0.0, initial_zero_torque_std=0.0)
+    config = replace(
+        QUIET, initial_scale_std=0.0, initial_offset_force_std=0.0, initial_offset_torque_std=0.0
+    )
     sensor, rng = force_torque(config), np.random.default_rng(3)
     state = sensor.init((2000, 12), rng)
     force = np.zeros((2000, 12))
@@ -84,7 +91,9 @@ def test_cross_talk_is_a_share_of_the_full_scales():
 @pytest.mark.parametrize("steps", [6, 60])
 def test_drift_depends_on_time_and_not_on_the_step(steps):
     rng = np.random.default_rng(4)
-    config = replace(CONFIG, initial_gain_std=0.0, initial_zero_force_std=0.0, initial_zero_torque_std=0.0)
+    config = replace(
+        CONFIG, initial_scale_std=0.0, initial_offset_force_std=0.0, initial_offset_torque_std=0.0
+    )
     sensor = force_torque(config)
     state = sensor.init((2000, 12), rng)
     talk = state.error[..., ~np.eye(6, dtype=bool)]
@@ -92,10 +101,10 @@ def test_drift_depends_on_time_and_not_on_the_step(steps):
         _, state = sensor.apply(np.zeros((2000, 12)), state, rng, 60.0 / steps)
     diagonal = np.diagonal(state.error, axis1=-2, axis2=-1)
     assert diagonal.std() == pytest.approx(0.002, rel=0.03)
-    assert state.zero[..., :3].std() == pytest.approx(0.2, rel=0.03)
-    assert state.zero[..., 3:].std() == pytest.approx(0.004, rel=0.03)
+    assert state.offset[..., :3].std() == pytest.approx(0.2, rel=0.03)
+    assert state.offset[..., 3:].std() == pytest.approx(0.004, rel=0.03)
     np.testing.assert_array_equal(state.error[..., ~np.eye(6, dtype=bool)], talk)
-    assert config.zero_drift_force == pytest.approx(0.2 * PER_SQRT_MINUTE)
+    assert config.offset_drift_force == pytest.approx(0.2 * PER_SQRT_MINUTE)
 
 
 def test_noise_and_steps_are_those_seen_on_a_real_robot():

@@ -20,10 +20,19 @@ from surefoot.sensors import (
 
 DT = 1 / 80
 PLAIN = replace(
-    HX711_LOAD_CELLS, initial_gain_std=0.0, initial_zero_std=0.0, gain_drift=0.0, zero_drift=0.0, rate=None
+    HX711_LOAD_CELLS,
+    initial_scale_std=0.0,
+    initial_offset_std=0.0,
+    scale_drift=0.0,
+    offset_drift=0.0,
+    rate=None,
 )
 WARMING = replace(
-    HX711_LOAD_CELLS, span_tempco=1e-3, zero_tempco=0.03, temperature_ramp=20.0 / 600.0, temperature_rise=14.0
+    HX711_LOAD_CELLS,
+    scale_tempco=1e-3,
+    offset_tempco=0.03,
+    temperature_ramp=20.0 / 600.0,
+    temperature_rise=14.0,
 )
 
 
@@ -35,12 +44,12 @@ WARMING = replace(
         PLAIN,
         replace(HX711_LOAD_CELLS, rate=None),
         replace(HX711_LOAD_CELLS, adc_bits=0),
-        replace(HX711_LOAD_CELLS, gain_drift=0.0),
-        replace(HX711_LOAD_CELLS, zero_drift=0.0, input_noise=0.0),
+        replace(HX711_LOAD_CELLS, scale_drift=0.0),
+        replace(HX711_LOAD_CELLS, offset_drift=0.0, input_noise=0.0),
         replace(HX711_LOAD_CELLS, coding="two's complement", polarity=(1,)),
         WARMING,
         replace(WARMING, temperature_rise=0.0, rate=None),
-        replace(WARMING, gain_drift=0.0, zero_drift=0.0),
+        replace(WARMING, scale_drift=0.0, offset_drift=0.0),
         replace(HX711_LOAD_CELLS, settling=4),
         replace(HX711_LOAD_CELLS, settling=3, rate=None),
         replace(HX711_LOAD_CELLS, settling=3, rate=(300.0, 900.0)),
@@ -107,7 +116,7 @@ def test_errors_at_power_up_have_their_spread() -> None:
 
 def test_cells_drift_by_2_percent_and_1_newton_in_a_minute() -> None:
     rng = np.random.default_rng(6)
-    config = replace(HX711_LOAD_CELLS, initial_gain_std=0.0, initial_zero_std=0.0)
+    config = replace(HX711_LOAD_CELLS, initial_scale_std=0.0, initial_offset_std=0.0)
     cells = load_cells(config)
     state = cells.init((2000, 8), rng)
     block = np.zeros((2000, 1, 8))
@@ -115,7 +124,7 @@ def test_cells_drift_by_2_percent_and_1_newton_in_a_minute() -> None:
         _, state = cells.apply(block, state, rng, 1.0)
     assert state.error[0].std() == pytest.approx(0.02, rel=0.03)
     assert state.error[1].std() == pytest.approx(1.0, rel=0.03)
-    assert config.zero_drift == pytest.approx(PER_SQRT_MINUTE)
+    assert config.offset_drift == pytest.approx(PER_SQRT_MINUTE)
 
 
 def test_the_true_map_undoes_the_errors_of_the_moment() -> None:
@@ -147,7 +156,7 @@ def test_static_readings_leave_the_state_alone_and_do_not_drift() -> None:
 @pytest.mark.parametrize("steps", [10, 60])
 def test_ten_minutes_of_warming_move_zero_and_span_by_their_coefficients(rise, expected, steps):
     rng = np.random.default_rng(10)
-    config = replace(WARMING, gain_drift=0.0, zero_drift=0.0, temperature_rise=rise)
+    config = replace(WARMING, scale_drift=0.0, offset_drift=0.0, temperature_rise=rise)
     cells = load_cells(config)
     start = state = cells.init((3000, 8), rng)
     block = np.zeros((3000, 1, 8))
@@ -163,7 +172,7 @@ def test_ten_minutes_of_warming_move_zero_and_span_by_their_coefficients(rise, e
 
 def test_the_true_map_knows_the_temperature():
     rng = np.random.default_rng(11)
-    config = replace(WARMING, input_noise=0.0, gain_drift=0.0, zero_drift=0.0)
+    config = replace(WARMING, input_noise=0.0, scale_drift=0.0, offset_drift=0.0)
     cells = load_cells(config)
     state = cells.init((8,), rng)
     cold = true_map(config, state)
@@ -176,7 +185,7 @@ def test_the_true_map_knows_the_temperature():
     assert np.abs(cold[0] * counts + cold[1] - load).max() > 0.1
 
 
-@pytest.mark.parametrize("off", [{"temperature_ramp": 0.0}, {"span_tempco": 0.0, "zero_tempco": 0.0}])
+@pytest.mark.parametrize("off", [{"temperature_ramp": 0.0}, {"scale_tempco": 0.0, "offset_tempco": 0.0}])
 def test_cells_that_do_not_warm_up_read_bit_for_bit_what_they_read_before(off):
     config = replace(WARMING, **off)
     assert not config.warms

@@ -19,7 +19,6 @@ from surefoot.sensors import (
     creep,
     drift,
     force_torque,
-    gain,
     hysteresis,
     imu,
     latency,
@@ -28,6 +27,7 @@ from surefoot.sensors import (
     moving_average,
     overload,
     sample_and_hold,
+    scale,
     stale_repeats,
     strain_gauges,
     thermal_drift,
@@ -36,7 +36,7 @@ from surefoot.sensors import (
 from surefoot.sensors.presets import NAO_IMU
 from surefoot.sensors.select import batch_axes, select
 
-WARM = LoadCells(span_tempco=1e-4, zero_tempco=0.01, temperature_ramp=0.02)
+WARM = LoadCells(scale_tempco=1e-4, offset_tempco=0.01, temperature_ramp=0.02)
 CELLS = LoadCells()
 WORST = replace(
     WARM,
@@ -75,7 +75,7 @@ SENSORS = {
     "filter": (lambda: moving_average(4), 8, False),
     "temperature": (lambda: thermal_drift(0.1, 0.1, 0.1, ramp=1.0), 8, False),
     "clock": (lambda: sample_and_hold(chain(drift(1.0, 1.0), white_noise(0.1))), 8, True),
-    "stateless": (lambda: gain(2.0), 8, False),
+    "stateless": (lambda: scale(2.0), 8, False),
 }
 
 

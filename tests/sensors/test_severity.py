@@ -88,7 +88,7 @@ def test_every_preset_can_be_five_times_as_bad_and_reads(kind, name):
 
 def test_errors_that_end_somewhere_stop_there_and_others_go_on():
     worse = scaled(preset("nao-fsr"), 3.0)
-    assert (worse.wire.stale_repeats, worse.mechanics.hysteresis, worse.initial_gain_std) == (
+    assert (worse.wire.stale_repeats, worse.mechanics.hysteresis, worse.initial_scale_std) == (
         0.95,
         0.12,
         3.0 * 0.3,
@@ -100,8 +100,8 @@ def test_errors_that_end_somewhere_stop_there_and_others_go_on():
     beyond = Wire(stale_repeats=0.99)
     assert scaled(beyond, 2.0) == beyond
     both = scaled(ForceTorque(), 3.0)
-    assert both.initial_gain_std + 5.0 * both.cross_talk_std == pytest.approx(0.25, rel=1e-9)
-    assert both.initial_gain_std / both.cross_talk_std == pytest.approx(8.0)
+    assert both.initial_scale_std + 5.0 * both.cross_talk_std == pytest.approx(0.25, rel=1e-9)
+    assert both.initial_scale_std / both.cross_talk_std == pytest.approx(8.0)
     assert both.noise_force == pytest.approx(0.36)
 
 
@@ -142,6 +142,6 @@ def test_what_no_severity_can_be_is_refused():
     with pytest.raises(TypeError, match=r"dict has no severity; \['LoadCells', 'Mechanics'"):
         scaled({}, 1.0)
     with pytest.raises(
-        ValueError, match=r"severity of 1e\+308 is more .* LoadCells\.initial_zero_std must be"
+        ValueError, match=r"severity of 1e\+308 is more .* LoadCells\.initial_offset_std must be"
     ):
-        scaled(LoadCells(initial_zero_std=1e3), 1e308)
+        scaled(LoadCells(initial_offset_std=1e3), 1e308)

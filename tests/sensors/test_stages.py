@@ -7,12 +7,12 @@ from surefoot.sensors import (
     PER_SQRT_MINUTE,
     chain,
     drift,
-    gain,
-    gain_drift,
     noise_density,
     offset,
     quantize,
     saturate,
+    scale,
+    scale_drift,
     white_noise,
 )
 
@@ -37,14 +37,14 @@ def test_the_spread_of_a_drift_depends_on_time_and_not_on_the_step(dt: float) ->
 
 @pytest.mark.parametrize("dt", [1 / 80, 1.0])
 def test_the_spread_of_a_gain_depends_on_time_and_not_on_the_step(dt: float) -> None:
-    readings = walk(gain_drift(density=0.02 * PER_SQRT_MINUTE), 4.0, dt, 50.0)
+    readings = walk(scale_drift(density=0.02 * PER_SQRT_MINUTE), 4.0, dt, 50.0)
     assert readings.std() == pytest.approx(50.0 * 0.02 * (4.0 / 60.0) ** 0.5, rel=0.03)
     assert readings.mean() == pytest.approx(50.0, abs=0.02)
 
 
 def test_initial_errors_have_their_spread_and_stay() -> None:
     rng = np.random.default_rng(1)
-    stage = chain(gain_drift(0.12), drift(1.5))
+    stage = chain(scale_drift(0.12), drift(1.5))
     state = stage.init((MANY,), rng)
     at_rest, later = stage.apply(np.zeros(MANY), state, rng, 0.1)
     loaded, _ = stage.apply(np.full(MANY, 10.0), later, rng, 0.1)
@@ -90,7 +90,7 @@ def test_saturation_clips_and_rounding_rounds() -> None:
 
 def test_stages_act_in_their_order() -> None:
     rng = np.random.default_rng(6)
-    one, other = chain(gain(2.0), offset(1.0)), chain(offset(1.0), gain(2.0))
+    one, other = chain(scale(2.0), offset(1.0)), chain(offset(1.0), scale(2.0))
     results = [stage.apply(np.ones(1), stage.init((1,), rng), rng, 0.1)[0] for stage in (one, other)]
     assert np.concatenate(results).tolist() == [3.0, 4.0]
 
@@ -100,7 +100,7 @@ def test_stages_act_in_their_order() -> None:
     [
         (lambda: drift(-1.0), "'initial_std' must be finite and not negative, got -1.0"),
         (lambda: drift(0.0, float("nan")), "'density' must be finite and not negative, got nan"),
-        (lambda: gain_drift(density=-0.1), "'density' must be finite and not negative, got -0.1"),
+        (lambda: scale_drift(density=-0.1), "'density' must be finite and not negative, got -0.1"),
         (lambda: white_noise(float("inf")), "'std' must be finite and not negative, got inf"),
         (lambda: noise_density(-1e-3), "'density' must be finite and not negative, got -0.001"),
         (lambda: quantize(-1.0), "'resolution' must be finite and not negative, got -1.0"),

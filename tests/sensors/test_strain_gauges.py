@@ -14,7 +14,7 @@ from surefoot.sensors import (
     preset,
     read_sequence,
     resolve,
-    shift_zero,
+    shift_offset,
     strain_gauges,
     true_response,
 )
@@ -64,7 +64,7 @@ def test_the_true_response_undoes_every_wandering_heating_sensor(config):
 
 
 def test_without_offsets_the_true_matrix_is_exact():
-    config = replace(PERFECT, gain_error_std=0.2, cross_talk_std=0.03)
+    config = replace(PERFECT, scale_error_std=0.2, cross_talk_std=0.03)
     sensor, state, rng = drawn(config, (200,), seed=2)
     counts, _ = sensor.apply(np.tile(WRENCH, (200, 1)), state, rng, 0.01)
     A, o = true_response(config, state)
@@ -74,7 +74,7 @@ def test_without_offsets_the_true_matrix_is_exact():
 
 def test_small_matrix_errors_have_their_spread_and_large_ones_stay_invertible():
     for gain, talk in ((0.01, 0.003), (0.5, 0.1)):
-        config = replace(PERFECT, gain_error_std=gain, cross_talk_std=talk)
+        config = replace(PERFECT, scale_error_std=gain, cross_talk_std=talk)
         _, state, _ = drawn(config, (4000,), seed=3)
         scale = config.full_scale
         shown = config.nominal_matrix @ state.response * scale / scale[:, None]
@@ -98,7 +98,7 @@ def test_an_old_leg_sensor_shows_a_weight_as_badly_as_the_papers_did():
 
 def test_zeros_lie_within_their_range_and_fill_it():
     _, state, _ = drawn(LEG, (4000,), seed=5)
-    shown = wrenches(LEG, state.zero)
+    shown = wrenches(LEG, state.offset)
     for part, most in ((FORCE, LEG.offset_force), (TORQUE, LEG.offset_torque)):
         assert 0.99 * most < abs(shown[:, part]).max() <= most * (1.0 + 1e-9)
         assert shown[:, part].std() == pytest.approx(most / np.sqrt(3.0), rel=0.02)
@@ -119,29 +119,29 @@ def test_drift_depends_on_time_and_not_on_the_step(steps):
     sensor, state, rng = drawn(config, (2000,), seed=7)
     for _ in range(steps):
         _, state = sensor.apply(np.zeros((2000, 6)), state, rng, 60.0 / steps)
-    shown = wrenches(config, state.zero)
+    shown = wrenches(config, state.offset)
     assert shown[:, FORCE].std() == pytest.approx(0.05, rel=0.04)
     assert shown[:, TORQUE].std() == pytest.approx(0.001, rel=0.04)
 
 
 def test_zeros_jump_between_recordings():
     _, state, rng = drawn(LEG, (3000,), seed=8)
-    later = shift_zero(LEG, state, rng, 2.0, 0.04)
-    jump = wrenches(LEG, later.zero - state.zero)
+    later = shift_offset(LEG, state, rng, 2.0, 0.04)
+    jump = wrenches(LEG, later.offset - state.offset)
     assert jump[:, FORCE].std() == pytest.approx(2.0, rel=0.03)
     assert jump[:, TORQUE].std() == pytest.approx(0.04, rel=0.03)
     np.testing.assert_array_equal(later.response, state.response)
     with pytest.raises(ValueError, match="'torque_std' must be finite and not negative, got -1"):
-        shift_zero(LEG, state, rng, 1.0, -1.0)
+        shift_offset(LEG, state, rng, 1.0, -1.0)
 
 
 @pytest.mark.parametrize("step", [1.0, 90.0])
 def test_heat_moves_zeros_and_gains_as_specified(step):
     config = replace(
         PERFECT,
-        zero_tempco_force=0.05,
-        zero_tempco_torque=0.001,
-        span_tempco=2e-4,
+        offset_tempco_force=0.05,
+        offset_tempco_torque=0.001,
+        scale_tempco=2e-4,
         temperature_ramp=14.0 / 900.0,
         temperature_rise=14.0,
     )
@@ -151,10 +151,10 @@ def test_heat_moves_zeros_and_gains_as_specified(step):
         counts, state = sensor.apply(loads, state, rng, step)
     rise = 14.0 * (1.0 - np.exp(-1.0))
     np.testing.assert_allclose(state.temperature, rise, rtol=1e-12)
-    zero = wrenches(config, state.zero)
+    zero = wrenches(config, state.offset)
     assert zero[:, FORCE].std() == pytest.approx(0.05 * rise, rel=0.04)
     assert zero[:, TORQUE].std() == pytest.approx(0.001 * rise, rel=0.04)
-    relative = (counts - state.zero) / (config.nominal_response @ WRENCH) - 1.0
+    relative = (counts - state.offset) / (config.nominal_response @ WRENCH) - 1.0
     assert relative.std() == pytest.approx(2e-4 * rise, rel=0.04)
 
 
@@ -218,7 +218,7 @@ def test_eight_gauges_show_their_redundancy():
     noise = counts - RESPONSE_8 @ WRENCH
     image = shown @ RESPONSE_8.T
     assert (noise - image).var() * 8 / 2 == pytest.approx(image.var() * 8 / 6, rel=0.05)
-    A, o = true_response(EIGHT, drawn(replace(EIGHT, gain_error_std=0.2, offset_force=50.0), seed=12)[1])
+    A, o = true_response(EIGHT, drawn(replace(EIGHT, scale_error_std=0.2, offset_force=50.0), seed=12)[1])
     np.testing.assert_allclose(np.linalg.pinv(A) @ (A @ WRENCH + o - o), WRENCH, atol=1e-11)
     assert abs(o - RESPONSE_8 @ EIGHT.nominal_matrix @ o).max() > 1.0
 
@@ -234,12 +234,12 @@ def test_a_sequence_is_the_loop_and_a_recording_may_be_felt_by_many():
         expected, state = sensor.apply(np.tile(recorded[:, step], (3, 1, 1)), state, rng, 0.5)
         np.testing.assert_array_equal(counts[:, :, step], expected)
         np.testing.assert_array_equal(temperature[:, :, step], state.temperature)
-    np.testing.assert_array_equal(last.zero, state.zero)
+    np.testing.assert_array_equal(last.offset, state.offset)
 
 
 @pytest.mark.parametrize("of", ["load", "gauges"])
 def test_torch_reads_the_same(of):
-    config = replace(LEG, noise_force=0.0, noise_torque=0.0, zero_drift_force=0.0, zero_drift_torque=0.0)
+    config = replace(LEG, noise_force=0.0, noise_torque=0.0, offset_drift_force=0.0, offset_drift_torque=0.0)
     config = replace(config, temperature_ramp=0.1, hysteresis_of=of)
     _, state, rng = drawn(config, (4,), seed=16)
     recorded = np.random.default_rng(17).normal(0.0, 5.0, (4, 50, 6))
@@ -255,9 +255,9 @@ def test_torch_reads_the_same(of):
     np.testing.assert_array_equal(same, counts)
     np.testing.assert_allclose(warm, temperature, rtol=1e-14)
     np.testing.assert_allclose(true_response(config, end)[0], true_response(config, last)[0], rtol=1e-14)
-    jumped = shift_zero(config, end, torch.Generator().manual_seed(1), 1.0, 0.1)
-    assert jumped.zero.dtype == torch.float64
-    assert not torch.equal(jumped.zero, end.zero)
+    jumped = shift_offset(config, end, torch.Generator().manual_seed(1), 1.0, 0.1)
+    assert jumped.offset.dtype == torch.float64
+    assert not torch.equal(jumped.offset, end.offset)
 
 
 def test_matrices_may_come_as_arrays_and_lists():
@@ -276,7 +276,7 @@ def test_matrices_may_come_as_arrays_and_lists():
         ({"matrix": ((1.0, 2.0), (1.0,))}, "StrainGauges.matrix must have six rows of at least six numbers"),
         ({"noise_force": -0.1}, "StrainGauges.noise_force must be finite and not negative, got -0.1"),
         ({"full_scale_torque": 0.0}, "StrainGauges.full_scale_torque must be finite and positive, got 0.0"),
-        ({"gain_error_std": 0.6}, "StrainGauges.gain_error_std must be at most 0.5, got 0.6"),
+        ({"scale_error_std": 0.6}, "StrainGauges.scale_error_std must be at most 0.5, got 0.6"),
         ({"adc_bits": 1}, "StrainGauges.adc_bits must be 0 or lie in 2 to 32, got 1"),
         ({"hysteresis": 0.2}, "StrainGauges.hysteresis must be at most 0.08, got 0.2"),
         ({"hysteresis_of": "glue"}, "StrainGauges.hysteresis_of must be 'load' or 'gauges', got 'glue'"),

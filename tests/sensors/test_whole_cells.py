@@ -29,10 +29,10 @@ CODES = LoadCells(
     polarity=(1,),
     input_noise=0.0,
     rate=None,
-    initial_gain_std=0.0,
-    initial_zero_std=0.0,
-    gain_drift=0.0,
-    zero_drift=0.0,
+    initial_scale_std=0.0,
+    initial_offset_std=0.0,
+    scale_drift=0.0,
+    offset_drift=0.0,
 )
 
 

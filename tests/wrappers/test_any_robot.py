@@ -207,7 +207,7 @@ def stilts(tmp_path):
 
 
 def test_a_home_made_biped_needs_two_lines(stilts: str) -> None:
-    env = FootSensors(Stilts(stilts), {"initial_gain_std": 0.1, "initial_zero_std": 2.0, "capacity": 60.0})
+    env = FootSensors(Stilts(stilts), {"initial_scale_std": 0.1, "initial_offset_std": 2.0, "capacity": 60.0})
     env = SelfCalibration(env)
     env.reset(seed=0)
     start = np.abs(np.array(env.estimate.force) - env.env.source.truth.force_cell[-1]).max()

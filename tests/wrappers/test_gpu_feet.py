@@ -23,7 +23,7 @@ from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 N, DT = 5, 0.02
 CONFIGS = {
     "load cells": HX711_LOAD_CELLS,
-    "warming": replace(HX711_LOAD_CELLS, zero_tempco=0.01, temperature_ramp=0.02),
+    "warming": replace(HX711_LOAD_CELLS, offset_tempco=0.01, temperature_ramp=0.02),
     "six-axis": ICUB_FORCE_TORQUE,
 }
 
@@ -173,8 +173,8 @@ def test_sensors_are_kept_or_drawn_anew(fresh):
 )
 def test_no_reading_tells_of_the_episode_before(config):
     """Converters of 80 Hz under a loop of 1 kHz hold their last reading, but not across a reset."""
-    quiet = replace(config, input_noise=0.0, initial_gain_std=0.0, initial_zero_std=0.0)
-    quiet = replace(quiet, gain_drift=0.0, zero_drift=0.0)
+    quiet = replace(config, input_noise=0.0, initial_scale_std=0.0, initial_offset_std=0.0)
+    quiet = replace(quiet, scale_drift=0.0, offset_drift=0.0)
     feet = FootSensorsModule(quiet, N, dt=0.001 if config.rate else DT)
     for _ in range(20):
         feet(torch.full((N, 8), 50.0))

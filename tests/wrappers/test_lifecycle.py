@@ -48,7 +48,7 @@ def test_hardware_goes_on_over_resets_and_a_seed_draws_it_anew(make_bare) -> Non
     ],
 )
 def test_a_reset_may_choose(always: bool, options: Any, seed: Any, stays: bool, make_bare) -> None:
-    env = FootSensors(make_bare(STAND), {"gain_drift": 0.0}, fresh=always)
+    env = FootSensors(make_bare(STAND), {"scale_drift": 0.0}, fresh=always)
     env.reset(seed=1)
     first = scale(env)
     env.reset(seed=seed, options=options)
