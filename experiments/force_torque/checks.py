@@ -1,7 +1,7 @@
-"""What would mislead an in-situ fit, and what it can do without; private to the log's reader.
+"""What would mislead an in-situ fit, and what it can do without.
 
-A check either refuses, with file, column, what was found and the cure, or puts a notice on the list and hands
-on what is left.
+A check either refuses with file, column, what was found and the cure, or adds a notice and returns what is
+left.
 """
 
 from dataclasses import replace
@@ -10,16 +10,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.force_torque.config import InSituConfig
 from surefoot.experiments.force_torque.table import Samples
-from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.table import LogError
 
-__all__ = [
-    "check_channels",
-    "contiguous",
-    "in_time",
-    "with_values",
-]
+__all__ = ["check_channels", "check_times", "check_values", "contiguous"]
 
 FEWEST = 8
 """Samples without which a set is no set: an affine map of gravity has four unknowns a channel."""
@@ -33,132 +27,125 @@ MOSTLY = 0.5
 RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)
 """Last codes of 16- and 24-bit converters; 0 is left out, as it is a reading like others."""
 
+GAP = 3.0
+"""Times the usual step from which two rows have a gap between them."""
 
-def with_values(samples: Samples, notices: list[str]) -> Samples:
-    """Leave out rows without gravity, rotation or temperature; a missing reading of a channel stays NaN."""
-    names, file = samples.names, samples.file
-    groups: list[tuple[tuple[str, ...], NDArray[np.float64]]] = [(names.acceleration, samples.acceleration)]
-    if samples.angular_velocity is not None and names.angular_velocity is not None:
-        groups.append((names.angular_velocity, samples.angular_velocity))
-    if samples.temperature is not None and names.temperature is not None:
-        groups.append(((names.temperature,), samples.temperature[:, None]))
-    if samples.time is not None and names.time is not None:
-        groups.append(((names.time,), samples.time[:, None]))
+POSES = 0.1
+"""Share of gaps from which the rows are poses held one by one, which have no rate: no pause is a gap."""
+
+SLOWEST_GYROSCOPE = 0.5
+"""Time in s between two rows from which a gyroscope cannot be followed."""
+
+
+def check_values(samples: Samples, notices: list[str]) -> Samples:
+    """Return the rows with gravity, rotation, temperature and time; a missing reading stays NaN.
+
+    Raises:
+        LogError: If a value is infinite, or a column holds none in most rows.
+    """
+    columns, file = samples.columns, samples.file
     keep = np.ones(len(samples.rows), dtype=bool)
-    for columns, values in [*groups, (names.raw, samples.raw)]:
-        for name, column in zip(columns, values.T, strict=True):
+    for names, values in (
+        (samples.acceleration_names, samples.acceleration),
+        (columns.angular_velocity, samples.angular_velocity),
+        ((columns.temperature,), samples.temperature),
+        ((columns.time,), samples.time),
+        (samples.channels, samples.raw),
+    ):
+        if values is None or names is None:
+            continue
+        for name, column in zip(names, values.reshape(len(keep), -1).T, strict=True):
+            at, missing = f"{file}: column '{name}'", np.isnan(column)
+            share = float(missing.mean())
             if np.isinf(column).any():
                 row = int(samples.rows[int(np.argmax(np.isinf(column)))])
                 raise LogError(
-                    f"{file}: column '{name}' is infinite at row {row}; leave the cell empty where no sample "
-                    "arrived."
+                    f"{at} is infinite at row {row}; leave the cell empty where no sample arrived."
                 )
-            missing = np.isnan(column)
-            share = float(missing.mean())
             if missing.all():
                 raise LogError(
-                    f"{file}: column '{name}' holds no value in any of the {len(column)} rows of set "
-                    f"'{samples.name}'; check its cable and the column's name."
+                    f"{at} holds no value in any of the {len(column)} rows of set '{samples.name}'; check "
+                    "its cable and the column's name."
                 )
             if share > MOSTLY:
                 raise LogError(
-                    f"{file}: column '{name}' holds no value in {100 * share:.0f} % of the rows of set "
-                    f"'{samples.name}'; record the set again, or leave the column out."
+                    f"{at} holds no value in {100 * share:.0f} % of the rows of set '{samples.name}'; "
+                    "record the set again, or leave the column out."
                 )
             if missing.any():
                 notices.append(
-                    f"{file}: column '{name}' holds no value in {missing.sum()} of {len(column)} rows "
-                    f"({100 * share:.2g} %) of set '{samples.name}'; the fit does without these samples."
+                    f"{at} holds no value in {missing.sum()} of {len(column)} rows ({100 * share:.2g} %) of "
+                    f"set '{samples.name}'; the fit does without these samples."
                 )
-            if columns is not names.raw:
+            if values is not samples.raw:
                 keep &= ~missing
-    left = samples if keep.all() else samples.take(keep)
-    _enough(left)
-    return left
+    return _enough(samples if keep.all() else samples.take(keep))
 
 
-def _enough(samples: Samples) -> None:
-    whole = int(np.isfinite(samples.raw).all(axis=1).sum())
-    if whole < FEWEST:
-        raise LogError(
-            f"{samples.file}: set '{samples.name}' has {whole} whole samples, and a set needs at least "
-            f"{FEWEST}; record it for longer, or leave its rows out."
-        )
+def check_times(samples: Samples, notices: list[str]) -> Samples:
+    """Return the samples without rows that repeat the one before.
 
-
-def in_time(samples: Samples, notices: list[str]) -> Samples:
-    """Drop rows that are there twice, and refuse times that go back, stand still or are in other units."""
-    time, name, file = samples.time, samples.names.time, samples.file
+    Raises:
+        LogError: If times go back, stand still or are in other units.
+    """
+    time = samples.time
     if time is None:
         return samples
+    at = f"{samples.file}: column '{samples.columns.time}'"
     step = np.diff(time)
     if (step < 0.0).any():
         i = int(np.argmax(step < 0.0)) + 1
         raise LogError(
-            f"{file}: column '{name}' goes back at row {samples.rows[i]} of set '{samples.name}' "
-            f"({time[i - 1]:.6g} s, then {time[i]:.6g} s); sort the rows, or give each recording a set of "
-            "its own."
+            f"{at} goes back at row {samples.rows[i]} of set '{samples.name}' ({time[i - 1]:.6g} s, then "
+            f"{time[i]:.6g} s); sort the rows, or give each recording a set of its own."
         )
     again = np.concatenate([[False], step == 0.0])
     if again.any():
-        same = _same_as_before(samples)
-        wrong = again & ~same
+        wrong = again & ~_same_as_before(samples)
         if wrong.any():
             i = int(np.argmax(wrong))
             raise LogError(
-                f"{file}: column '{name}' is {time[i]:.6g} s at rows {samples.rows[i - 1]} and "
-                f"{samples.rows[i]} of set '{samples.name}', and the rows differ; give each sample its own "
-                "time, with more digits if they were rounded away."
+                f"{at} is {time[i]:.6g} s at rows {samples.rows[i - 1]} and {samples.rows[i]} of set "
+                f"'{samples.name}', and the rows differ; give each sample its own time, with more digits if "
+                "they were rounded away."
             )
         notices.append(
-            f"{file}: {again.sum()} rows of set '{samples.name}' repeat the row before them; they were "
-            "dropped."
+            f"{samples.file}: {again.sum()} rows of set '{samples.name}' repeat the row before them; they "
+            "were dropped."
         )
-        samples = samples.take(~again)
-        _enough(samples)
-        assert samples.time is not None
-        step = np.diff(samples.time)
+        samples, step = _enough(samples.take(~again)), np.diff(time[~again])
     usual = float(np.median(step))
-    if samples.angular_velocity is not None and usual > 0.5:
+    if samples.angular_velocity is not None and usual > SLOWEST_GYROSCOPE:
         near = min((1e3, "ms"), (1e6, "us"), (1e9, "ns"), key=lambda u: abs(np.log(usual / u[0] / 0.01)))
         raise LogError(
-            f"{file}: column '{name}' steps by {usual:.4g} s in set '{samples.name}', too slowly to follow a "
-            f"gyroscope; it looks like {near[1]}: say units.time = '{near[1]}'."
+            f"{at} steps by {usual:.4g} s in set '{samples.name}', too slowly to follow a gyroscope; it "
+            f"looks like {near[1]}: say units.time = '{near[1]}'."
         )
-    gaps = step > 3.0 * usual
-    # Poses that were held one by one have no rate, so that a pause between two of them is no gap.
-    if gaps.any() and gaps.mean() < 0.1:
+    gaps = step > GAP * usual
+    if gaps.any() and gaps.mean() < POSES:
         notices.append(
-            f"{file}: column '{name}' leaps {gaps.sum()} times in set '{samples.name}', the longest by "
-            f"{step.max():.3g} s where rows are {usual:.3g} s apart; the fit does without what is missing."
+            f"{at} leaps {gaps.sum()} times in set '{samples.name}', the longest by {step.max():.3g} s "
+            f"where rows are {usual:.3g} s apart; the fit does without what is missing."
         )
     return samples
 
 
-def _same_as_before(samples: Samples) -> NDArray[np.bool_]:
-    parts = [samples.raw, samples.acceleration]
-    if samples.angular_velocity is not None:
-        parts.append(samples.angular_velocity)
-    if samples.temperature is not None:
-        parts.append(samples.temperature[:, None])
-    values = np.concatenate(parts, axis=1)
-    same = np.zeros(len(values), dtype=bool)
-    same[1:] = ((values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))).all(axis=1)
-    return same
-
-
 def contiguous(time: NDArray[np.float64]) -> list[slice]:
-    """Part times at their gaps."""
+    """Return the parts of times between their gaps."""
     step = np.diff(time)
-    edges = [0, *(np.flatnonzero(step > 3.0 * np.median(step)) + 1).tolist(), len(time)]
+    edges = [0, *(np.flatnonzero(step > GAP * np.median(step)) + 1).tolist(), len(time)]
     return [slice(first, last) for first, last in pairwise(edges)]
 
 
-def check_channels(samples: Samples, config: InSituConfig, notices: list[str]) -> Samples:
-    """Refuse channels that are stuck or saturated; readings that only graze the end are taken out."""
+def check_channels(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
+    """Return the samples without readings that only graze the end of the range.
+
+    Raises:
+        LogError: If a channel is stuck, saturated, or beyond its range.
+    """
     raw = samples.raw.copy()
-    low, high = config.range_count if config.range_count is not None else (-np.inf, np.inf)
-    for name, column in zip(samples.names.raw, raw.T, strict=True):
+    low, high = range_count or (-np.inf, np.inf)
+    for name, column in zip(samples.channels, raw.T, strict=True):
         at = f"{samples.file}: column '{name}'"
         there = column[np.isfinite(column)]
         if np.ptp(there) == 0.0:
@@ -172,14 +159,13 @@ def check_channels(samples: Samples, config: InSituConfig, notices: list[str]) -
                 f"{at} reads {worst:g} in set '{samples.name}', outside sensor.range_count = [{low:g}, "
                 f"{high:g}]; correct the range, or give the columns in counts."
             )
-        ends = [low, high] if config.range_count is not None else list(RAILS)
-        stuck = np.isin(column, ends)
+        stuck = np.isin(column, range_count or RAILS)
         share = float(stuck.sum() / len(there))
         if share > MANY:
-            end = column[stuck][0]
             raise LogError(
-                f"{at} stands at {end:g}, the end of its range, in {100 * share:.2g} % of the readings of "
-                f"set '{samples.name}'; hang less on the limb, or lower the amplifier's gain or offset."
+                f"{at} stands at {column[stuck][0]:g}, the end of its range, in {100 * share:.2g} % of the "
+                f"readings of set '{samples.name}'; hang less on the limb, or lower the amplifier's gain or "
+                "offset."
             )
         if stuck.any():
             notices.append(
@@ -187,6 +173,22 @@ def check_channels(samples: Samples, config: InSituConfig, notices: list[str]) -
                 "fit does without them."
             )
             column[stuck] = np.nan
-    left = replace(samples, raw=raw)
-    _enough(left)
-    return left
+    return _enough(replace(samples, raw=raw))
+
+
+def _enough(samples: Samples) -> Samples:
+    whole = int(np.isfinite(samples.raw).all(axis=1).sum())
+    if whole < FEWEST:
+        raise LogError(
+            f"{samples.file}: set '{samples.name}' has {whole} whole samples, and a set needs at least "
+            f"{FEWEST}; record it for longer, or leave its rows out."
+        )
+    return samples
+
+
+def _same_as_before(samples: Samples) -> NDArray[np.bool_]:
+    parts = (samples.raw, samples.acceleration, samples.angular_velocity, samples.temperature)
+    values = np.column_stack([part for part in parts if part is not None])
+    same = np.zeros(len(values), dtype=bool)
+    same[1:] = ((values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))).all(axis=1)
+    return same

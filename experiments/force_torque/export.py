@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import surefoot
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import write_text
 
 __all__ = [

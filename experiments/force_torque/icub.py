@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path
 
 __all__ = ["icub_text", "read_icub_matrix", "read_icub_text", "read_matrix", "write_icub_matrix"]

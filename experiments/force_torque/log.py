@@ -17,11 +17,11 @@ from surefoot.calibration.imu.accelerometer import AccelerometerModel, calibrate
 from surefoot.calibration.imu.motion import gravity_from_imu
 from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.force_torque.checks import check_channels, contiguous, in_time, with_values
+from surefoot.experiments.force_torque.checks import check_channels, check_times, check_values, contiguous
 from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, read_config
 from surefoot.experiments.force_torque.signs import check_acceleration, check_against_factory, check_spin
 from surefoot.experiments.force_torque.table import Samples, read_samples
-from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.table import LogError
 
 __all__ = ["InSituConfig", "InSituLog", "config_beside", "read_config", "read_in_situ_log"]
 
@@ -91,7 +91,9 @@ def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path |
     added = [_added_mass(samples, config, notices) for samples in parts]
     sound = []
     for part in parts:
-        samples = check_channels(in_time(with_values(part, notices), notices), config, notices)
+        samples = check_channels(
+            check_times(check_values(part, notices), notices), config.range_count, notices
+        )
         check_acceleration(samples)
         check_spin(samples)
         sound.append(samples)
@@ -102,7 +104,7 @@ def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path |
     check_against_factory([(used, one.gravity) for one, used in found], config.factory_matrix, notices)
     return InSituLog(
         sets=tuple(sets),
-        channels=parts[0].names.raw,
+        channels=parts[0].channels,
         config=config,
         files=tuple(path.name for path in paths),
         notices=tuple(notices),
@@ -119,10 +121,10 @@ def _check_names(parts: list[Samples], config: InSituConfig) -> None:
                 "each set once."
             )
         first[samples.name] = samples
-        if samples.names.raw != parts[0].names.raw:
+        if samples.channels != parts[0].channels:
             raise LogError(
-                f"{samples.file}: has the channels {', '.join(samples.names.raw)} where {parts[0].file} has "
-                f"{', '.join(parts[0].names.raw)}; name the same channels in every file."
+                f"{samples.file}: has the channels {', '.join(samples.channels)} where {parts[0].file} has "
+                f"{', '.join(parts[0].channels)}; name the same channels in every file."
             )
     there = ", ".join(f"'{name}'" for name in first)
     for name in config.fit_sets or ():
@@ -157,7 +159,7 @@ def _added_mass(samples: Samples, config: InSituConfig, notices: list[str]) -> A
                 "limb. Give added_mass_kg and added_com_m under [[sets]], or as columns."
             )
         return listed if listed is not None else AddedMass(0.0, (0.0, 0.0, 0.0))
-    at = f"{samples.file}: column '{samples.names.added_mass}'"
+    at = f"{samples.file}: column '{samples.columns.added_mass}'"
     mass = _constant(samples.added_mass, _ALIKE_KG)
     if mass is None:
         values = samples.added_mass
@@ -230,7 +232,7 @@ def _to_set(
 ) -> tuple[InSituSet, Samples]:
     """Bring gravity to the sensor's frame and origin, moving or at rest."""
     R = config.R_sensor_accelerometer
-    up = -samples.acceleration if samples.names.points_down else samples.acceleration
+    up = -samples.acceleration if samples.points_down else samples.acceleration
     spin = rate = None
     if samples.angular_velocity is None:
         gravity = -up @ R.T

@@ -1,179 +1,133 @@
-"""One table of in-situ samples as arrays in SI units; private to the log's reader."""
+"""One table of in-situ samples as arrays in SI units."""
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as csv
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from surefoot.experiments.force_torque.config import Columns, InSituConfig
-from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.table import LogError, LogTable, read_table
 
-__all__ = ["Names", "Samples", "read_samples"]
+__all__ = ["Samples", "read_samples"]
+
+Floats = NDArray[np.float64]
 
 _RAW = re.compile(r"raw_(.+)_count")
-
-
-@dataclass(frozen=True)
-class Names:
-    """The columns that were found, in the file's own words."""
-
-    raw: tuple[str, ...]
-    acceleration: tuple[str, ...]
-    points_down: bool
-    """Whether the acceleration is gravity (down) rather than specific force (up at rest)."""
-    time: str | None
-    angular_velocity: tuple[str, ...] | None
-    temperature: str | None
-    set: str | None
-    added_mass: str | None
-    added_com: tuple[str, ...] | None
+_ABSENT = "'surefoot calibrate ft --sample' shows one that works."
+_LISTED = 24
+"""Columns of the file that a message names."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Rows of one set of one file, in SI units and in the accelerometer's own axes."""
+    """Rows of one set of one file, in SI units and in the accelerometer's own axes.
+
+    Attributes:
+        name: The set.
+        file: The file, for messages.
+        columns: Names of the columns that were found; either ``gravity`` or ``specific_force`` is None.
+        rows: Numbers of the rows in the file, for messages, shape (n,).
+        raw: Counts, shape (n, k).
+        acceleration: Specific force (up at rest) or gravity (down) in m/s^2, shape (n, 3).
+        time: In s, shape (n,).
+        angular_velocity: In rad/s, shape (n, 3).
+        temperature: In degrees Celsius, shape (n,).
+        added_mass: In kg, shape (n,).
+        added_com: In m, shape (n, 3).
+    """
 
     name: str
     file: str
-    names: Names
+    columns: Columns
     rows: NDArray[np.int64]
-    """Their numbers in the file, shape (n,), which messages give."""
-    raw: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    time: NDArray[np.float64] | None
-    angular_velocity: NDArray[np.float64] | None
-    temperature: NDArray[np.float64] | None
-    added_mass: NDArray[np.float64] | None
-    added_com: NDArray[np.float64] | None
+    raw: Floats
+    acceleration: Floats
+    time: Floats | None
+    angular_velocity: Floats | None
+    temperature: Floats | None
+    added_mass: Floats | None
+    added_com: Floats | None
 
-    def take(self, keep: NDArray[Any]) -> "Samples":
-        """Keep some of the rows."""
+    @property
+    def points_down(self) -> bool:
+        """Whether the acceleration is gravity (down) rather than specific force (up at rest)."""
+        return self.columns.gravity is not None
 
-        def part(array: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-            return None if array is None else array[keep]
+    @property
+    def acceleration_names(self) -> tuple[str, ...]:
+        """Names of the columns of the acceleration."""
+        return self.columns.gravity or self.columns.specific_force or ()
 
-        return Samples(
-            self.name,
-            self.file,
-            self.names,
-            self.rows[keep],
-            self.raw[keep],
-            self.acceleration[keep],
-            part(self.time),
-            part(self.angular_velocity),
-            part(self.temperature),
-            part(self.added_mass),
-            part(self.added_com),
-        )
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the columns of counts."""
+        return self.columns.raw or ()
+
+    def take(self, keep: NDArray[np.bool_]) -> "Samples":
+        """Return some of the rows."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        arrays: dict[str, Any] = {k: v[keep] for k, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **arrays)
 
 
 def read_samples(path: Path, config: InSituConfig) -> list[Samples]:
-    """Read one file and part it into its sets.
+    """Read one file, and return the samples of each of its sets.
 
     Raises:
         LogError: If it is no table, lacks a column, or holds what is not a number.
     """
-    table = _read_table(path, config)
-    names = _names_of(table.column_names, config.columns, path.name)
-    units, file = config.units, path.name
-    if table.num_rows == 0:
-        raise LogError(f"{file}: holds no rows; record the limb's samples, one a row.")
+    table = read_table(path, _ABSENT, separator=config.separator, decimal=config.decimal)
+    found = _found(table, config.columns)
+    if len(table) == 0:
+        raise LogError(f"{path.name}: holds no rows; record the limb's samples, one a row.")
 
-    def vectors(columns: Sequence[str] | None) -> NDArray[np.float64] | None:
-        return None if columns is None else np.stack([_numbers(table, name, file) for name in columns], -1)
+    def vectors(columns: Sequence[str] | None, factor: float = 1.0) -> Floats | None:
+        return None if columns is None else table.stacked(columns) * factor
 
-    def scalars(column: str | None) -> NDArray[np.float64] | None:
-        return None if column is None else _numbers(table, column, file)
+    def scalars(column: str | None, factor: float = 1.0) -> Floats | None:
+        return None if column is None else table.numbers(column) * factor
 
-    time, spin, temperature = scalars(names.time), vectors(names.angular_velocity), scalars(names.temperature)
-    raw, acceleration = vectors(names.raw), vectors(names.acceleration)
-    assert raw is not None
-    assert acceleration is not None
+    temperature = scalars(found.temperature)
     whole = Samples(
         name=path.stem,
-        file=file,
-        names=names,
-        rows=np.arange(table.num_rows),
-        raw=raw,
-        acceleration=acceleration * units.metre_per_second_squared,
-        time=None if time is None else time * units.second,
-        angular_velocity=None if spin is None else spin * units.radian_per_second,
-        temperature=None if temperature is None else temperature + units.zero_celsius,
-        added_mass=scalars(names.added_mass),
-        added_com=vectors(names.added_com),
+        file=path.name,
+        columns=found,
+        rows=np.arange(len(table)),
+        raw=table.stacked(found.raw or ()),
+        acceleration=table.stacked(found.gravity or found.specific_force or ()) * config.unit("acceleration"),
+        time=scalars(found.time, config.unit("time")),
+        angular_velocity=vectors(found.angular_velocity, config.unit("angular_velocity")),
+        temperature=None if temperature is None else temperature + config.unit("temperature"),
+        added_mass=scalars(found.added_mass),
+        added_com=vectors(found.added_com),
     )
-    if names.set is None:
+    if found.set is None:
         return [whole]
-    labels = _labels(table, names.set, file)
-    return [_named(whole.take(labels == name), name) for name in dict.fromkeys(labels.tolist())]
+    labels = _labels(table, found.set)
+    return [replace(whole.take(labels == name), name=name) for name in dict.fromkeys(labels.tolist())]
 
 
-def _named(samples: Samples, name: str) -> Samples:
-    return replace(samples, name=name)
+def _found(table: LogTable, columns: Columns) -> Columns:
+    """Return the names of the columns that are there, by their given or default names."""
+    names = table.names
+    shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
+    shown += f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    shown += " (if the separator is not ',', say csv.separator)" if len(names) == 1 else ""
+    cure = f"there are {shown}. Name your columns under [columns] in the TOML file, or on the command line."
 
+    def optional(given: Sequence[str] | None, default: Sequence[str], what: str) -> tuple[str, ...] | None:
+        if given is None and not any(name in table for name in default):
+            return None
+        return table.require(default if given is None else given, cure, what)
 
-def _read_table(path: Path, config: InSituConfig) -> pa.Table:
-    if not path.is_file():
-        raise LogError(f"{path}: no such file; 'surefoot calibrate ft --sample' shows one that works.")
-    try:
-        if path.suffix == ".parquet":
-            return pq.read_table(path)
-        if path.suffix == ".csv":
-            parse = csv.ParseOptions(delimiter=config.separator)
-            # An empty cell in a column of names is no name.
-            convert = csv.ConvertOptions(decimal_point=config.decimal, strings_can_be_null=True)
-            return csv.read_csv(path, parse_options=parse, convert_options=convert)
-    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError, UnicodeDecodeError) as error:
-        text = str(error).splitlines()[0]
-        if "Empty CSV" in text:
-            raise LogError(
-                f"{path.name}: is empty; record a line of column names and a row a sample."
-            ) from None
-        if "Expected" in text and "columns" in text:
-            raise LogError(
-                f"{path.name}: columns are of unequal length ({text}); write every row whole, and leave a "
-                "cell empty where no sample arrived."
-            ) from None
-        raise LogError(f"{path.name}: not a readable table ({text}).") from None
-    raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
+    def one(given: str | None, default: str, what: str) -> str | None:
+        found = optional(None if given is None else (given,), (default,), what)
+        return None if found is None else found[0]
 
-
-def _names_of(given: list[str], columns: Columns, file: str) -> Names:
-    twice = sorted({name for name in given if given.count(name) > 1})
-    if twice:
-        raise LogError(f"{file}: column '{twice[0]}' is there twice; rename one of them.")
-
-    def need(names: Sequence[str], what: str) -> tuple[str, ...]:
-        missing = [name for name in names if name not in given]
-        if missing:
-            alone = " (if the separator is not ',', say csv.separator)" if len(given) == 1 else ""
-            raise LogError(
-                f"{file}: missing column {', '.join(missing)} for {what}; there are {_listed(given)}{alone}. "
-                "Name your columns under [columns] in the TOML file, or on the command line."
-            )
-        return tuple(names)
-
-    def optional(chosen: Sequence[str] | None, default: Sequence[str], what: str) -> tuple[str, ...] | None:
-        if chosen is not None:
-            return need(chosen, what)
-        there = [name for name in default if name in given]
-        return need(default, what) if there else None
-
-    raw = columns.raw
-    if raw is None:
-        found = [(match[1], name) for name in given if (match := _RAW.fullmatch(name))]
-        if found and all(key.isdigit() for key, _ in found):
-            found.sort(key=lambda pair: int(pair[0]))
-        raw = tuple(name for _, name in found)
-        if len(raw) < 6:
-            need(tuple(f"raw_{i}_count" for i in range(6)), "the sensor's channels")
     gravity = optional(columns.gravity, _vector("gravity", "m_s2"), "gravity")
     force = optional(columns.specific_force, _vector("specific_force", "m_s2"), "specific force")
     if columns.gravity is None and columns.specific_force is not None:
@@ -182,76 +136,48 @@ def _names_of(given: list[str], columns: Columns, file: str) -> Names:
         force = None
     if gravity is not None and force is not None:
         raise LogError(
-            f"{file}: has both {gravity[0]} and {force[0]}, which say the same with opposite signs; name the "
-            "one to use under [columns]."
+            f"{table.file}: has both {gravity[0]} and {force[0]}, which say the same with opposite signs; "
+            "name the one to use under [columns]."
         )
-    chosen = gravity or force or need(_vector("specific_force", "m_s2"), "the accelerometer")
-    return Names(
-        raw=need(raw, "the sensor's channels"),
-        acceleration=chosen,
-        points_down=gravity is not None,
-        time=_time(columns.time, need),
+    if gravity is None and force is None:
+        force = table.require(_vector("specific_force", "m_s2"), cure, "the accelerometer")
+    time = None
+    if columns.time != "":
+        what = 'the time (or say time = "" for samples without an order)'
+        time = table.require((columns.time or "time_s",), cure, what)[0]
+    return Columns(
+        time=time,
+        set=one(columns.set, "set", "the sets"),
+        raw=table.require(columns.raw or _channels(names), cure, "the sensor's channels"),
+        specific_force=force,
+        gravity=gravity,
         angular_velocity=optional(
             columns.angular_velocity, _vector("angular_velocity", "rad_s"), "the gyroscope"
         ),
-        temperature=_one(optional(_many(columns.temperature), ("temperature_degC",), "the temperature")),
-        set=_one(optional(_many(columns.set), ("set",), "the sets")),
-        added_mass=_one(optional(_many(columns.added_mass), ("added_mass_kg",), "the added mass")),
+        temperature=one(columns.temperature, "temperature_degC", "the temperature"),
+        added_mass=one(columns.added_mass, "added_mass_kg", "the added mass"),
         added_com=optional(columns.added_com, _vector("added_com", "m"), "the added mass's place"),
     )
 
 
-def _time(chosen: str | None, need: Any) -> str | None:
-    if chosen == "":
-        return None
-    return str(need((chosen or "time_s",), 'the time (or say time = "" for samples without an order)')[0])
+def _channels(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns that are named as channels, by number where they are numbered; at least six."""
+    found = [(match[1], name) for name in names if (match := _RAW.fullmatch(name))]
+    if found and all(key.isdigit() for key, _ in found):
+        found.sort(key=lambda pair: int(pair[0]))
+    return tuple(name for _, name in found) if len(found) >= 6 else tuple(f"raw_{i}_count" for i in range(6))
 
 
 def _vector(stem: str, unit: str) -> tuple[str, ...]:
     return tuple(f"{stem}_{axis}_{unit}" for axis in "xyz")
 
 
-def _many(name: str | None) -> tuple[str, ...] | None:
-    return None if name is None else (name,)
-
-
-def _one(names: tuple[str, ...] | None) -> str | None:
-    return None if names is None else names[0]
-
-
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:24])
-    return shown + (f" and {len(names) - 24} more" if len(names) > 24 else "")
-
-
-def _numbers(table: pa.Table, name: str, file: str) -> NDArray[np.float64]:
-    column = table.column(name)
-    if pa.types.is_null(column.type):
-        return np.full(table.num_rows, np.nan)
-    if not (
-        pa.types.is_integer(column.type)
-        or pa.types.is_floating(column.type)
-        or pa.types.is_decimal(column.type)
-    ):
-        for row, value in enumerate(column.to_pylist()):
-            try:
-                float(value) if value is not None else None
-                sound = not isinstance(value, bool)
-            except (TypeError, ValueError):
-                sound = False
-            if not sound:
-                raise LogError(
-                    f"{file}: column '{name}' holds {value!r} at row {row}, which is no number; leave the "
-                    "cell empty where no sample arrived, and check csv.separator and csv.decimal."
-                )
-        return np.array([np.nan if v is None else float(v) for v in column.to_pylist()], dtype=np.float64)
-    return np.asarray(column.cast(pa.float64()).to_numpy(), dtype=np.float64)
-
-
-def _labels(table: pa.Table, name: str, file: str) -> NDArray[Any]:
-    values = table.column(name).to_pylist()
+def _labels(table: LogTable, name: str) -> NDArray[np.object_]:
+    values = table.data.column(name).to_pylist()
     for row, value in enumerate(values):
         if value is None or value != value:
-            raise LogError(f"{file}: column '{name}' is empty at row {row}; name or number every row's set.")
+            raise LogError(
+                f"{table.file}: column '{name}' is empty at row {row}; name or number every row's set."
+            )
     # A number that passed through a table with empty cells comes back as 1.0.
     return np.array([f"{v:g}" if isinstance(v, float) else str(v) for v in values], dtype=object)

@@ -1,4 +1,4 @@
-"""The columns of a log: their names with units, and the arrays behind them; private to the log format."""
+"""The columns of a log: their names with units, and the arrays behind them."""
 
 from typing import Any
 

@@ -1,19 +1,17 @@
-"""Which feet surely stand and which surely swing; private to the log format.
+"""Which feet surely stand and which surely swing.
 
 What the log says comes first, then what was commanded, then a guess from the soles' own motion: the lower
 sole carries the robot, and the other one swings where it is well above it and moves. What is not sure is
 neither, and no calibrator learns from a foot that is neither.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from surefoot.calibration import GRAVITY, Reference
-from surefoot.experiments.logs.checks import LogError, check_columns
+from surefoot.experiments.logs.checks import check_columns
+from surefoot.experiments.logs.table import LogError, LogTable
 
 __all__ = ["GUESSED", "contacts"]
 
@@ -43,16 +41,15 @@ Bools = NDArray[np.bool_]
 
 
 def contacts(
-    columns: Mapping[str, Any], names: tuple[str, str], reference: Reference, dt: float, file: str
+    table: LogTable, names: tuple[str, str], reference: Reference, dt: float
 ) -> tuple[Bools, Bools, str]:
-    """Tell of every row which feet surely stand and which surely swing.
+    """Return of every row which feet surely stand and which surely swing.
 
     Args:
-        columns: The log's table.
+        table: The log's.
         names: What the log calls its feet.
         reference: The robot's beliefs; poses and acceleration are used, N rows.
         dt: Time between rows in s.
-        file: The log's name in messages.
 
     Returns:
         Stance and swing, shape (N, 2) each, and in words where they come from.
@@ -62,26 +59,21 @@ def contacts(
     """
     phases = [f"reference_{name}_{phase}" for phase in ("stance", "swing") for name in names]
     commands = [f"command_{name}_contact" for name in names]
-    for wanted, said in ((phases, "as the log says"), (commands, "as the log says was commanded")):
-        there = [name for name in wanted if name in columns]
+    for wanted, source in ((phases, "as the log says"), (commands, "as the log says was commanded")):
+        there = [name for name in wanted if name in table]
         if not there:
             continue
         if len(there) < len(wanted):
-            missing = ", ".join(name for name in wanted if name not in columns)
+            missing = ", ".join(name for name in wanted if name not in there)
             raise LogError(
-                f"{file}: column {there[0]} is there without {missing}; give contacts of both feet or none."
+                f"{table.file}: column {there[0]} is there without {missing}; give contacts of both feet or "
+                "none."
             )
-        values = check_columns(columns, wanted, file)
-        flags = np.stack([values[name] for name in wanted], axis=-1)
-        if not np.isin(flags, (0.0, 1.0)).all():
-            row, column = np.argwhere(~np.isin(flags, (0.0, 1.0)))[0]
-            raise LogError(
-                f"{file}: column '{wanted[column]}' is {flags[row, column]} at row {row}; it must be 0 or 1."
-            )
-        down = flags > 0.5
+        values = check_columns(table, wanted)
+        down = np.stack([values[name] for name in wanted], axis=-1) > 0.5
         if wanted is phases:
-            return down[:, :2], down[:, 2:], said
-        return _sure(down, dt), _sure(~down, dt), said
+            return down[:, :2], down[:, 2:], source
+        return _sure(down, dt), _sure(~down, dt), source
     return *guess_contacts(reference, dt), GUESSED
 
 

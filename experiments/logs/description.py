@@ -1,4 +1,4 @@
-"""What a log says of its robot beside the table; private to :mod:`surefoot.experiments`."""
+"""What a log says of its robot beside the table."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
-from surefoot.experiments.logs.checks import LogError
+from surefoot.experiments.logs.table import LogError
 
 __all__ = ["describe", "read_description"]
 

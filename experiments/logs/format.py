@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
-from surefoot.experiments.logs.checks import LogError, check_columns, check_reference, check_time
+from surefoot.experiments.logs.checks import check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
     columns_of,
     names_of,
@@ -37,6 +37,7 @@ from surefoot.experiments.logs.columns import (
 from surefoot.experiments.logs.contacts import contacts
 from surefoot.experiments.logs.description import describe, read_description
 from surefoot.experiments.logs.motion import read_motion, read_motion_facts
+from surefoot.experiments.logs.table import LogError, LogTable, read_table
 from surefoot.experiments.study.files import atomic_path, write_text
 
 __all__ = ["Log", "LogError", "LogTruth", "read_log", "write_log"]
@@ -133,31 +134,30 @@ def write_log(log: Log, path: str | Path) -> Path:
 
 
 def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
-    """Read a log and refuse one that would mislead a calibrator.
+    """Read a log that does not mislead a calibrator.
 
     Args:
         path: A ``.parquet`` file, or a ``.csv`` file with its ``.json`` beside it.
         max_gap: Longest time in s allowed between two rows; with infinity gaps are left for a calibrator to
-            flag, which then keeps what it learnt and begins its filters anew.
+            flag, which then keeps what it learnt and starts its filters again.
 
     Raises:
         LogError: If the file is not there or not a log, if a column is missing or holds what it must not,
             or if time does not increase or leaps. The message names the file, the column and the cure.
     """
     path = Path(path)
-    columns, description = _read_table(path)
+    table = read_table(path, "'surefoot demo' records logs under out/demo/logs.")
+    description = _description(path, table)
     facts = read_description(description, path.name)
     layout: FeetLayout = facts["layout"]
     makes = "motion" in description
+    has_truth = any(name.startswith("truth_") for name in table.names)
     names = ["time_s", *raw_names_of(layout)] if makes else names_of(layout)
-    values = check_columns(columns, names, path.name)
-    has_truth = any(name.startswith("truth_") for name in columns)
-    if has_truth:
-        values |= check_columns(columns, truth_names_of(layout), path.name)
+    values = check_columns(table, [*names, *(truth_names_of(layout) if has_truth else [])])
     time = values["time_s"]
     check_time(time, facts["dt"], max_gap, path.name)
     if makes:
-        reference = _made_reference(path, columns, description["motion"], facts, time)
+        reference = _made_reference(path, table, description["motion"], facts, time)
     else:
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
@@ -171,9 +171,9 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
 
 
 def _made_reference(
-    path: Path, columns: dict[str, Any], description: Any, facts: dict[str, Any], time: NDArray[np.float64]
+    path: Path, table: LogTable, description: Any, facts: dict[str, Any], time: NDArray[np.float64]
 ) -> Reference:
-    """Make references of joints and IMU, and note in ``about`` where they come from."""
+    """Return references that are made of joints and IMU, and note in ``about`` where they come from."""
     motion_facts = read_motion_facts(description, path.parent, facts["dt"], path.name)
     layout: FeetLayout = facts["layout"]
     if len(layout.feet) != 2:
@@ -190,78 +190,40 @@ def _made_reference(
             'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
         ) from None
     model = load_model(motion_facts, path.name)
-    table, file = columns, path.name
+    moved = table
     if motion_facts.table is not None:
-        table, file = _read_bare(motion_facts.table), motion_facts.table.name
-    motion = read_motion(table, motion_facts, model.joint_names, file)
-    check_spin(motion, model, file)
+        moved = read_table(motion_facts.table, "motion.table gives its path from the log.")
+    motion = read_motion(moved, motion_facts, model.joint_names)
+    check_spin(motion, model, moved.file)
     reference = make_reference(time, motion, motion_facts, model, facts["mass"])
     if not np.isfinite(reference.com).all(axis=-1).any():
         raise LogError(
-            f"{file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and the "
-            f"feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
+            f"{moved.file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and "
+            f"the feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
         )
     left, right = layout.feet
-    stance, swing, said = contacts(columns, (left.name, right.name), reference, facts["dt"], path.name)
-    facts["about"] |= {"contacts": said, "model": motion_facts.model.name, "model_mass_kg": model.mass}
+    stance, swing, source = contacts(table, (left.name, right.name), reference, facts["dt"])
+    facts["about"] |= {"contacts": source, "model": motion_facts.model.name, "model_mass_kg": model.mass}
     return reference._replace(stance=stance, swing=swing)
 
 
-def _read_table(path: Path) -> tuple[dict[str, Any], Any]:
-    if not path.is_file():
-        raise LogError(f"{path}: no such file; 'surefoot demo' records logs under out/demo/logs.")
-    if path.suffix == ".parquet":
-        return _read_parquet(path)
+def _description(path: Path, table: LogTable) -> Any:
+    """Return what lies in the schema of a Parquet file, or beside a CSV file."""
+    side, text = path, (table.data.schema.metadata or {}).get(METADATA_KEY)
     if path.suffix == ".csv":
-        return _read_csv(path)
-    raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
-
-
-def _read_bare(path: Path) -> dict[str, Any]:
-    """Read a table that needs no description."""
-    if not path.is_file():
-        raise LogError(f"{path}: no such file; motion.table gives its path from the log.")
-    try:
-        return _arrays(pq.read_table(path) if path.suffix == ".parquet" else csv.read_csv(path))
-    except (pa.ArrowException, OSError) as error:
-        raise LogError(f"{path.name}: not a readable table ({str(error).splitlines()[0]}).") from None
-
-
-def _read_parquet(path: Path) -> tuple[dict[str, Any], Any]:
-    try:
-        table = pq.read_table(path)
-        columns = _arrays(table)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise LogError(f"{path.name}: not a readable Parquet file ({str(error).splitlines()[0]}).") from None
-    metadata = table.schema.metadata or {}
-    if METADATA_KEY not in metadata:
+        side = path.with_suffix(".json")
+        if not side.is_file():
+            raise LogError(
+                f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
+                "calibrations (see docs/log-format.md)."
+            )
+        text = side.read_bytes()
+    elif text is None:
         raise LogError(
             f"{path.name}: the Parquet schema has no metadata 'surefoot' that describes the robot; "
             "write the log with surefoot.experiments.write_log (see docs/log-format.md)."
         )
-    return columns, _parse(metadata[METADATA_KEY], path.name)
-
-
-def _read_csv(path: Path) -> tuple[dict[str, Any], Any]:
-    side = path.with_suffix(".json")
-    if not side.is_file():
-        raise LogError(
-            f"{path.name}: the description {side.name} is not beside it; it holds layout, mass and "
-            "calibrations (see docs/log-format.md)."
-        )
-    try:
-        table = csv.read_csv(path)
-    except (pa.ArrowException, OSError) as error:
-        raise LogError(f"{path.name}: not a readable CSV file ({str(error).splitlines()[0]}).") from None
-    return _arrays(table), _parse(side.read_bytes(), side.name)
-
-
-def _arrays(table: pa.Table) -> dict[str, Any]:
-    return {name: table.column(name).to_numpy() for name in table.column_names}
-
-
-def _parse(text: bytes, name: str) -> Any:
     try:
         return json.loads(text)
     except ValueError as error:
-        raise LogError(f"{name}: the description is not JSON: {error}.") from None
+        raise LogError(f"{side.name}: the description is not JSON: {error}.") from None

@@ -1,4 +1,4 @@
-"""A robot's drawing, made ready to tell what its joints and IMU say of its motion; private to the log format.
+"""A robot's drawing, made ready to tell what its joints and IMU say of its motion.
 
 Any MJCF or URDF file will do that has a floating body which carries the IMU, hinges and two soles. Places are
 sites, or bodies where a URDF has only links.
@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.logs.checks import LogError
 from surefoot.experiments.logs.motion import MotionFacts
+from surefoot.experiments.logs.table import LogError
 from surefoot.wrappers.nominal import NominalModel
 
 __all__ = ["LogModel", "load_model"]

@@ -1,4 +1,4 @@
-"""Joint angles and IMU in place of references: what such a log must say and hold; private to the log format.
+"""Joint angles and IMU in place of references: what such a log must say and hold.
 
 The description's ``motion`` names the robot's drawing and the parts of it that matter; the columns
 ``joint_<name>_rad``, ``accelerometer_<axis>_m_s2`` and ``gyroscope_<axis>_rad_s`` lie in the log itself, or,
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.experiments.logs.checks import LogError, check_increasing, check_present, numbers
+from surefoot.experiments.logs.checks import LISTED, check_increasing
+from surefoot.experiments.logs.table import LogError, LogTable
 
 __all__ = ["Motion", "MotionFacts", "read_motion", "read_motion_facts"]
 
@@ -141,36 +142,35 @@ def read_motion_facts(description: Any, folder: Path, dt: float, file: str) -> M
     )
 
 
-def read_motion(columns: Mapping[str, Any], facts: MotionFacts, joints: Sequence[str], file: str) -> Motion:
-    """Take joints and IMU out of a table.
+def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> Motion:
+    """Return joints and IMU of a table.
 
     A row in which one of their columns is NaN, or what no IMU reads, carries none of them: it is left out.
 
     Args:
-        columns: The table.
+        table: The table.
         facts: What the description says of it.
         joints: Names of the model's hinges, in its order.
-        file: Its name in messages.
 
     Raises:
         LogError: If a column is missing, not of numbers or of another unit, or if time is not as it must be.
     """
+    file = table.file
     unknown = [name for name in facts.held if name not in joints]
     if unknown:
         raise LogError(f"{file}: motion.held_rad names {unknown}; the model's hinges are {list(joints)}.")
     measured = [name for name in joints if name not in facts.held]
     names = [*(f"joint_{name}_rad" for name in measured), *ACCELEROMETER, *GYROSCOPE]
-    check_present(columns, ["time_s", *names], file)
-    values = {name: numbers(columns[name], name, file) for name in ["time_s", *names]}
+    values = {name: table.numbers(name) for name in table.require(["time_s", *names], LISTED)}
     check_increasing(values["time_s"], file, repeats=True)
     for name in names:
         if not np.isfinite(values[name]).any():
             raise LogError(
-                f"{file}: column '{name}' holds no number in any of its {len(values[name])} rows; "
-                "log it, or hold the joint at an angle with motion.held_rad."
+                f"{file}: column '{name}' holds no number in any of its {len(table)} rows; log it, or hold "
+                "the joint at an angle with motion.held_rad."
             )
-    if PACKET in columns:
-        values[PACKET] = numbers(columns[PACKET], PACKET, file)
+    if PACKET in table:
+        values[PACKET] = table.numbers(PACKET)
     values = _rows_within(values, dict.fromkeys(names, LARGEST_VALUE), file)
     _check_units(values, measured, file)
     limits = dict.fromkeys(ACCELEROMETER, LARGEST_FORCE) | dict.fromkeys(GYROSCOPE, LARGEST_SPIN)
@@ -191,7 +191,7 @@ def read_motion(columns: Mapping[str, Any], facts: MotionFacts, joints: Sequence
 def _rows_within(
     values: dict[str, NDArray[np.float64]], limits: Mapping[str, float], file: str
 ) -> dict[str, NDArray[np.float64]]:
-    """Take the rows in which columns are numbers within limits."""
+    """Return the rows in which columns are numbers within limits."""
     whole = np.all([np.abs(values[name]) <= limit for name, limit in limits.items()], axis=0)
     if whole.sum() < 8:
         raise LogError(
@@ -204,7 +204,7 @@ def _rows_within(
 def _clock(
     time: NDArray[np.float64], packet: NDArray[np.float64] | None, facts: MotionFacts, file: str
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
-    """Count periods, and average what is by chance early or late."""
+    """Return numbers of the rows, their times without chance, and the period."""
     if packet is None:
         number = _count(time, facts.period)
     else:

@@ -1,4 +1,4 @@
-"""What a log cannot tell, in plain words, and units that cannot be right; private to the log's calibration.
+"""What a log cannot tell, in plain words, and units that cannot be right.
 
 What would mislead any calibrator is refused. What merely leaves something untold is a notice: the calibration
 goes on, and says so.
@@ -8,9 +8,9 @@ import numpy as np
 
 from surefoot.calibration import GRAVITY, Parameters, sole_wrenches
 from surefoot.experiments.logs.agreement import asked_of
-from surefoot.experiments.logs.checks import LogError
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.logs.table import LogError
 
 __all__ = ["check_weight", "log_notices"]
 

@@ -1,4 +1,4 @@
-"""References from logged joints and IMU; private to the log format.
+"""References from logged joints and IMU.
 
 The robot's beliefs are made as :mod:`surefoot.wrappers.beliefs` makes them while the robot walks, packet by
 packet, but each is asked for the very moment of a sample of the feet: a log need not wait for what is late.
@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Reference
-from surefoot.experiments.logs.checks import LogError
 from surefoot.experiments.logs.model import LogModel
 from surefoot.experiments.logs.motion import Motion, MotionFacts
+from surefoot.experiments.logs.table import LogError
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.telemetry import TelemetryLayout

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Estimate, FootCalibrator, Parameters, replay
 from surefoot.calibration._setup import method_name
-from surefoot.experiments.logs.checks import LogError
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.notices import check_weight, log_notices
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.experiments.study.tables import Table
 from surefoot.experiments.walking.page import WalkingPage

@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from surefoot.calibration import GRAVITY, fit_channels
+from surefoot.experiments.logs.table import LogError, read_table
 from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.tables import Table, number
 
@@ -20,41 +20,32 @@ def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
     and each cell's reading as ``raw_<cell>_count``. A cell that was not weighed in a row is left empty there.
 
     Args:
-        path: The table, a CSV file.
+        path: The table, a CSV or Parquet file.
         out: Where to write the map, in JSON as a log's description holds it.
 
     Returns:
         What to show, and the path of the map.
 
     Raises:
-        ValueError: If a column is missing or does not hold numbers, or if a cell saw fewer than two loads.
+        LogError: If a column is missing or does not hold numbers.
+        ValueError: If a cell saw fewer than two loads.
     """
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file; give a CSV of weighings, one a row.")
-    try:
-        frame = pd.read_csv(path)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path.name}: not a readable CSV file ({str(error).strip()}).") from None
+    table = read_table(path, "give a CSV of weighings, one a row.")
     units = {"load_kg": GRAVITY, "load_N": 1.0}
-    given = [name for name in units if name in frame]
+    given = [name for name in units if name in table]
     if len(given) != 1:
-        raise ValueError(
+        raise LogError(
             f"{path.name}: needs one column of weights, 'load_kg' or 'load_N', and has {given or 'neither'}."
         )
-    cells = [str(name) for name in frame if str(name).startswith("raw_") and str(name).endswith("_count")]
+    cells = [name for name in table.names if name.startswith("raw_") and name.endswith("_count")]
     if not cells:
-        raise ValueError(
+        raise LogError(
             f"{path.name}: has no column 'raw_<cell>_count'; name each cell's readings so, e.g. "
             "'raw_left_front_left_count'."
         )
-    for name in (*given, *cells):
-        if not pd.api.types.is_numeric_dtype(frame[name]):
-            raise ValueError(
-                f"{path.name}: column '{name}' does not hold numbers; check separator and decimal point."
-            )
     names = [name.removeprefix("raw_").removesuffix("_count") for name in cells]
-    load = frame[given[0]].to_numpy(dtype=np.float64) * units[given[0]]
-    fit = fit_channels(frame[cells].to_numpy(dtype=np.float64), load, names)
+    load = table.numbers(given[0]) * units[given[0]]
+    fit = fit_channels(table.stacked(cells), load, names)
     facts = {
         "channels": names,
         "scale_N_per_count": fit.value.scale.tolist(),

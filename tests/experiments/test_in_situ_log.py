@@ -10,7 +10,7 @@ import pytest
 
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.force_torque.calibrate import SAMPLE
-from surefoot.experiments.force_torque.config import _TABLES, InSituConfig, read_config
+from surefoot.experiments.force_torque.config import TABLES, InSituConfig, read_config
 from surefoot.experiments.force_torque.icub import write_icub_matrix
 from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.logs.format import LogError
@@ -210,7 +210,7 @@ def test_a_touch_of_the_end_of_the_range_is_left_out(tmp_path: Path) -> None:
 
 def test_a_log_whose_sign_nothing_can_check_says_so(tmp_path: Path) -> None:
     log = read_in_situ_log(write(tmp_path, table()))
-    assert any("no factory matrix to hold the accelerometer's sign against" in said for said in log.notices)
+    assert any("no factory matrix to check the accelerometer's sign with" in said for said in log.notices)
 
 
 def test_a_matrix_in_other_axes_is_a_notice(tmp_path: Path) -> None:
@@ -507,7 +507,7 @@ def test_the_documentation_knows_every_key() -> None:
     if not page.is_file():
         pytest.skip("the documentation is not part of the package")
     text = page.read_text()
-    for name, keys in _TABLES.items():
+    for name, keys in TABLES.items():
         assert f"[{name}]" in text
         for key in keys:
             assert f"\n{key} = " in text or f"or {key} = " in text or f"or: {key} = " in text, f"{name}.{key}"

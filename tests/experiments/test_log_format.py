@@ -95,7 +95,8 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
     ),
     "text": (
         _set(4, "reference_com_x_m", "1,5"),
-        "column 'reference_com_x_m' does not hold numbers; check the separator and the decimal point.",
+        "column 'reference_com_x_m' holds '1,5' at row 4, which is no number; leave the cell empty where no "
+        "sample arrived, and check the separator and the decimal point.",
     ),
     "a belief that is not there": (
         _set(4, "reference_com_x_m", np.nan),
@@ -199,7 +200,7 @@ def test_files_that_are_no_logs(log: Log, tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"^walk\.txt: a log ends in \.parquet or \.csv; rename or convert"):
         read_log(tmp_path / "walk.txt")
     (tmp_path / "walk.parquet").write_bytes(b"PAR0")
-    with pytest.raises(LogError, match=r"^walk\.parquet: not a readable Parquet file"):
+    with pytest.raises(LogError, match=r"^walk\.parquet: not a readable table"):
         read_log(tmp_path / "walk.parquet")
     pq.write_table(pa.table({"time_s": [0.0, 1.0]}), tmp_path / "bare.parquet")
     with pytest.raises(LogError, match=r"^bare\.parquet: the Parquet schema has no metadata 'surefoot'"):
