@@ -167,7 +167,8 @@ BAD_WEIGHINGS = {
     ),
     "words": (
         {"load_kg": [0, 1], "raw_a_count": ["x", "y"]},
-        "column 'raw_a_count' does not hold numbers; check separator and decimal point.",
+        "column 'raw_a_count' holds 'x' at row 0, which is no number; leave the cell empty where no sample "
+        "arrived, and check the separator and the decimal point.",
     ),
 }
 
