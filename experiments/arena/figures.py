@@ -13,10 +13,16 @@ from matplotlib.ticker import FuncFormatter
 from scipy import stats
 
 from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below, logarithmic
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import in_order, look_of
-from surefoot.experiments.walks.score import mean_interval
+from surefoot.experiments.study.figures import (
+    figure_at,
+    grid_of,
+    in_order,
+    legend_below,
+    logarithmic,
+    look_of,
+)
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["consistency", "detection", "error_curves", "overview"]
 

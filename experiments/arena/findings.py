@@ -6,10 +6,9 @@ import numpy as np
 
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.scenarios import PLAIN, Scenario
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import in_order, short_label
-from surefoot.experiments.study.tables import number, with_interval
-from surefoot.experiments.walks.score import mean_interval
+from surefoot.experiments.study.figures import in_order, short_label
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Frame, number, with_interval
 
 __all__ = ["scenario_findings", "summary_findings"]
 

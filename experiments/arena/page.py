@@ -10,7 +10,7 @@ from surefoot.experiments.arena.findings import scenario_findings, summary_findi
 from surefoot.experiments.arena.run import ArenaResults
 from surefoot.experiments.arena.scenarios import Scenario
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.page import ReportFigure, Section, flat, render_report
+from surefoot.experiments.study.page import ReportFigure, Section, flat, write_page
 from surefoot.experiments.study.tables import Table
 from surefoot.experiments.walks.walkers import STAND_TIME
 
@@ -82,7 +82,7 @@ class ArenaPage:
         sections = (*sections, *(() if faulty is None else (faulty,)), self._repeat_section())
         introduction = (flat(_INTRODUCTION), flat(amount))
         title = "surefoot arena: calibrators on the same streams"
-        return render_report(self.folder / "report.html", title, made, introduction, sections)
+        return write_page(self.folder / "report.html", title, introduction, sections, made=made)
 
     def _summarise(self) -> None:
         """Write means over runs, for machines."""

@@ -26,8 +26,8 @@ from surefoot.experiments.arena.streams import Stream, streams_of
 from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.frames import Frame
 from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["Bound", "LogBound", "bound_piece", "score_piece", "time_method"]
 

@@ -21,8 +21,8 @@ from surefoot.experiments.arena.scenarios import Scenario, scenarios_named
 from surefoot.experiments.arena.streams import logs_folder
 from surefoot.experiments.arena.walks import log_paths, record_missing
 from surefoot.experiments.study.files import atomic_path, write_text
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.stages import machine, stages
+from surefoot.experiments.study.runner import machine, runner
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["ArenaResults", "run_arena"]
 
@@ -79,19 +79,17 @@ def run_arena(
         )
     results = ArenaResults(options, chosen, machine=machine())
     results.skipped = tuple(s for s in asked if s not in chosen)
-    with stages(options.jobs, results.seconds, console) as stage:
-        stage.run("walk and record", _recordings(chosen, options))
+    with runner(options.jobs, results.seconds, console) as stage:
+        stage.do("walk and record", _recordings(chosen, options))
         pieces = [(s.name, method) for s in chosen for method in options.rows]
-        found = stage.run("replay and score", [(score_piece, (*piece, options)) for piece in pieces])
+        found = stage.do("replay and score", [(score_piece, (*piece, options)) for piece in pieces])
         limits = []
         if bound is not None:
-            limits = stage.run(
-                "compute the bounds", [(bound_piece, (s.name, options, bound)) for s in chosen]
-            )
+            limits = stage.do("compute the bounds", [(bound_piece, (s.name, options, bound)) for s in chosen])
         timed = next((s for s in chosen if s.walk is not None), None)
         path = None if timed is None else _first_log(timed, options)
         work = [] if timed is None else [(m, timed.options_of(m)) for m in options.rows if m != TRUE_MAP]
-        rows = stage.run("time an update", [(time_method, (path, *piece)) for piece in work])
+        rows = stage.do("time an update", [(time_method, (path, *piece)) for piece in work])
         results.timing = pd.DataFrame(rows, columns=["method", "median_us", "mean_us"])
     frames = [scores for scores, _, _ in found if len(scores)]
     if not frames:

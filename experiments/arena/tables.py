@@ -5,9 +5,8 @@ from scipy import stats
 
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.scenarios import PLAIN, Scenario
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import in_order, look_of, short_label
-from surefoot.experiments.study.tables import Table, number, with_interval
+from surefoot.experiments.study.figures import in_order, look_of, short_label
+from surefoot.experiments.study.tables import Frame, Table, number, with_interval
 
 __all__ = ["alarm_table", "fault_table", "overview_table", "scenario_table", "target_table", "timing_table"]
 

@@ -1,7 +1,7 @@
 """Figures of single walks and of the bench: the CoP paper's 7, 8 and 10-15.
 
 Every function takes plain numbers, draws one figure and returns the path of its PNG file. Colours mean
-the same way to read the feet in all of them (:mod:`surefoot.experiments.study.style`).
+the same way to read the feet in all of them (:mod:`surefoot.experiments.study.figures`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,8 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below, logarithmic
-from surefoot.experiments.study.style import look_of
+from surefoot.experiments.study.figures import figure_at, grid_of, legend_below, logarithmic, look_of
 
 __all__ = ["Trace", "bench_cop", "bench_vgrf", "cop_over_time", "vgrf_over_time"]
 

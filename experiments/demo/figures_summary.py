@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below, logarithmic
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import in_order, look_of, short_label
-from surefoot.experiments.walks.score import mean_interval, survival_curve
+from surefoot.experiments.study.figures import (
+    figure_at,
+    grid_of,
+    in_order,
+    legend_below,
+    logarithmic,
+    look_of,
+    short_label,
+)
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Frame
+from surefoot.experiments.walks.score import survival_curve
 
 __all__ = ["closed_loop_survival", "error_over_time", "rmse_overview", "sensitivity_curves"]
 

@@ -4,10 +4,9 @@ import numpy as np
 from scipy import stats
 
 from surefoot.experiments.demo.paper_tables import WALKING_TABLES
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import in_order, short_label
-from surefoot.experiments.study.tables import Table, number
-from surefoot.experiments.walks.score import Interval, mean_interval
+from surefoot.experiments.study.figures import in_order, short_label
+from surefoot.experiments.study.statistics import Interval, mean_interval
+from surefoot.experiments.study.tables import Frame, Table, number
 
 __all__ = ["baseline_findings", "loop_findings", "sensitivity_findings", "target_table", "truth_findings"]
 

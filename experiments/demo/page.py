@@ -14,9 +14,8 @@ from surefoot.experiments.demo.paper_tables import WALKING_TABLES
 from surefoot.experiments.demo.run import DemoResults
 from surefoot.experiments.demo.text import CAPTIONS, TEXTS, say
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.page import ReportFigure, Section, render_report
-from surefoot.experiments.study.tables import Table
+from surefoot.experiments.study.page import ReportFigure, Section, write_page
+from surefoot.experiments.study.tables import Frame, Table
 from surefoot.experiments.walks.record import CONDITIONS
 from surefoot.experiments.walks.walkers import STAND_TIME
 
@@ -94,7 +93,7 @@ class DemoPage:
         )
         title = "surefoot demo: walking on load cells that lie"
         introduction = (say(TEXTS["introduction"]), amount)
-        return render_report(self.folder / "report.html", title, made, introduction, sections)
+        return write_page(self.folder / "report.html", title, introduction, sections, made=made)
 
     def _path(self, name: str) -> Path:
         return self.folder / "figures" / f"{name}.png"

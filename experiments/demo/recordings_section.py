@@ -6,9 +6,8 @@ import pandas as pd
 
 from surefoot.experiments.real_recordings import recordings_folder, study
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.frames import Frame
 from surefoot.experiments.study.page import Section
-from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.study.tables import Frame, Table, number
 
 __all__ = ["recordings_section"]
 

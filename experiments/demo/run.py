@@ -22,8 +22,8 @@ from surefoot.experiments.demo.jobs import (
 )
 from surefoot.experiments.demo.options import DemoOptions
 from surefoot.experiments.study.files import atomic_path, write_text
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.stages import Stage, Work, machine, stages
+from surefoot.experiments.study.runner import Runner, machine, runner
+from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.closed_loop import LoopRun, run_loop
 from surefoot.experiments.walks.video import Film, Reel, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
@@ -77,7 +77,7 @@ def run_demo(options: DemoOptions, console: Console | None = None) -> DemoResult
     """
     prepare_rendering()
     results = DemoResults(options, run_weighing(), machine=machine())
-    with stages(options.jobs, results.seconds, console) as stage:
+    with runner(options.jobs, results.seconds, console) as stage:
         logs = _record(stage, options)
         _replay(stage, results, logs)
         _sensitivity(stage, results, logs)
@@ -91,38 +91,38 @@ Logs = dict[float, list[list[Path]]]
 """Logs of each speed: one list a seed, one log a condition."""
 
 
-def _record(stage: Stage, options: DemoOptions) -> Logs:
+def _record(stage: Runner, options: DemoOptions) -> Logs:
     folder = options.out / "logs"
     cells = [(speed, seed) for speed in options.speeds for seed in range(options.seeds)]
-    found = stage.run("walk and record", [(record_job, (*cell, options.duration, folder)) for cell in cells])
+    found = stage.do("walk and record", [(record_job, (*cell, options.duration, folder)) for cell in cells])
     logs: Logs = {}
     for (speed, _), paths in zip(cells, found, strict=True):
         logs.setdefault(speed, []).append(list(paths.values()))
     return logs
 
 
-def _replay(stage: Stage, results: DemoResults, logs: Logs) -> None:
+def _replay(stage: Runner, results: DemoResults, logs: Logs) -> None:
     names = ["truth", "floor", "baseline", "reference", *METHODS]
-    work: Work = [
+    work: list[Any] = [
         (replay_job, (_flat(logs[speed]), name, results.options.settle)) for speed in logs for name in names
     ]
-    outcomes: list[Outcome] = [o for found in stage.run("replay through every method", work) for o in found]
+    outcomes: list[Outcome] = [o for found in stage.do("replay through every method", work) for o in found]
     for outcome in outcomes:
         results.outcomes.setdefault((outcome.condition, outcome.speed), []).append(outcome)
     results.scores = pd.DataFrame([row for outcome in outcomes for row in outcome.scores])
     results.errors = pd.DataFrame([row for outcome in outcomes for row in outcome.errors])
 
 
-def _sensitivity(stage: Stage, results: DemoResults, logs: Logs) -> None:
+def _sensitivity(stage: Runner, results: DemoResults, logs: Logs) -> None:
     options = results.options
-    work: Work = [
+    work: list[Any] = [
         (sensitivity_job, (_flat(logs[speed][: options.sensitivity_seeds]), weight, factor, options.settle))
         for speed in logs
         for weight in WEIGHTS
         for factor in options.factors
         if factor != 1.0
     ]
-    scaled = pd.DataFrame([row for rows in stage.run("scale the window's weights", work) for row in rows])
+    scaled = pd.DataFrame([row for rows in stage.do("scale the window's weights", work) for row in rows])
     # Weights as they are were replayed already.
     scores = results.scores
     plain = scores[(scores["method"] == "window") & (scores["seed"] < options.sensitivity_seeds)]
@@ -134,7 +134,7 @@ def _flat(paths: list[list[Path]]) -> list[Path]:
     return [path for of_seed in paths for path in of_seed]
 
 
-def _close_the_loop(stage: Stage, results: DemoResults) -> None:
+def _close_the_loop(stage: Runner, results: DemoResults) -> None:
     options = results.options
     cells = [
         (severity, feed, speed, seed)
@@ -143,17 +143,17 @@ def _close_the_loop(stage: Stage, results: DemoResults) -> None:
         for seed in range(options.seeds)
         for feed in feeds
     ]
-    work: Work = [(_loop_job, (*cell, options.loop_duration)) for cell in cells]
-    found: list[LoopRun] = stage.run("close the loop", work)
+    work: list[Any] = [(_loop_job, (*cell, options.loop_duration)) for cell in cells]
+    found: list[LoopRun] = stage.do("close the loop", work)
     results.loop = pd.DataFrame([asdict(run) for run in found])
     if options.film_duration > 0:
         severity = max(options.loops)
         speed, seed = _telling_seed(results.loop[results.loop["severity"] == severity])
         results.filmed = (severity, speed, seed)
-        shots: Work = [
+        shots: list[Any] = [
             (_film_job, (feed, speed, seed, options.film_duration, severity)) for feed in ("none", "moment")
         ]
-        results.film = join_reels(options.out, *stage.run("film", shots))
+        results.film = join_reels(options.out, *stage.do("film", shots))
 
 
 def _loop_job(severity: float, feed: str, speed: float, seed: int, duration: float) -> LoopRun:

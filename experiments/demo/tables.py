@@ -7,10 +7,10 @@ import numpy as np
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.demo.paper_tables import TABLE_2, TABLE_3, WALKING_TABLES
-from surefoot.experiments.study.frames import Column, Frame
-from surefoot.experiments.study.style import in_order, look_of
-from surefoot.experiments.study.tables import Table, number, with_interval
-from surefoot.experiments.walks.score import mean_interval, survival_curve
+from surefoot.experiments.study.figures import in_order, look_of
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Column, Frame, Table, number, with_interval
+from surefoot.experiments.walks.score import survival_curve
 from surefoot.experiments.weights.weighing import WeighingReport
 
 __all__ = ["loop_table", "paper_table_2", "sensitivity_table", "table_2", "table_3", "walking_table"]

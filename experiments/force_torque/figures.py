@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from surefoot.experiments.force_torque.ellipsoids import draw_shell, few_ticks
 from surefoot.experiments.force_torque.score import force_ellipsoid
 from surefoot.experiments.force_torque.tables import Calibrated
-from surefoot.experiments.study.canvas import figure_at, grid_of
-from surefoot.experiments.study.style import Look, look_of
+from surefoot.experiments.study.figures import Look, figure_at, grid_of, look_of
 
 __all__ = ["force_ellipsoids", "raw_ellipsoids", "residuals_over_time"]
 

@@ -15,7 +15,7 @@ from surefoot.experiments.force_torque.tables import (
     set_table,
     weighing_tables,
 )
-from surefoot.experiments.study.page import ReportFigure, Section, render_report
+from surefoot.experiments.study.page import ReportFigure, Section, write_page
 from surefoot.experiments.study.tables import Table
 
 __all__ = ["InSituPage"]
@@ -52,8 +52,12 @@ class InSituPage:
         sensor = self.found.log.config.sensor or "Six-axis sensor"
         with tempfile.TemporaryDirectory() as folder:
             made = f"Made with surefoot {surefoot.__version__} from {', '.join(self.found.log.files)}."
-            return render_report(
-                path, f"{sensor}, calibrated in situ", made, (_INTRODUCTION,), self._sections(Path(folder))
+            return write_page(
+                path,
+                f"{sensor}, calibrated in situ",
+                (_INTRODUCTION,),
+                self._sections(Path(folder)),
+                made=made,
             )
 
     def _sections(self, folder: Path) -> tuple[Section, ...]:

@@ -28,9 +28,9 @@ from surefoot.experiments.in_situ.study_pieces import (
     white_piece,
 )
 from surefoot.experiments.study.files import atomic_path, write_text
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.runner import machine, runner
 from surefoot.experiments.study.sources import source_hash
-from surefoot.experiments.study.stages import machine, stages
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["InSituStudyOptions", "InSituStudyResults", "run_in_situ_study"]
 
@@ -134,11 +134,11 @@ def run_in_situ_study(options: InSituStudyOptions, *, console: Console | None = 
     moving = _batches(min(options.seeds, options.moving_seeds))
     # Once for all: what is imported now is what will run.
     sources = source_hash(*_SOURCES)
-    with stages(options.jobs, results.seconds, console) as stage:
+    with runner(options.jobs, results.seconds, console) as stage:
 
         def run(what: str, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
             folder = options.out / "pieces"
-            return stage.run(what, [(_kept, (folder, sources, function, given)) for given in arguments])
+            return stage.do(what, [(_kept, (folder, sources, function, given)) for given in arguments])
 
         rate = options.rate
         exact = run("sensors without error", exact_piece, [(s, min(rate, 10.0)) for s in SENSORS])

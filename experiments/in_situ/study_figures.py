@@ -12,9 +12,8 @@ from surefoot.experiments.force_torque.ellipsoids import draw_shell, few_ticks
 from surefoot.experiments.force_torque.score import force_ellipsoid
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult
 from surefoot.experiments.in_situ.study_pieces import Shown
-from surefoot.experiments.study.canvas import figure_at, grid_of
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import Look, look_of
+from surefoot.experiments.study.figures import Look, figure_at, grid_of, look_of
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["force_figure", "limb_figure", "method_look", "raw_figure"]
 

@@ -14,7 +14,7 @@ from surefoot.experiments.in_situ.study_findings import (
     summary_findings,
 )
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.page import ReportFigure, Section, flat, render_report
+from surefoot.experiments.study.page import ReportFigure, Section, flat, write_page
 from surefoot.experiments.study.tables import Table
 
 __all__ = ["InSituStudyPage"]
@@ -61,7 +61,7 @@ class InSituStudyPage:
         made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {results.machine}."
         title = "In-situ calibration of six-axis sensors, simulated"
         introduction = (flat(_INTRODUCTION), flat(amount))
-        return render_report(self.folder / "report.html", title, made, introduction, self._sections())
+        return write_page(self.folder / "report.html", title, introduction, self._sections(), made=made)
 
     def _sections(self) -> tuple[Section, ...]:
         results = self.results

@@ -22,7 +22,7 @@ from surefoot.experiments.in_situ.instruments import (
 )
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult, calibrate_by_all, of_fit
 from surefoot.experiments.in_situ.study_score import fit_row, set_rows
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Frame
 from surefoot.sensors import StrainGauges
 
 __all__ = [

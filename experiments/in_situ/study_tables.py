@@ -9,9 +9,8 @@ from surefoot.experiments.in_situ.printed import PRINTED
 from surefoot.experiments.in_situ.study import InSituStudyResults
 from surefoot.experiments.in_situ.study_pieces import KINDS, MOTIONS
 from surefoot.experiments.in_situ.targets import consistency, over_bound, targets_of
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.tables import Table, number, with_interval
-from surefoot.experiments.walks.score import mean_interval
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Frame, Table, number, with_interval
 
 __all__ = [
     "bound_table",

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from surefoot.experiments.in_situ.study import InSituStudyResults
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["Consistency", "Target", "consistency", "over_bound", "targets_of"]
 

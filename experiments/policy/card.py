@@ -18,7 +18,7 @@ from surefoot.experiments.policy.scores import controllers_of, score_table, seed
 from surefoot.experiments.policy.tasks import TASKS, Task, task_in, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
 from surefoot.experiments.study.files import atomic_path, write_text
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["draw_curve", "own_scores", "write_card", "write_scores"]
 

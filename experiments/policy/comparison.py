@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.scores import Run, controllers_of, paired_difference
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import short_label
-from surefoot.experiments.study.tables import Table, interval_text
-from surefoot.experiments.walks.score import Interval
+from surefoot.experiments.study.figures import short_label
+from surefoot.experiments.study.statistics import Interval
+from surefoot.experiments.study.tables import Frame, Table, interval_text
 
 __all__ = [
     "CALIBRATED",

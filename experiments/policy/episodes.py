@@ -10,7 +10,7 @@ from surefoot.experiments.policy.env import FEEDS
 from surefoot.experiments.policy.evaluate import COP_INPUTS
 from surefoot.experiments.policy.scores import controllers_of, in_order
 from surefoot.experiments.policy.tasks import TASKS
-from surefoot.experiments.study.frames import Column, Frame
+from surefoot.experiments.study.tables import Column, Frame
 
 __all__ = ["EPISODES", "UNNAMED", "read_episodes"]
 

@@ -24,8 +24,8 @@ from surefoot.experiments.policy.evaluate import (
 from surefoot.experiments.policy.origin import Plan
 from surefoot.experiments.policy.scores import in_order
 from surefoot.experiments.policy.tasks import TASKS, task_named
-from surefoot.experiments.study.frames import Frame
 from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["Evaluation"]
 

@@ -19,7 +19,7 @@ from surefoot.experiments.policy.evaluation import Evaluation
 from surefoot.experiments.policy.origin import PLAN, Origin, Plan
 from surefoot.experiments.policy.scores import episodes_frame, in_order
 from surefoot.experiments.study.files import atomic_path, locked
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["EvaluationFolder"]
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from surefoot.experiments.policy.comparison import Difference
 from surefoot.experiments.policy.controllers import drawn_names
-from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.figures import figure_at, grid_of, legend_below
+from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.sweep import figures
 
 __all__ = ["forest", "returns", "survival_curves"]

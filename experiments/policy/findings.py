@@ -6,10 +6,9 @@ from surefoot.experiments.policy.comparison import CALIBRATED, difference, sever
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.randomisation import Answer
 from surefoot.experiments.policy.scores import Run, controllers_of, survival, won_back
-from surefoot.experiments.study.frames import Frame
 from surefoot.experiments.study.page import flat
-from surefoot.experiments.study.tables import Table, interval_text
-from surefoot.experiments.walks.score import mean_interval
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Frame, Table, interval_text
 
 __all__ = ["controller_findings", "target_table"]
 

@@ -26,10 +26,9 @@ from surefoot.experiments.policy.scores import (
 )
 from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.page import ReportFigure, Section, flat, render_report
-from surefoot.experiments.study.stages import machine
-from surefoot.experiments.study.tables import Table
+from surefoot.experiments.study.page import ReportFigure, Section, flat, write_page
+from surefoot.experiments.study.runner import machine
+from surefoot.experiments.study.tables import Frame, Table
 
 __all__ = ["EvaluationPage"]
 
@@ -175,7 +174,7 @@ class EvaluationPage:
         sections.append(self._repeat())
         made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {machine()}."
         title = f"surefoot evaluate: {self.task.name}"
-        return render_report(folder / "index.html", title, made, self._introduction(), tuple(sections))
+        return write_page(folder / "index.html", title, self._introduction(), sections, made=made)
 
     def _introduction(self) -> tuple[str, ...]:
         seeds = self.frame["seed"]

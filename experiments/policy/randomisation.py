@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 from surefoot.experiments.policy.comparison import CALIBRATED, difference, severities_of
 from surefoot.experiments.policy.scores import Run, controllers_of, paired_difference
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.tables import Table, interval_text
-from surefoot.experiments.walks.score import Interval, mean_interval
+from surefoot.experiments.study.statistics import Interval, mean_interval
+from surefoot.experiments.study.tables import Frame, Table, interval_text
 
 __all__ = ["BETTER", "UNCLEAR", "WORSE", "Answer", "answers", "gap_table", "trainings", "two_by_two"]
 

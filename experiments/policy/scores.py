@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.env import FEEDS
 from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.tables import Table, number, with_interval
-from surefoot.experiments.walks.score import Interval, mean_interval
+from surefoot.experiments.study.statistics import Interval, mean_interval
+from surefoot.experiments.study.tables import Frame, Table, number, with_interval
 
 __all__ = [
     "Run",

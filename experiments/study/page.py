@@ -1,16 +1,24 @@
 """One page that a person reads from top to bottom: no server, no network, figures inside."""
 
 import base64
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from surefoot.experiments.study.files import write_text
-from surefoot.experiments.study.tables import Table
+from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.experiments.study.runner import machine
+from surefoot.experiments.study.tables import Table, Verdict, plural
 
-__all__ = ["ReportFigure", "Section", "flat", "render_report"]
+__all__ = ["ReportFigure", "Section", "failure_section", "flat", "save_tables", "write_page"]
+
+_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
+
+_WORDS = 28
+"""A cell that is longer than so many letters is text: it stands on the left and is wrapped."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +26,7 @@ class ReportFigure:
     """A figure of the page.
 
     Attributes:
-        path: Its PNG file, which is embedded.
+        path: Its SVG or PNG file, which is embedded.
         name: What the text calls it, such as ``"Figure 10"``.
         caption: What to see in it.
     """
@@ -40,7 +48,8 @@ class ReportFigure:
     @property
     def source(self) -> str:
         """The picture itself as a data address."""
-        return "data:image/png;base64," + base64.b64encode(self.path.read_bytes()).decode("ascii")
+        data = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        return f"data:{_TYPES[self.path.suffix]};base64,{data}"
 
 
 @dataclass(frozen=True)
@@ -72,30 +81,67 @@ class Section:
     commands: tuple[str, ...] = ()
 
 
-def render_report(
-    path: Path, title: str, made: str, introduction: tuple[str, ...], sections: tuple[Section, ...]
+def write_page(
+    path: Path,
+    title: str,
+    introduction: tuple[str, ...],
+    sections: Iterable[Section],
+    *,
+    lead: Section | None = None,
+    made: str = "",
 ) -> Path:
     """Write the page.
 
     Args:
         path: Where; films must lie beside it.
         title: Its heading.
-        made: When and with what it was made.
         introduction: What was done, in plain text.
         sections: What follows.
+        lead: What the page opens with: its film, its paragraphs, its figures and then its tables.
+        made: When and with what it was made; by default now and here.
 
     Returns:
         The path.
     """
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["kind"] = _kind
     template = files("surefoot.experiments.study").joinpath("page.html").read_text(encoding="utf-8")
     page = environment.from_string(template).render(
-        title=title, made=made, introduction=introduction, sections=sections
+        title=title,
+        made=made or f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {machine()}.",
+        introduction=introduction,
+        sections=tuple(sections),
+        lead=lead,
     )
     write_text(path, page)
     return path
 
 
+def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None:
+    """Save tables as CSV files of their names."""
+    for table in tables:
+        with atomic_path(folder / f"{prefix}{table.name}.csv") as part:
+            table.to_frame().to_csv(part, index=False)
+
+
+def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:
+    """Return the section about cases that failed, from what was raised by name of case; none if none did."""
+    if not failures:
+        return ()
+    rows = tuple((name, error.splitlines()[-1]) for name, error in failures.items())
+    table = Table("failed", f"{plural(len(rows), 'case')} failed", ("case", "raised"), rows)
+    return (Section("failed", "Cases that failed", tables=(table,)),)
+
+
 def flat(text: str) -> str:
-    """Make one line of a text that the source wraps and indents."""
+    """Return a text that the source wraps and indents as one line."""
     return " ".join(text.split())
+
+
+def _kind(cell: str) -> str:
+    """Return the classes of a cell: what a claim says of it, and whether it is text."""
+    if isinstance(cell, Verdict):
+        return "good" if cell.good else "bad"
+    return "words" if len(cell) > _WORDS else ""

@@ -1,14 +1,13 @@
 """Which files of surefoot a piece of work depends on, and one hash of their content.
 
 The imports are read from the source text, so no list of file names has to be kept by hand. A name that a
-package
-only passes on is followed to the module that defines it; a string that names a module counts as an import,
-and so
-does the id of an environment.
+package only passes on is followed to the module that defines it; a string that names a module counts as an
+import, and so does the id of an environment.
 """
 
 import ast
 import re
+import sys
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -27,7 +26,8 @@ def source_hash(*entries: str) -> str:
     """Return 16 hex digits that change when the code behind some modules changes.
 
     Args:
-        entries: Names of modules or packages, such as ``"surefoot.experiments.walks.record"``.
+        entries: Names of modules or packages, such as ``"surefoot.experiments.walks.record"``; a module of
+            somebody else must have been imported.
 
     Raises:
         ModuleNotFoundError: If there is no such module.
@@ -62,6 +62,8 @@ def source_modules(*entries: str) -> frozenset[str]:
 
 
 def _file(module: str) -> Path:
+    if module.partition(".")[0] != "surefoot":
+        return Path(str(getattr(sys.modules.get(module), "__file__", module)))
     path = _ROOT.joinpath(*module.split(".")[1:])
     for file in (path / "__init__.py", path.with_suffix(".py")):
         if file.is_file():

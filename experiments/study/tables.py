@@ -1,4 +1,4 @@
-"""Tables of a report: one content for the terminal, the page and the files."""
+"""Tables of a study: one content for the terminal, the page and the files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,9 +10,32 @@ from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from surefoot.experiments.walks.score import Interval, mean_interval
+from surefoot.experiments.study.statistics import Interval, mean_interval
 
-__all__ = ["Table", "interval_text", "number", "with_interval"]
+__all__ = ["Column", "Frame", "Table", "Verdict", "interval_text", "number", "plural", "with_interval"]
+
+Frame = Any
+"""A pandas data frame: type checkers do not follow what indexing one gives."""
+
+Column = Any
+"""A pandas series, likewise."""
+
+
+class Verdict(str):
+    """A cell that is good or bad, whatever its word; a page colours it by that.
+
+    Attributes:
+        good: Whether it is good.
+    """
+
+    good: bool
+
+    @classmethod
+    def of(cls, good: bool, word: str = "") -> "Verdict":
+        """Return a verdict; its word is "yes" or "no" unless another is given."""
+        verdict = cls(word or ("yes" if good else "no"))
+        verdict.good = bool(good)
+        return verdict
 
 
 @dataclass(frozen=True)
@@ -34,7 +57,7 @@ class Table:
     note: str = ""
 
     def to_rich(self) -> RichTable:
-        """Lay it out for a terminal; brackets and colons in it are text and mean nothing to rich."""
+        """Return it for a terminal; brackets and colons in it are text and mean nothing to rich."""
         table = RichTable(
             title=escape(self.title),
             caption=escape(self.note) or None,
@@ -48,12 +71,12 @@ class Table:
         return table
 
     def to_frame(self) -> pd.DataFrame:
-        """Hand it out as a data frame of text."""
+        """Return it as a data frame of text."""
         return pd.DataFrame(list(self.rows), columns=list(self.columns))
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write a number with some significant digits and no exponent; a dash for none.
+    """Return a number with some significant digits and no exponent; a dash for none.
 
     >>> number(0.012345), number(123.4), number(float("nan"))
     ('0.0123', '123', '–')
@@ -72,7 +95,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: int = 3) -> str:
-    """Write the mean of one number a seed with its 95 % interval.
+    """Return the mean of one number a seed with its 95 % interval, as text.
 
     >>> with_interval([1.0, 2.0, 3.0])
     '2.00 ± 2.48'
@@ -81,7 +104,7 @@ def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: in
 
 
 def interval_text(interval: Interval, factor: float = 1.0, digits: int = 3) -> str:
-    """Write a mean with its interval.
+    """Return a mean with its interval, as text.
 
     >>> interval_text(Interval(0.0123, 0.0004, 9), 1e3)
     '12.3 ± 0.4'
@@ -93,3 +116,12 @@ def interval_text(interval: Interval, factor: float = 1.0, digits: int = 3) -> s
         return mean
     decimals = len(mean.partition(".")[2])
     return f"{mean} ± {factor * interval.half:.{decimals}f}"
+
+
+def plural(count: int, word: str, words: str = "") -> str:
+    """Return a count with its word.
+
+    >>> plural(1, "walk"), plural(2, "walk"), plural(2, "study", "studies")
+    ('1 walk', '2 walks', '2 studies')
+    """
+    return f"{count} {word if count == 1 else words or word + 's'}"

@@ -7,11 +7,17 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from surefoot.experiments.policy.controllers import drawn_names
-from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import in_order, look_of, short_label
+from surefoot.experiments.study.figures import (
+    figure_at,
+    grid_of,
+    in_order,
+    legend_below,
+    look_of,
+    short_label,
+)
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.sweep.statistics import fall_share, survival
-from surefoot.experiments.walks.score import mean_interval
 
 __all__ = ["against_severity", "heat_maps", "survival_curves"]
 

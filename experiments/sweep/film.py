@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from surefoot.experiments.policy.controllers import short_name
-from surefoot.experiments.study.style import look_of
+from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.sweep.episode import Cell, Step, cell_steps
 from surefoot.experiments.walks.video import FRAMES_PER_SECOND, mark_cop, prepare_rendering, write_film
 

@@ -5,10 +5,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.page import ReportFigure, Section, flat, render_report
-from surefoot.experiments.study.stages import machine
-from surefoot.experiments.study.tables import Table
+from surefoot.experiments.study.page import ReportFigure, Section, flat, write_page
+from surefoot.experiments.study.runner import machine
+from surefoot.experiments.study.tables import Frame, Table
 from surefoot.experiments.sweep import figures, tables
 from surefoot.experiments.sweep.episode import Cell
 from surefoot.experiments.sweep.film import film_cell
@@ -92,7 +91,7 @@ class SweepPage:
         sections.append(self._repeat())
         made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {machine()}."
         path = self.folder / "report.html"
-        return render_report(path, "surefoot sweep", made, introduction, tuple(sections))
+        return write_page(path, "surefoot sweep", introduction, sections, made=made)
 
     def _summary(self) -> Section:
         path = figures.heat_maps(self._path("heat"), self.results.finished, self.titles)

@@ -16,7 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.sweep.backends import Died, Job, Workers, workers
 from surefoot.experiments.sweep.episode import Cell, check_cell, failed_row, run_cell, versions
 from surefoot.experiments.sweep.plan import SweepPlan

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Frame
 
 __all__ = ["HalfFall", "Survival", "fall_share", "half_fall", "survival"]
 

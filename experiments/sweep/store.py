@@ -18,7 +18,7 @@ from typing import Any
 import pandas as pd
 
 from surefoot.experiments.study.files import atomic_path, locked, write_text
-from surefoot.experiments.study.frames import Frame
+from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.sweep.episode import versions
 
 __all__ = ["JOURNAL", "RESULTS", "SweepError", "SweepStore", "read_results"]

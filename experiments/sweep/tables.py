@@ -1,9 +1,8 @@
 """Tables of a sweep's report."""
 
 from surefoot.experiments.policy.controllers import labels
-from surefoot.experiments.study.frames import Frame
-from surefoot.experiments.study.style import in_order, short_label
-from surefoot.experiments.study.tables import Table, number, with_interval
+from surefoot.experiments.study.figures import in_order, short_label
+from surefoot.experiments.study.tables import Frame, Table, number, with_interval
 from surefoot.experiments.sweep.statistics import fall_share, half_fall
 
 __all__ = ["failure_table", "half_table", "outcome_table", "worst_table"]

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Flag, sole_wrenches
 from surefoot.experiments.logs.agreement import Ground, asked_of, carried_by
-from surefoot.experiments.study.canvas import figure_at, grid_of, legend_below
-from surefoot.experiments.study.style import Look, look_of
+from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
 from surefoot.experiments.walking.tables import Facts
 
 __all__ = [

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import surefoot
 from surefoot.calibration import Estimate, Parameters
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.study.page import ReportFigure, Section, render_report
+from surefoot.experiments.study.page import ReportFigure, Section, write_page
 from surefoot.experiments.study.tables import Table
 from surefoot.experiments.walking.figures import (
     cells_over_time,
@@ -70,7 +70,7 @@ class WalkingPage:
         with tempfile.TemporaryDirectory() as folder:
             sections = self._sections(Path(folder))
             made = f"Made with surefoot {surefoot.__version__} by the method {self.method!r}."
-            return render_report(path, f"{self.file}, calibrated", made, (_INTRODUCTION,), sections)
+            return write_page(path, f"{self.file}, calibrated", (_INTRODUCTION,), sections, made=made)
 
     def _sections(self, folder: Path) -> tuple[Section, ...]:
         facts, log = self.facts(), self.log

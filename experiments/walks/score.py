@@ -1,4 +1,4 @@
-"""How far calibrated forces are from the truth, or from a baseline, and how sure a mean over seeds is.
+"""How far calibrated forces are from the truth, or from a baseline.
 
 All errors are root mean squares over the samples of one walk from a settling time on:
 
@@ -14,16 +14,14 @@ the same formula with other forces in the truth's place.
 """
 
 from dataclasses import asdict, dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 
-__all__ = ["Interval", "Score", "cop_world", "mean_interval", "score_forces", "survival_curve"]
+__all__ = ["Score", "cop_world", "score_forces", "survival_curve"]
 
 
 @dataclass(frozen=True)
@@ -53,25 +51,6 @@ class Score:
     def as_dict(self) -> dict[str, float]:
         """The fields by name."""
         return asdict(self)
-
-
-class Interval(NamedTuple):
-    """A mean and how sure it is.
-
-    Attributes:
-        mean: Mean of the finite values.
-        half: Half the width of the two-sided 95 % interval of the mean (Student t); NaN below two values.
-        n: Number of finite values.
-    """
-
-    mean: float
-    half: float
-    n: int
-
-    @property
-    def apart(self) -> bool:
-        """Whether the interval leaves zero out; never below two values."""
-        return self.n > 1 and abs(self.mean) > self.half
 
 
 def cop_world(
@@ -144,28 +123,6 @@ def score_forces(
         samples=int(counted.sum()),
         held=float(np.mean(lost[pressed])) if pressed.any() else float("nan"),
     )
-
-
-def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
-    """Take the mean of one number a seed and its interval by Student's t.
-
-    Args:
-        values: Numbers; those that are not finite are left out.
-        confidence: Probability of the two-sided interval.
-
-    >>> interval = mean_interval([1.0, 2.0, 3.0])
-    >>> print(f"{interval.mean:.2f} +- {interval.half:.4f}")
-    2.00 +- 2.4841
-    """
-    sample = np.asarray(values, dtype=np.float64).ravel()
-    sample = sample[np.isfinite(sample)]
-    n = len(sample)
-    if n == 0:
-        return Interval(float("nan"), float("nan"), 0)
-    if n == 1:
-        return Interval(float(sample[0]), float("nan"), 1)
-    half = stats.t.ppf(0.5 + confidence / 2, n - 1) * np.std(sample, ddof=1) / np.sqrt(n)
-    return Interval(float(np.mean(sample)), float(half), n)
 
 
 def survival_curve(time: ArrayLike, fell: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
+from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.style import look_of
 from surefoot.experiments.walks.closed_loop import Moment, walk_moments
 
 __all__ = [

@@ -16,10 +16,10 @@ from surefoot.experiments.policy.origin import Origin
 from surefoot.experiments.policy.page import EvaluationPage
 from surefoot.experiments.policy.randomisation import BETTER, UNCLEAR, WORSE, Answer, answers, two_by_two
 from surefoot.experiments.policy.scores import episodes_frame, score_table, won_back
+from surefoot.experiments.study.statistics import Interval
 from surefoot.experiments.study.tables import Table
 from surefoot.experiments.sweep import figures as sweep_figures
 from surefoot.experiments.sweep.tables import outcome_table
-from surefoot.experiments.walks.score import Interval
 
 MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "moment": 97.0}
 TRAINED = {"clean": Origin("1", "true", "surefoot 9.9"), "wild": Origin("2", "randomised", "surefoot 9.9")}

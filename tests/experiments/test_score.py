@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from surefoot.calibration.layout import FeetLayout, FootLayout
-from surefoot.experiments.walks.score import cop_world, mean_interval, score_forces, survival_curve
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.walks.score import cop_world, score_forces, survival_curve
 
 CORNERS = np.array([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)])
 LAYOUT = FeetLayout((FootLayout.load_cells("left", CORNERS), FootLayout.load_cells("right", CORNERS)))

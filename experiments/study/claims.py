@@ -1,0 +1,45 @@
+"""What a study sets out to reach: claims, each a number with its aim and a verdict that is computed."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from surefoot.experiments.study.tables import Table, Verdict, number
+
+__all__ = ["Claim", "at_least", "at_most", "claim_table"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim and what came of it.
+
+    Attributes:
+        what: What is measured, with its unit.
+        aim: What it was to be, such as ``"≤ 2"``.
+        measured: What it is, in words.
+        met: Whether the aim was met.
+    """
+
+    what: str
+    aim: str
+    measured: str
+    met: bool
+
+
+def at_most(what: str, value: float, limit: float, measured: str = "") -> Claim:
+    """Return the claim that a value is no larger than a limit.
+
+    >>> at_most("CoP rmse (mm)", 1.234, 2.0)
+    Claim(what='CoP rmse (mm)', aim='≤ 2', measured='1.23', met=True)
+    """
+    return Claim(what, f"≤ {limit:g}", measured or number(value), value <= limit)
+
+
+def at_least(what: str, value: float, limit: float, measured: str = "") -> Claim:
+    """Return the claim that a value is no smaller than a limit."""
+    return Claim(what, f"≥ {limit:g}", measured or number(value), value >= limit)
+
+
+def claim_table(claims: Iterable[Claim], title: str = "What was set out to reach", note: str = "") -> Table:
+    """Return the table of claims, named ``targets``."""
+    rows = tuple((claim.what, claim.aim, claim.measured, Verdict.of(claim.met)) for claim in claims)
+    return Table("targets", title, ("what", "target", "measured", "reached"), rows, note)

@@ -1,0 +1,184 @@
+"""How figures look: one colour, line and marker for each way to read the feet, one sheet, one way to save.
+
+Lines are saved as SVG (``path`` ends in ``.svg``), clouds of many points as PNG. The colours are those of
+Okabe and Ito (2008) and two of Tol's, which people with any kind of colour vision tell apart; line styles and
+markers say the same once more. A page puts figures on a white card, so that they can be read in the dark.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from surefoot.experiments.study.files import atomic_path
+
+__all__ = [
+    "Look",
+    "draw_curve",
+    "figure_at",
+    "grid_of",
+    "in_order",
+    "legend_below",
+    "logarithmic",
+    "look_of",
+    "short_label",
+    "show_values",
+]
+
+DPI = 130
+_RC: Any = {
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 10,
+    "axes.labelsize": 9.5,
+    "font.size": 9.5,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "svg.hashsalt": "surefoot",
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+}
+
+
+class Look(NamedTuple):
+    """How a way to read the feet appears.
+
+    Attributes:
+        label: Its name in legends and tables.
+        colour: As hexadecimal RGB.
+        line: A line style of matplotlib.
+        marker: A marker of matplotlib.
+        short: Its name where space is short.
+    """
+
+    label: str
+    colour: str
+    line: str
+    marker: str
+    short: str = ""
+
+
+_BEFORE = Look("calibrated before, kept", "#56B4E9", "--", "d", "calibrated before")
+_LOOKS = {
+    "truth": Look("truth (MuJoCo)", "#000000", "-", "o", "truth"),
+    "true": Look("true CoP", "#000000", "-", "o", "true"),
+    "baseline": _BEFORE,
+    "floor": Look("floor (true map)", "#7f7f7f", ":", ".", "floor"),
+    "reference": Look("reference", "#882255", ":", "*", "reference"),
+    "none": Look("raw (none)", "#D55E00", "-", "X", "raw"),
+    "bench": _BEFORE._replace(label="calibrated just before"),
+    "tare": Look("swing tare", "#999933", "--", "^", "tare"),
+    "quasi-static": Look("quasi-static (Han)", "#CC79A7", "-", "s", "quasi-static"),
+    "window": Look("window (CoP paper)", "#009E73", "-", "o", "window"),
+    "moment": Look("moment", "#0072B2", "-", "P", "moment"),
+}
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Return each way to read the feet once, in the order of all figures; unknown ones come last."""
+    known = list(_LOOKS)
+    return sorted(dict.fromkeys(names), key=lambda name: known.index(name) if name in known else len(known))
+
+
+def look_of(name: str) -> Look:
+    """Return how a way to read the feet appears; an unknown one is grey and has its own name."""
+    return _LOOKS.get(name, Look(name, "#7f7f7f", "-.", "v", name))
+
+
+def short_label(name: str) -> str:
+    """Return its name where space is short."""
+    return look_of(name).short or name
+
+
+@contextmanager
+def figure_at(path: Path, width: float, height: float) -> Iterator[Figure]:
+    """Lend a figure of some size in inches and save it: drawn without pyplot, so that nothing is global."""
+    with mpl.rc_context(_RC):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure
+        # Without a date the same figure is the same file.
+        metadata: Any = {"Date": None} if path.suffix == ".svg" else None
+        with atomic_path(path) as part:
+            figure.savefig(part, dpi=DPI, metadata=metadata)
+
+
+def grid_of(figure: Figure, rows: int, columns: int, **kwargs: Any) -> Any:
+    """Return rows x columns axes of a figure, always as a two-dimensional array."""
+    return figure.subplots(rows, columns, squeeze=False, **kwargs)
+
+
+def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6, **options: Any) -> None:
+    """Write one legend for all panels under them, with as many columns as there is room.
+
+    Args:
+        figure: The figure.
+        axes: One panel, or all whose labels are wanted.
+        columns: Most columns.
+        **options: Further options of the legend.
+    """
+    entries: dict[str, Any] = {}
+    for panel in [axes] if isinstance(axes, Axes) else axes:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    for count in range(min(columns, len(entries)), 0, -1):
+        legend = figure.legend(entries.values(), entries, loc="outside lower center", ncols=count, **options)
+        if count == 1 or legend.get_window_extent().width <= 0.98 * figure.bbox.width:
+            return
+        legend.remove()
+
+
+def draw_curve(
+    axes: Axes,
+    x: Sequence[float],
+    y: Any,
+    look: Look,
+    low: Any = None,
+    high: Any = None,
+    **options: Any,
+) -> None:
+    """Draw a curve in a look, with its markers where it has few points (one point alone is a marker).
+
+    Args:
+        axes: Where.
+        x: Where the points are, shape (n,).
+        y: The points, shape (n,).
+        look: How it appears.
+        low: Lower end of a band around it, shape (n,); there is none by default.
+        high: Upper end.
+        **options: Further options of :meth:`~matplotlib.axes.Axes.plot`.
+    """
+    marker = look.marker if len(x) <= 8 else ""
+    style: Any = {"linestyle": look.line, "marker": marker, "markersize": 4.5, "label": look.label} | options
+    axes.plot(x, y, color=look.colour, **style)
+    if low is not None:
+        axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
+
+
+def show_values(axes: Axes, values: Sequence[float], margin: float = 0.5) -> None:
+    """Make ticks at a few values of the horizontal axis, with room around a value that is alone."""
+    axes.set_xticks(list(values), [f"{value:g}" for value in values])
+    axes.minorticks_off()
+    if len(values) == 1:
+        reach = margin * (abs(values[0]) or 1.0)
+        axes.set_xlim(values[0] - reach, values[0] + reach)
+
+
+def logarithmic(axes: Axes) -> None:
+    """Make the vertical axis logarithmic with plain numbers at 1, 2 and 5."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+    def minor(value: float, _: float) -> str:
+        return f"{value:g}" if np.isfinite(value) and f"{value:e}"[0] in "25" else ""
+
+    axes.yaxis.set_minor_formatter(FuncFormatter(minor))
+    axes.tick_params(axis="y", which="minor", labelsize=8)

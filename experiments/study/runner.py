@@ -1,0 +1,198 @@
+"""Work in pieces: workers that do it, a bar that shows it, a stopwatch, and what it ran on."""
+
+import os
+import platform
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+import surefoot
+from surefoot.experiments.study.backends import Died, Task, Workers, workers
+from surefoot.experiments.study.store import Case, Outcome, Store, StudyError
+
+__all__ = ["Runner", "attempt", "machine", "runner"]
+
+LONGEST_ERROR = 4000
+"""Characters of a failed case's traceback that are kept, its end."""
+
+Failed = Callable[[Case, str], Mapping[str, Any]]
+"""Makes the rows of a case that failed, from what was raised."""
+
+
+@dataclass(eq=False)
+class Runner:
+    """Does the work of a study; :func:`runner` makes one.
+
+    Attributes:
+        workers: Who does it.
+        progress: Where the bars are.
+        seconds: Time that each stage took in s, filled in as stages end.
+    """
+
+    workers: Workers
+    progress: Progress
+    seconds: dict[str, float]
+
+    def do(self, what: str, work: Sequence[Task]) -> list[Any]:
+        """Do pieces in any order and return their results in the order given; what they raise is raised here.
+
+        Args:
+            what: Name of the stage.
+            work: Functions and what to give them.
+
+        Raises:
+            StudyError: If a worker died.
+        """
+        found: list[Any] = [None] * len(work)
+        with self._stage(what, len(work)) as seen:
+            for number, result in self.workers.results(dict(enumerate(work))):
+                if isinstance(result, Died):
+                    raise StudyError(f"A worker died ('{what}', piece {number}): {result.reason}")
+                found[number] = result
+                seen("")
+        return found
+
+    def run(
+        self,
+        what: str,
+        cases: Iterable[Case],
+        store: Store,
+        *,
+        retry_failed: bool = True,
+        any_version: bool = False,
+        failed: Failed | None = None,
+        count: Mapping[str, Callable[[Outcome], bool]] | None = None,
+    ) -> int:
+        """Run the cases that a store does not hold yet, and put down what comes of each at once.
+
+        Args:
+            what: Name of the stage.
+            cases: The cases.
+            store: Where results are, opened.
+            retry_failed: Whether cases that failed before are run again.
+            any_version: Whether results of other code, here before or from a cluster, are taken as they are.
+            failed: Makes rows of a failed case; by default it has none.
+            count: Outcomes to count beside the bar, by a word.
+
+        Returns:
+            How many were run.
+
+        Raises:
+            StudyError: If a worker runs other software, or the disk is full.
+        """
+        listed = list(cases)
+        options = {"retry_failed": retry_failed, "any_version": any_version}
+        missing = {i: case for i, case in enumerate(listed) if not store.holds(case, **options)}
+        counters = {**(count or {}), "failed": _failed}
+        seen_before = [store.outcomes[case.key] for i, case in enumerate(listed) if i not in missing]
+        counted = {word: sum(map(of, seen_before)) for word, of in counters.items()}
+        with self._stage(what, len(listed), len(seen_before)) as seen:
+            for path in dict.fromkeys(store.damaged):
+                self.progress.console.print(f"{path} was damaged; its cases are run again.")
+            store.damaged.clear()
+            tasks: dict[int, Task] = {i: (attempt, (case,)) for i, case in missing.items()}
+            for number, result in self.workers.results(tasks):
+                case = missing[number]
+                if isinstance(result, Died):
+                    reason = f"The worker that ran this case died: {result.reason}"
+                    result = Outcome(case.key, case.name, case.code, error=reason)
+                if result.code != case.code and not any_version:
+                    raise StudyError(
+                        f"A worker runs {result.code}, which is not what runs here ({case.code}). Install "
+                        "the same on all of them and give the same command to go on."
+                    )
+                if result.error and failed is not None:
+                    result = replace(result, tables=_plain(failed(case, result.error)))
+                store.add(result)
+                for word, of in counters.items():
+                    counted[word] += of(result)
+                seen(", ".join(f"{number} {word}" for word, number in counted.items()))
+        return len(missing)
+
+    @contextmanager
+    def _stage(self, what: str, total: int, done: int = 0) -> Iterator[Callable[[str], None]]:
+        began = time.perf_counter()
+        task = self.progress.add_task(what, total=total, completed=done, said="")
+        yield lambda said: self.progress.update(task, advance=1, said=said)
+        self.seconds[what] = time.perf_counter() - began
+
+
+@contextmanager
+def runner(
+    jobs: int,
+    seconds: dict[str, float] | None = None,
+    console: Console | None = None,
+    *,
+    backend: str = "",
+    address: str | None = None,
+) -> Iterator[Runner]:
+    """Lend what runs the stages of a study.
+
+    Args:
+        jobs: Processes that work at the same time.
+        seconds: Where the time that each stage took is noted.
+        console: Where progress is shown; the terminal's error output by default.
+        backend: One of :data:`~surefoot.experiments.study.backends.BACKENDS`; by default one job works in
+            this process, and more in processes of their own.
+        address: Of a running scheduler of dask or head of ray.
+
+    Raises:
+        ValueError: If there is no such backend, or what it needs is not installed or not reached.
+    """
+    bars = Progress(
+        TextColumn("{task.description:28s}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[said]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True) if console is None else console,
+    )
+    chosen = backend or ("local" if jobs > 1 else "here")
+    with workers(chosen, jobs, address) as crew, bars as progress:
+        yield Runner(crew, progress, {} if seconds is None else seconds)
+
+
+def attempt(case: Case) -> Outcome:
+    """Run a case; whatever goes wrong in it is part of the outcome."""
+    began = time.perf_counter()
+    try:
+        tables, error = _plain(case.run(*case.arguments)), ""
+    except Exception:
+        tables, error = {}, traceback.format_exc().strip()[-LONGEST_ERROR:]
+    return Outcome(case.key, case.name, case.code, tables, error, time.perf_counter() - began)
+
+
+def _failed(outcome: Outcome) -> bool:
+    return bool(outcome.error)
+
+
+def machine() -> str:
+    """Return what this runs on: versions, cores and architecture."""
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "mujoco", "gymnasium"))
+    return (
+        f"surefoot {surefoot.__version__}, Python {platform.python_version()}, {packages}; "
+        f"{os.cpu_count()} cores, {platform.machine()}"
+    )
+
+
+def _plain(tables: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    return {
+        name: rows.to_dict("records") if isinstance(rows, pd.DataFrame) else [dict(row) for row in rows]
+        for name, rows in tables.items()
+    }

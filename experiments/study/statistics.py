@@ -1,0 +1,122 @@
+r"""Means, shares and survival with their 95 % intervals.
+
+**Survival** is the product-limit estimate of Kaplan and Meier (1958). Its band is Greenwood's (1926) on the
+scale of :math:`\ln(-\ln S)` (Kalbfleisch and Prentice, 1980), which stays within 0 and 1. Both are SciPy's.
+"""
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+__all__ = ["Interval", "Share", "Survival", "fall_share", "mean_interval", "survival"]
+
+
+class Interval(NamedTuple):
+    """A mean and how sure it is.
+
+    Attributes:
+        mean: Mean of the finite values.
+        half: Half the width of the two-sided 95 % interval of the mean (Student t); NaN below two values.
+        n: Number of finite values.
+    """
+
+    mean: float
+    half: float
+    n: int
+
+    @property
+    def apart(self) -> bool:
+        """Whether the interval leaves zero out; never below two values."""
+        return self.n > 1 and abs(self.mean) > self.half
+
+
+def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
+    """Return the mean of one number a seed and its interval by Student's t.
+
+    Args:
+        values: Numbers; those that are not finite are left out.
+        confidence: Probability of the two-sided interval.
+
+    >>> interval = mean_interval([1.0, 2.0, 3.0])
+    >>> print(f"{interval.mean:.2f} +- {interval.half:.4f}")
+    2.00 +- 2.4841
+    """
+    sample = np.asarray(values, dtype=np.float64).ravel()
+    sample = sample[np.isfinite(sample)]
+    n = len(sample)
+    if n == 0:
+        return Interval(float("nan"), float("nan"), 0)
+    if n == 1:
+        return Interval(float(sample[0]), float("nan"), 1)
+    half = stats.t.ppf(0.5 + confidence / 2, n - 1) * np.std(sample, ddof=1) / np.sqrt(n)
+    return Interval(float(np.mean(sample)), float(half), n)
+
+
+class Share(NamedTuple):
+    """A share of falls with its 95 % interval (Wilson, 1927), and of how many."""
+
+    share: float
+    low: float
+    high: float
+    n: int
+
+
+def fall_share(fell: ArrayLike) -> Share:
+    """Return the share of those that fell.
+
+    >>> fall_share([True, False, False, False]).share
+    0.25
+    """
+    events = np.asarray(fell, dtype=bool)
+    if not events.size:
+        return Share(*(float("nan"),) * 3, 0)
+    interval = stats.binomtest(int(events.sum()), events.size).proportion_ci(0.95, method="wilson")
+    return Share(float(events.mean()), float(interval.low), float(interval.high), events.size)
+
+
+class Survival(NamedTuple):
+    """A survival curve: from each time on, the share on its feet and its 95 % band.
+
+    Attributes:
+        time: Times in s from 0 on, shape (n,).
+        share: Share that stands from each on, shape (n,).
+        low: Lower end of the band, shape (n,); NaN where nothing is known of it.
+        high: Upper end, shape (n,).
+    """
+
+    time: NDArray[np.float64]
+    share: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+def survival(time: ArrayLike, fell: ArrayLike) -> Survival:
+    """Return the share of walkers on their feet over time.
+
+    Args:
+        time: When each fell or was last seen, in s, shape (n,).
+        fell: Whether it fell, shape (n,).
+
+    >>> curve = survival([2.0, 5.0, 9.0, 9.0], [True, True, False, False])
+    >>> curve.share
+    array([1.  , 0.75, 0.5 , 0.5 ])
+    >>> curve.low.round(3)
+    array([1.   , 0.128, 0.058, 0.058])
+    """
+    ends, events = np.asarray(time, dtype=np.float64), np.asarray(fell, dtype=bool)
+    if not ends.size:
+        return Survival(np.zeros(1), *(np.ones(1),) * 3)
+    curve = stats.ecdf(stats.CensoredData(uncensored=ends[events], right=ends[~events])).sf
+    with warnings.catch_warnings():
+        # Of a share of 1 or 0 the formula says nothing.
+        warnings.filterwarnings("ignore", "The confidence interval is undefined", RuntimeWarning)
+        band = curve.confidence_interval(method="log-log")
+    share = curve.probabilities
+    low, high = (np.where(share == 1.0, 1.0, part.probabilities) for part in (band.low, band.high))
+    first = np.ones(1)
+    return Survival(
+        np.concatenate([[0.0], curve.quantiles]), *(np.concatenate([first, p]) for p in (share, low, high))
+    )

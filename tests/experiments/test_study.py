@@ -1,0 +1,236 @@
+"""A tiny study, whole; what is kept of it whatever happens; and what a page makes of it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from surefoot.experiments.study.claims import at_least, at_most, claim_table
+from surefoot.experiments.study.figures import (
+    draw_curve,
+    figure_at,
+    grid_of,
+    legend_below,
+    look_of,
+    short_label,
+    show_values,
+)
+from surefoot.experiments.study.page import ReportFigure, Section, failure_section, save_tables, write_page
+from surefoot.experiments.study.runner import attempt, runner
+from surefoot.experiments.study.statistics import survival
+from surefoot.experiments.study.store import JOURNAL, Case, Store, StudyError
+from surefoot.experiments.study.tables import Table, Verdict
+
+Rows = dict[str, list[dict[str, Any]]]
+
+
+def walk(speed: float, seed: int) -> Rows:
+    rng = np.random.default_rng(seed)
+    return {
+        "walks": [{"speed": speed, "seed": seed, "time": rng.uniform(10.0, 30.0), "fell": bool(seed % 2)}],
+        "steps": [{"seed": seed, "step": i, "length": [0.1 * i, float("nan")]} for i in range(seed)],
+    }
+
+
+def fails(seed: int) -> Rows:
+    raise ValueError(f"seed {seed} cannot walk")
+
+
+def dies(seed: int) -> Rows:
+    os._exit(9)
+
+
+def cases(seeds: int = 3) -> list[Case]:
+    return [Case(f"{v:g} m/s, seed {s}", walk, (v, s)) for v in (0.02, 0.04) for s in range(seeds)]
+
+
+def run(folder: Path, listed: list[Case], jobs: int = 1, **options: Any) -> tuple[Store, int]:
+    store = Store(folder)
+    with store.opened(), runner(jobs, **options) as work:
+        return store, work.run("walk", listed, store)
+
+
+def test_a_whole_study(tmp_path: Path) -> None:
+    listed, seconds = cases(), dict[str, float]()
+    with Store(tmp_path / "results").opened() as store, runner(1, seconds) as work:
+        assert work.run("walk", listed, store) == 6
+        rows, failures = store.rows("walks", listed), store.failures(listed)
+    assert list(rows["seed"]) == [0, 1, 2] * 2
+    assert seconds["walk"] > 0.0
+    table = claim_table([at_least("time (s)", rows["time"].min(), 5.0), at_most("share", 1.0, 0.5)])
+    curve = survival(rows["time"], rows["fell"])
+    with figure_at(tmp_path / "time.svg", 6.0, 3.0) as figure:
+        axes = grid_of(figure, 1, 1)[0, 0]
+        draw_curve(axes, curve.time, curve.share, look_of("none"), curve.low, curve.high)
+        legend_below(figure, axes)
+    shown = ReportFigure(tmp_path / "time.svg", "Figure 1", "Time on its feet.")
+    lead = Section("lead", "What was done", ("One sentence.",), video="walk.mp4", figures=(shown,))
+    sections = (Section("walks", "Walks", tables=(table,), figures=(shown,)), *failure_section(failures))
+    text = write_page(tmp_path / "report.html", "Walks", ("Introduced.",), sections, lead=lead).read_text()
+    save_tables(tmp_path / "tables", (table,))
+    assert text.count("data:image/svg+xml;base64,") == 2
+    assert text.index("walk.mp4") < text.index("One sentence.") < text.index("Introduced.")
+    for cell in ('<td class="good">yes</td>', '<td class="bad">no</td>'):
+        assert cell in text
+    assert list(pd.read_csv(tmp_path / "tables" / "targets.csv")["reached"]) == ["yes", "no"]
+
+
+def test_nothing_is_run_twice_and_numbers_come_back_as_they_were(tmp_path: Path) -> None:
+    first, count = run(tmp_path, cases())
+    again, more = run(tmp_path, [*cases(), *cases(5)[3:5]])
+    assert (count, more) == (6, 2)
+    for table in ("walks", "steps"):
+        before, after = first.rows(table, cases()), again.rows(table, cases())
+        pd.testing.assert_frame_equal(before.drop(columns="length", errors="ignore"), after.drop(
+            columns="length", errors="ignore"), check_exact=True)  # fmt: skip
+    np.testing.assert_array_equal(
+        np.stack(list(first.rows("steps")["length"])), np.stack(list(again.rows("steps")["length"]))[:6]
+    )
+
+
+def test_other_code_is_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(tmp_path, cases())
+    monkeypatch.setattr("surefoot.experiments.study.store._versions", lambda: "numpy 9")
+    store = Store(tmp_path)
+    store.read()
+    assert not any(map(store.holds, cases()))
+    assert all(store.holds(case, any_version=True) for case in cases())
+
+
+def test_a_case_that_fails_is_kept_as_such_and_tried_again_if_wanted(tmp_path: Path) -> None:
+    listed = [*cases(1), Case("bad", fails, (7,))]
+    store, _ = run(tmp_path, listed)
+    assert list(store.failures(listed)) == ["bad"]
+    (section,) = failure_section(store.failures(listed))
+    assert section.tables[0].rows == (("bad", "ValueError: seed 7 cannot walk"),)
+    with store.opened(), runner(1) as work:
+        assert work.run("walk", listed, store, retry_failed=False) == 0
+        named = work.run("walk", listed, store, failed=lambda case, error: {"walks": [{"error": error}]})
+    assert named == 1
+    assert "seed 7 cannot walk" in store.rows("walks", listed)["error"].iloc[-1]
+
+
+def test_a_study_that_is_killed_goes_on(tmp_path: Path) -> None:
+    script = tmp_path / "slow_study.py"
+    script.write_text(
+        "import sys, time\nfrom pathlib import Path\n"
+        "from surefoot.experiments.study.runner import runner\n"
+        "from surefoot.experiments.study.store import Case, Store\n"
+        "def slow(i):\n    time.sleep(0.05)\n    return {'rows': [{'i': i}]}\n"
+        "if __name__ == '__main__':\n"
+        "    store = Store(Path(sys.argv[1]))\n"
+        "    with store.opened(), runner(1) as work:\n"
+        "        print(work.run('s', [Case(str(i), slow, (i,)) for i in range(9)], store))\n"
+    )
+    folder = tmp_path / "results"
+    command = [sys.executable, str(script), str(folder)]
+    first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    journal = folder / JOURNAL
+    while not (journal.is_file() and journal.read_bytes().count(b"\n") >= 3) and first.poll() is None:
+        time.sleep(0.01)
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    there = journal.read_bytes().count(b"\n")
+    assert 3 <= there < 9
+    second = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert int(second.stdout) == 9 - there
+    assert list(pd.read_parquet(folder / "rows.parquet")["i"]) == list(range(9))
+
+
+def test_half_a_line_and_damaged_files_cost_their_cases_alone(tmp_path: Path) -> None:
+    run(tmp_path, cases())
+    (tmp_path / "steps.parquet").write_bytes(b"PAR1 and nothing else")
+    (tmp_path / JOURNAL).write_bytes(b'{"key": "abc"}\n{"key": "de')
+    store, count = run(tmp_path, cases())
+    # Cases without steps lost nothing.
+    assert count == 4
+    assert (tmp_path / "steps.damaged").is_file()
+    assert len(store.rows("steps", cases())) == 6
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_costs_its_case_alone(tmp_path: Path) -> None:
+    listed = [*cases(), Case("deadly", dies, (0,))]
+    store, count = run(tmp_path, listed, jobs=2)
+    assert count == 7
+    assert len(store.rows("walks", listed)) == 6
+    assert store.failures(listed)["deadly"].startswith("The worker that ran this case died: ")
+    with runner(2) as work, pytest.raises(StudyError, match="A worker died"):
+        work.do("die", [(dies, (0,))])
+
+
+def test_a_folder_serves_one_study_at_a_time(tmp_path: Path) -> None:
+    with Store(tmp_path).opened(), pytest.raises(StudyError, match="Another study is at work"):  # noqa: SIM117
+        with Store(tmp_path).opened():
+            pass
+
+
+def test_a_folder_with_a_plan_refuses_others(tmp_path: Path) -> None:
+    plan, now = {"seeds": [0, 1], "task": "walk"}, {"numpy": "2"}
+    with Store(tmp_path).opened(plan, now):
+        pass
+    refused = [
+        ({**plan, "seeds": [0]}, now, r"holds another study: seeds \[0, 1\] and not \[0\]"),
+        (plan, {"numpy": "3"}, "begun with numpy 2, which is not what runs now"),
+    ]
+    for other, versions, match in refused:
+        with pytest.raises(StudyError, match=match), Store(tmp_path).opened(other, versions):
+            pass
+    with Store(tmp_path).opened(plan, {"numpy": "3"}, any_version=True):
+        pass
+
+
+def test_a_full_disk_keeps_what_was_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    with store.opened():
+        store.add(attempt(cases()[0]))
+        before = (tmp_path / JOURNAL).read_bytes()
+
+        def full(file: int, data: bytes) -> int:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr("surefoot.experiments.study.store.os.write", full)
+            with pytest.raises(StudyError, match="No space left on device"):
+                store.add(attempt(cases()[1]))
+        assert (tmp_path / JOURNAL).read_bytes() == before
+
+
+def test_a_worker_with_other_software_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def elsewhere(case: Case) -> Any:
+        outcome = attempt(case)
+        return type(outcome)(outcome.key, outcome.name, "code 0", outcome.tables)
+
+    monkeypatch.setattr("surefoot.experiments.study.runner.attempt", elsewhere)
+    with pytest.raises(StudyError, match="A worker runs code 0"):
+        run(tmp_path, cases())
+
+
+def test_legends_fit_their_figure_and_single_values_have_room() -> None:
+    figure = Figure(figsize=(4.0, 3.0), layout="constrained")
+    axes = grid_of(figure, 1, 1)[0, 0]
+    for name in ("floor", "none", "tare", "quasi-static", "window", "baseline"):
+        draw_curve(axes, [1.0], [2.0], look_of(name))
+        assert axes.lines[-1].get_marker() == look_of(name).marker
+    legend_below(figure, axes)
+    (legend,) = figure.legends
+    assert legend.get_window_extent().width <= figure.bbox.width
+    show_values(axes, [1.0])
+    assert axes.get_xlim() == (0.5, 1.5)
+    assert short_label("nobody") == "nobody"
+
+
+def test_cells_are_coloured_by_verdicts_and_not_by_words(tmp_path: Path) -> None:
+    table = Table("t", "T", ("a", "fell"), (("x", "yes"), ("y", Verdict.of(False, "fallen")), ("w" * 40, "")))
+    text = write_page(tmp_path / "p.html", "P", (), (Section("s", "S", tables=(table,)),)).read_text()
+    assert "<td>yes</td>" in text
+    assert '<td class="bad">fallen</td>' in text
+    assert f'<td class="words">{"w" * 40}</td>' in text
