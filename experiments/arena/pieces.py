@@ -106,7 +106,11 @@ def bound_piece(name: str, options: ArenaOptions, bound: Bound) -> Frame:
     """
     (scenario,) = scenarios_named((name,), quick=False)
     which = f"{bound.__module__}.{bound.__qualname__}"
-    file = options.out / "scores" / f"{name}_bound_{_key(scenario, options, which, 'calibration')}.parquet"
+    file = (
+        options.out
+        / "scores"
+        / f"{name}_bound_{_key(scenario, options, which, 'surefoot.calibration')}.parquet"
+    )
     if file.is_file():
         limits: Frame = pd.read_parquet(file)
         return limits
