@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 import surefoot  # noqa: F401
 from surefoot.calibration import GRAVITY
-from surefoot.sensors import HX711_LOAD_CELLS, sized
+from surefoot.sensors import sized
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 

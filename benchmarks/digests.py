@@ -37,11 +37,11 @@ from surefoot.sensors import (
     encoders,
     force_torque,
     imu,
-    latency,
     load_cells,
     scaled,
     strain_gauges,
 )
+from surefoot.sensors.transport.link import latency
 
 METHODS = ("moment", "window", "quasi-static", "tare", "none")
 """By their names of version 0.1, which later versions take as well."""

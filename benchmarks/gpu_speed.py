@@ -17,7 +17,8 @@ import numpy as np
 import torch
 
 from surefoot.calibration import GRAVITY, METHODS, Reference, nao_shoe_layout
-from surefoot.sensors import HX711_LOAD_CELLS, Fault
+from surefoot.sensors import Fault
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 from surefoot.wrappers.gpu.self_calibration import SelfCalibrationModule
 

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from surefoot.sensors import BAR_CELLS_ON_HX711 as WHOLE
-from surefoot.sensors import HX711_LOAD_CELLS, LoadCells, Mechanics, Wire, load_cells
+from surefoot.sensors import LoadCells, Mechanics, Wire, load_cells
+from surefoot.sensors.presets import BAR_CELLS_ON_HX711 as WHOLE
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.randomness import normal
 
 DT = 1 / 80

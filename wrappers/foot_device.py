@@ -4,17 +4,9 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from surefoot.sensors import (
-    PRESETS,
-    Corruption,
-    ForceTorque,
-    LoadCells,
-    force_torque,
-    load_cells,
-    preset,
-    resolve,
-)
+from surefoot.sensors import PRESETS, Corruption, ForceTorque, LoadCells, force_torque, load_cells, preset
 from surefoot.sensors.configuration import current_names, from_mapping
+from surefoot.sensors.presets import resolve
 
 FootDevice = LoadCells | ForceTorque
 """What can be under a foot."""

@@ -12,18 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.state import load_state, save_state
-from surefoot.sensors import (
-    Encoders,
-    Fault,
-    Imu,
-    Link,
-    channel_faults,
-    check_wire,
-    parse_fault,
-    resolve,
-    scaled,
-)
+from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, scaled
+from surefoot.sensors.presets import resolve
 from surefoot.sensors.transport.link import Packets
+from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_device
 from surefoot.wrappers.hardware import HardwareState
 from surefoot.wrappers.instruments import Instruments

@@ -12,16 +12,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import (
-    Corruption,
-    ForceTorque,
-    ForceTorqueState,
-    LoadCells,
-    LoadCellState,
-    force_torque,
-    load_cells,
-    true_map,
-)
+from surefoot.sensors import Corruption, ForceTorque, LoadCells, force_torque, load_cells
+from surefoot.sensors.devices.force_torque import ForceTorqueState
+from surefoot.sensors.devices.load_cells import LoadCellState, true_map
 from surefoot.wrappers.foot_device import FootDevice
 
 Floats = NDArray[np.float64]

@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors import Corruption, Encoders, Imu, ImuState, Link, encoders, imu, receive, resolve, send
+from surefoot.sensors import Corruption, Encoders, Imu, Link, encoders, imu
 from surefoot.sensors.configuration import require
-from surefoot.sensors.transport.link import Packets
+from surefoot.sensors.devices.imu import ImuState
+from surefoot.sensors.presets import resolve
+from surefoot.sensors.transport.link import Packets, receive, send
 from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
 
 VELOCITY_TIME_CONSTANT = 0.02

@@ -15,7 +15,8 @@ from surefoot.experiments.logs.format import write_log
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.walks.record import Condition, record_walk
 from surefoot.experiments.walks.walkers import STAND_TIME
-from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
+from surefoot.sensors import LoadCells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 __all__ = ["CHIPS", "INSTANT", "Walk", "log_paths", "record_missing"]
 

@@ -21,7 +21,8 @@ from surefoot.experiments.policy.controllers import Controller, controller_hash,
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.walks.closed_loop import Moment, rms
 from surefoot.experiments.walks.walkers import TruthTap
-from surefoot.sensors import LoadCells, resolve, scaled
+from surefoot.sensors import LoadCells, scaled
+from surefoot.sensors.presets import resolve
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 

@@ -16,7 +16,8 @@ from surefoot.experiments.policy.controllers import controller_hash
 from surefoot.experiments.sweep.episode import Cell
 from surefoot.experiments.sweep.scenarios import SWEEP_FEEDS, SweepScenario, scenario_named
 from surefoot.experiments.walks.walkers import STAND_TIME
-from surefoot.sensors import LoadCells, resolve
+from surefoot.sensors import LoadCells
+from surefoot.sensors.presets import resolve
 
 __all__ = ["SweepPlan", "plan_from_toml"]
 

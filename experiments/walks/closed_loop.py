@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from surefoot.controllers import Stabiliser
 from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
-from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
+from surefoot.sensors import LoadCells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 __all__ = ["LoopRun", "Moment", "cells_of", "rms", "run_loop", "walk_moments"]
 

@@ -17,7 +17,9 @@ from surefoot.controllers import Stabiliser
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.foot_instruments import FootInstruments
 from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
-from surefoot.sensors import HX711_LOAD_CELLS, PER_SQRT_MINUTE, ForceTorque, LoadCells
+from surefoot.sensors import ForceTorque, LoadCells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 

@@ -10,7 +10,8 @@ import gymnasium as gym
 
 from surefoot.calibration.online import METHODS, method_name
 from surefoot.envs.nao.env import CONTROL_STEP
-from surefoot.sensors import HX711_LOAD_CELLS, LoadCells
+from surefoot.sensors import LoadCells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 

@@ -20,7 +20,7 @@ from surefoot.experiments.force_torque.export import (
 )
 from surefoot.experiments.force_torque.icub import read_icub_matrix, write_icub_matrix
 from surefoot.experiments.logs.format import LogError
-from surefoot.sensors import FTSENS_SN039, FTSENS_SN142
+from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142
 
 FULL_SCALE = np.array([1500.0, 1500.0, 2000.0, 35.0, 35.0, 25.0])
 

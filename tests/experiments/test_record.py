@@ -9,7 +9,7 @@ from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walks.closed_loop import cells_of
 from surefoot.experiments.walks.record import CONDITIONS, record_walk
 from surefoot.experiments.walks.replay import replay_logs
-from surefoot.sensors import HX711_LOAD_CELLS
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 
 @pytest.fixture(scope="module")

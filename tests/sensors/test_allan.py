@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.sensors import HX711_LOAD_CELLS, Imu, imu, load_cells
+from surefoot.sensors import Imu, imu, load_cells
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 
 def overlapping_allan(rates: np.ndarray, dt: float, tau: float) -> np.ndarray:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from surefoot.sensors import chain, quantize, sample_and_hold, white_noise
+from surefoot.sensors import chain, quantize, white_noise
+from surefoot.sensors.stages.clock import sample_and_hold
 
 DT = 1 / 80
 SUBSTEPS = 10

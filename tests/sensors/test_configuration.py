@@ -10,20 +10,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from surefoot.sensors import (
-    PRESETS,
-    Encoders,
-    ForceTorque,
-    Imu,
-    Link,
-    LoadCells,
-    Mechanics,
-    Wire,
-    from_mapping,
-    preset,
-    resolve,
-)
-from surefoot.sensors.configuration import OLD_NAMES
+from surefoot.sensors import PRESETS, Encoders, ForceTorque, Imu, Link, LoadCells, Mechanics, Wire, preset
+from surefoot.sensors.configuration import OLD_NAMES, from_mapping
+from surefoot.sensors.presets import resolve
 
 TAU = {"creep_time_constants": [3.0]}
 

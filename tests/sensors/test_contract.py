@@ -19,40 +19,36 @@ from surefoot.sensors import (
     Mechanics,
     StrainGauges,
     Wire,
-    burst_gaps,
     chain,
     channel_faults,
-    creep,
-    drawn_nonlinearity,
     drift,
     encoders,
     force_torque,
-    hysteresis,
     imu,
-    latency,
-    load_cell_chain,
     load_cells,
-    mechanics,
-    mounting,
-    moving_average,
-    noise_density,
-    nonlinearity,
     offset,
-    overload,
     preset,
     quantize,
-    sample_and_hold,
     saturate,
     scale,
     scale_drift,
-    spikes,
-    stale_repeats,
     strain_gauges,
-    thermal_drift,
     white_noise,
-    wire,
-    wrong_words,
 )
+from surefoot.sensors.devices.load_cells import load_cell_chain
+from surefoot.sensors.stages.clock import sample_and_hold
+from surefoot.sensors.stages.converter import noise_density
+from surefoot.sensors.stages.creep import creep
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mechanics import mechanics
+from surefoot.sensors.stages.mounting import mounting
+from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.nonlinearity import drawn_nonlinearity, nonlinearity
+from surefoot.sensors.stages.overload import overload
+from surefoot.sensors.stages.temperature import thermal_drift
+from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
+from surefoot.sensors.transport.link import latency
+from surefoot.sensors.transport.wire import wire
 
 DT = 1 / 80
 SUBSTEPS = 10

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.sensors import creep
+from surefoot.sensors.stages.creep import creep
 
 SHARES, CONSTANTS = (0.02, -0.005, 0.01), (0.5, 8.0, 120.0)
 

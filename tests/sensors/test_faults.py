@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.sensors import HX711_LOAD_CELLS, Fault, ForceTorque, apply_faults, channel_faults
+from surefoot.sensors import Fault, ForceTorque, apply_faults, channel_faults
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 CELLS = HX711_LOAD_CELLS
 K = CELLS.slope

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.sensors import PER_SQRT_MINUTE, ForceTorque, force_torque, preset, true_matrix
+from surefoot.sensors import ForceTorque, force_torque, preset
+from surefoot.sensors.devices.force_torque import true_matrix
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 
 CONFIG = ForceTorque()
 QUIET = replace(

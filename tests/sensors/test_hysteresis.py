@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.sensors import hysteresis
+from surefoot.sensors.stages.hysteresis import hysteresis
 
 FULL = 80.0
 

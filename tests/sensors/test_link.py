@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from surefoot.sensors import Link, latency, receive, send
+from surefoot.sensors import Link
+from surefoot.sensors.transport.link import latency, receive, send
 
 PERIOD = 0.01
 

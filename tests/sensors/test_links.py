@@ -6,20 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.sensors import (
-    LoadCells,
-    burst_gaps,
-    chain,
-    load_cells,
-    mounting,
-    moving_average,
-    nonlinearity,
-    overload,
-    preset,
-    spikes,
-    stale_repeats,
-    wrong_words,
-)
+from surefoot.sensors import LoadCells, chain, load_cells, preset
+from surefoot.sensors.stages.mounting import mounting
+from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.nonlinearity import nonlinearity
+from surefoot.sensors.stages.overload import overload
+from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
 
 DT = 0.0125
 

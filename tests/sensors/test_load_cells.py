@@ -5,18 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.sensors import (
-    BAR_CELLS_ON_HX711,
-    HX711_LOAD_CELLS,
-    NAO_FSR,
-    PER_SQRT_MINUTE,
-    PERFECT_LOAD_CELLS,
-    LoadCells,
-    load_cell_chain,
-    load_cells,
-    static_counts,
-    true_map,
-)
+from surefoot.sensors import LoadCells, load_cells
+from surefoot.sensors.devices.load_cells import load_cell_chain, static_counts, true_map
+from surefoot.sensors.presets import BAR_CELLS_ON_HX711, HX711_LOAD_CELLS, NAO_FSR, PERFECT_LOAD_CELLS
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 
 DT = 1 / 80
 PLAIN = replace(

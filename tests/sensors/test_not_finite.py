@@ -12,17 +12,17 @@ from surefoot.sensors import (
     Mechanics,
     StrainGauges,
     Wire,
-    creep,
-    hysteresis,
-    load_cell_chain,
     load_cells,
-    mechanics,
-    mounting,
-    moving_average,
-    overload,
     preset,
     strain_gauges,
 )
+from surefoot.sensors.devices.load_cells import load_cell_chain
+from surefoot.sensors.stages.creep import creep
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mechanics import mechanics
+from surefoot.sensors.stages.mounting import mounting
+from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.overload import overload
 
 DT = 1 / 80
 BAD = [float("nan"), float("inf"), -float("inf")]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from surefoot.sensors import CELLS, Fault, LoadCells, apply_faults, cell_names, parse_fault
+from surefoot.sensors import Fault, LoadCells, apply_faults, parse_fault
+from surefoot.sensors.faults.words import CELLS, cell_names
 
 
 @pytest.mark.parametrize(

@@ -13,28 +13,27 @@ from surefoot.sensors import (
     Mechanics,
     StrainGauges,
     Wire,
-    burst_gaps,
     chain,
     channel_faults,
-    creep,
     drift,
     force_torque,
-    hysteresis,
     imu,
-    latency,
     load_cells,
-    mounting,
-    moving_average,
-    overload,
-    sample_and_hold,
     scale,
-    stale_repeats,
     strain_gauges,
-    thermal_drift,
     white_noise,
 )
 from surefoot.sensors.presets import NAO_IMU
 from surefoot.sensors.select import batch_axes, select
+from surefoot.sensors.stages.clock import sample_and_hold
+from surefoot.sensors.stages.creep import creep
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mounting import mounting
+from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.overload import overload
+from surefoot.sensors.stages.temperature import thermal_drift
+from surefoot.sensors.transport.errors import burst_gaps, stale_repeats
+from surefoot.sensors.transport.link import latency
 
 WARM = LoadCells(scale_tempco=1e-4, offset_tempco=0.01, temperature_ramp=0.02)
 CELLS = LoadCells()

@@ -13,13 +13,13 @@ from surefoot.sensors import (
     LoadCells,
     Mechanics,
     Wire,
-    check_wire,
     force_torque,
     load_cells,
     preset,
     scaled,
 )
 from surefoot.sensors.severity import ERRORS, IDENTITY, LIMITS
+from surefoot.sensors.transport.wire import check_wire
 
 BAD = preset("hx711-bar-cells")
 DEVICES = {kind: list(named.values()) for kind, named in PRESETS.items()} | {

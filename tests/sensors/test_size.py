@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.sensors import HX711_LOAD_CELLS, NAO_FSR, load_cells, preset, sized
-from surefoot.sensors.presets import REFERENCE_WEIGHT
+from surefoot.sensors import load_cells, preset, sized
+from surefoot.sensors.presets import HX711_LOAD_CELLS, NAO_FSR, REFERENCE_WEIGHT
 
 
 def test_cells_of_the_reference_robot_stay_as_they_are():

@@ -3,18 +3,9 @@
 import numpy as np
 import pytest
 
-from surefoot.sensors import (
-    PER_SQRT_MINUTE,
-    chain,
-    drift,
-    noise_density,
-    offset,
-    quantize,
-    saturate,
-    scale,
-    scale_drift,
-    white_noise,
-)
+from surefoot.sensors import chain, drift, offset, quantize, saturate, scale, scale_drift, white_noise
+from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
+from surefoot.sensors.stages.converter import noise_density
 
 MANY = 20_000
 

@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.sensors import (
-    FTSENS_SN039,
-    FTSENS_SN142,
-    StrainGauges,
-    preset,
-    read_sequence,
-    resolve,
-    shift_offset,
-    strain_gauges,
-    true_response,
-)
+from surefoot.sensors import StrainGauges, preset, strain_gauges
+from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142
+from surefoot.sensors.devices.strain_gauges import read_sequence, shift_offset, true_response
+from surefoot.sensors.presets import resolve
 
 LEG = preset("icub-ftsens-leg", StrainGauges)
 PERFECT = preset("perfect", StrainGauges)

@@ -6,23 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.sensors import (
-    BAR_CELLS_ON_HX711,
-    PERFECT_LOAD_CELLS,
-    ForceTorque,
-    LoadCells,
-    Mechanics,
-    Wire,
-    force_torque,
-    load_cells,
-    sample_and_hold,
-    spikes,
-    static_counts,
-    true_map,
-    wire,
-)
+from surefoot.sensors import ForceTorque, LoadCells, Mechanics, Wire, force_torque, load_cells
 from surefoot.sensors.corruption import chain
+from surefoot.sensors.devices.load_cells import static_counts, true_map
+from surefoot.sensors.presets import BAR_CELLS_ON_HX711, PERFECT_LOAD_CELLS
 from surefoot.sensors.rare import change_at_random
+from surefoot.sensors.stages.clock import sample_and_hold
+from surefoot.sensors.transport.errors import spikes
+from surefoot.sensors.transport.wire import wire
 
 DT = 1 / 80
 CODES = LoadCells(

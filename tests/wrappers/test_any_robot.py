@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 
 from surefoot.envs import InstrumentedEnv
-from surefoot.sensors import PERFECT_FORCE_TORQUE
+from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 ANKLES = "icub-force-torque"

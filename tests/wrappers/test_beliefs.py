@@ -10,7 +10,8 @@ import pytest
 from surefoot.calibration import ground_reference, low_pass
 from surefoot.calibration.reference import Reference
 from surefoot.envs import load_nao_spec
-from surefoot.sensors import Imu, Link, Packet, preset
+from surefoot.sensors import Imu, Link, preset
+from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers import Beliefs, FootSensors, NominalModel, SelfCalibration
 from surefoot.wrappers.odometry import Odometry
 from surefoot.wrappers.telemetry import TelemetryLayout

@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.sensors import (
-    HX711_LOAD_CELLS,
-    ICUB_FORCE_TORQUE,
-    Fault,
-    ForceTorque,
-    LoadCells,
-    Wire,
-    load_cells,
-    parse_fault,
-)
+from surefoot.sensors import Fault, ForceTorque, LoadCells, Wire, load_cells, parse_fault
+from surefoot.sensors.presets import HX711_LOAD_CELLS, ICUB_FORCE_TORQUE
 from surefoot.wrappers.gpu.batch import flat, mask_of
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 

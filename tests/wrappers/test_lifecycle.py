@@ -7,7 +7,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from surefoot.sensors import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS, Fault, Wire
+from surefoot.sensors import Fault, Wire
+from surefoot.sensors.presets import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 STILL = np.zeros(11, dtype=np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import FootCalibrator, Parameters
-from surefoot.sensors import HX711_LOAD_CELLS
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.contacts import CONTACT_MARGIN, Plan
 

@@ -10,7 +10,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 from surefoot.calibration import Parameters
-from surefoot.sensors import HX711_LOAD_CELLS, Fault, ForceTorque, Imu, LoadCells, preset
+from surefoot.sensors import Fault, ForceTorque, Imu, LoadCells, preset
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 STACKS = {

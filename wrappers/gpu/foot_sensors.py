@@ -15,19 +15,12 @@ import torch
 from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
-from surefoot.sensors import (
-    CELLS,
-    FEET,
-    Fault,
-    LoadCells,
-    channel_faults,
-    check_wire,
-    parse_fault,
-    resolve,
-    scaled,
-    true_map,
-)
+from surefoot.sensors import Fault, LoadCells, channel_faults, parse_fault, scaled
+from surefoot.sensors.devices.load_cells import true_map
+from surefoot.sensors.faults.words import CELLS, FEET
+from surefoot.sensors.presets import resolve
 from surefoot.sensors.select import batch_axes, select
+from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, restored, saved_leaves
 
@@ -74,7 +67,7 @@ class FootSensorsModule(BatchModule):
 
     Raises:
         ValueError: If a preset is unknown, a value is refused, a fault cannot happen, or more readings are
-            under way than the wire holds (:func:`~surefoot.sensors.check_wire`).
+            under way than the wire holds (:func:`~surefoot.sensors.transport.wire.check_wire`).
 
     >>> feet = FootSensorsModule("perfect", 2, dt=0.02)
     >>> feet(torch.full((2, 8), 6.5)).tolist()[0]

@@ -2,7 +2,8 @@
 
 from typing import Any, NamedTuple
 
-from surefoot.sensors import Encoders, Imu, Link, resolve, scaled
+from surefoot.sensors import Encoders, Imu, Link, scaled
+from surefoot.sensors.presets import resolve
 from surefoot.wrappers.foot_device import FootDevice, foot_device
 from surefoot.wrappers.source import check_stream
 from surefoot.wrappers.telemetry import timely_link

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import ForceTorque, LoadCells, check_wire, true_map
+from surefoot.sensors import ForceTorque, LoadCells
+from surefoot.sensors.devices.load_cells import true_map
 from surefoot.sensors.select import batch_axes, select
+from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import foot_corruption
 from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
 from surefoot.wrappers.instruments import Instruments
