@@ -1,12 +1,11 @@
 """Controllers: an observation in, an action out, NumPy alone.
 
 A controller sees what the observation holds and nothing else. The same one therefore walks on true, drifting
-or calibrated readings, as the wrapper before it decides.
+or calibrated readings: the wrapper around the environment decides which.
 """
 
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive
-from surefoot.controllers.stabiliser import Stabiliser
-from surefoot.controllers.zero import zero_action
+from surefoot.controllers.stabiliser import Stabiliser, zero_action
 
 __all__ = ["PolicyFileError", "PolicyNetwork", "PostureDrive", "Stabiliser", "zero_action"]

@@ -55,7 +55,7 @@ class PolicyFileError(ValueError):
 
 
 class PolicyNetwork:
-    """Answers observations of :class:`~surefoot.envs.NaoBalanceEnv`, or of wrappers around it.
+    """Turns observations of :class:`~surefoot.envs.NaoBalanceEnv`, or of wrappers around it, into actions.
 
     Args:
         parts: Parts of the observation that are looked at, in order, with their sizes.
@@ -64,10 +64,10 @@ class PolicyNetwork:
         posture_matrix: Residuals of the motors per unit of posture, shape (M, A).
         posture_speed: Change of a posture per second at a full command.
         posture_memory: Time constant in s with which a posture returns.
-        hold: Observations for which an answer holds: 1 answers each of them.
+        hold: Number of observations for which one output of the network is used.
         dt: Time from one observation to the next in s.
         engage_after: For how long after a reset to do nothing, in s: during a quiet stand, say.
-        notes: What is known of its making: task, seed, versions.
+        notes: How it was made: task, seed, versions.
 
     Raises:
         PolicyFileError: If the shapes do not fit each other, or a number is not finite.
@@ -94,7 +94,7 @@ class PolicyNetwork:
         try:
             self._drive = PostureDrive(posture_matrix, posture_speed, posture_memory, dt)
         except ValueError as refused:
-            raise PolicyFileError(f"The policy's postures make no sense: {refused}") from refused
+            raise PolicyFileError(f"The policy's postures are impossible: {refused}") from refused
         if not 1 <= hold <= 1000:
             raise PolicyFileError(f"'hold' must lie in 1 to 1000, got {hold}.")
         self.hold = int(hold)
@@ -109,17 +109,17 @@ class PolicyNetwork:
 
     @property
     def drive(self) -> PostureDrive:
-        """What turns its outputs into an action."""
+        """The integrator between the network's outputs and the action."""
         return self._drive
 
     def reset(self) -> None:
-        """Forget the last episode: back to the pattern's posture."""
+        """Start an episode: the posture goes back to the pattern's."""
         self._drive.reset()
         self._seen = 0
         self._held = np.zeros(self._drive.size)
 
     def speeds(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Answer one observation by the speeds of the postures, within [-1, 1], shape (A,).
+        """Return the speeds of the postures for one observation, within [-1, 1], shape (A,).
 
         Raises:
             ValueError: If the observation lacks a part, or one has another size.
@@ -131,7 +131,7 @@ class PolicyNetwork:
         return speeds
 
     def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Answer one observation.
+        """Return the action for one observation.
 
         Args:
             observation: An observation of the environment; it is not changed.
@@ -151,7 +151,7 @@ class PolicyNetwork:
         return self._drive(self._held)
 
     def fits(self, observation_space: Any, action_space: Any) -> None:
-        """Refuse an environment that the policy was not made for.
+        """Raise ValueError if the policy was not made for an environment.
 
         Args:
             observation_space: The environment's, with parts by their names.
@@ -252,7 +252,7 @@ class PolicyNetwork:
             raise PolicyFileError(f"'{path}': {error}") from error
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write it to an ``.npz`` of plain arrays in single precision."""
+        """Write the policy to an ``.npz`` of plain arrays in single precision."""
         layers: dict[str, Any] = {}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             layers[f"weight_{i}"], layers[f"bias_{i}"] = weight.astype(np.float32), bias.astype(np.float32)
@@ -306,7 +306,7 @@ class PolicyNetwork:
 
 
 def refuse_pickles(path: Path) -> None:
-    """Refuse what is no archive of arrays by its contents, whatever it is called.
+    """Raise PolicyFileError if a file is no archive of arrays, by its content and not by its name.
 
     Raises:
         PolicyFileError: If it is no archive, a Stable-Baselines3 zip, or one that unpacks to far more than

@@ -3,19 +3,16 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.controllers.stabiliser import ACTION_SIZE
+from surefoot.controllers.stabiliser import ACTION_SIZE, ANKLE_PITCH, ANKLE_ROLL, HIP_PITCH, HIP_ROLL
 
 __all__ = ["POSTURES", "PostureDrive", "posture_matrix"]
 
 POSTURES = ("sway forward", "sway left", "bow forward", "bow left")
 """Ankles and hips against each other, which keeps the torso upright; and the hips alone, which tilts it."""
 
-_HIP_ROLL, _HIP_PITCH, _ANKLE_PITCH, _ANKLE_ROLL = [1, 6], [2, 7], [4, 9], [5, 10]
-"""Where these joints (left, right) lie in an action."""
-
 
 def posture_matrix() -> NDArray[np.float64]:
-    """Say what each posture does to the leg motors.
+    """Return what each posture does to the leg motors.
 
     Returns:
         Residuals per unit of posture, shape (11, 4).
@@ -26,19 +23,20 @@ def posture_matrix() -> NDArray[np.float64]:
     """
     matrix: NDArray[np.float64] = np.zeros((ACTION_SIZE, len(POSTURES)))
     # A positive ankle pitch turns the toes down, or, with the sole on the ground, the leg backwards.
-    matrix[_ANKLE_PITCH, 0], matrix[_HIP_PITCH, 0] = -1.0, 1.0
-    matrix[_ANKLE_ROLL, 1], matrix[_HIP_ROLL, 1] = 1.0, -1.0
-    matrix[_HIP_PITCH, 2] = -1.0
-    matrix[_HIP_ROLL, 3] = -1.0
+    sway_forward, sway_left, bow_forward, bow_left = range(len(POSTURES))
+    matrix[ANKLE_PITCH, sway_forward], matrix[HIP_PITCH, sway_forward] = -1.0, 1.0
+    matrix[ANKLE_ROLL, sway_left], matrix[HIP_ROLL, sway_left] = 1.0, -1.0
+    matrix[HIP_PITCH, bow_forward] = -1.0
+    matrix[HIP_ROLL, bow_left] = -1.0
     return matrix
 
 
 class PostureDrive:
     """Turns speeds of postures into residuals of the leg motors.
 
-    With an integrator behind it, a small error that stays is worked off almost to the end, and what a policy
-    tries out at random comes as a slow sway and not as a shiver. The integrator leaks: left alone, the
-    posture returns to the pattern's.
+    Because of the integrator, a small constant error is removed almost completely, and random exploration of
+    a policy becomes a slow sway instead of a shiver. The integrator leaks: without commands, the posture
+    returns to the pattern's.
 
     Args:
         matrix: Residuals per unit of posture, shape (M, A).
@@ -47,7 +45,7 @@ class PostureDrive:
         dt: Duration of a step in s.
 
     Attributes:
-        posture: Where it has got to, each within [-1, 1], shape (A,).
+        posture: Where each posture is now, within [-1, 1], shape (A,).
 
     Raises:
         ValueError: If a number is not finite, or one that must be positive is not.
@@ -77,7 +75,7 @@ class PostureDrive:
         self.posture = np.zeros(self.size)
 
     def __call__(self, command: ArrayLike) -> NDArray[np.float32]:
-        """Move on for a step.
+        """Return the action of one step, and move the postures on.
 
         Args:
             command: Speeds as shares of the full one, cut off at 1, shape (A,).

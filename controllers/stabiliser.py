@@ -6,7 +6,7 @@ part Caron, Kheddar and Tempier, "Stair climbing stabilization of the HRP-4 huma
 admittance control", ICRA 2019, write as an admittance from the centre of pressure.
 
 A body that leans off its pattern by :math:`\Delta` (of its centre of mass, in m) is an inverted pendulum:
-it is brought back by a centre of pressure that lies further out than it does. So the desired one is
+it is brought back by a centre of pressure further out than itself. So the desired one is
 
 .. math:: p^d = p^{ref} + k_1 \Delta + k_2 \dot\Delta, \qquad k_1 > 1,
 
@@ -33,14 +33,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ACTION_SIZE", "Stabiliser"]
+__all__ = ["ACTION_SIZE", "ANKLE_PITCH", "ANKLE_ROLL", "HIP_PITCH", "HIP_ROLL", "Stabiliser", "zero_action"]
 
 ACTION_SIZE = 11
 """Number of leg motors of a NAO-class biped."""
 
-ANKLE_PITCH = [4, 9]
-ANKLE_ROLL = [5, 10]
-"""Where the ankles (left, right) lie in an action."""
+HIP_ROLL, HIP_PITCH, ANKLE_PITCH, ANKLE_ROLL = [1, 6], [2, 7], [4, 9], [5, 10]
+"""Where these joints (left, right) are in an action."""
 
 
 class Stabiliser:
@@ -51,7 +50,7 @@ class Stabiliser:
     balances on the tilt alone.
 
     Args:
-        state_layout: Where the parts of ``observation["state"]`` lie: ``env.unwrapped.state_layout``.
+        state_layout: Where the parts of ``observation["state"]`` are: ``env.unwrapped.state_layout``.
         admittance: Rate at which the lean follows an error of the centre of pressure, A, in 1/s.
         position_gain: k1, metres of centre of pressure per metre of lean; above 1.
         velocity_gain: k2, metres of centre of pressure per m/s of lean, in s.
@@ -107,7 +106,7 @@ class Stabiliser:
         if not (isfinite(position_gain) and position_gain > 1):
             raise ValueError(
                 f"'position_gain' must be above 1, got {position_gain}: the centre of pressure has to lie "
-                "further out than the body leans, or it cannot push it back."
+                "further out than the body leans, or it cannot push the body back."
             )
         parts = ("cop_reference", "tilt", "gyroscope")
         if missing := [name for name in parts if name not in state_layout]:
@@ -128,12 +127,12 @@ class Stabiliser:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Start an episode: the ankles go back to the pattern."""
         self.angle: NDArray[np.float64] = np.zeros(2)
         self._seen = 0
 
     def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Answer one observation.
+        """Return the action for one observation.
 
         Args:
             observation: An observation of the environment; it is not changed.
@@ -170,8 +169,20 @@ class Stabiliser:
         return np.clip(action, -1.0, 1.0).astype(np.float32)
 
     def _cop_error(self, observation: Mapping[str, Any], state: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Measured less planned centre of pressure in m, shape (2,); zero where it is not known."""
+        """Return measured less planned centre of pressure in m, shape (2,); zero while it is not known."""
         error = np.asarray(observation["cop"], dtype=np.float64) - state[self._reference]
         if not observation["cop_valid"][0] or not np.isfinite(error).all():
             return np.zeros(2)
         return np.clip(error, -self.largest_error, self.largest_error)
+
+
+def zero_action(observation: Mapping[str, Any]) -> NDArray[np.float32]:
+    """Return the action that leaves the pattern as it is, whatever is observed: the open-loop walker.
+
+    Args:
+        observation: Not looked at.
+
+    Returns:
+        Zeros, shape (11,).
+    """
+    return np.zeros(ACTION_SIZE, dtype=np.float32)

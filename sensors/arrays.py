@@ -1,4 +1,4 @@
-"""Small helps for code on the array API standard; private to :mod:`surefoot.sensors`."""
+"""Helpers for code on the array API standard; private to :mod:`surefoot.sensors`."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ Array = Any
 
 
 def namespace(array: Array) -> Any:
-    """Find an array's library; NumPy, the only one where the time to look matters, first."""
+    """Return an array's library; NumPy first, where the time of the look-up matters."""
     return np if type(array) is np.ndarray else array_namespace(array)
 
 
@@ -24,7 +24,7 @@ def cast_like(value: Array, reading: Array) -> Array:
 
 
 def on_host(array: Array) -> bool:
-    """Tell whether one may look at an array's values without waiting for another device."""
+    """Return whether an array's values can be looked at without waiting for another device."""
     return type(array) is np.ndarray or str(getattr(array, "device", "cpu")) == "cpu"
 
 
@@ -41,7 +41,7 @@ def limit(array: Array, low: Any, high: Any) -> Array:
 
 
 class Table:
-    """Constants that are handed out in the library, dtype and device of whatever asks.
+    """Constants, available in the library, dtype and device of any array.
 
     Args:
         values: The constants.
@@ -52,10 +52,10 @@ class Table:
         self._made: dict[Any, Array] = {}
 
     def like(self, array: Array, tail: int = 0) -> Array:
-        """Hand them out.
+        """Return them for use with an array; they are converted once and kept.
 
         Args:
-            array: What they are to go with.
+            array: Gives library, dtype and device.
             tail: How many axes of length one to append.
         """
         key: Any = (array.dtype, tail)

@@ -82,7 +82,7 @@ NAO_FSR = LoadCells(
 0.2 N in swing, 73 % of the readings repeated, and a robot of 5.3 kg that its feet call 3.5 kg (an own look
 at a public log), for which the spread of the scales stands. By the data sheet of such resistors (Interlink
 FSR 400): hysteresis of 10 %, drift of at most 5 % a decade of time. Inferred: 10 bits of 0.05 N, noise of
-0.05 N, bends, walks and jumps. The readings that are stuck at zero half of the time are not in it: add
+0.05 N, nonlinearity, drift and jumps. Readings that are stuck at zero half of the time are left out: add
 :class:`~surefoot.sensors.Fault` s."""
 
 PERFECT_LOAD_CELLS = LoadCells(
@@ -116,9 +116,9 @@ ATI_MINI45 = ForceTorque(
     offset_drift_torque=0.001 * PER_SQRT_MINUTE,
 )
 """Two sensors of the class of an ATI Mini45 with its range of 580 N and 20 N m. Of its errors only this is
-told: offsets move within hours, calibration is to be repeated every year (in-situ paper), and a sister
-model, in a Valkyrie's feet, went off by 20 to 30 N. No data sheet
-was at hand: the range is from memory, all other numbers are inferred from the class."""
+published: offsets change within hours, calibration is to be repeated every year (in-situ paper), and the
+offsets of a sister model, in a Valkyrie's feet, changed by 20 to 30 N. No data sheet was at hand: the range
+is from memory, all other numbers are inferred from the class."""
 
 PERFECT_FORCE_TORQUE = ForceTorque(
     resolution_force=0.0,

@@ -1,6 +1,6 @@
 """Draws from a NumPy or a torch generator, so that no stage needs to know which one it was given.
 
-torch is never imported here: who hands in a ``torch.Generator`` has imported it.
+torch is never imported here: a caller with a ``torch.Generator`` has imported it.
 """
 
 import sys
@@ -59,7 +59,7 @@ def uniform(rng: Any, low: float, high: float, shape: tuple[int, ...], dtype: An
 
 
 def filled(rng: Any, value: float, shape: tuple[int, ...], dtype: Any = None) -> Array:
-    """Fill an array of the generator's library and device with one value; nothing is drawn."""
+    """Return an array of the generator's library and device, filled with one value; nothing is drawn."""
     _check(rng, dtype)
     if _is_torch(rng):
         torch = sys.modules["torch"]
@@ -68,7 +68,7 @@ def filled(rng: Any, value: float, shape: tuple[int, ...], dtype: Any = None) ->
 
 
 def constant(rng: Any, value: Any, dtype: Any = None) -> Array:
-    """Hand a NumPy array (or a number) to the generator's library and device."""
+    """Return a NumPy array (or a number) as an array of the generator's library, on its device."""
     _check(rng, dtype)
     if _is_torch(rng):
         torch = sys.modules["torch"]

@@ -1,9 +1,9 @@
 """Rare events: change the few readings that something happens to, at a cost that goes with the few.
 
 Where events come with the probability p to each reading on its own, the number of readings that are spared
-between two of them is geometric, :math:`P(n) = p (1 - p)^n`, so that it takes one draw an event to find them,
-and not one a reading. Only a batch on the host is searched like that: for one robot it is not worth it, and
-another device would have to be waited for.
+between two of them is geometric, :math:`P(n) = p (1 - p)^n`, so that one draw an event finds them, instead of
+one a reading. Only a batch on the host is searched like that: for one robot it is not worth it, and on
+another device looking at values means waiting.
 """
 
 from collections.abc import Callable
@@ -113,7 +113,7 @@ def _change_at(reading: Array, where: Array, change: Change, tables: tuple[Array
 
 
 def _found(rng: Rng, probability: float, total: int) -> Array:
-    """Find the events among as many readings, in order."""
+    """Return where events are among ``total`` readings, in order."""
     expected = probability * total
     shape = (int(expected + 6.0 * expected**0.5) + 8,)
     drawn = uniform(rng, 0.0, 1.0, shape)
@@ -126,6 +126,6 @@ def _found(rng: Rng, probability: float, total: int) -> Array:
 
 
 def _sum_of_gaps(drawn: Array, probability: float) -> NDArray[np.float64]:
-    # A few numbers on the host, whosever they are: NumPy is the quickest with them.
+    # A few numbers on the host: NumPy is the fastest with them, also for a torch generator.
     gaps = np.floor(np.log1p(-np.asarray(drawn, dtype=np.float64)) / log1p(-probability))
     return np.cumsum(gaps + 1.0) - 1.0

@@ -1,9 +1,9 @@
 """Partial resets: some robots of a batch take another state, all others keep theirs bit for bit.
 
-A state is a tree of tuples with arrays at its leaves, and a leaf's batch axis need not be its first: what
-wanders of load cells has the shape (2, N, K), the yield of a spring element (J, N, K), packets under way
-(D, N, C). Which axis it is cannot be read off one shape, as N may be 2 as well; it is the one that grows
-when ``init`` is asked for one robot more.
+A state is a tree of tuples with arrays at its leaves, and a leaf's batch axis need not be its first: the
+errors of load cells have the shape (2, N, K), the yield of a spring element (J, N, K), packets under way
+(D, N, C). One shape does not show which axis it is, as N may be 2 as well; it is the one that grows when
+``init`` is called for one robot more.
 """
 
 from functools import lru_cache
@@ -22,7 +22,7 @@ Axes = Any
 
 @lru_cache(maxsize=128)
 def batch_axes(corruption: Corruption[Any], channels: int) -> Axes:
-    """Find the batch axis of each leaf of a corruption's states.
+    """Return the batch axis of each leaf of a corruption's states.
 
     Args:
         corruption: The sensor; its states are those of batches of robots, of readings with shape (N, K).
@@ -41,15 +41,15 @@ def batch_axes(corruption: Corruption[Any], channels: int) -> Axes:
 
 
 def select(mask: Array, fresh: State, state: State, axes: Axes) -> State:
-    """Let some robots take a fresh state.
+    """Return a state in which some robots have a fresh one.
 
-    Leaves that robots share, such as the empty ones of what an instrument does not have, stay.
+    Leaves that robots share, such as the empty ones of parts that an instrument lacks, stay.
 
     Args:
         mask: Robots that take it (bool), shape (N,), of the states' library and device.
         fresh: The state to take, for N robots as well.
         state: The state that the others keep.
-        axes: What :func:`batch_axes` found.
+        axes: From :func:`batch_axes`.
 
     Returns:
         A new state; neither argument is changed.
@@ -84,7 +84,7 @@ def select(mask: Array, fresh: State, state: State, axes: Axes) -> State:
 
 
 def _compare(two: Any, three: Any) -> Axes:
-    """Find the axis along which one leaf is longer than the other."""
+    """Return the axis along which one leaf is longer than the other."""
     if isinstance(two, tuple):
         return _like(two, [_compare(*pair) for pair in zip(two, three, strict=True)])
     shapes = zip(np.shape(two), np.shape(three), strict=True)
@@ -92,5 +92,5 @@ def _compare(two: Any, three: Any) -> Axes:
 
 
 def _like(tree: Any, parts: list[Any]) -> Any:
-    """Put parts together as a tuple of the same class."""
+    """Return parts as a tuple of the same class."""
     return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)

@@ -1,12 +1,12 @@
 """One number for how bad an instrument is, for sweeps: 0 is perfect, 1 its configuration, 2 twice as bad.
 
-What scales are the *errors*: spreads, noises, walks, coefficients, shares, delays. What does not is what
-the instrument *is*: how many channels it has, their ranges, resolution, rate and coding, the law by which
-it warms up. An instrument of severity 0 therefore still rounds, clips and has a clock of its own.
-:data:`ERRORS` and :data:`IDENTITY` say which is which, field by field.
+The *errors* grow in proportion: spreads, noises, drifts, coefficients, shares, delays. What the instrument
+*is* stays: its number of channels, their ranges, resolution, rate and coding, the law by which it warms up.
+An instrument of severity 0 therefore still rounds, clips and has a clock of its own. :data:`ERRORS` and
+:data:`IDENTITY` list the fields of both kinds.
 
-Some errors end somewhere: no wire repeats more than all of its readings. Severities above 1 take these up to
-:data:`LIMITS` and no further, while all others go on.
+Some errors have a largest value: no wire repeats more than all of its readings. Severities above 1 take these
+up to :data:`LIMITS` and no further, while all others go on.
 """
 
 from collections.abc import Mapping
@@ -98,7 +98,10 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
         Link: ("delay", "jitter"),
     }
 )
-"""Fields that are errors, by the configuration's class: they scale. Zero stands for none of each."""
+"""Fields that are errors, by the configuration's class: they grow with the severity; zero is no error."""
+
+BELOW = 1.0 - 1e-12
+"""Factor by which a limit of a sum is missed, or rounding could take the sum over it."""
 
 LIMITS: Mapping[type, Mapping[str, float]] = MappingProxyType(
     {
@@ -107,11 +110,11 @@ LIMITS: Mapping[type, Mapping[str, float]] = MappingProxyType(
         StrainGauges: {"scale_error_std": 0.5, "cross_talk_std": 0.5, "hysteresis": 0.08},
     }
 )
-"""Where a severity above 1 leaves off scaling a field: beyond, readings would fall under a growing load
-(nonlinearity, hysteresis), more would stay of an overload than there was, more readings be wrong than there
-are, none be news, or a sensor lose an axis. A configuration that is beyond already stays as it is. The scales
-and the cross-talk of a :class:`~surefoot.sensors.ForceTorque` have one limit together, 0.25 for
-``initial_scale_std + 5 cross_talk_std``, at which both leave off."""
+"""The largest value to which a severity above 1 takes a field. Beyond, readings would fall under a growing
+load (nonlinearity, hysteresis), more would stay of an overload than there was, more readings would be wrong
+than there are, no reading would be new, or a sensor would lose an axis. A configuration that is beyond
+already stays as it is. The scales and the cross-talk of a :class:`~surefoot.sensors.ForceTorque` have one
+limit together, 0.25 for ``initial_scale_std + 5 cross_talk_std``, at which both stop."""
 
 IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
@@ -130,7 +133,7 @@ IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "temperature_rise",
         ),
         Mechanics: ("creep_time_constants", "impact_threshold", "safe_overload"),
-        # What is under way gets more room where the delay grows.
+        # under_way grows with the delay, see _limited.
         Wire: ("spike_size", "gap_length", "under_way"),
         ForceTorque: (
             "sensors",
@@ -166,7 +169,7 @@ IDENTITY: Mapping[type, tuple[str, ...]] = MappingProxyType(
 
 
 def scaled(config: Config, severity: float) -> Config:
-    """Make an instrument better or worse by scaling all of its errors alike.
+    """Return an instrument that is better or worse: all of its errors times one factor.
 
     Args:
         config: The configuration of severity 1; it is not changed.
@@ -206,14 +209,13 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def _limited(config: Any, errors: Mapping[str, Any], severity: float) -> dict[str, Any]:
-    """Find what becomes of the errors that end somewhere."""
+    """Return the values of the errors that reach a limit."""
     limits = LIMITS.get(type(config), {})
     found = {name: min(errors[name], max(most, getattr(config, name))) for name, most in limits.items()}
     if isinstance(config, ForceTorque):
         together = config.initial_scale_std + 5.0 * config.cross_talk_std
         if severity * together > MOST_ERROR:
-            # A hair less, or rounding could take it over the limit.
-            factor = max(1.0, MOST_ERROR * (1.0 - 1e-12) / together)
+            factor = max(1.0, MOST_ERROR * BELOW / together)
             names = ("initial_scale_std", "cross_talk_std")
             found |= {name: factor * getattr(config, name) for name in names}
     if isinstance(config, Wire) and config.late:

@@ -1,4 +1,4 @@
-"""Magnetic joint encoders: an offset that is a little off, some noise, and 12 bits a turn."""
+"""Magnetic joint encoders: a constant offset, some noise, and 12 bits a turn."""
 
 from dataclasses import dataclass
 from math import tau
@@ -24,7 +24,7 @@ class Encoders:
     """Noise of one reading in rad."""
 
     def __post_init__(self) -> None:
-        """Refuse what no encoder can be."""
+        """Raise ValueError if a value is impossible."""
         require(isinstance(self.bits, int) and 0 <= self.bits <= 32, self, "bits", "lie in 0 to 32")
         require_not_negative(self, "bias_std", "noise_std")
 

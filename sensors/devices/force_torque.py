@@ -99,7 +99,7 @@ class ForceTorque:
     """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
 
     def __post_init__(self) -> None:
-        """Refuse what no instrument can be."""
+        """Raise ValueError if a value is impossible."""
         require_whole(self, "sensors")
         require_positive(self, "full_scale_force", "full_scale_torque")
         require_not_negative(

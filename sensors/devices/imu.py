@@ -11,6 +11,9 @@ from surefoot.sensors.configuration import require, require_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal
 
+NO_STEP = 2.0**-60
+"""Step of a sensor that does not round beside one that does: far below the resolution of any float."""
+
 
 @dataclass(frozen=True)
 class Imu:
@@ -66,7 +69,7 @@ class Imu:
     it, and so stands for the middle of that time; ``False`` takes the value of the instant."""
 
     def __post_init__(self) -> None:
-        """Refuse negative values."""
+        """Raise ValueError if a value is impossible."""
         numbers = [name for name in self.__dataclass_fields__ if name != "averaged"]
         require_not_negative(self, *numbers)
         require(isinstance(self.averaged, bool), self, "averaged", "be True or False")
@@ -91,9 +94,9 @@ def _pair(accelerometer: float, gyroscope: float) -> np.ndarray[Any, np.dtype[np
 
 
 def imu(config: Imu) -> Corruption[ImuState]:
-    """Build an IMU: its axes are a little off, its bias wanders, each sample is noisy, clipped and rounded.
+    """Build an IMU: axes a little off, a drifting bias, and samples that are noisy, clipped and rounded.
 
-    Small angles: an axis tilted by e reads 1 of its own component and e of the other's.
+    Angles are small: an axis tilted by e reads its own component in full and the share e of another.
 
     Readings are specific force in m/s^2 and angular velocity in rad/s, shape (..., 6).
     """
@@ -106,11 +109,10 @@ def imu(config: Imu) -> Corruption[ImuState]:
     bias_std = Table(_pair(config.accelerometer_bias_std, config.gyroscope_bias_std))
     resolution = _pair(config.accelerometer_resolution, config.gyroscope_resolution)
     rounds = bool(resolution.any())
-    # Where nothing is rounded, a step far below the resolution of any float stands in.
-    step = Table(np.where(resolution > 0.0, resolution, 2.0**-60))
-    span = _pair(config.accelerometer_range, config.gyroscope_range)
-    clips = bool(span.any())
-    highest = Table(np.where(span > 0.0, span, 1e30))
+    step = Table(np.where(resolution > 0.0, resolution, NO_STEP))
+    most = _pair(config.accelerometer_range, config.gyroscope_range)
+    clips = bool(most.any())
+    highest = Table(np.where(most > 0.0, most, np.inf))
     scales = np.array([config.accelerometer_scale_std, config.gyroscope_scale_std])[:, None, None]
     axes = np.eye(3)
     spread = scales * axes + config.misalignment_std * (1.0 - axes)
@@ -135,8 +137,8 @@ def imu(config: Imu) -> Corruption[ImuState]:
             felt = xp.reshape(xp.sum(matrix * components, axis=-1), reading.shape)
         measured = felt + bias + drawn[..., 1, :]
         if clips:
-            most = highest.like(reading)
-            measured = limit(measured, -most, most)
+            ends = highest.like(reading)
+            measured = limit(measured, -ends, ends)
         if rounds:
             unit = step.like(reading)
             measured = round_off(measured / unit) * unit

@@ -35,7 +35,7 @@ class LoadCells:
     are in newtons then, without rounding or clipping."""
 
     coding: str = "offset-binary"
-    """``"offset-binary"`` (no load reads about 2^23, as drivers that flip the top bit hand out) or
+    """``"offset-binary"`` (no load reads about 2^23: drivers that flip the top bit) or
     ``"two's complement"`` (about 0, as the chip puts out)."""
 
     polarity: tuple[int, ...] = (-1, 1, -1, 1)
@@ -49,7 +49,7 @@ class LoadCells:
     ``None`` converts at the instant the host reads."""
 
     initial_scale_std: float = 0.12
-    """Standard deviation of the relative error of a scale at power-up; 0.12 was never calibrated."""
+    """Standard deviation of the relative error of a scale at power-up; 0.12 for cells never calibrated."""
 
     initial_offset_std: float = 1.5
     """Standard deviation of an offset at power-up in N."""
@@ -80,13 +80,13 @@ class LoadCells:
     1.5 conversions later than 1 does."""
 
     mechanics: Mechanics = IDEAL
-    """What happens to a load before the bridge: bends, lag, creep, jumps of the offset."""
+    """What happens to a load before the bridge: nonlinearity, hysteresis, creep, jumps of the offset."""
 
     wire: Wire = DIRECT
     """What happens to a code on its way to the host: spikes, wrong words, repeats, losses, delay."""
 
     def __post_init__(self) -> None:
-        """Refuse what no instrument can be."""
+        """Raise ValueError if a value is impossible."""
         require(
             isinstance(self.channels, int) and self.channels > 0,
             self,
@@ -153,7 +153,7 @@ class LoadCells:
 
     @property
     def warms(self) -> bool:
-        """Whether temperature matters: the cells warm up and care."""
+        """Whether temperature matters: the cells warm up, and an error depends on it."""
         return self.temperature_ramp > 0.0 and (self.scale_tempco > 0.0 or self.offset_tempco > 0.0)
 
     @property
@@ -204,8 +204,9 @@ class LoadCells:
     def nominal_age(self) -> float:
         """Mean age in s of a reading when the host takes it, by the data sheet.
 
-        It is half a conversion, half of those that a filter averages before it, and the way to the host. Of
-        cells that convert when they are read the filter's part is the host's to know.
+        It is half a conversion, half of those that a filter averages before it, and the delay of the wire.
+        For cells that convert when they are read (``rate`` None) the filter's part is not in it: it depends
+        on how often the host reads.
         """
         sampled = 0.0 if self.rate is None else self.settling / (self.rate[0] + self.rate[1])
         return sampled + self.wire.delay

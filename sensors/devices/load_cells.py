@@ -91,7 +91,7 @@ _OWN = ("period", "due", "previous", "held", "error", "thermal")
 def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     """Build load cells from the single stages: the definition that :func:`load_cells` is tested against.
 
-    With a clock the reading is a block of substeps (see :mod:`~surefoot.sensors.stages.clock`).
+    With a clock the reading is a block of substeps (:mod:`~surefoot.sensors.stages.clock`).
     """
     element = [mechanics(config.mechanics, config.capacity)] if config.mechanics.acts else []
     bridge: list[Corruption[Any]] = [
@@ -123,11 +123,11 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     true loads in N at the ends of S equal substeps that fill dt, shape (..., S, K), and returns counts,
     shape (..., K).
 
-    The spring elements are stepped once a block, at the load of its last conversion; one that a chip
-    finishes without the host looking leaves no trace in them.
+    The spring elements are stepped once a block, at the load of its last conversion; the conversions before
+    it, which the host never reads, leave no trace in them.
 
-    Of cells that remember loads (``mechanics``, ``settling``) a conversion of one that is not finite reads
-    NaN and leaves no trace; the next block goes on from the last finite load.
+    In cells that remember loads (``mechanics``, ``settling``), the conversion of a load that is not finite
+    reads NaN and leaves no trace; the next block goes on from the last finite load.
 
     Args:
         config: The instrument.
@@ -182,7 +182,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             finished = number >= 0.0
             position = at * (block.shape[-2] / dt)
             if remembers:
-                # A chip that finishes no conversion goes on from what its cell feels.
+                # A chip that finishes no conversion: its cell feels the load at the block's start.
                 position = limit(position, 0.0, float("inf"))
             load = interpolate(block, previous, position)
             if remembers:

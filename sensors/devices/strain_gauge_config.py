@@ -55,8 +55,8 @@ class StrainGauges:
     """Largest torque about each axis in N m: what cross-talk and hysteresis are shares of."""
 
     scale_error_std: float = 0.2
-    """How far each axis's scale has wandered off since the matrix was made: standard deviation of its
-    logarithm. Factory scales of one iCub's foot were off by 11 to 19 %."""
+    """How far each axis's scale has changed since the matrix was made: standard deviation of its logarithm.
+    The scales of one iCub's foot were off by 11 to 19 %."""
 
     cross_talk_std: float = 0.03
     """Standard deviation of what one axis has come to feel of another, in shares of the full scales. With a
@@ -65,8 +65,8 @@ class StrainGauges:
     iCub's leg showed 1.7 to 1.9 (in-situ paper, Table I: 77, 44 and 40 N with no mass added)."""
 
     offset_force: float = 290.0
-    """Zeros of the gauges at power-up lie uniformly within what the maker's matrix shows as this force in N
-    on each axis (up to 290 N were seen in the legs of an iCub) ..."""
+    """Offsets of the gauges at power-up lie uniformly within what the maker's matrix shows as this force in
+    N on each axis (up to 290 N were seen in the legs of an iCub) ..."""
 
     offset_torque: float = 1.0
     """... and this torque in N m, for which nobody has published a figure. With a leg of 4.9 kg and 0.7 kg at
@@ -129,7 +129,7 @@ class StrainGauges:
     """Where the warming levels off in K, exponentially; 0 for a ramp that goes on."""
 
     def __post_init__(self) -> None:
-        """Refuse what no instrument can be."""
+        """Raise ValueError if a value is impossible."""
         require_positive(self, "full_scale_force", "full_scale_torque")
         require_positive(self, "hysteresis_true_force", "hysteresis_true_torque")
         self._check_matrix()

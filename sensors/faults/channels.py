@@ -1,8 +1,8 @@
 """Faults of single channels: what wires, chips and bridges do when they break.
 
 A fault acts on the counts that a host reads, from its start to its stop, and leaves everything before and
-after as it was. Faults are applied in the order in which they are given: a swapped pair of which one is dead
-is another thing than a dead channel that is then swapped.
+after as it was. Faults are applied in the order in which they are given: to swap a dead channel is not the
+same as to kill a swapped one.
 
 | Kind | What the host reads | Parameters |
 |------|---------------------|------------|
@@ -33,8 +33,12 @@ KINDS = ("dead", "stuck", "saturated", "spiking", "dropped", "swapped", "flipped
 """What can go wrong with a channel."""
 
 
+ROUNDING = 1e-6
+"""Time in s by which a fault comes early: sums of time steps are a little below or above the true time."""
+
+
 class Converter(Protocol):
-    """What faults have to know of an instrument: :class:`~surefoot.sensors.LoadCells`, for instance."""
+    """What faults need of an instrument, such as :class:`~surefoot.sensors.LoadCells`."""
 
     @property
     def slope(self) -> NDArray[np.float64]:
@@ -85,7 +89,7 @@ class Fault:
     """Swapped: number of the other channel, from 0."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot happen."""
+        """Raise ValueError if a value is impossible."""
         require(self.kind in KINDS, self, "kind", f"be one of {KINDS}")
         require(is_whole(self.channel) and self.channel >= 0, self, "channel", "be a whole number from 0")
         require_not_negative(self, "start", "burst")
@@ -121,14 +125,14 @@ class FaultState(NamedTuple):
 
 
 def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[FaultState]:
-    """Let channels fail while their counts stream by.
+    """Build faults of single channels, for a stream of counts.
 
     ``init(shape, rng)`` takes the shape of the readings, (..., K), and starts the clock at 0 s: the first
     reading is that of the time ``dt``. Whether a fault is active or not, it draws the same random numbers.
 
     Args:
         faults: The faults, in the order in which they act.
-        config: The instrument, which knows what a newton is in counts.
+        config: The instrument: how many counts a newton is, and where they end.
 
     Raises:
         ValueError: If a fault names a channel that the instrument lacks, or a rail that it has not.
@@ -136,7 +140,7 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
     faults = tuple(faults)
     slope = np.asarray(config.slope, dtype=np.float64)
     channels = len(slope)
-    zeros = np.broadcast_to(np.asarray(config.zero_code, dtype=np.float64), (channels,))
+    unloaded = np.broadcast_to(np.asarray(config.zero_code, dtype=np.float64), (channels,))
     low, high = (np.broadcast_to(np.asarray(end, dtype=np.float64), (channels,)) for end in config.code_range)
     _check(faults, channels, low, high)
     rounds = bool(np.isfinite(low).all())
@@ -157,24 +161,23 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
         xp = array_namespace(reading)
         time = state.time + dt
         now, counts = time[..., 0], reading + 0.0
-        held, lost = (cast_like(part, reading) for part in state[1:])
+        held, lost = cast_like(state.held, reading), cast_like(state.lost, reading)
         drawn = uniform(rng, 0.0, 1.0, (len(chance), 2, *counts.shape[:-1]), reading.dtype) if chance else ()
         draws = dict(zip(chance, drawn, strict=True))
         held_next, lost_next = [], []
         for index, fault in enumerate(faults):
-            # Sums of time steps come out a little early or late.
-            active = now >= fault.start - 1e-6
+            active = now >= fault.start - ROUNDING
             if fault.stop is not None:
-                active = active & (now < fault.stop - 1e-6)
+                active = active & (now < fault.stop - ROUNDING)
             code, kept, gap = counts[..., fault.channel], held[..., index], lost[..., index]
             kept = xp.where((active & ~xp.isnan(kept)) | xp.isnan(code), kept, code)
             held_next.append(kept)
-            k, zero = float(slope[fault.channel]), float(zeros[fault.channel])
+            k, no_load = float(slope[fault.channel]), float(unloaded[fault.channel])
             ends = float(low[fault.channel]), float(high[fault.channel])
             wrong = code
             match fault.kind:
                 case "dead":
-                    wrong = code * 0.0 + zero
+                    wrong = code * 0.0 + no_load
                     wrong = xp.where(xp.isnan(code), code, wrong)
                 case "stuck":
                     wrong = kept
@@ -183,7 +186,7 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
                     if fault.level is None:
                         wrong = xp.where(xp.isnan(code), code, code * 0.0 + rail)
                     else:
-                        edge = zero + k * fault.level
+                        edge = no_load + k * fault.level
                         edge = float(np.rint(edge)) if rounds else edge
                         wrong = limit(code, -np.inf, edge) if k > 0.0 else limit(code, edge, np.inf)
                 case "spiking":
@@ -195,7 +198,7 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
                     gap = _gap(xp, fault, gap, draws[index][0], dt)
                     wrong = xp.where(gap > 0.5, code * 0.0 + float("nan"), code)
                 case "flipped":
-                    wrong = limit(2.0 * zero - code, *ends)
+                    wrong = limit(2.0 * no_load - code, *ends)
                 case "swapped":
                     counts = _swapped(xp, counts, fault, active)
             lost_next.append(xp.where(active, gap, gap * 0.0))
@@ -216,7 +219,7 @@ def apply_faults(
     config: Converter,
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Let channels fail in a log.
+    """Return a log as the host would have read it with faults.
 
     Args:
         counts: Readings in counts, shape (N, K); they are not changed.
@@ -226,7 +229,7 @@ def apply_faults(
         rng: Where chance comes from.
 
     Returns:
-        What the host would have read, shape (N, K).
+        Counts, shape (N, K).
 
     Raises:
         ValueError: If a shape is wrong, time does not increase, or a fault cannot happen to this instrument.
@@ -259,7 +262,7 @@ def apply_faults(
 
 
 def _gap(xp: Any, fault: Fault, gap: Array, drawn: Array, dt: float) -> Array:
-    """Step a two-state chain: in a gap, or not."""
+    """Return whether a reading is in a gap, by one step of a chain with two states."""
     if fault.burst == 0.0 or fault.probability == 1.0:
         return cast_like(drawn < fault.probability, gap)
     leave = 1.0 - np.exp(-dt / fault.burst)
@@ -268,6 +271,7 @@ def _gap(xp: Any, fault: Fault, gap: Array, drawn: Array, dt: float) -> Array:
 
 
 def _swapped(xp: Any, counts: Array, fault: Fault, active: Array) -> Array:
+    """Return counts with two channels exchanged where the fault is active."""
     order = list(range(counts.shape[-1]))
     assert fault.other is not None
     order[fault.channel], order[fault.other] = fault.other, fault.channel
@@ -278,6 +282,7 @@ def _swapped(xp: Any, counts: Array, fault: Fault, active: Array) -> Array:
 def _check(
     faults: tuple[Fault, ...], channels: int, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> None:
+    """Raise ValueError if a fault names a channel or a rail that the instrument lacks."""
     for fault in faults:
         for name in ("channel", "other"):
             number = getattr(fault, name)

@@ -40,17 +40,17 @@ _FIELDS = {"saturated": ("level",), "spiking": ("rate", "size"), "dropped": ("pr
 
 
 def cell_names(feet: Sequence[str] = FEET, cells: Sequence[str] = CELLS) -> list[str]:
-    """List what the channels are called, in their order: left/front-left and so on."""
+    """Return the names of the channels in their order: left/front-left and so on."""
     return [f"{foot}/{cell}" for foot in feet for cell in cells]
 
 
 def parse_fault(text: str, feet: Sequence[str] = FEET, cells: Sequence[str] = CELLS) -> Fault:
-    """Read one fault from words.
+    """Return the fault that a line of words describes.
 
     Args:
         text: A line as in :mod:`surefoot.sensors.faults.words`.
-        feet: What the feet are called, in the order of the channels.
-        cells: What the cells of a foot are called, in the order of the channels.
+        feet: Names of the feet, in the order of the channels.
+        cells: Names of the cells of a foot, in the order of the channels.
 
     Raises:
         ValueError: If the line is not of that form, or names a cell that is not there; the message lists

@@ -1,7 +1,7 @@
 """Converters with clocks of their own, read by a host at its own rate.
 
-Each chip's oscillator is off by some percent and starts when it likes. The host sees the last finished
-conversion: at times the same one twice, at times one is lost, and every reading is up to a period old.
+Each chip's oscillator is off by some percent and starts at a random phase. The host reads the last finished
+conversion: sometimes the same one twice, sometimes one is skipped, and every reading is up to a period old.
 """
 
 from functools import cache
@@ -50,7 +50,7 @@ def init_clock(
 
 
 def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Find the last conversion of each chip in a block of length dt.
+    """Return the last conversion of each chip in a block of length dt.
 
     Returns:
         How many conversions follow the first one in the block, -1 where there is none; the time of the last
@@ -63,13 +63,13 @@ def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Arra
 
 
 def interpolate(block: Array, previous: Array, position: Array) -> Array:
-    """Read a block of substeps between its rows, linearly.
+    """Return a signal between the substeps of a block, by linear interpolation.
 
     Args:
         block: Signals at the ends of S substeps, shape (..., S, K).
         previous: Signals at the block's start, shape (..., K).
-        position: Where to read, from 0 (the start) to S (the last row), shape (..., K); beyond, the result is
-            of no use.
+        position: Where to read, from 0 (the start) to S (the last row), shape (..., K); outside of it the
+            result has no meaning.
 
     Returns:
         Signals, shape (..., K).
@@ -100,7 +100,7 @@ def _channel_numbers(channels: int) -> NDArray[np.intp]:
 
 
 def settle(window: Array, signal: Array, number: Array, finished: Array, most: int) -> tuple[Array, Array]:
-    """Average the last conversions of chips, of which a block brings any number.
+    """Return the mean of the last conversions of chips; a block has any number of new ones.
 
     Of several conversions in one block only the last one's signal is known; the others are taken on the
     straight line from the last one before the block. A signal that is not finite makes its own mean NaN; in
@@ -111,7 +111,7 @@ def settle(window: Array, signal: Array, number: Array, finished: Array, most: i
             how far each before it lies above it, zero before the first.
         signal: The signal at the last conversion of the block, shape (..., K).
         number: How many follow the first one in the block, -1 where there is none, shape (..., K).
-        finished: Whether there is one, ``number >= 0``, which most callers need as well, shape (..., K).
+        finished: Whether there is one, ``number >= 0``, shape (..., K).
         most: Largest number of conversions that a block of this length can have.
 
     Returns:
@@ -138,7 +138,7 @@ def settle(window: Array, signal: Array, number: Array, finished: Array, most: i
 
 
 def most_conversions(rate: tuple[float, float], dt: float) -> int:
-    """Count the conversions that the fastest chip can finish in a block of length dt."""
+    """Return how many conversions the fastest chip can finish in a block of length dt."""
     return int(rate[1] * dt) + 1
 
 
@@ -208,6 +208,6 @@ def sample_and_hold(
 
 
 def check_rate(rate: tuple[float, float]) -> None:
-    """Refuse rates that are not positive, finite and in order."""
+    """Raise ValueError if rates are not positive, finite and in order."""
     if len(rate) != 2 or not 0.0 < rate[0] <= rate[1] < float("inf"):
         raise ValueError(f"'rate' must be (lowest, highest) with 0 < lowest <= highest in 1/s, got {rate}.")

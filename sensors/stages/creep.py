@@ -20,7 +20,7 @@ from surefoot.sensors.randomness import filled
 
 
 class CreepState(NamedTuple):
-    """What a spring element still has to yield.
+    """How far a spring element has yielded.
 
     Attributes:
         yielded: The loads that each exponential has followed so far, in the unit of the readings, shape
@@ -31,7 +31,7 @@ class CreepState(NamedTuple):
 
 
 def check_creep(config: Any) -> None:
-    """Make tuples of numbers of a configuration's ``creep_shares`` and ``creep_time_constants`` (s).
+    """Check a configuration's ``creep_shares`` and ``creep_time_constants`` (s), and make tuples of them.
 
     Raises:
         ValueError: If there are not as many of both, a share is not finite or a time constant not positive.
@@ -49,9 +49,9 @@ def check_creep(config: Any) -> None:
 
 
 def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruption[CreepState]:
-    """Let readings creep after the load, up or down.
+    """Add creep: readings go on changing under a constant load.
 
-    A reading counts as the load since the reading before; one that is not finite leaves no trace.
+    The load is taken to have been constant since the reading before; one that is not finite leaves no trace.
 
     Args:
         shares: How much each exponential adds in the end, in shares of the load; negative ones creep back.

@@ -1,11 +1,11 @@
-r"""Hysteresis: what a spring element reads depends on which way the load came.
+r"""Hysteresis: what a spring element reads depends on whether the load rose or fell.
 
 The Prandtl-Ishlinskii operator is a sum of play operators, each a slack of half-width :math:`r_i` that lags
 behind the load :math:`x`,
 
 .. math:: p_i \leftarrow \max(x - r_i, \min(x + r_i, p_i)), \qquad y = (1 - \kappa) x + \sum_i w_i p_i.
 
-It does not know how fast the load came, and a larger swing wipes out the memory of all smaller ones.
+It does not depend on how fast the load changes, and a larger swing erases the memory of all smaller ones.
 
 A cycle of amplitude :math:`a` about any mean opens the play :math:`i` by :math:`2 r_i` at mid-load where
 :math:`a \ge 2 r_i`, by :math:`2 (a - r_i)` where :math:`r_i < a < 2 r_i`, and not at all beneath. With
@@ -45,7 +45,7 @@ class HysteresisState(NamedTuple):
 def hysteresis(
     share: float, full_scale: ArrayLike, *, smallest: float = 1e-4, true_at: ArrayLike = 1.0
 ) -> Corruption[HysteresisState]:
-    """Let readings lag behind the load by a share of its swing, however large the swing and however slow.
+    """Add hysteresis: loops as wide as a share of the load's swing, at any size and speed of the swing.
 
     Cycles larger than the full scale, which no instrument should see, keep the width of the full scale's. A
     reading that is not finite leaves no trace.

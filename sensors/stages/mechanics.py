@@ -19,6 +19,9 @@ from surefoot.sensors.stages.mounting import WARP, mounting
 from surefoot.sensors.stages.nonlinearity import drawn_nonlinearity
 from surefoot.sensors.stages.overload import overload
 
+CELLS_OF_A_FOOT = len(WARP)
+"""Mounting acts on whole feet of this many cells."""
+
 SMALLEST_LOOP = 2.0**-7
 """Share of the capacity down to which loops of hysteresis are resolved: 0.8 N of 98.1 N."""
 
@@ -45,8 +48,8 @@ class Mechanics:
 
     mounting_warp_std: float = 0.0
     """Standard deviation of what an impact adds to each offset along the warp (+, -, -, +) of a foot of four
-    cells in N. Zeros of force plates were seen off by 2.5 and 6 N along it; what one impact does nobody has
-    published."""
+    cells in N. Offsets of force plates were seen to change by 2.5 and 6 N along it; nobody has published
+    what one impact does."""
 
     mounting_common_std: float = 0.0
     """Standard deviation of what an impact adds to all offsets of a foot alike in N."""
@@ -55,14 +58,14 @@ class Mechanics:
     """Change of a foot's load from one reading to the next beyond which there is an impact, in N."""
 
     overload_share: float = 0.0
-    """Share of a load's excess over the safe overload by which the offset stays off for good. Data sheets do
-    not give it."""
+    """Share of a load's excess over the safe overload that stays in the offset for good. Data sheets do not
+    give it."""
 
     safe_overload: float = 1.5
     """Largest load that leaves no trace in shares of the capacity; 1.5 by most data sheets."""
 
     def __post_init__(self) -> None:
-        """Refuse what no spring element can be."""
+        """Raise ValueError if a value is impossible."""
         require_not_negative(
             self,
             "nonlinearity",
@@ -91,18 +94,18 @@ class Mechanics:
 
 
 IDEAL = Mechanics()
-"""Spring elements that hand the load on as it is."""
+"""Spring elements that leave the load as it is."""
 
 
 class MechanicsState(NamedTuple):
     """Spring elements in use; ``()`` for every part that is off.
 
     Attributes:
-        nonlinearity: A :class:`~surefoot.sensors.stages.nonlinearity.NonlinearityState`.
-        hysteresis: A :class:`~surefoot.sensors.stages.hysteresis.HysteresisState`.
-        creep: A :class:`~surefoot.sensors.stages.creep.CreepState`.
-        mounting: A :class:`~surefoot.sensors.stages.mounting.MountingState`.
-        overload: An :class:`~surefoot.sensors.stages.overload.OverloadState`.
+        nonlinearity: A ``NonlinearityState``.
+        hysteresis: A ``HysteresisState``.
+        creep: A ``CreepState``.
+        mounting: A ``MountingState``.
+        overload: An ``OverloadState``.
     """
 
     nonlinearity: Any
@@ -167,12 +170,8 @@ def shifted_offset(config: Mechanics, state: MechanicsState) -> Array:
 
 
 def bent(state: MechanicsState, load: Array, capacity: float) -> Array:
-    """Bend loads at rest as their cells do, without lag, creep or jumps; both in N, shape (..., K)."""
+    """Return what cells at rest make of loads by their nonlinearity alone; both in N, shape (..., K)."""
     if not state.nonlinearity:
         return load
     u = (load / capacity).clip(-1.0, 1.0)
     return load + 4.0 * capacity * state.nonlinearity.quadratic * u * (1.0 - u)
-
-
-CELLS_OF_A_FOOT = len(WARP)
-"""Mounting acts on whole feet of as many cells."""

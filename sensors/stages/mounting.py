@@ -1,15 +1,15 @@
-r"""What impacts do to a foot's offsets: bolts and plates settle anew, and the cells brace each other.
+r"""What impacts do to a foot's offsets: bolts and plates settle, and the cells press against each other.
 
-A rigid sole on four cells is one support too many: they can press against each other in the one mode that
-neither the foot's load nor its moments show, (+, -, +, -) around the corners, which is **(+, -, -, +) in
-the order front-left, front-right, rear-left, rear-right**. At an impact the offset of the cell :math:`i` goes
-on by
+A rigid sole on four cells has one support too many: the cells can press against each other in the one mode
+that changes neither the foot's load nor its moments, (+, -, +, -) around the corners, which is **(+, -, -, +)
+in the order front-left, front-right, rear-left, rear-right**. An impact changes the offset of the cell
+:math:`i` by
 
 .. math:: \Delta z_i = w_i\, \sigma_w \xi_w + \sigma_c \xi_c, \qquad \xi \sim N(0, 1),
 
-the same two numbers for the whole foot, and stays there. A force plate was seen to keep (2.55, -2.52, 2.58,
--2.60) N and another (-5.0, 6.3, -5.7, 6.3) N after it was unloaded (recordings of Kistler plates in the
-files of ezc3d); how far one impact of a robot's foot goes nobody has published: choose it within these.
+with the same two random numbers for the whole foot, for good. A force plate was seen to keep (2.55, -2.52,
+2.58, -2.60) N and another (-5.0, 6.3, -5.7, 6.3) N after it was unloaded (recordings of Kistler plates in the
+files of ezc3d). Nobody has published what one impact of a robot's foot does: choose it within these.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ WARP = (1, -1, -1, 1)
 
 
 class MountingState(NamedTuple):
-    """How F feet of C cells sit.
+    """The mounting of F feet of C cells.
 
     Attributes:
         offset: What impacts have done to each offset, in the unit of the readings, shape (..., F * C).
@@ -42,7 +42,7 @@ class MountingState(NamedTuple):
 def mounting(
     threshold: float, warp_std: float, common_std: float = 0.0, *, warp: Sequence[int] = WARP
 ) -> Corruption[MountingState]:
-    """Let the offsets of a foot jump at impacts, touch-down as well as lift-off.
+    """Change the offsets of a foot at impacts, touch-down as well as lift-off.
 
     An impact begins where the foot's load, the sum of its channels, changes by more than the threshold from
     one reading to the next, and lasts as long as it does: one jump each, however many readings that takes.

@@ -5,8 +5,8 @@ cascade of :math:`m` means over :math:`n` readings each, a sinc filter of order 
 
 .. math:: |H(f)| = \left| \frac{\sin(\pi f n T)}{n \sin(\pi f T)} \right|^m .
 
-Its gain at rest is one, its zeros lie at the multiples of :math:`1 / (n T)`, every frequency is late by the
-same group delay :math:`m (n - 1) T / 2`, and a step has settled after :math:`m (n - 1) + 1` readings
+Its response at rest is one and vanishes at the multiples of :math:`1 / (n T)`. Every frequency has the same
+group delay :math:`m (n - 1) T / 2`, and a step has settled after :math:`m (n - 1) + 1` readings
 (Hogenauer, 1981, of which this is the impulse response). An HX711 settles in four conversions by its data
 sheet, 50 ms at 80 SPS, as :math:`n = 4` does at its conversion rate and :math:`m (n - 1) \approx 4 T_c / T`
 on substeps of the length :math:`T` of a conversion's :math:`T_c`.
@@ -92,7 +92,7 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
 
 
 def _filled_up(xp: Any, block: Array, came: Array, before: Array) -> Array:
-    """Put the reading before, or at the start the one after, in the place of each one that did not come."""
+    """Replace each reading that did not come by the one before it, or at the start by the one after it."""
     rows = []
     for row, here in zip(block, came, strict=True):
         before = xp.where(here, row, before)

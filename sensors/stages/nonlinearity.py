@@ -1,4 +1,4 @@
-r"""Nonlinearity: a reading that is right without a load and at the full scale, and bends in between.
+r"""Nonlinearity: a reading that is right without a load and at the full scale, and off in between.
 
 With the load in shares of the full scale, :math:`u = x / x_{FS}`, the reading is a polynomial through zero
 and the full scale, the two ends that a terminal-based straight line joins (ISA-51.1),
@@ -27,7 +27,7 @@ CUBIC_PEAK = 1.5 * 3.0**0.5
 
 
 def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) -> Corruption[tuple[()]]:
-    """Bend the characteristic of a channel between its ends.
+    """Add a quadratic and a cubic error that vanish without a load and at the full scale.
 
     Loads beyond the full scale keep the error that they have there.
 
@@ -69,7 +69,7 @@ def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) 
 
 
 class NonlinearityState(NamedTuple):
-    """How channels bend.
+    """Nonlinearity of the channels.
 
     Attributes:
         quadratic: Departure at half of the full scale in shares of it, shape (..., K); constant from
@@ -80,7 +80,7 @@ class NonlinearityState(NamedTuple):
 
 
 def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
-    """Bend each channel by a quadratic term of its own, drawn at power-up.
+    """Add a quadratic error that each channel draws for itself at power-up.
 
     Args:
         most: Largest departure in shares of the full scale, as a data sheet gives it: terms are drawn

@@ -1,14 +1,14 @@
-r"""Overload: a spring element that was bent too far does not come all the way back.
+r"""Overload: a spring element that was loaded too far keeps part of its deformation.
 
 Up to its safe overload, 150 % of the rated load for most cells (ring cells FRB, for instance; beyond 200 %
-they break), a cell keeps its offset. What goes beyond is partly set: with the largest excesses so far to
-either side, :math:`e_+ = \max(x - x_s, 0)` and :math:`e_- = \min(x + x_s, 0)`, the offset lies at
+they break), a cell keeps its offset. Of the largest excesses so far to either side,
+:math:`e_+ = \max(x - x_s, 0)` and :math:`e_- = \min(x + x_s, 0)`, a share stays in the offset,
 
 .. math:: z = s\, (e_+ + e_-)
 
-with the share :math:`s`, as an elastic-plastic element with linear hardening does, each side on its own. A
-second overload as large as the first changes nothing. Data sheets say where the safe range ends, not what
-happens beyond: the share is the user's to choose.
+with the share :math:`s`. This is how an elastic-plastic element with linear hardening behaves, each side on
+its own. A second overload as large as the first changes nothing. Data sheets give the end of the safe range,
+not what happens beyond: choose the share yourself.
 """
 
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ from surefoot.sensors.randomness import filled
 
 
 class OverloadState(NamedTuple):
-    """How far spring elements were bent.
+    """How far spring elements were loaded beyond what is safe.
 
     Attributes:
         excess: Largest excess so far of pressing (positive) and of pulling (negative) loads over the safe
@@ -68,7 +68,7 @@ def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
         xp = namespace(reading)
         excesses = cast_like(state.excess, reading)
         highest, lowest = excesses[0, ...], excesses[1, ...]
-        # Overloads are rare: where it costs nothing to look whether there is one, the rest is spared.
+        # Overloads are rare: on the host, where a look costs nothing, skip the rest if there is none.
         if on_host(reading) and xp.max(xp.abs(reading)) <= smallest:
             return reading + share * (highest + lowest), OverloadState(excesses)
         most = table.like(reading)

@@ -1,9 +1,9 @@
-r"""What temperature does to a strain-gauge bridge: offset and span move with it.
+r"""What temperature does to a strain-gauge bridge: its offset and its scale change.
 
 A device warms up after it was switched on, along a ramp :math:`T = r t` or, as one with a heat loss does,
-levelling off, :math:`T = T_\infty (1 - e^{-r t / T_\infty})`. Its errors, besides walking at random, follow
-:math:`\alpha T` with a coefficient :math:`\alpha` of each channel's own. All of it is a sum of increments, so
-that the errors of the moment are in one place.
+levelling off, :math:`T = T_\infty (1 - e^{-r t / T_\infty})`. Its errors, besides drifting at random, follow
+:math:`\alpha T` with a coefficient :math:`\alpha` for each channel. All changes are added up in one state,
+the error at this moment.
 """
 
 from math import exp
@@ -16,7 +16,7 @@ from surefoot.sensors.randomness import filled, normal
 
 
 class ThermalState(NamedTuple):
-    """A channel that wanders and warms up.
+    """A channel that drifts and warms up.
 
     Attributes:
         error: Its error now, shape (..., K).
@@ -30,10 +30,10 @@ class ThermalState(NamedTuple):
 
 
 def warmed(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
-    """Warm up for a while.
+    """Return the rise of a device's temperature since power-up in K, after it has warmed for a while more.
 
     Args:
-        temperature: Rise since power-up in K.
+        temperature: The rise before in K.
         ramp: Rate at power-up in K/s.
         rise: Where the rise levels off in K; 0 for a ramp that goes on.
         dt: How long in s.
@@ -52,7 +52,7 @@ def thermal_drift(
     rise: float = 0.0,
     relative: bool = False,
 ) -> Corruption[ThermalState]:
-    """Let an offset or a scale start anywhere, wander, and follow the temperature.
+    """Add an offset, or multiply by a scale, that starts anywhere, drifts, and follows the temperature.
 
     Args:
         initial_std: Standard deviation of the error at power-up, in the unit of the readings (relative: 1).

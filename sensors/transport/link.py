@@ -1,8 +1,8 @@
 """A link that brings readings late: by a mean delay, with jitter, but in the order in which they left.
 
 Two faces of one model. :func:`latency` is a stage like any other: it holds the newest reading that has
-arrived, for any batch of robots. :func:`send` and :func:`receive` hand over every packet with the time
-at which it came, for one robot whose host needs them all.
+arrived, for any batch of robots. :func:`send` and :func:`receive` deliver every packet with the time of its
+arrival, for one robot whose host needs them all.
 """
 
 from dataclasses import dataclass
@@ -17,10 +17,14 @@ from surefoot.sensors.configuration import require, require_not_negative, requir
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import filled, normal
 
+ROUNDING = 1e-9
+"""Time in s by which a packet may be late and still count: one that arrives with the host's own step must not
+miss it by rounding."""
+
 
 @dataclass(frozen=True)
 class Link:
-    """The way of a robot's own telemetry to the host; the defaults are the CoP paper's wireless NAOqi."""
+    """The link of a robot's own telemetry to the host; the defaults are the CoP paper's wireless NAOqi."""
 
     rate: float | None = 100.0
     """Packets per second. ``None`` sends one just before the host reads."""
@@ -32,7 +36,7 @@ class Link:
     """Standard deviation of the delay in s. A packet never overtakes the one before it."""
 
     def __post_init__(self) -> None:
-        """Refuse what no link can be."""
+        """Raise ValueError if a value is impossible."""
         if self.rate is not None:
             require_positive(self, "rate")
         require_not_negative(self, "delay", "jitter")
@@ -79,7 +83,7 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
         waiting = cast_like(state.due, reading) - dt
         due = xp.maximum(limit(drawn, 0.0, float("inf")), waiting[-1, ...])
         due = xp.concat([waiting[1:, ...], due[None, ...]])
-        # Readings come in order. When none has, the last that came has left the queue: it stands first.
+        # Readings come in order, so their number is the row. Row 0, for none, is the last that came before.
         arrived = xp.reshape(xp.sum(due <= 0.0, axis=0, dtype=xp.int64), (-1,))
         robots = arrived.shape[0]
         last, under_way = cast_like(state.held, reading), cast_like(state.readings, reading)
@@ -96,9 +100,9 @@ class Packet(NamedTuple):
     """One packet of telemetry.
 
     Attributes:
-        number: Counts the packets since power-up; the robot's own clock, in packets.
+        number: Number of the packet since power-up: the robot's own clock.
         arrival: When the host has it, in s of the host's clock.
-        values: What it brings, shape (C,).
+        values: Content, shape (C,).
     """
 
     number: int
@@ -113,10 +117,10 @@ Packets = tuple[Packet, ...]
 def send(
     values: NDArray[np.float64], number: int, time: float, under_way: Packets, config: Link, rng: Rng
 ) -> Packets:
-    """Put a packet on its way.
+    """Return the packets under way after one more was sent.
 
     Args:
-        values: What it brings, shape (C,).
+        values: Content of the packet, shape (C,).
         number: Its number.
         time: When it leaves, in s of the host's clock.
         under_way: The packets before it that have not arrived.
@@ -133,11 +137,10 @@ def send(
 
 
 def receive(under_way: Packets, time: float) -> tuple[Packets, Packets]:
-    """Part the packets that have arrived by a time from those still under way.
+    """Separate the packets that have arrived by a time from those still under way.
 
     Returns:
         The arrived ones and the others, both in order.
     """
-    # A packet that leaves and arrives with the host's own tick must not miss it by rounding.
-    count = sum(packet.arrival <= time + 1e-9 for packet in under_way)
+    count = sum(packet.arrival <= time + ROUNDING for packet in under_way)
     return under_way[:count], under_way[count:]

@@ -18,12 +18,12 @@ from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats,
 from surefoot.sensors.transport.link import latency
 
 ALONE = 1e-9
-"""Mean length in s of a gap that holds one packet."""
+"""Mean length in s of a gap of a single packet: far below any time between packets."""
 
 
 @dataclass(frozen=True)
 class Wire:
-    """The way of an instrument's codes to the host; by default they all arrive, right and at once."""
+    """The wire from an instrument to the host; by default all codes arrive, right and at once."""
 
     spike_rate: float = 0.0
     """Mean number of spikes of a channel in a second in 1/s."""
@@ -57,7 +57,7 @@ class Wire:
     """How many readings can be under way: at least the delay over the time between two of them."""
 
     def __post_init__(self) -> None:
-        """Refuse what no wire can be."""
+        """Raise ValueError if a value is impossible."""
         require_not_negative(self, *(name for name in self.__dataclass_fields__ if name != "under_way"))
         require_positive(self, "gap_length")
         require_whole(self, "under_way")
@@ -90,7 +90,7 @@ class Wired(Protocol):
 
 
 def check_wire(config: Wire | Wired, dt: float) -> None:
-    """Refuse a wire that cannot hold what is under way, before the first step would.
+    """Raise ValueError if a wire cannot hold what is under way; call it before the first step.
 
     Args:
         config: The wire, or an instrument that has one.
@@ -105,7 +105,7 @@ def check_wire(config: Wire | Wired, dt: float) -> None:
     on = config if isinstance(config, Wire) else config.wire
     if on.late and on.delay >= on.under_way * dt:
         raise ValueError(
-            f"Of readings {dt:.3g} s apart that are {on.delay:.3g} s late, more are under way than "
+            f"With readings {dt:.3g} s apart and {on.delay:.3g} s late, more are under way than "
             f"Wire.under_way = {on.under_way}; give at least {int(on.delay / dt) + 2}."
         )
 
@@ -116,10 +116,10 @@ class WireState(NamedTuple):
     Attributes:
         spikes: Always ``()``.
         wrong_words: Always ``()``.
-        stale_repeats: A :class:`~surefoot.sensors.transport.errors.RepeatState`.
-        packet_loss: A :class:`~surefoot.sensors.transport.errors.GapState`.
-        gaps: Another.
-        latency: A :class:`~surefoot.sensors.transport.link.LatencyState`.
+        stale_repeats: A ``RepeatState``.
+        packet_loss: A ``GapState``.
+        gaps: A ``GapState``.
+        latency: A ``LatencyState``.
     """
 
     spikes: Any
@@ -137,7 +137,7 @@ def wire(
     bits: int,
     coding: str = "two's complement",
 ) -> Corruption[WireState]:
-    """Build the way of codes to the host; readings are counts, shape (..., K).
+    """Build the wire to the host; readings are counts, shape (..., K).
 
     Args:
         config: The wire.
@@ -148,7 +148,7 @@ def wire(
 
     Raises:
         ValueError: If words of an instrument without a converter are to be wrong; from ``apply`` if readings
-            follow each other so fast that more are under way than the wire holds (see :func:`check_wire`).
+            follow each other so fast that the wire cannot hold them (see :func:`check_wire`).
     """
     if config.wrong_words and not bits:
         raise ValueError("Wire.wrong_words must be 0 for an instrument without a converter: it has no words.")
