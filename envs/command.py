@@ -38,7 +38,7 @@ class Command(NamedTuple):
 
 
 def command_state(command: Command) -> list[float]:
-    """Tell the parts of the state that are commanded, from ``com_reference`` to ``phase``, shape (10,).
+    """Return the parts of the state that are commanded, from ``com_reference`` to ``phase``, shape (10,).
 
     Places are in the level frame of the commanded soles: its origin is midway between them, and its heading
     the mean of theirs.
@@ -60,6 +60,6 @@ def command_state(command: Command) -> list[float]:
 
 
 def turned(x: float, y: float, heading: float) -> list[float]:
-    """Turn a vector of the world about the vertical into a frame with a heading in rad."""
+    """Return a vector of the world, turned about the vertical into a frame with a heading in rad."""
     c, s = cos(heading), sin(heading)
     return [c * x + s * y, c * y - s * x]

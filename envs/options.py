@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def positive(name: str, value: float, *, or_zero: bool = False) -> float:
-    """Refuse what is not a finite and positive (or, where it may be, zero) number."""
+    """Return a number, or raise ValueError if it is not finite and positive (or zero, where it may be)."""
     number = _number(value)
     if not isfinite(number) or number < 0.0 or (number == 0.0 and not or_zero):
         rule = "zero or positive" if or_zero else "positive"
@@ -18,7 +18,7 @@ def positive(name: str, value: float, *, or_zero: bool = False) -> float:
 
 
 def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
-    """Refuse what is not (lowest, highest) with 0 <= lowest <= highest."""
+    """Return (lowest, highest), or raise ValueError unless 0 <= lowest <= highest."""
     numbers = numbers_of(value)
     if len(numbers) != 2 or not all(map(isfinite, numbers)) or not 0.0 <= numbers[0] <= numbers[1]:
         raise ValueError(
@@ -29,7 +29,7 @@ def checked_range(name: str, value: Sequence[float]) -> tuple[float, float]:
 
 
 def checked_time_constant(name: str, value: float) -> float:
-    """Refuse a time constant of the contacts that the simulation's step of 1.25 ms cannot follow."""
+    """Return a contact's time constant in s, or raise ValueError if steps of 1.25 ms cannot follow it."""
     number = _number(value)
     if not 0.005 <= number <= 0.1:
         raise ValueError(f"'{name}' must lie between 0.005 s (hard) and 0.1 s (very soft), got {value!r}.")
@@ -37,7 +37,7 @@ def checked_time_constant(name: str, value: float) -> float:
 
 
 def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
-    """Refuse what is not eight positive stiffnesses."""
+    """Return eight stiffnesses, or raise ValueError if they are not eight or not positive."""
     numbers = numbers_of(value)
     if len(numbers) != 8 or not all(isfinite(number) and number > 0.0 for number in numbers):
         raise ValueError(
@@ -48,13 +48,13 @@ def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
 
 
 def checked_action(action: Any, names: tuple[str, ...], each: str, cure: str) -> NDArray[np.float64]:
-    """Refuse what is no action, and clip what is one to -1 ... 1.
+    """Return an action, clipped to -1 ... 1.
 
     Args:
         action: What was given.
         names: What it moves.
-        each: What it says of each, for the message.
-        cure: What to do about one that is not finite.
+        each: What it has for each, for the message.
+        cure: What to do about one that is not finite, for the message.
 
     Raises:
         ValueError: If it has another shape or is not finite.
@@ -68,7 +68,7 @@ def checked_action(action: Any, names: tuple[str, ...], each: str, cure: str) ->
 
 
 def check_render_mode(mode: str | None, modes: Sequence[str]) -> None:
-    """Refuse a render mode that an environment does not have."""
+    """Raise ValueError if an environment has no such render mode."""
     if mode not in (None, *modes):
         raise ValueError(f"There is no render mode '{mode}'; choose one of {modes} or None.")
 
@@ -81,7 +81,7 @@ def _number(value: Any) -> float:
 
 
 def numbers_of(value: Any) -> tuple[float, ...]:
-    """Read a sequence of numbers: NaN for what is none, empty for what is no sequence."""
+    """Return a sequence of numbers: NaN for what is none, empty for what is no sequence."""
     try:
         return tuple(_number(number) for number in value)
     except TypeError:

@@ -16,7 +16,7 @@ Marker = tuple[Sequence[float], Sequence[float], float]
 
 
 class SceneRenderer:
-    """Gymnasium's MuJoCo renderer, opened when the first frame is wanted.
+    """Gymnasium's MuJoCo renderer, made when the first frame is wanted.
 
     Args:
         model: What to draw.
@@ -95,7 +95,7 @@ class SceneRenderer:
 
 
 def check_size(model: mujoco.MjModel, width: int, height: int) -> None:
-    """Refuse a size of frames that a model has no buffer for."""
+    """Raise ValueError if a model has no buffer for frames of this size."""
     most_wide, most_high = int(model.vis.global_.offwidth), int(model.vis.global_.offheight)
     if not (0 < width <= most_wide and 0 < height <= most_high):
         raise ValueError(
@@ -105,7 +105,7 @@ def check_size(model: mujoco.MjModel, width: int, height: int) -> None:
 
 
 def _require_screen() -> None:
-    """Refuse a window where there is no screen: GLFW would end the whole process."""
+    """Raise RuntimeError if there is no screen for a window: GLFW would end the whole process."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         screen = glfw.init() and glfw.get_primary_monitor()

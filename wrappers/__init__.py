@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from surefoot.wrappers.belief_errors import BeliefErrors
     from surefoot.wrappers.beliefs import Beliefs
     from surefoot.wrappers.foot_sensors import FootSensors
     from surefoot.wrappers.history import SampleHistory
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from surefoot.wrappers.vector.truth_row import TruthRow
 
 __all__ = [
+    "BeliefErrors",
     "Beliefs",
     "FootSensors",
     "NominalModel",
@@ -29,6 +31,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "BeliefErrors": "belief_errors",
     "Beliefs": "beliefs",
     "FootSensors": "foot_sensors",
     "NominalModel": "nominal",

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import ceil
 from os import PathLike
-from typing import Any, SupportsFloat
+from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -17,8 +17,7 @@ from surefoot.sensors.presets import resolve
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_device
-from surefoot.wrappers.hardware import HardwareState
-from surefoot.wrappers.instruments import Instruments
+from surefoot.wrappers.instruments import Instruments, InstrumentsState
 from surefoot.wrappers.raw_view import RawView
 from surefoot.wrappers.source import (
     Source,
@@ -36,6 +35,21 @@ SENSOR_STREAM = 0x5F00
 
 TELEMETRY_STREAM = 1
 """Number, within that, of the stream of an IMU and of encoders that no observation shows."""
+
+
+class HardwareState(NamedTuple):
+    """What stays as it is while the power is on, whatever happens to the robot.
+
+    Attributes:
+        instruments: What is under the feet.
+        faults: What is broken about it, or ``()``.
+        telemetry: IMU and encoders (:class:`~surefoot.wrappers.telemetry.Hardware`), or ``None`` where nobody
+            listens.
+    """
+
+    instruments: InstrumentsState
+    faults: Any
+    telemetry: Any
 
 
 class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -84,7 +98,6 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         source: What records the truth.
         instruments: What is under the feet.
         packets: Telemetry that arrived during the last step, in order; only while somebody listens.
-        telemetry: What the packets hold (``telemetry.layout``) and how often they are sent.
         time: The host's time since the reset in s.
         drawn_anew: Whether the last reset drew the sensors anew.
 
@@ -153,7 +166,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.drawn_anew = True
         self.packets: Packets = ()
         self.time = 0.0
-        self.telemetry: Telemetry
+        self._telemetry: Telemetry | None = None
         self._raw: NDArray[np.float64] | None = None
         self._telemetry_state: TelemetryState | None = None
         self._clock: float | None = None
@@ -179,8 +192,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
                 # What is read only if somebody listens must not shift what the feet draw.
                 self._telemetry_rng = np.random.default_rng([self._stream, seed, TELEMETRY_STREAM])
         truth, dt = self.source.truth, float(self.source.dt)
-        if not hasattr(self, "telemetry") or self.telemetry.dt != dt:
-            self.telemetry = self._make_telemetry(dt, len(truth.time))
+        if self._telemetry is None or self._telemetry.dt != dt:
+            self._telemetry = self._make_telemetry(dt, len(truth.time))
         self.drawn_anew = wants_fresh(asked.get("sensors"), seed, self._fresh, self._hardware is not None)
         self._switch_on(truth)
         self.time, self._clock = 0.0, None
@@ -209,6 +222,13 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         if self._raw is None:
             raise gym.error.ResetNeeded("There are no readings before the first reset().")
         return self._raw
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """What the packets hold (``telemetry.layout``) and how often they are sent."""
+        if self._telemetry is None:
+            raise gym.error.ResetNeeded("There is no telemetry before the first reset().")
+        return self._telemetry
 
     def listen(self) -> None:
         """Have telemetry sent from the next reset on, even if no observation shows it."""

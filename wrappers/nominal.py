@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs import RobotDrawing
+from surefoot.wrappers.belief_errors import USUAL, BeliefErrors
 
 
 class Masses(NamedTuple):
@@ -30,30 +31,24 @@ class NominalModel:
 
     Args:
         spec: The robot's drawing; what only a simulation needs is taken out of it.
-        mass_error: Relative error of the total mass; its sign is drawn, and each link's mass is drawn with
-            this relative spread besides.
-        com_offset: Distance in m by which the whole robot's centre of mass is off, in a direction that is
-            drawn: the torso's own centre of mass is misplaced.
+        errors: How far :meth:`draw` puts masses and centre of mass off; it is the torso's own centre of mass
+            that is misplaced.
         sites: Names of the sites of the IMU, of the left and of the right sole.
         torso: Name of the floating body, which carries the IMU with its axes along the body's.
 
     Raises:
-        ValueError: If a name is not in the drawing, the message lists what is, or an error is negative.
+        ValueError: If a name is not in the drawing; the message lists what is.
     """
 
     def __init__(
         self,
         spec: mujoco.MjSpec,
+        errors: BeliefErrors = USUAL,
         *,
-        mass_error: float = 0.005,
-        com_offset: float = 0.003,
         sites: tuple[str, str, str] = ("imu", "left_sole", "right_sole"),
         torso: str = "torso",
     ) -> None:
-        for name, value in {"mass_error": mass_error, "com_offset": com_offset}.items():
-            if not 0.0 <= value < 1.0:
-                raise ValueError(f"'{name}' must lie in 0 to 1, got {value}.")
-        self._mass_error, self._com_offset = mass_error, com_offset
+        self._errors = errors
         self._model = _strip(spec, sites).compile()
         self._data = mujoco.MjData(self._model)
         self._torso = self._model.body(torso).id
@@ -82,12 +77,11 @@ class NominalModel:
         data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
     @classmethod
-    def of_drawing(cls, drawing: RobotDrawing, *, mass_error: float, com_offset: float) -> "NominalModel":
+    def of_drawing(cls, drawing: RobotDrawing, errors: BeliefErrors) -> "NominalModel":
         """Make it of what the maker of a robot on two feet hands out."""
         return cls(
             drawing.spec(),
-            mass_error=mass_error,
-            com_offset=com_offset,
+            errors,
             sites=(drawing.imu, drawing.soles[0], drawing.soles[1]),
             torso=drawing.torso,
         )
@@ -99,12 +93,12 @@ class NominalModel:
 
     def draw(self, rng: np.random.Generator) -> None:
         """Draw the errors of the masses and of the centre of mass anew, from the drawing's own values."""
-        factor = 1.0 + self._mass_error * rng.standard_normal(len(self._mass))
-        total = 1.0 + self._mass_error * rng.choice([-1.0, 1.0])
+        factor = 1.0 + self._errors.mass * rng.standard_normal(len(self._mass))
+        total = 1.0 + self._errors.mass * rng.choice([-1.0, 1.0])
         factor *= total * self._mass.sum() / (self._mass @ factor)
         mass = self._mass * factor
         direction = rng.standard_normal(3)
-        direction *= self._com_offset / np.linalg.norm(direction)
+        direction *= self._errors.com / np.linalg.norm(direction)
         share = mass[self._torso] / mass.sum()
         self.masses = Masses(mass, self._inertia * factor[:, None], self._torso_com + direction / share)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any, SupportsFloat
+from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -12,20 +12,40 @@ from surefoot.calibration import FootCalibrator, Parameters, Reference
 from surefoot.calibration._setup import method_name
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.state import load_state, save_state
+from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.beliefs import Beliefs, nothing
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
+from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, held_samples, usual_lag
-from surefoot.wrappers.layout_options import layout_options
-from surefoot.wrappers.learnt import Learnt
-from surefoot.wrappers.nominal import NominalModel
+from surefoot.wrappers.nominal import Masses, NominalModel
 from surefoot.wrappers.source import check_stream, find_sensors, robot_note, split_options, wants_fresh
 from surefoot.wrappers.starting_map import StartingMap
 from surefoot.wrappers.telemetry import Telemetry
 
 BELIEF_STREAM = 0x5F01
 """Number of the random stream that the errors of the robot's beliefs are drawn from."""
+
+
+class Learnt(NamedTuple):
+    """What a robot takes with it from episode to episode.
+
+    Attributes:
+        state: State of the calibrator.
+        initial: The map that it began from.
+        masses: What the robot believes of its bodies.
+    """
+
+    state: Any
+    initial: Parameters
+    masses: Masses
+
+    @classmethod
+    def of(cls, calibrator: FootCalibrator, model: NominalModel) -> "Learnt":
+        """Gather it."""
+        initial = Parameters(*(np.asarray(part, dtype=np.float64) for part in calibrator.setup.initial))
+        return cls(calibrator.state, initial, model.masses)
 
 
 class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -63,15 +83,13 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Args:
         env: An environment with :class:`FootSensors` around it.
         method: A key of :data:`surefoot.calibration.METHODS`.
-        initial: The map to start from: ``"nominal"``, the data sheet's; ``"bench"``, what a bench would have
-            found just before the episode; or :class:`~surefoot.calibration.Parameters` (also as a mapping).
+        initial: The map to start from: ``"nominal"``, the data sheet's; ``"calibrated"``, what a
+            calibration from known weights would have found just before the episode; or
+            :class:`~surefoot.calibration.Parameters` (also as a mapping).
         show: What is observed.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
         fresh: Whether each reset forgets what was learnt.
-        mass_error: Relative error of the mass that the robot believes it has.
-        com_offset: Distance in m by which its believed centre of mass is off.
-        bench_scale_error: Relative standard deviation of a scale from the bench.
-        bench_offset_error: Standard deviation of an offset from the bench in N.
+        errors: How wrong the robot is about itself, also as a mapping of some of the fields.
         stream: Number of the random stream, for other errors of beliefs on the same episode.
         options: Options of the method.
 
@@ -99,16 +117,14 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         show: Sequence[str] = DEFAULT,
         lag: int | None = None,
         fresh: bool = False,
-        mass_error: float = 0.005,
-        com_offset: float = 0.003,
-        bench_scale_error: float = 0.001,
-        bench_offset_error: float = 0.02,
+        errors: BeliefErrors | Mapping[str, Any] = USUAL,
         stream: int = BELIEF_STREAM,
         **options: Any,
     ) -> None:
         method = method_name(method)
         sensors = find_sensors(env, SelfCalibration, FootSensors, gym.Wrapper)
-        start = StartingMap(initial, sensors.instruments.nominal, bench_scale_error, bench_offset_error)
+        errors = belief_errors(errors, options)
+        start = StartingMap(initial, sensors.instruments.nominal, errors)
         gym.utils.RecordConstructorArgs.__init__(
             self,
             method=method,
@@ -116,10 +132,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             show=list(show),
             lag=lag,
             fresh=fresh,
-            mass_error=mass_error,
-            com_offset=com_offset,
-            bench_scale_error=bench_scale_error,
-            bench_offset_error=bench_offset_error,
+            errors=errors,
             stream=stream,
             **options,
         )
@@ -133,7 +146,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             raise ValueError(
                 f"SelfCalibration needs a robot on two feet, got the feet {drawing.feet}; name two of them."
             )
-        self._model = NominalModel.of_drawing(drawing, mass_error=mass_error, com_offset=com_offset)
+        self._model = NominalModel.of_drawing(drawing, errors)
         self.layout = sensors.instruments.layout
         self._options = layout_options(self.layout, drawing, method) | options
         self._lag, self._fresh = lag, fresh
@@ -255,7 +268,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def _calibrate(self, observation: dict[str, Any], info: dict[str, Any]) -> dict[str, Any]:
         sensors = self._sensors
         self.reference_time = sensors.time - self._late * sensors.telemetry.dt - self._age
-        self.reference = reference = self._believed()
+        self.reference = reference = self._next_reference()
         self.estimate = estimate = self.calibrator.update(sensors.raw, reference)
         info.setdefault("surefoot", {}).update(
             # Copies, as an estimate may hold arrays of the one before.
@@ -268,10 +281,11 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         )
         return observation | self._view.show(estimate, self.beliefs.soles(sensors.time))
 
-    def _believed(self) -> Reference:
-        """Say what the calibrator is told.
+    def _next_reference(self) -> Reference:
+        """Take in the plan and the posture of one more sample, and return the reference for it.
 
-        That is nothing while it is frozen, its samples are of two episodes, or the robot is not upright.
+        It is NaN while learning is frozen, while its samples are of two episodes, and while the robot is not
+        upright.
         """
         command: Any = getattr(self._sensors.source, "command", None)
         if command is not None:
@@ -296,7 +310,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             return start.known
         # Drawn for the data sheet's as well: whichever of the two it is, what is drawn later is the same.
         drawn = rng.standard_normal((2, self.layout.channels))
-        if not start.of_bench:
+        if not start.calibrated:
             return start.known
         return start.off(Parameters(*self._sensors.true_parameters()), drawn)
 

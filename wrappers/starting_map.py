@@ -1,5 +1,6 @@
 """The map that a calibrator starts from, as a user gives it."""
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,63 +8,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
+from surefoot.wrappers.belief_errors import BeliefErrors
 
 
 class StartingMap:
-    """A known map, the data sheet's, or what a bench would have found.
+    """A known map, the data sheet's, or that of a calibrated start: what known weights would have given.
 
     Args:
-        initial: ``"nominal"``, ``"bench"``, or one scale and one offset a channel, as
+        initial: ``"nominal"``, ``"calibrated"``, or one scale and one offset a channel, as
             :class:`~surefoot.calibration.Parameters` or a mapping.
         nominal: The data sheet's map, shape (K,).
-        bench_scale_error: Relative standard deviation of a scale from the bench.
-        bench_offset_error: Standard deviation of an offset from the bench in N.
+        errors: How far a calibrated start is off.
 
     Attributes:
         given: Whether it was given as numbers.
-        of_bench: Whether it is a bench's.
+        calibrated: Whether it is a calibrated start.
         known: What is known of it beforehand: the map as given, or else the data sheet's, shape (K,).
 
     Raises:
-        ValueError: If it is none of these, or an error is negative or not finite.
+        ValueError: If it is none of these.
     """
 
-    def __init__(
-        self, initial: Any, nominal: Parameters, bench_scale_error: float, bench_offset_error: float
-    ) -> None:
-        for name, value in {
-            "bench_scale_error": bench_scale_error,
-            "bench_offset_error": bench_offset_error,
-        }.items():
-            if not 0.0 <= value < float("inf"):
-                raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
+    def __init__(self, initial: Any, nominal: Parameters, errors: BeliefErrors) -> None:
         read = _read(initial, len(nominal.scale))
         self.given = isinstance(read, Parameters)
-        self.of_bench = isinstance(read, str) and read == "bench"
+        self.calibrated = isinstance(read, str) and read == "calibrated"
         self.known = read if isinstance(read, Parameters) else nominal
-        self._errors = bench_scale_error, bench_offset_error
+        self._errors = errors
 
     def recorded(self) -> str | dict[str, list[float]]:
         """Say what was given in plain words and numbers."""
         if self.given:
             return {name: part.tolist() for name, part in self.known._asdict().items()}
-        return "bench" if self.of_bench else "nominal"
+        return "calibrated" if self.calibrated else "nominal"
 
     def off(self, true: Parameters, drawn: NDArray[np.float64]) -> Parameters:
-        """Let a true map be off by a bench's errors, drawn as standard normal numbers, shape (2, ..., K)."""
-        scale_error, offset_error = self._errors
-        return Parameters(1.0 + scale_error * drawn[0], offset_error * drawn[1]).after(true)
+        """Return a true map that is off by the errors of a calibrated start.
+
+        Args:
+            true: The map, shape (..., K).
+            drawn: Standard normal numbers, shape (2, ..., K).
+        """
+        return Parameters(1.0 + self._errors.scale * drawn[0], self._errors.offset * drawn[1]).after(true)
 
 
 def _read(initial: Any, channels: int) -> str | Parameters:
     """Read the map to start from."""
-    if isinstance(initial, str) and initial in ("nominal", "bench"):
+    if isinstance(initial, str) and initial == "bench":
+        warnings.warn("initial='bench' is initial='calibrated' now.", DeprecationWarning, stacklevel=4)
+        initial = "calibrated"
+    if isinstance(initial, str) and initial in ("nominal", "calibrated"):
         return initial
     if isinstance(initial, Parameters):
         initial = initial._asdict()
     if not isinstance(initial, Mapping):
         raise ValueError(
-            "'initial' must be 'nominal', 'bench' or Parameters (scale, offset), also as a mapping, "
+            "'initial' must be 'nominal', 'calibrated' or Parameters (scale, offset), also as a mapping, "
             f"got {initial!r}."
         )
     if set(initial) != set(Parameters._fields):

@@ -225,7 +225,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         )
 
     def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
-        """Pay for a step, in named terms of which the reward is the sum."""
+        """Return the terms of a step's reward, which is their sum, by name."""
         error = truth["cop_world"] - self.command.cop
         square = float(error @ error)
         return {
@@ -235,7 +235,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         }
 
     def _fallen(self) -> bool:
-        """Tell whether the robot has fallen."""
+        """Return whether the robot has fallen."""
         up = float(self.truth.R_world_torso[-1, 2] @ self._motion.up_torso)
         height = float(self.truth.position_torso[-1, 2])
         return not (up > np.cos(FALLEN_TILT) and height > FALLEN_HEIGHT * self._first_height)
@@ -269,7 +269,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
 
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:
-    """Refuse what is not a range of positive numbers up to a highest one."""
+    """Return a range of positive numbers, or raise ValueError if it is none or exceeds ``highest``."""
     low, high = checked_range(name, value)
     if not 0.0 < low <= high <= highest:
         raise ValueError(f"'{name}' must be (lowest, highest) in (0, {highest}], got {value!r}.")

@@ -1,7 +1,7 @@
-r"""The exercise: where the centre of mass and the feet go, and what the motors are told meanwhile.
+r"""The exercise: where the centre of mass and the feet go, and the motors' targets.
 
-It is made of *paths*, straight lines of the centre of mass on which one foot may rise, with what the motors
-are told tabulated along each; a *move* runs along a path from one place to another with least jerk,
+It is made of *paths*, straight lines of the centre of mass on which one foot may rise, with the motors'
+targets tabulated along each; a *move* runs along a path from one place to another with least jerk,
 :math:`s(t) = 10 t^3 - 15 t^4 + 6 t^5` of the way after the share :math:`t` of its time. Postures hence
 fit any extent of a move, which an episode draws.
 
@@ -57,10 +57,10 @@ ONE_LEG_ASIDE: Final = 0.3
 """Amplitude of a sway aside over one foot as a share of half its sole's width."""
 
 SURELY_BEARS: Final = 0.1
-"""Share of the weight above which a foot on the ground is said to be in stance."""
+"""Share of the weight above which a foot on the ground is in stance."""
 
 SURELY_UP: Final = 0.5
-"""Share of the lift above which a foot is said to be in swing."""
+"""Share of the lift above which a foot is in swing."""
 
 SWAYS: Final = (
     "forward",
@@ -137,7 +137,7 @@ class Motion:
         )
 
     def shares(self, command: Command) -> NDArray[np.float64]:
-        """Tell how much of the weight each foot is to bear, shape (2,)."""
+        """Return how much of the weight each foot is to bear, shape (2,)."""
         return self._postures.shares(command.cop, command.position_sole[:, 2])
 
     def _plan(self, postures: Postures) -> None:
@@ -229,7 +229,7 @@ class Motion:
             moves.append(Move(f"lift {foot}", 1.0, 0.0, 1.0))
             moves.extend([Move(f"shift {foot}", 1.0, 1.0, 0.2), Move(f"shift {foot}", 1.0, 0.0, 1.6)])
 
-        # Sensors that begin with unknown zeros see both feet in the air before anything else.
+        # Both feet are lifted first, so that a calibrator sees the offsets before anything else.
         one_leg(first)
         one_leg(1 - first)
         out_and_back(SWAYS[sways[0]])
@@ -243,7 +243,7 @@ class Motion:
         self._ends = (self._scale * np.cumsum([move.time for move in moves])).tolist()
 
     def command(self, time: float) -> Command:
-        """Say what is planned at a time in s after the beginning of the episode."""
+        """Return what is planned at a time in s after the episode start."""
         cycle = time % self._ends[-1]
         k = min(bisect_right(self._ends, cycle), len(self._moves) - 1)
         move, length = self._moves[k], self._scale * self._moves[k].time

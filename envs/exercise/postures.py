@@ -1,4 +1,4 @@
-r"""Postures of an exercise, and what motors have to be told so that they hold them.
+r"""Postures of an exercise, and the motors' targets that hold them.
 
 A motor with stiffness k gives way by u / k under the torque u that it has to exert, so that its target leads
 by as much. The torques follow from the equations of motion of the floating robot,
@@ -158,7 +158,7 @@ class Postures:
     def leads(
         self, qpos: NDArray[np.float64], slope: NDArray[np.float64], share: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Tell what the motors have to be told in a posture on a path.
+        """Return the motors' targets in a posture on a path.
 
         Args:
             qpos: The posture, shape (nq,).
@@ -201,7 +201,7 @@ class Postures:
         return data.actuator_length + lead[:, 0], lead[:, 1] + braked, lead[:, 2]
 
     def _bent(self, data: mujoco.MjData, bend: float) -> tuple[NDArray[np.float64], float]:
-        """Flex the knees of the standing robot; tells the height of its centre of mass over the soles."""
+        """Return a stand with flexed knees, and the height of its centre of mass over the soles."""
         model, bent = self.robot.model, self._data
         bent.qpos[:] = data.qpos
         for leg in self.robot.legs:

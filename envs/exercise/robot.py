@@ -57,9 +57,8 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None) -> ExerciseRobo
     """Put sensors into a biped and make it strong enough to stand on one leg.
 
     Args:
-        robot: A name that :func:`~surefoot.envs.robots.library.load_robot_spec` knows, the path of an MJCF
-        file with
-            robot and floor, or such a ``mujoco.MjSpec``, which is not changed.
+        robot: A name that :func:`~surefoot.envs.load_robot_spec` knows, the path of an MJCF file with robot
+            and floor, or such a ``mujoco.MjSpec``, which is not changed.
         feet: Names of the feet's bodies, the left one first; None to guess.
 
     Raises:
@@ -99,7 +98,7 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None) -> ExerciseRobo
 
 
 def motor_moments(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
-    """Tell by how much each actuator acts on each degree of freedom, shape (M, nv)."""
+    """Return by how much each actuator acts on each degree of freedom, shape (M, nv)."""
     moments = np.zeros((model.nu, model.nv))
     if model.nu:
         mujoco.mju_sparse2dense(

@@ -60,7 +60,7 @@ class GaitTiming:
     stand_time: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse a gait without a double or a single support."""
+        """Raise ValueError if there is no double or no single support, or too little standing."""
         if not 0.3 <= self.step_time <= 3.0:
             raise ValueError(f"'step_time' must lie between 0.3 s and 3 s, got {self.step_time} s.")
         if not 0.1 <= self.double_support <= 0.8:
@@ -131,15 +131,12 @@ def plan_footsteps(
 
 
 def check_gait(speed: float, turn_rate: float, step_time: float) -> None:
-    """Refuse steps that are longer, or turn further, than the legs allow.
+    """Raise ValueError if steps are longer, or turn further, than the legs allow, or a number is not finite.
 
     Args:
         speed: Forward speed in m/s.
         turn_rate: Change of heading in rad/s.
         step_time: Duration of a step in s.
-
-    Raises:
-        ValueError: If they do, or if a number is not finite.
     """
     for name, value in {"speed": speed, "turn_rate": turn_rate}.items():
         if not math.isfinite(value):

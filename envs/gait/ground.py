@@ -64,7 +64,7 @@ def lay_out(
     half_width: float,
     foot_roll: float = 0.0,
 ) -> Ground:
-    """Write down, tick by tick, what the footsteps mean.
+    """Return, tick by tick, where the soles and the centre of pressure are to be.
 
     Args:
         walks: Walks in the order of time, each with room for the last shift of the weight before the next.

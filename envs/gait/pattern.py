@@ -9,7 +9,7 @@ The cart-table knows nothing of the swinging leg. As Kajita et al. (2003) propos
 the planned motion of the *whole* robot asks for is computed, and a second run of the preview control, on the
 difference to the reference, corrects the motion of the centre of mass.
 
-What the motors are told leads the posture by what is known to hold it back: the servos give way under their
+The motors' targets lead the posture by what is known to hold it back: the servos give way under their
 load and lag behind by kv / kp, and the ground gives way under a foot.
 """
 

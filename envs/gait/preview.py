@@ -43,7 +43,7 @@ class CartTable:
     dt: float
 
     def __post_init__(self) -> None:
-        """Refuse a mass on the ground and time that stands still."""
+        """Raise ValueError if the height or the sample period is not positive."""
         if not (np.isfinite(self.height) and self.height > 0):
             raise ValueError(f"'height' of the centre of mass must be positive, got {self.height} m.")
         if not (np.isfinite(self.dt) and self.dt > 0):

@@ -71,11 +71,7 @@ def lift(phase: ArrayLike, height: float) -> NDArray[np.float64]:
 
 
 def checked_roll(angle: float) -> float:
-    """Refuse a pitch that the sole cannot roll by.
-
-    Raises:
-        ValueError: If it is negative, too large or no number.
-    """
+    """Return a pitch as a number, or raise ValueError if it is negative, too large or no number."""
     try:
         number = float(angle)
     except (TypeError, ValueError):

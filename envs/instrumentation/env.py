@@ -31,8 +31,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Observation, reward and termination stay the environment's, bit for bit. Sensors are put into its model
     (``unwrapped.model`` and ``unwrapped.data`` are replaced) where nothing that it may look up by number
     changes thereby; else, or without a description of the model, the same quantities are computed beside it.
-    :attr:`untouched` says why. After a step, sensors tell what was at the beginning of its last substep, and
-    the way beside tells what is at its end; both tell the state that a reset chose.
+    :attr:`untouched` says why. After a step, sensors have what was at the start of its last substep, and
+    what is computed beside has its end; both have the state that a reset chose.
 
     ``info["surefoot"]["truth"]`` is a mapping of ``force_cell`` (4 F) N, ``vgrf`` (F) N, ``cop_world`` (2) m,
     ``cop_foot`` (F, 2) m, ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m, computed when read and NaN
@@ -66,7 +66,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Raises:
         TypeError: If the environment does not run on MuJoCo, ``feet`` is a single name, or ``cells`` or
             ``soles`` name no feet.
-        ValueError: If feet cannot be told, a body does not exist, names are taken, cells are asked for on a
+        ValueError: If feet cannot be found, a body does not exist, names are taken, cells are asked for on a
             foot without area, or the description is of another robot.
     """
 
@@ -106,13 +106,13 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             )
         if soles and in_place is False:
             raise ValueError("'soles' changes the model: leave 'in_place' alone.")
-        told: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
+        given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
         made: tuple[Instrumentation, mujoco.MjModel] | None = None
         self.untouched = "there is no description of it: give 'spec'"
         if in_place is False:
             self.untouched = "in_place=False"
         elif description is not None:
-            made, different = self._make(description, feet, soles, told)
+            made, different = self._make(description, feet, soles, given)
             self.untouched = f"its file is of another robot: {different}"
             if different and (spec is not None or soles or in_place):
                 raise ValueError(f"The description is not that of the environment's robot: {different}.")
@@ -127,7 +127,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             self._reader = SensorReader(model, base.data, self.instrumentation)
             self.drawing: RobotDrawing = self.instrumentation.drawing
         else:
-            self._reader = FeetReader(base.model, base.data, feet, **told)
+            self._reader = FeetReader(base.model, base.data, feet, **given)
             self.drawing = self._reader.drawing
         self._model: mujoco.MjModel = base.model
         self._data: mujoco.MjData = base.data
@@ -179,10 +179,10 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         description: mujoco.MjSpec,
         feet: Sequence[str] | None,
         soles: bool | Mapping[str, Sequence[float]],
-        told: dict[str, Any],
+        given: dict[str, Any],
     ) -> tuple[tuple[Instrumentation, mujoco.MjModel] | None, str]:
-        """Make the instrumented robot with the environment's own numbers, or say why it is another."""
-        bare, prefix = self._base.model, told["prefix"]
+        """Make the instrumented robot with the environment's own numbers, or return why it is another."""
+        bare, prefix = self._base.model, given["prefix"]
         if soles:
             put_soles(description, bare, soles, feet, prefix)
         named = description.copy()
@@ -193,13 +193,13 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         if different:
             return None, different
         carry_over(bare, measured, prefix)
-        made = instrument_as(description, measured, feet, **told)
+        made = instrument_as(description, measured, feet, **given)
         model = made.spec.compile()
         carry_over(bare, model, prefix)
         return (made, model), ""
 
     def _refuse_another(self) -> None:
-        """Refuse to watch a robot that is not simulated any more."""
+        """Raise RuntimeError if the robot that is watched is not simulated any more."""
         if self._base.model is not self._model or self._base.data is not self._data:
             raise RuntimeError(
                 f"{type(self._base).__name__} made itself another model or data at a reset, so that its feet "
@@ -208,7 +208,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
 
 def _check_types(cells: Any, soles: Any) -> None:
-    """Refuse what names no feet."""
+    """Raise TypeError if options do not name feet."""
     if cells is not None and not isinstance(cells, Mapping):
         raise TypeError(
             "'cells' must map the bodies of feet to places of four cells, {'left_foot': [(x, y), ...], ...}; "
@@ -222,7 +222,7 @@ def _check_types(cells: Any, soles: Any) -> None:
 
 
 def _refuse(env: gym.Env[Any, Any], prefix: str) -> None:
-    """Refuse what is not on MuJoCo or is instrumented already."""
+    """Raise an error if an environment is not on MuJoCo or is instrumented already."""
     base = cast(Any, env.unwrapped)
     model, data = getattr(base, "model", None), getattr(base, "data", None)
     if not isinstance(model, mujoco.MjModel) or not isinstance(data, mujoco.MjData):
@@ -241,7 +241,7 @@ def _refuse(env: gym.Env[Any, Any], prefix: str) -> None:
 
 
 def _obstacle(env: gym.Env[Any, Any], model: mujoco.MjModel, prefix: str, *, forced: bool) -> str:
-    """Say why sensors cannot be put into an environment's own model; empty if they can.
+    """Return why sensors cannot be put into an environment's own model; empty if they can.
 
     Raises:
         ValueError: If they have to.

@@ -54,7 +54,7 @@ def find_feet(
     Raises:
         TypeError: If ``names`` is a single name.
         ValueError: If a body does not exist, is named twice or hangs on another foot, the feet hang on
-            different robots, or no pair of feet can be told.
+            different robots, or no pair of feet can be found.
     """
     if names is None:
         return _guess(model, data)
@@ -105,7 +105,7 @@ def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
                 return ordered
     names = [model.body(body).name for body in leaves]
     raise ValueError(
-        "No left and right foot could be told among the model's lowest leaves; name them with "
+        "No left and right foot could be found among the model's lowest leaves; name them with "
         f"feet=(left, right). Leaves that can touch the ground: {names}; all bodies that can: "
         f"{bodies_that_touch(model)}."
     )
@@ -118,7 +118,7 @@ def _lowest(model: mujoco.MjModel, data: mujoco.MjData, body: int, can_touch: ND
 
 
 def _left_first(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> tuple[int, ...]:
-    """Order a pair as left and right, by names before places; empty if neither tells."""
+    """Order a pair as left and right, by names before places; empty if neither decides."""
     sides = [_side(model.body(body).name) for body in pair]
     if set(sides) in ({1, -1}, {1, 0}, {-1, 0}):
         return tuple(pair) if sides[0] > sides[1] else tuple(reversed(pair))
@@ -130,7 +130,7 @@ def _left_first(model: mujoco.MjModel, data: mujoco.MjData, pair: list[int]) -> 
 
 
 def _side(name: str) -> int:
-    """Tell left (1) from right (-1) in a name; 0 if it says neither."""
+    """Return 1 for a left, -1 for a right foot by its name; 0 if it has neither word."""
     for side, word in ((1, "left"), (-1, "right")):
         letter = word[0]
         alone = rf"(^|[^a-z]){letter}([^a-z]|$)"

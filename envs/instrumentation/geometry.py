@@ -7,8 +7,8 @@ stands. Its frame has z up out of the ground and x to the toes; its origin lies 
 the ankle.
 
 One sphere touches at a point and one capsule along a line. Their force has a line of action, too, but the
-point where it meets the floor tells nothing about a sole, and four cells cannot be told apart under it: such
-a foot has a flaw instead of a polygon.
+point where it meets the floor says nothing about a sole, and four cells under it cannot be distinguished:
+such a foot has a flaw instead of a polygon.
 """
 
 from dataclasses import dataclass
@@ -135,7 +135,7 @@ def measure_foot(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> FootG
 
 
 def colliding(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Tell which geoms can touch anything: by their bits or in a pair of contacts, shape (ngeom,)."""
+    """Return which geoms can touch anything: by their bits or in a pair of contacts, shape (ngeom,)."""
     can: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) != 0
     can[model.pair_geom1] = True
     can[model.pair_geom2] = True
@@ -143,13 +143,13 @@ def colliding(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def bodies_that_touch(model: mujoco.MjModel) -> list[str]:
-    """Name the moving bodies of which a geom can touch anything, in model order."""
+    """Return the names of moving bodies of which a geom can touch anything, in model order."""
     bodies = sorted(set(model.geom_bodyid[colliding(model)].tolist()) - {0})
     return [model.body(body).name for body in bodies]
 
 
 def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
-    """Tell which bodies are a body or hang on it, shape (nbody,)."""
+    """Return which bodies are a body or hang on it, shape (nbody,)."""
     hangs: NDArray[np.bool_] = np.arange(model.nbody) == body
     # A parent's number is less than its children's.
     for other in range(body + 1, model.nbody):
@@ -158,7 +158,7 @@ def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
 
 
 def checked_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
-    """Refuse what are not four places of cells; :class:`~surefoot.envs.SolePlate` refuses a line of them."""
+    """Return four places of cells, or raise ValueError if they are not four or not finite."""
     places = np.asarray(cells, dtype=np.float64)
     if places.shape != (4, 2) or not np.isfinite(places).all():
         raise ValueError(
@@ -227,7 +227,7 @@ def _sole_normal(points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArra
 
 
 def _spread(points: NDArray[np.float64]) -> float:
-    """Tell how far points reach across their longest direction, in m."""
+    """Return how far points reach across their longest direction, in m."""
     centred = points - points.mean(axis=0)
     across = centred @ np.linalg.svd(centred)[2][1]
     return float(np.ptp(across))
@@ -257,11 +257,10 @@ def _largest_rectangle(polygon: NDArray[np.float64]) -> tuple[float, float, floa
 
 
 def _flaw(model: mujoco.MjModel, name: str, geoms: NDArray[np.intp]) -> str:
-    """Say why a foot has no area."""
+    """Return why a foot has no area."""
     kinds = [mujoco.mjtGeom(int(model.geom_type[geom])).name[7:].lower() for geom in geoms]
     return (
         f"The foot '{name}' has no area: it touches the ground with {' and '.join(kinds)} only, at one point "
         "or along one line, so that it has no centre of pressure of its own and no four cells. Its total "
-        "force and torque are told; give it a flat geom for the rest, as InstrumentedEnv(env, soles=True) "
-        "does."
+        "force and torque are measured; for the rest give it a flat geom: InstrumentedEnv(env, soles=True)."
     )

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.envs.instrumentation.drawing import draw_robot
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import below
-from surefoot.envs.instrumentation.robot import FOOT_WIDTH, TORSO_WIDTH, encoders, measure_robot
+from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns, encoders, measure_robot
 from surefoot.envs.instrumentation.spec import Instrumentation, find_imu
 from surefoot.envs.instrumentation.truth import FeetTruth
 
@@ -82,7 +82,7 @@ class FeetReader:
 
     Raises:
         TypeError: If ``feet`` is a single name.
-        ValueError: If feet cannot be told, touch or named, or a layout is wrong.
+        ValueError: If feet cannot be found, cannot touch or have no name, or a layout is wrong.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class FeetReader:
         return nullcontext()
 
     def row(self) -> Array:
-        """Compute what sensors would tell of the present state, shape (27 F + 28 + J,)."""
+        """Compute what sensors would measure in the present state, shape (27 F + 28 + J,)."""
         model, own = self._model, self._data
         mujoco.mj_getState(model, self._watched, self._state, _STATE)
         mujoco.mj_setState(model, own, self._state, _STATE)
@@ -132,13 +132,14 @@ class FeetReader:
         mujoco.mj_rnePostConstraint(model, own)
         mujoco.mj_subtreeVel(model, own)
         row = np.zeros(self.layout.size)
-        split = FOOT_WIDTH * len(self._feet)
-        feet = row[:split].reshape(-1, FOOT_WIDTH)
+        split = FootColumns.width * len(self._feet)
+        feet = row[:split].reshape(-1, FootColumns.width)
         for i, foot in enumerate(feet):
             self._read_foot(i, foot)
         self._add_contacts(feet)
-        self._read_torso(row[split : split + TORSO_WIDTH])
-        row[split + TORSO_WIDTH : -1] = own.qpos[self._encoders]
+        torso = slice(split, split + TorsoColumns.width)
+        self._read_torso(row[torso])
+        row[torso.stop : -1] = own.qpos[self._encoders]
         row[-1] = own.time
         return row
 
@@ -149,10 +150,12 @@ class FeetReader:
         ankle = own.xpos[body] + R_world_foot @ foot.position_ankle_foot
         # MuJoCo refers its spatial forces to the centre of mass of the whole robot.
         torque, force = own.cfrc_int[body].reshape(2, 3)
-        row[:3] = force @ R_world_foot
-        row[3:6] = (torque + _cross(own.subtree_com[self._torso] - ankle, force)) @ R_world_foot
-        row[12:15] = row[15:18] = own.xpos[body] + R_world_foot @ foot.position_sole_foot
-        row[18:27] = (R_world_foot @ foot.R_foot_sole).T.ravel()
+        at_ankle = torque + _cross(own.subtree_com[self._torso] - ankle, force)
+        row[FootColumns.ankle] = np.concatenate([force @ R_world_foot, at_ankle @ R_world_foot])
+        row[FootColumns.place] = row[FootColumns.position_sole] = (
+            own.xpos[body] + R_world_foot @ foot.position_sole_foot
+        )
+        row[FootColumns.axes_sole] = (R_world_foot @ foot.R_foot_sole).T.ravel()
 
     def _add_contacts(self, feet: Array) -> None:
         """Add the feet's contacts, as what the feet exert at the soles' origins."""
@@ -164,21 +167,22 @@ class FeetReader:
             # From the first geom on the second, along the rows of the contact's frame.
             force, torque = local.reshape(2, 3) @ own.contact.frame[k].reshape(3, 3)
             for foot, side in zip(feet, sides[:, k], strict=True):
-                foot[6:9] -= side * force
-                foot[9:12] -= side * (torque + _cross(own.contact.pos[k] - foot[15:18], force))
+                foot[FootColumns.force] -= side * force
+                arm = own.contact.pos[k] - foot[FootColumns.position_sole]
+                foot[FootColumns.torque] -= side * (torque + _cross(arm, force))
 
     def _read_torso(self, row: Array) -> None:
         """Read the torso's frame, the whole robot's motion and the IMU."""
         model, own, torso, spatial = self._model, self._data, self._torso, np.zeros(6)
-        row[:3] = own.xpos[torso]
-        row[3:12] = own.xmat[torso].reshape(3, 3).T.ravel()
-        row[12:15] = own.subtree_com[torso]
-        row[15:18] = own.subtree_linvel[torso]
-        row[18:21] = own.subtree_angmom[torso]
+        row[TorsoColumns.position] = own.xpos[torso]
+        row[TorsoColumns.axes] = own.xmat[torso].reshape(3, 3).T.ravel()
+        row[TorsoColumns.com] = own.subtree_com[torso]
+        row[TorsoColumns.com_velocity] = own.subtree_linvel[torso]
+        row[TorsoColumns.angular_momentum] = own.subtree_angmom[torso]
         mujoco.mj_objectAcceleration(model, own, *self._imu, spatial, 1)
-        row[21:24] = spatial[3:]
+        row[TorsoColumns.accelerometer] = spatial[3:]
         mujoco.mj_objectVelocity(model, own, *self._imu, spatial, 1)
-        row[24:27] = spatial[:3]
+        row[TorsoColumns.gyroscope] = spatial[:3]
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -13,11 +13,31 @@ from surefoot.envs.instrumentation.feet import find_feet
 from surefoot.envs.instrumentation.geometry import FootGeometry, below, checked_layout, measure_foot
 from surefoot.envs.instrumentation.plate import SolePlate
 
-FOOT_WIDTH: Final = 27
-"""Columns of a foot: ankle's force and torque, contacts' force, torque and place, sole's place and axes."""
 
-TORSO_WIDTH: Final = 27
-"""Columns after the feet: torso's place and axes, CoM, its velocity, angular momentum, IMU."""
+class FootColumns:
+    """Columns of one foot in a row: what its sensors measure, in the order in which they are added."""
+
+    ankle: Final = slice(0, 6)
+    force: Final = slice(6, 9)
+    torque: Final = slice(9, 12)
+    place: Final = slice(12, 15)
+    contact: Final = slice(6, 15)
+    position_sole: Final = slice(15, 18)
+    axes_sole: Final = slice(18, 27)
+    width: Final = 27
+
+
+class TorsoColumns:
+    """Columns after the feet: frame of the torso, motion of the whole robot, IMU."""
+
+    position: Final = slice(0, 3)
+    axes: Final = slice(3, 12)
+    com: Final = slice(12, 15)
+    com_velocity: Final = slice(15, 18)
+    angular_momentum: Final = slice(18, 21)
+    accelerometer: Final = slice(21, 24)
+    gyroscope: Final = slice(24, 27)
+    width: Final = 27
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +75,7 @@ class MeasuredRobot:
     @property
     def size(self) -> int:
         """Columns of a row: 27 a foot, 27 for the torso, one a joint, and the time."""
-        return FOOT_WIDTH * len(self.feet) + TORSO_WIDTH + len(self.joint_names) + 1
+        return FootColumns.width * len(self.feet) + TorsoColumns.width + len(self.joint_names) + 1
 
 
 def measure_robot(
@@ -76,7 +96,7 @@ def measure_robot(
 
     Raises:
         TypeError: If ``feet`` is a single name.
-        ValueError: If feet cannot be told, touch or named, or a layout is wrong.
+        ValueError: If feet cannot be found, cannot touch or have no name, or a layout is wrong.
     """
     bodies = find_feet(model, data, feet)
     geometry = tuple(measure_foot(model, data, body) for body in bodies)
@@ -98,20 +118,20 @@ def measure_robot(
 
 
 def encoders(model: mujoco.MjModel, torso: int) -> tuple[int, ...]:
-    """Number the hinge joints that hang on a torso, without those that carry it."""
+    """Return the numbers of the hinge joints that hang on a torso, without those that carry it."""
     body, hinge = model.jnt_bodyid, model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     return tuple(np.flatnonzero(hinge & below(model, torso)[body] & (body != torso)).tolist())
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Name a joint, by its number if it has no name."""
+    """Return a joint's name, or one with its number if it has none."""
     return model.joint(joint).name or f"joint{joint}"
 
 
 def _places(
     feet: tuple[FootGeometry, ...], cells: Mapping[str, ArrayLike], margin: float
 ) -> tuple[NDArray[np.float64] | None, ...]:
-    """Settle where the cells lie."""
+    """Return where the cells lie."""
     names = [foot.body for foot in feet]
     unknown = sorted(set(cells) - set(names))
     if unknown:

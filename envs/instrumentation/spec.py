@@ -105,13 +105,13 @@ def instrument(
     margin: float = 0.005,
     prefix: str = "surefoot/",
 ) -> Instrumentation:
-    """Put force and torque sensors into a robot's ankles, and into its torso what tells how it moves.
+    """Put force and torque sensors into a robot's ankles, and sensors of its motion into its torso.
 
     The feet are measured in the keyframe "home", "stand" or "standing" or else in the zero pose, in which the
     robot has to stand upright. The ankle's sensor sits at the foot's first joint in the axes of the foot. An
     IMU of the robot's own (an accelerometer and a gyro at one named site) is read if it sits on the torso,
     the body that floats, in the torso's axes; otherwise another one is put at the torso's origin, so that
-    what it measures is always told in the torso's axes.
+    what it measures is always in the torso's axes.
 
     Args:
         spec: The robot, which is not changed.
@@ -127,7 +127,7 @@ def instrument(
 
     Raises:
         TypeError: If ``spec`` is no specification or ``feet`` a single name.
-        ValueError: If a body does not exist, feet cannot be told or cannot touch the ground, a layout is
+        ValueError: If a body does not exist, feet cannot be found or cannot touch the ground, a layout is
             wrong, or a name is taken.
     """
     if not isinstance(spec, mujoco.MjSpec):
@@ -175,7 +175,7 @@ def instrument_as(
 
 
 def refuse_taken(names: set[str], prefix: str) -> None:
-    """Refuse a prefix with which names of sensors or sites begin already."""
+    """Raise ValueError if names of sensors or sites begin with a prefix already."""
     clash = sorted(name for name in names if name.startswith(prefix))
     if clash:
         raise ValueError(
@@ -185,7 +185,7 @@ def refuse_taken(names: set[str], prefix: str) -> None:
 
 
 def find_imu(model: mujoco.MjModel, torso: str) -> str:
-    """Name the site on a torso that has an accelerometer, a gyro and the torso's axes; empty without."""
+    """Return the site on a torso that has an accelerometer, a gyro and the torso's axes; empty without."""
     site, body = mujoco.mjtObj.mjOBJ_SITE, model.body(torso).id
     kinds = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
     measured = [set(model.sensor_objid[model.sensor_type == kind].tolist()) for kind in kinds]

@@ -80,7 +80,7 @@ def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> mujoc
 
 
 def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> str:
-    """Tell how a model differs from another in more than numbers and what was added; empty if it does not."""
+    """Return how a model differs from another in more than numbers and what was added; empty if not."""
     for name, (kind, number) in _NAMED.items():
         ours, theirs = (
             [mujoco.mj_id2name(m, kind, i) for i in range(getattr(m, number))] for m in (old, new)
@@ -99,7 +99,7 @@ def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> st
 
 
 def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
-    """Give a model all numbers of another: options, masses, frictions and whatever an environment changed.
+    """Copy all numbers of a model to another: options, masses, frictions and what an environment changed.
 
     Args:
         old: The environment's model.
@@ -133,7 +133,7 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
 
 
 def why_not_in_place(env: gym.Env[Any, Any], new: mujoco.MjModel, prefix: str) -> str:
-    """Say what an environment may look up by number that would change; empty if nothing does."""
+    """Return what an environment may look up by number that would change; empty if nothing does."""
     old = env.unwrapped.model  # type: ignore[attr-defined]
     if old.nsensor:
         return "the model has sensors of its own, and the environment may read all sensor data at once"
@@ -143,7 +143,7 @@ def why_not_in_place(env: gym.Env[Any, Any], new: mujoco.MjModel, prefix: str) -
 
 
 def find_holder(env: gym.Env[Any, Any]) -> str:
-    """Name an attribute, besides the usual ones, that points into the model or its data; empty without."""
+    """Return an attribute, besides the usual ones, that points into the model or its data; empty without."""
     base: Any = env.unwrapped
     old = (base.model, base.data)
     below: Any = env
@@ -161,7 +161,7 @@ def find_holder(env: gym.Env[Any, Any]) -> str:
 
 
 def swap_in(env: Any, new: mujoco.MjModel) -> None:
-    """Let an environment go on with another model of its robot, in the state in which it is.
+    """Replace the model of an environment's robot, which goes on in the state in which it is.
 
     Args:
         env: The innermost environment.
@@ -206,7 +206,7 @@ def _rows(model: mujoco.MjModel, name: str, kept: dict[str, NDArray[np.intp]]) -
 
 
 def _points(value: Any, old: tuple[Any, Any], seen: set[int], depth: int) -> bool:
-    """Tell whether an object is, or holds, a view of a model or its data."""
+    """Return whether an object is, or holds, a view of a model or its data."""
     if any(value is part for part in old):
         return True
     if isinstance(value, np.ndarray):

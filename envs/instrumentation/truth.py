@@ -1,10 +1,10 @@
-"""What an instrumented robot's sensors tell about its feet, in signs and frames that are settled here.
+"""What an instrumented robot's sensors measure of its feet; signs and frames are defined here.
 
 A row holds what MuJoCo's sensors measured at one instant: after a step, that at its beginning. MuJoCo's force
-and torque sensors tell what the parent exerts on the child, and its contact sensor what the first body exerts
+and torque sensors measure what the parent exerts on the child, its contact sensor what the first body exerts
 on the other; both change sign, so that all wrenches here go up into the robot.
 
-The cells are springs under a massless plate that covers the sole (:class:`~surefoot.envs.SolePlate`): they
+The cells are springs under a massless plate that covers the sole (:class:`SolePlate`): they
 share what the ground exerts, and their centre of pressure is that of the contacts.
 """
 
@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.robot import FOOT_WIDTH, TORSO_WIDTH, MeasuredRobot
+from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class FeetTruth:
     def __init__(self, rows: Array, layout: MeasuredRobot) -> None:
         self.rows = rows.copy()
         self.layout = layout
-        self._end = FOOT_WIDTH * len(layout.feet)
+        self._end = FootColumns.width * len(layout.feet)
 
     @property
     def time(self) -> Array:
@@ -44,12 +44,12 @@ class FeetTruth:
     @property
     def wrench_ankle(self) -> Array:
         """Wrenches that the feet pass up at the ankles in the feet's axes in N and N m, shape (..., F, 6)."""
-        return -self._feet[..., :6]
+        return -self._feet[..., FootColumns.ankle]
 
     @property
     def force_world(self) -> Array:
         """Forces of everything that touches a foot on it, in the world in N, shape (..., F, 3)."""
-        return -self._feet[..., 6:9]
+        return -self._feet[..., FootColumns.force]
 
     @cached_property
     def wrench_sole(self) -> Array:
@@ -60,22 +60,23 @@ class FeetTruth:
         feet = self._feet
         if feet.size == self._end:
             # A single row, as every step of one environment makes: plain floats are faster than arrays.
-            return np.array([_wrench(foot) for foot in feet.reshape(-1, FOOT_WIDTH).tolist()]).reshape(
+            return np.array([_wrench(foot) for foot in feet.reshape(-1, FootColumns.width).tolist()]).reshape(
                 *feet.shape[:-1], 6
             )
-        force, arm = -feet[..., 6:9], feet[..., 12:15] - feet[..., 15:18]
-        world = np.stack([force, np.cross(arm, force) - feet[..., 9:12]], axis=-2)
+        force = -feet[..., FootColumns.force]
+        arm = feet[..., FootColumns.place] - feet[..., FootColumns.position_sole]
+        world = np.stack([force, np.cross(arm, force) - feet[..., FootColumns.torque]], axis=-2)
         return (world @ self.R_world_sole).reshape(*feet.shape[:-1], 6)
 
     @property
     def position_sole(self) -> Array:
         """Origins of the sole frames in the world in m, shape (..., F, 3)."""
-        return self._feet[..., 15:18]
+        return self._feet[..., FootColumns.position_sole]
 
     @property
     def R_world_sole(self) -> Array:  # noqa: N802
         """Rotations from the sole frames to the world, shape (..., F, 3, 3)."""
-        return _rotation(self._feet[..., 18:27])
+        return _rotation(self._feet[..., FootColumns.axes_sole])
 
     @property
     def cop_sole(self) -> Array:
@@ -103,59 +104,63 @@ class FeetTruth:
     @property
     def position_torso(self) -> Array:
         """Origin of the torso's frame in the world in m, shape (..., 3)."""
-        return self.rows[..., self._end : self._end + 3]
+        return self._body[..., TorsoColumns.position]
 
     @property
     def R_world_torso(self) -> Array:  # noqa: N802
         """Rotation from the torso's frame to the world, shape (..., 3, 3)."""
-        return _rotation(self.rows[..., self._end + 3 : self._end + 12])
+        return _rotation(self._body[..., TorsoColumns.axes])
 
     @property
     def com(self) -> Array:
         """Centre of mass of the robot in the world in m, shape (..., 3)."""
-        return self.rows[..., self._end + 12 : self._end + 15]
+        return self._body[..., TorsoColumns.com]
 
     @property
     def com_velocity(self) -> Array:
         """Velocity of the centre of mass in the world in m/s, shape (..., 3)."""
-        return self.rows[..., self._end + 15 : self._end + 18]
+        return self._body[..., TorsoColumns.com_velocity]
 
     @property
     def angular_momentum(self) -> Array:
         """Angular momentum about the centre of mass, in the world's axes, in kg m^2/s, shape (..., 3)."""
-        return self.rows[..., self._end + 18 : self._end + 21]
+        return self._body[..., TorsoColumns.angular_momentum]
 
     @property
     def accelerometer(self) -> Array:
         """Specific force at the IMU in the torso's axes in m/s^2, shape (..., 3)."""
-        return self.rows[..., self._end + 21 : self._end + 24]
+        return self._body[..., TorsoColumns.accelerometer]
 
     @property
     def gyroscope(self) -> Array:
         """Angular velocity of the torso in its own axes in rad/s, shape (..., 3)."""
-        return self.rows[..., self._end + 24 : self._end + 27]
+        return self._body[..., TorsoColumns.gyroscope]
 
     @property
     def joint_position(self) -> Array:
         """Angles of the hinge joints in rad, shape (..., J)."""
-        return self.rows[..., self._end + TORSO_WIDTH : -1]
+        return self.rows[..., self._end + TorsoColumns.width : -1]
 
     def vgrf(self) -> Array:
         """Vertical ground reaction forces in the world at the last row in N, shape (..., F)."""
-        return 0.0 - self._last[..., 8]
+        return 0.0 - self._last[..., FootColumns.force][..., 2]
 
     def cop_world(self) -> Array:
         """Centre of pressure of all feet together at the last row in the world in m, shape (..., 2).
 
         NaN where all feet together bear no more than 5 N.
         """
-        ground = self._last[..., 6:15] * _UP
+        ground = self._last[..., FootColumns.contact] * _UP
         cop: Array = centre_of_pressure(ground)
         return cop
 
     @property
     def _feet(self) -> Array:
-        return self.rows[..., : self._end].reshape(*self.rows.shape[:-1], -1, FOOT_WIDTH)
+        return self.rows[..., : self._end].reshape(*self.rows.shape[:-1], -1, FootColumns.width)
+
+    @property
+    def _body(self) -> Array:
+        return self.rows[..., self._end : self._end + TorsoColumns.width]
 
     @property
     def _last(self) -> Array:
@@ -163,7 +168,7 @@ class FeetTruth:
         return self._feet if self.rows.ndim == 1 else self._feet[..., -1, :, :]
 
     def _refuse_flaws(self) -> None:
-        """Refuse what a foot without area cannot tell."""
+        """Raise ValueError if a foot has no area."""
         if self.layout.flaw:
             raise ValueError(self.layout.flaw)
 
@@ -278,4 +283,4 @@ _QUANTITIES: Final[dict[str, Callable[[FeetTruth], Array]]] = {
 """How each quantity follows from a step's truth."""
 
 QUANTITIES: Final = tuple(_QUANTITIES)
-"""Names of what is told of a step."""
+"""Names of the quantities of a step."""

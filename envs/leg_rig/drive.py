@@ -18,7 +18,7 @@ class HipDrive:
         substeps: Targets to give for each step.
 
     Attributes:
-        target: Where the servos are told to be now in rad, shape (J,).
+        target: The servos' targets now in rad, shape (J,).
         speed: How fast the target moves now in rad/s, shape (J,).
     """
 

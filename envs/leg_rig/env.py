@@ -92,8 +92,8 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Info
 
-    ``info["surefoot"]["configuration"]`` and ``info["surefoot"]["truth"]``, in which ``_foot`` and ``_leg``
-    say at and in which sensor's frame, at the end of the step:
+    ``info["surefoot"]["configuration"]`` and ``info["surefoot"]["truth"]`` at the end of the step. Names
+    end in ``_foot`` or ``_leg``, the sensor at and in whose frame a quantity is:
 
     | Key | Truth | Unit |
     |-----|-------|------|
@@ -113,7 +113,7 @@ class LegRigEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: ``"rgb_array"``, ``"human"`` or ``None``.
         width: Width of a frame in pixels.
         height: Height of a frame in pixels.
-        camera: A camera of leg_rig.xml: ``"side"`` or ``"front"``.
+        camera: A camera of rig.xml: ``"side"`` or ``"front"``.
 
     Attributes:
         model: The MuJoCo model.

@@ -1,12 +1,12 @@
 """A leg with two six-axis F/T sensors on a stand: the model of in-situ calibration, and what hangs on it.
 
-The numbers of the leg are those of leg_rig.xml. The masses that are added to it are those of the experiment
+The numbers of the leg are those of rig.xml. The masses that are added to it are those of the experiment
 of Traversaro, Pucci and Nori, "In situ calibration of six-axes force-torque sensors using accelerometer
 measurements" (ICRA 2015), which its first author published.
 
-Signs are settled here. A wrench is what the limb exerts on the robot through the sensor, at and in the
+Signs are defined here. A wrench is what the limb exerts on the robot through the sensor, at and in the
 sensor's frame: at rest w = M(m, c) g with M = [m I; m [c]x] (Eqs. 3-5 of that paper). MuJoCo's force and
-torque sensors tell what the parent exerts on the child, which is the opposite.
+torque sensors measure what the parent exerts on the child, which is the opposite.
 """
 
 from collections.abc import Mapping
@@ -175,7 +175,7 @@ def read_wrenches(sensordata: NDArray[np.float64]) -> NDArray[np.float64]:
         Wrenches (fx, fy, fz, tx, ty, tz) at and in the sensors' frames, (foot, leg), in N and N m, shape
         (..., 2, 6).
     """
-    # leg_rig.xml lists the leg's force and torque first, then the foot's.
+    # rig.xml lists the leg's force and torque first, then the foot's.
     leg, foot = sensordata[..., 0:6], sensordata[..., 6:12]
     return -np.stack([foot, leg], axis=-2)
 

@@ -1,4 +1,4 @@
-"""The robot balances with a load that it does not know: only its feet tell where it stands."""
+"""The robot balances with a load that it does not know and that only its feet can measure."""
 
 from collections.abc import Sequence
 from math import atan2, exp, hypot, pi
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surefoot.envs.command import Command, turned
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
-from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
 
 COP_SCALE = 0.015
 """Error of the centre of pressure in m at which its reward is down to 1/e."""
@@ -18,22 +18,19 @@ COP_SCALE = 0.015
 PAYLOAD_BOX = ((-0.08, -0.12, 0.0), (0.10, 0.12, 0.10))
 """Corners of the box in the torso's frame within which a payload's centre of mass lies, in m."""
 
-LARGEST_SWAY = 0.04
-"""Largest sway in m that keeps the robot over its feet."""
-
 
 class NaoBalanceEnv(NaoStandEnv):
-    r"""Keep the centre of pressure where it is commanded, under a payload nobody told about, and pushes.
+    r"""Keep the centre of pressure where it is commanded, under pushes and a payload that is not announced.
 
     Actions and observations are :class:`NaoEnv`'s. After a quiet stand the commanded centre of pressure
     (``cop_reference`` in ``"state"``) moves smoothly at random, and the open-loop pattern sways the pelvis by
     what that takes *without a payload*. At a random moment a mass is fixed somewhere to the torso. It moves
     the centre of pressure by up to two centimetres and the joints by next to nothing, so that neither
-    encoders nor tilt tell of it: only the feet do.
+    encoders nor tilt show it: only the feet do.
 
     ## Action
 
-    During the quiet stand residuals are not applied, whatever they are: calibrators get a standing start.
+    During the quiet stand residuals are not applied, so that calibrators get a standing start.
 
     ## Reward
 
@@ -51,10 +48,10 @@ class NaoBalanceEnv(NaoStandEnv):
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
         stand_time: Length of the quiet stand in s, with which an episode begins.
-        sway: Bounds (forward, left) of the sway of the centre of mass in m; zero to be told to stand still.
+        sway: Bounds (forward, left) of the sway of the centre of mass in m; zero to stand still.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
         payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
-            before a calibrator has seen enough to tell a load from a broken sensor.
+            before a calibrator can tell a load from a broken sensor.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         push_interval: Mean time between pushes in s. None comes during the quiet stand.
         **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
@@ -171,7 +168,7 @@ class RandomSway:
         self._stand_time = stand_time
 
     def at(self, time: float) -> tuple[Pair, Pair, Pair]:
-        """Give the sway, its velocity and its acceleration, (forward, left), in m, m/s and m/s^2."""
+        """Return the sway, its velocity and its acceleration, (forward, left), in m, m/s and m/s^2."""
         since = (time - self._stand_time) / FADE_TIME
         if since <= 0.0:
             return (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The robot walks with a load that it does not know: its feet tell best where it treads."""
+"""The robot walks with a load that it does not know and that its feet measure best."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -28,17 +28,17 @@ COP_WEIGHT = 3.0
 
 
 class NaoCarryEnv(NaoPatternEnv):
-    """Walk on under a payload nobody told about, and pushes.
+    """Walk on under pushes and a payload that is not announced.
 
     Actions and observations are :class:`NaoEnv`'s, and the zero action is the open-loop pattern of
     :class:`~surefoot.envs.NaoWalkEnv`. After a quiet stand the robot walks straight ahead. At a random moment
     a mass is fixed somewhere before, behind or in the torso. It moves the centre of pressure by up to 25 mm
     off where the pattern puts it, joints by no more than 3 mrad and the tilt by up to 13 mrad, of which an
-    IMU hides half: the feet tell best. The walk goes on to the end of the episode.
+    IMU hides half: the feet measure it best. The walk goes on to the end of the episode.
 
     ## Action
 
-    During the quiet stand residuals are not applied, whatever they are: calibrators get a standing start.
+    During the quiet stand residuals are not applied, so that calibrators get a standing start.
 
     ## Reward
 
@@ -62,7 +62,7 @@ class NaoCarryEnv(NaoPatternEnv):
         stand_time: Length of the quiet stand in s, with which an episode begins.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
         payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
-            before a calibrator has seen enough to tell a load from a broken sensor.
+            before a calibrator can tell a load from a broken sensor.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         push_interval: Mean time between pushes in s. None comes during the quiet stand.
         **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.

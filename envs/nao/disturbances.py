@@ -96,7 +96,7 @@ class Payload:
         return self._carried
 
     def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
-        """Say what will be picked up; the robot must carry nothing, as after :meth:`reset`.
+        """Plan what will be picked up; the robot must carry nothing, as after :meth:`reset`.
 
         Args:
             mass: Its mass in kg, 0 for none.
@@ -127,7 +127,7 @@ class Payload:
             self._carried = True
 
     def _link(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Mass, centre of mass, principal inertia and its axes of the torso as it is now."""
+        """Return mass, centre of mass, principal inertia and its axes of the torso as it is now."""
         model, body = self._model, self._body
         return (
             float(model.body_mass[body]),
@@ -137,7 +137,7 @@ class Payload:
         )
 
     def _loaded(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The torso and the payload as one rigid body, by the parallel axis theorem."""
+        """Return the torso and the payload as one rigid body, by the parallel axis theorem."""
         mass, com, inertia, quaternion = self._empty
         where = self.position
         total = mass + self.mass
@@ -221,11 +221,7 @@ class Surprise:
 
 
 def refuse_planned_payload(task: str, options: Mapping[str, Any]) -> None:
-    """Refuse the option of :class:`NaoEnv` whose place is taken by a payload that is drawn.
-
-    Raises:
-        TypeError: If it is among the options.
-    """
+    """Raise TypeError if the options have a payload where a task draws its own."""
     if "payload" in options:
         raise TypeError(
             f"{task} draws its payload: give 'payload_mass' and 'payload_time' in place of 'payload'."

@@ -55,6 +55,9 @@ SINK_EXPONENT = 1.3
 GROUND_TIME_CONSTANT = 0.02
 """Time constant in s of the contacts in nao.xml: firm ground."""
 
+COP_SCALE = 0.02
+"""Error of the centre of pressure in m at which its reward has fallen to 1/e."""
+
 DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
 """Relative stiffnesses of the eight cells, uneven by up to 18 %: no two corners of a real shoe are alike."""
 
@@ -246,10 +249,10 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         return draw_nao()
 
     def _command(self, tick: int) -> Command:
-        """Say what the robot commands itself at control tick ``tick`` of this episode, 0 at the reset.
+        """Return what the robot commands itself at control step ``tick`` of this episode, 0 at its start.
 
-        During the step to a tick the targets move to that tick's ``joint_target``. What an episode draws is
-        drawn in :meth:`_start`. Ticks may exceed the pattern's length.
+        During a step the targets move to the ``joint_target`` of its end. What an episode draws is
+        drawn in :meth:`_start`. Steps may exceed the pattern's length.
         """
         raise NotImplementedError
 
@@ -257,18 +260,18 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Prepare an episode: called at every reset, after seeding and before ``_command(0)``."""
 
     def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
-        """Pay for a step, in named terms of which the reward is the sum."""
+        """Return the terms of a step's reward, which is their sum, by name."""
         x, y = truth["cop_world"].tolist()
         reference_x, reference_y = self.command.cop.tolist()
         square = (x - reference_x) ** 2 + (y - reference_y) ** 2
         return {
             "reward_alive": 1.0,
-            "reward_cop": float(np.exp(-square / 0.02**2)) if square == square else 0.0,
+            "reward_cop": float(np.exp(-square / COP_SCALE**2)) if square == square else 0.0,
             "reward_action": -0.1 * float(action @ action) / action.size,
         }
 
     def _fallen(self) -> bool:
-        """Tell whether the robot has fallen."""
+        """Return whether the robot has fallen."""
         last, where = self.truth.rows[-1], self.channels
         return not (
             last[where.position_torso.stop - 1] > FALLEN_HEIGHT

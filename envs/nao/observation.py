@@ -39,7 +39,7 @@ class NaoObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the centres of pressure of the last episode."""
+        """Start with centres of pressure at the origin."""
         self._cop = [0.0, 0.0]
         self._cop_foot = [[0.0, 0.0], [0.0, 0.0]]
 

@@ -16,6 +16,9 @@ from surefoot.envs.robots.nao import FEET, place_on_ground
 LEG_LENGTH = 0.2029
 """Thigh and tibia in m."""
 
+LARGEST_SWAY = 0.04
+"""Largest sway in m that keeps the robot over its feet."""
+
 
 class NaoStandEnv(NaoEnv):
     """Stand on both feet without falling; actions, observations and reward are :class:`NaoEnv`'s.
@@ -35,10 +38,10 @@ class NaoStandEnv(NaoEnv):
         self, *, sway: Sequence[float] = (0.0, 0.0), sway_period: float = 4.0, **options: Any
     ) -> None:
         amplitude = tuple(float(part) for part in sway)
-        if len(amplitude) != 2 or not all(abs(part) <= 0.04 for part in amplitude):
+        if len(amplitude) != 2 or not all(abs(part) <= LARGEST_SWAY for part in amplitude):
             raise ValueError(
-                f"'sway' must be amplitudes (forward, left) of at most 0.04 m, which keep the robot over its "
-                f"feet; got {list(sway)}."
+                f"'sway' must be amplitudes (forward, left) of at most {LARGEST_SWAY} m, which keep the "
+                f"robot over its feet; got {list(sway)}."
             )
         super().__init__(**options)
         self._sway = amplitude

@@ -1,9 +1,9 @@
 """What really happened during one control step, at every substep of the simulation.
 
-Signs and frames are settled here, once. MuJoCo's force and torque sensors tell what the parent exerts on the
-child; a load cell or an ankle sensor tells what comes up from the ground, so both change sign. A cell is
-zeroed under its own sole plate: the plate's weight is added back, and what stays in the reading besides the
-ground is the plate's inertia while it accelerates or tilts, as on a real shoe.
+Signs and frames are defined here, once. MuJoCo's force and torque sensors measure what the parent exerts on
+the child; a load cell or an ankle sensor measures what comes up from the ground, so both change sign. A cell
+reads zero under its own sole plate: the plate's weight is added back, and what stays in the reading besides
+the ground is the plate's inertia while it accelerates or tilts, as on a real shoe.
 
 A row is MuJoCo's state at the beginning of a substep together with the forces of that instant, so that all
 quantities of a row belong together; the last row lies one substep before the end of the control step.
@@ -105,7 +105,7 @@ class Truth:
         """Wrenches that the feet pass up at and in the ankle sensors' frames in N and N m, shape (S, 2, 6).
 
         What the ground exerts on the foot, and gravity less inertia of all that hangs below the sensor
-        (:func:`~surefoot.envs.robots.nao.below_ankle`): a foot in the air reads its own weight, downwards.
+        (:attr:`RobotDrawing.below_ankle`): a foot in the air reads its own weight, downwards.
         """
         return -self.rows[:, self.channels.ankle].reshape(-1, 2, 6)
 

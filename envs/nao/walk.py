@@ -12,10 +12,7 @@ from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.pattern import Pattern, plan_route, plan_walk
 from surefoot.envs.gait.route import checked_route
 from surefoot.envs.gait.swing import checked_roll
-from surefoot.envs.nao.env import NaoEnv
-
-COP_SCALE = 0.02
-"""Error of the centre of pressure in m at which its reward has fallen to 1/e."""
+from surefoot.envs.nao.env import COP_SCALE, NaoEnv
 
 VELOCITY_SCALE = 0.1
 """Error of the velocity of the centre of mass in m/s at which its reward has fallen to 1/e."""

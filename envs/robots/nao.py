@@ -43,18 +43,18 @@ def load_nao_spec() -> mujoco.MjSpec:
 
 
 def hinge_joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Name all hinge joints in model order: the J columns of every joint array."""
+    """Return the names of all hinge joints in model order: the J columns of every joint array."""
     hinge = mujoco.mjtJoint.mjJNT_HINGE
     return tuple(model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == hinge)
 
 
 def motor_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Name all actuators in model order: the M columns of every motor array, the leg motors first."""
+    """Return the names of all actuators in model order: the M columns of motor arrays, the legs' first."""
     return tuple(model.actuator(i).name for i in range(model.nu))
 
 
 def motor_of_joint(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Tell which motor turns each hinge joint, shape (J,); one motor turns both hip-yaw-pitch joints."""
+    """Return which motor turns each hinge joint, shape (J,); one turns both hip-yaw-pitch joints."""
     motors = motor_names(model)
     shared = {"RHipYawPitch": "LHipYawPitch"}
     return np.array([motors.index(shared.get(name, name)) for name in hinge_joint_names(model)])

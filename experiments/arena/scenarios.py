@@ -189,7 +189,7 @@ _TABLE = (
         "mass-error",
         "mass off by 2 %",
         "The reference's own errors: a believed mass that is 2 % off.",
-        Walk("mass", beliefs={"mass_error": 0.02}),
+        Walk("mass", beliefs={"errors": {"mass": 0.02}}),
     ),
     Scenario(
         "payload",
@@ -201,7 +201,7 @@ _TABLE = (
         "com-error",
         "centre of mass off by 10 mm",
         "The reference's own errors: a believed centre of mass that is 10 mm off.",
-        Walk("com", beliefs={"com_offset": 0.010}),
+        Walk("com", beliefs={"errors": {"com": 0.010}}),
     ),
     *(
         _fault(kind, title, **options)

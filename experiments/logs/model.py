@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.experiments.logs.motion import MotionFacts
 from surefoot.experiments.logs.table import LogError
+from surefoot.wrappers.belief_errors import NO_ERRORS
 from surefoot.wrappers.nominal import NominalModel
 
 __all__ = ["LogModel", "load_model"]
@@ -84,7 +85,7 @@ def load_model(facts: MotionFacts, file: str) -> LogModel:
         soles = [_place_site(spec, *pair, file) for pair in zip(facts.soles, _SOLES, strict=True)]
         order = _tree_order(spec, soles)
         names = (_IMU, _SOLES[order[0]], _SOLES[order[1]])
-        nominal = NominalModel(spec, mass_error=0.0, com_offset=0.0, sites=names, torso=facts.torso)
+        nominal = NominalModel(spec, NO_ERRORS, sites=names, torso=facts.torso)
     except LogError:
         raise
     except (ValueError, mujoco.FatalError) as error:

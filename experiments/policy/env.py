@@ -39,7 +39,7 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
     {
         "true": None,
         "none": {"method": "none"},
-        "bench": {"method": "none", "initial": "bench"},
+        "bench": {"method": "none", "initial": "calibrated"},
         "quasi-static": {"method": "quasi-static"},
         "window": {"method": "window"},
         "moment": {"method": "moment", **EXPECTED_LOADS},

@@ -22,7 +22,7 @@ SWEEP_FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
     {
         "true": None,
         "none": {"method": "none"},
-        "bench": {"method": "none", "initial": "bench"},
+        "bench": {"method": "none", "initial": "calibrated"},
         **{name: {"method": name} for name in FEEDS if name not in ("true", "none")},
     }
 )

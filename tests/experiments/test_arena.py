@@ -107,7 +107,7 @@ def test_another_option_is_another_file(tmp_path: Path) -> None:
     walk = Walk("w")
     names = {
         log_paths(one, seed, duration, tmp_path)["instant"].name
-        for one in (walk, dataclasses.replace(walk, beliefs={"mass_error": 0.02}))
+        for one in (walk, dataclasses.replace(walk, beliefs={"errors": {"mass": 0.02}}))
         for seed in (0, 1)
         for duration in (10.0, 12.0)
     }
@@ -190,7 +190,8 @@ def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
 def test_beliefs_and_sensors_are_altered(results: ArenaResults) -> None:
     paths = sorted((results.options.out / "logs").glob("*_instant_seed0_*.parquet"))
     plain = read_log(paths[0])
-    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (walks.INSTANT,), beliefs={"mass_error": 0.02})["instant"]
+    beliefs = {"errors": {"mass": 0.02}}
+    heavy = record_walk(0.1, 0, STAND_TIME + 1.0, (walks.INSTANT,), beliefs=beliefs)["instant"]
     true_mass = plain.mass / (1.0 + np.sign(plain.mass - 5.305) * 0.005)
     assert abs(heavy.mass / true_mass - 1.0) == pytest.approx(0.02, abs=1e-3)
 

@@ -19,6 +19,7 @@ from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.belief_errors import NO_ERRORS
 
 NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 MOTION = ("joint_", "accelerometer_", "gyroscope_")
@@ -44,7 +45,7 @@ class _Recorded:
 
     def __init__(self, folder: Path, steps: int = 640) -> None:
         bare = gym.make("surefoot/NaoWalk-v0", speed=0.04, duration=12.0, push_impulse=(0.0, 0.0))
-        env = SelfCalibration(FootSensors(bare), "none", mass_error=0.0, com_offset=0.0)
+        env = SelfCalibration(FootSensors(bare), "none", errors=NO_ERRORS)
         sensors, base = env.env, env.unwrapped
         env.reset(seed=4)
         packets, raw, time, force, references, moments = list(sensors.packets), [], [], [], [], []

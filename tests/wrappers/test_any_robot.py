@@ -15,6 +15,7 @@ from gymnasium.utils.env_match import check_environments_match
 from surefoot.envs import InstrumentedEnv
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
 from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.belief_errors import NO_ERRORS
 
 ANKLES = "icub-force-torque"
 NAO = {"speed": 0.04, "duration": 12.0}
@@ -132,8 +133,7 @@ def test_feet_without_soles_have_forces_and_no_centre_of_pressure() -> None:
     env = SelfCalibration(
         FootSensors(gym.make("Humanoid-v5"), PERFECT_FORCE_TORQUE),
         "none",
-        mass_error=0.0,
-        com_offset=0.0,
+        errors=NO_ERRORS,
         show=("vgrf", "cop_valid"),
     )
     env.reset(seed=0)

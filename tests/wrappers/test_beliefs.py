@@ -13,6 +13,7 @@ from surefoot.envs import load_nao_spec
 from surefoot.sensors import Imu, Link, preset
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers import Beliefs, FootSensors, NominalModel, SelfCalibration
+from surefoot.wrappers.belief_errors import NO_ERRORS, BeliefErrors
 from surefoot.wrappers.odometry import Odometry
 from surefoot.wrappers.telemetry import TelemetryLayout
 
@@ -21,7 +22,7 @@ DT = 1 / 80
 
 @pytest.fixture(scope="module")
 def exact() -> NominalModel:
-    model = NominalModel(load_nao_spec(), mass_error=0.0, com_offset=0.0)
+    model = NominalModel(load_nao_spec(), NO_ERRORS)
     model.draw(np.random.default_rng(0))
     return model
 
@@ -51,7 +52,7 @@ def test_an_exact_model_agrees_with_the_simulator(exact: NominalModel) -> None:
 def test_the_nominal_model_is_wrong_by_as_much_as_it_says(exact: NominalModel) -> None:
     nothing = np.zeros(24), np.zeros(24), np.zeros(3)
     com = exact.evaluate(*nothing)[0].copy()
-    model = NominalModel(load_nao_spec(), mass_error=0.005, com_offset=0.003)
+    model = NominalModel(load_nao_spec())
     offsets, masses = [], []
     for seed in range(20):
         model.draw(np.random.default_rng(seed))
@@ -69,8 +70,8 @@ def test_the_nominal_model_is_wrong_by_as_much_as_it_says(exact: NominalModel) -
 def test_a_drawing_without_the_sites_is_refused() -> None:
     with pytest.raises(ValueError, match=r"has no site 'chest'; it has \['imu'"):
         NominalModel(load_nao_spec(), sites=("chest", "left_sole", "right_sole"))
-    with pytest.raises(ValueError, match=r"'com_offset' must lie in 0 to 1, got -0.1"):
-        NominalModel(load_nao_spec(), com_offset=-0.1)
+    with pytest.raises(ValueError, match=r"BeliefErrors.com must lie in 0 to 1, got -0.1"):
+        BeliefErrors(com=-0.1)
 
 
 def test_soles_are_told_in_the_order_in_which_they_are_named() -> None:
@@ -235,7 +236,7 @@ def walks() -> dict[str, _Walk]:
         return gym.make("surefoot/NaoWalk-v0", speed=0.04, duration=12.0, push_impulse=(0.0, 0.0))
 
     return {
-        "exact": _Walk(make, mass_error=0.0, com_offset=0.0),
+        "exact": _Walk(make, errors=NO_ERRORS),
         "default": _Walk(make),
     }
 
@@ -283,7 +284,7 @@ def test_links_decide_how_late_a_reference_is(make_bare) -> None:
 
 def test_an_imu_without_averaging_does_as_well(make_bare) -> None:
     imu = Imu(averaged=False)
-    env = SelfCalibration(FootSensors(make_bare(), imu=imu), "none", mass_error=0.0, com_offset=0.0)
+    env = SelfCalibration(FootSensors(make_bare(), imu=imu), "none", errors=NO_ERRORS)
     env.reset(seed=0)
     lift = [env.step(np.zeros(11, dtype=np.float32))[4]["surefoot"]["reference"] for _ in range(240)]
     vertical = np.array([reference.com_acceleration[2] for reference in lift[80:]])

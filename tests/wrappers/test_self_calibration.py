@@ -81,7 +81,7 @@ def test_another_calibrator_told_the_same_says_the_same(make_bare) -> None:
 
 def test_the_same_seed_under_every_method_is_the_same_stream(make_bare) -> None:
     streams = []
-    for method, initial in (("none", "nominal"), ("window", "nominal"), ("tare", "bench")):
+    for method, initial in (("none", "nominal"), ("window", "nominal"), ("tare", "calibrated")):
         env = SelfCalibration(FootSensors(make_bare()), method, initial=initial)
         streams.append([(o["foot_raw"], i["surefoot"]["reference"].com) for o, i in walk(env, 40)])
     for other in streams[1:]:
@@ -94,7 +94,7 @@ def test_calibration_starts_from_the_map_that_was_asked_for(make_bare) -> None:
     nominal = Parameters(HX711_LOAD_CELLS.nominal_scale, HX711_LOAD_CELLS.nominal_offset)
     other = Parameters(1.1 * nominal.scale, 1.1 * nominal.offset + 0.3)
     found = {}
-    for name, initial in {"nominal": "nominal", "bench": "bench", "given": other}.items():
+    for name, initial in {"nominal": "nominal", "calibrated": "calibrated", "given": other}.items():
         env = SelfCalibration(FootSensors(make_bare()), "none", initial=initial)
         _, info = env.reset(seed=2)
         found[name] = info["surefoot"]["parameters"]
@@ -102,7 +102,7 @@ def test_calibration_starts_from_the_map_that_was_asked_for(make_bare) -> None:
     for name, expected in (("nominal", nominal), ("given", other)):
         np.testing.assert_allclose(found[name].scale, expected.scale)
         np.testing.assert_allclose(found[name].offset, expected.offset)
-    left = found["bench"].relative_to(true)
+    left = found["calibrated"].relative_to(true)
     assert 0.0 < np.abs(left.scale - 1.0).max() < 0.006
     assert 0.0 < np.abs(left.offset).max() < 0.1
     assert np.abs(nominal.relative_to(true).scale - 1.0).max() > 0.05
@@ -110,7 +110,7 @@ def test_calibration_starts_from_the_map_that_was_asked_for(make_bare) -> None:
 
 def test_a_bench_is_as_good_as_it_says(make_bare) -> None:
     env = SelfCalibration(
-        FootSensors(make_bare()), "none", initial="bench", bench_scale_error=0.01, bench_offset_error=0.2
+        FootSensors(make_bare()), "none", initial="calibrated", errors={"scale": 0.01, "offset": 0.2}
     )
     left = []
     for seed in range(40):
@@ -167,7 +167,7 @@ def test_a_plan_is_sure_only_well_inside_a_phase(lag: int) -> None:
     [
         (
             None,
-            "'initial' must be 'nominal', 'bench' or Parameters (scale, offset), also as a mapping, "
+            "'initial' must be 'nominal', 'calibrated' or Parameters (scale, offset), also as a mapping, "
             "got None.",
         ),
         ((1.0, 0.0), "Parameters (scale, offset), also as a mapping, got (1.0, 0.0)."),

@@ -13,13 +13,15 @@ from surefoot.calibration import Parameters
 from surefoot.sensors import Fault, ForceTorque, Imu, LoadCells, preset
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.belief_errors import NO_ERRORS, BeliefErrors
 
 STACKS = {
     "preset": lambda env: FootSensors(env),
     "config": lambda env: FootSensors(env, LoadCells(rate=None, polarity=(1,)), imu=Imu(gyroscope_noise=0.0)),
     "mapping": lambda env: FootSensors(env, {"rate": (80.0, 90.0)}, link={"delay": 0.01}, stream=7),
     "none": lambda env: SelfCalibration(FootSensors(env), "none"),
-    "window": lambda env: SelfCalibration(FootSensors(env), "window", initial="bench", every=2, lag=5),
+    "window": lambda env: SelfCalibration(FootSensors(env), "window", initial="calibrated", every=2, lag=5),
+    "errors": lambda env: SelfCalibration(FootSensors(env), "none", errors=BeliefErrors(mass=0.02)),
     "ankles": lambda env: SelfCalibration(FootSensors(env, "icub-force-torque")),
     "both": lambda env: SelfCalibration(
         FootSensors(env, ankles=ForceTorque(), faults=[Fault("dead", 2, start=0.05)], severity=0.5),
@@ -128,7 +130,7 @@ def test_the_same_seed_is_the_same_episode_and_another_stream_other_sensors(make
 def test_perfect_instruments_and_no_calibration_show_what_the_bare_environment_shows(make_bare) -> None:
     """Forces to the bit, centres of pressure but for the inertia of the plates and a step's delay."""
     perfect = FootSensors(make_bare(), "perfect", imu="perfect", encoders="perfect", link="perfect")
-    env = SelfCalibration(perfect, "none", mass_error=0.0, com_offset=0.0)
+    env = SelfCalibration(perfect, "none", errors=NO_ERRORS)
     bare = make_bare()
     observation, expected = env.reset(seed=2)[0], bare.reset(seed=2)[0]
     layout, far = env.unwrapped.state_layout, []
@@ -201,11 +203,17 @@ def test_the_order_of_wrappers_matters_and_is_explained(make_bare) -> None:
         ),
         (lambda env: SelfCalibration(FootSensors(env), every=0), "'every'"),
         (lambda env: SelfCalibration(FootSensors(env), typo=1), "no option 'typo'. Available"),
-        (lambda env: SelfCalibration(FootSensors(env), initial="best"), "'nominal', 'bench' or Parameters"),
-        (lambda env: SelfCalibration(FootSensors(env), mass_error=-0.1), "'mass_error' must lie in 0 to 1"),
         (
-            lambda env: SelfCalibration(FootSensors(env), bench_scale_error=-1.0),
-            "'bench_scale_error' must be",
+            lambda env: SelfCalibration(FootSensors(env), initial="best"),
+            "'nominal', 'calibrated' or Parameters",
+        ),
+        (
+            lambda env: SelfCalibration(FootSensors(env), errors={"mass": -0.1}),
+            "BeliefErrors.mass must lie in 0 to 1",
+        ),
+        (
+            lambda env: SelfCalibration(FootSensors(env), errors={"scale": -1.0}),
+            "BeliefErrors.scale must be",
         ),
         (lambda env: SelfCalibration(FootSensors(env), lag=-1), "'lag' must be"),
     ],
@@ -218,3 +226,12 @@ def test_bad_options_are_refused_before_the_first_step(make, text: str, make_bar
 def test_the_perfect_preset_reads_in_newtons() -> None:
     np.testing.assert_array_equal(preset("perfect").nominal_scale, np.ones(8))
     np.testing.assert_array_equal(preset("perfect").nominal_offset, np.zeros(8))
+
+
+def test_the_keywords_of_version_0_1_are_understood(make_bare) -> None:
+    feet = FootSensors(make_bare())
+    with pytest.warns(DeprecationWarning, match=r"Give errors=\{'mass': 0.02, 'scale': 0.01\} in place"):
+        env = SelfCalibration(feet, "none", mass_error=0.02, bench_scale_error=0.01)
+    assert env.spec.additional_wrappers[-1].kwargs["errors"] == BeliefErrors(mass=0.02, scale=0.01)
+    with pytest.warns(DeprecationWarning, match="initial='bench' is initial='calibrated' now"):
+        SelfCalibration(feet, "none", initial="bench")

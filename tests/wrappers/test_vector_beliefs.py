@@ -7,6 +7,7 @@ from surefoot.calibration import Reference
 from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers.attitude import UPRIGHT, update
+from surefoot.wrappers.belief_errors import BeliefErrors
 from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.nominal import NominalModel
@@ -17,6 +18,7 @@ from surefoot.wrappers.vector.nominal import BatchNominal
 from surefoot.wrappers.vector.telemetry import BatchAttitude
 
 ROBOTS, PERIOD, DELAY = 3, 0.0125, 2
+ERRORS = BeliefErrors(mass=0.01, com=0.005)
 NOBODY = np.zeros(ROBOTS, dtype=bool)
 
 
@@ -31,7 +33,7 @@ def _motions(steps: int, layout: TelemetryLayout, seed: int = 0) -> np.ndarray:
 
 
 def _nominal() -> BatchNominal:
-    model = BatchNominal(draw_nao(), ROBOTS, mass_error=0.01, com_offset=0.005)
+    model = BatchNominal(draw_nao(), ROBOTS, ERRORS)
     model.draw(range(ROBOTS), np.random.default_rng(5))
     return model
 
@@ -41,9 +43,7 @@ def _scalar_models() -> list[NominalModel]:
     models = []
     for _ in range(ROBOTS):
         sites = (drawing.imu, drawing.soles[0], drawing.soles[1])
-        model = NominalModel(
-            drawing.spec(), mass_error=0.01, com_offset=0.005, sites=sites, torso=drawing.torso
-        )
+        model = NominalModel(drawing.spec(), ERRORS, sites=sites, torso=drawing.torso)
         model.draw(rng)
         models.append(model)
     return models

@@ -41,7 +41,7 @@ def _vector(
 
 
 def test_each_robot_is_calibrated_as_it_would_be_alone():
-    env = _vector(initial="bench", mass_error=0.0, bench_scale_error=0.05)
+    env = _vector(initial="calibrated", errors={"mass": 0.0, "scale": 0.05})
     env.reset(seed=3)
     batch = env.calibration
     starts = [Parameters(*(part[i] for part in batch._map)) for i in range(ROBOTS)]
@@ -65,7 +65,7 @@ def test_each_robot_is_calibrated_as_it_would_be_alone():
 
 def test_a_mass_believed_wrong_is_told_each_robots_calibrator():
     """What the batch makes of a mass m with a calibrator of mass M is what one of mass m does."""
-    env = _vector(mass_error=0.05)
+    env = _vector(errors={"mass": 0.05})
     env.reset(seed=3)
     batch = env.calibration
     masses = batch._model.mass
@@ -224,7 +224,7 @@ def test_fresh_seeds_and_options_forget():
     start = env.calibration._method.init(env._sensors.readings.raw)
     changed = (env.calibration._state.mean != start.mean).any(axis=1)
     np.testing.assert_array_equal(changed, [False, True, True])
-    env = _vector(initial="bench")
+    env = _vector(initial="calibrated")
     env.reset(seed=1)
     first = env.calibration._map.copy(), env.calibration._model.mass.copy()
     for _ in range(20):
@@ -269,8 +269,8 @@ def test_what_does_not_fit_is_refused_at_the_door():
         VectorSelfCalibration(felt, speed=3)
     with pytest.raises(ValueError, match="longer 'lag'"):
         VectorSelfCalibration(felt, lag=1)
-    with pytest.raises(ValueError, match="'bench_scale_error'"):
-        VectorSelfCalibration(felt, bench_scale_error=-1.0)
+    with pytest.raises(ValueError, match=r"BeliefErrors\.scale"):
+        VectorSelfCalibration(felt, errors={"scale": -1.0})
     with pytest.raises(TypeError, match="goes right around"):
         VecSelfCalibration(DummyVecEnv(_functions()))
     with pytest.raises(TypeError, match=r"wrappers=\[TruthRow\]"):
@@ -286,8 +286,8 @@ def test_feet_without_cells_are_as_long_as_drawn_or_told():
 
 
 def test_sb3_shows_what_gymnasium_shows():
-    near = _vector(20, AutoresetMode.SAME_STEP, initial="bench")
-    far = VecSelfCalibration(VecFootSensors(DummyVecEnv(_functions(20))), initial="bench")
+    near = _vector(20, AutoresetMode.SAME_STEP, initial="calibrated")
+    far = VecSelfCalibration(VecFootSensors(DummyVecEnv(_functions(20))), initial="calibrated")
     far.seed(6)
     seen = near.reset(seed=[6, 7, 8])[0], far.reset()
     assert far.observation_space == near.single_observation_space

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
-from surefoot.wrappers.belief_rows import (
+from surefoot.wrappers.beliefs import (
     ACCELERATION,
     ACCELEROMETER,
     AXES,

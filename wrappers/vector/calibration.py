@@ -19,17 +19,17 @@ from surefoot.calibration import Parameters, Reference, online_method
 from surefoot.calibration._setup import method_name, setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.select import select
+from surefoot.wrappers.belief_errors import BeliefErrors
 from surefoot.wrappers.contacts import CONTACT_MARGIN
+from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import held_samples
-from surefoot.wrappers.layout_options import layout_options
 from surefoot.wrappers.source import check_stream, wants_fresh
 from surefoot.wrappers.starting_map import StartingMap
 from surefoot.wrappers.vector.beliefs import BatchBeliefs
 from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan, BatchUpright
 from surefoot.wrappers.vector.feet import BatchFeet
 from surefoot.wrappers.vector.nominal import BatchNominal
-from surefoot.wrappers.vector.seeds import Seeds, seed_numbers, seed_of_each
-from surefoot.wrappers.vector.sensors import BatchSensors
+from surefoot.wrappers.vector.sensors import BatchSensors, Seeds, seed_numbers, seed_of_each
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,13 +41,10 @@ class BatchCalibration:
     Args:
         sensors: The robots' sensors.
         method: A key of :data:`surefoot.calibration.METHODS`.
-        initial: The map to start from: ``"nominal"``, ``"bench"`` or parameters.
+        initial: The map to start from: ``"nominal"``, ``"calibrated"`` or parameters.
         lag: How many samples ago a reference describes the feet; ``None`` for as few as the link allows.
         fresh: Whether a robot that is reset forgets what it learnt.
-        mass_error: Relative error of the masses that the robots believe they have.
-        com_offset: Distance in m by which their believed centres of mass are off.
-        bench_scale_error: Relative standard deviation of a scale from the bench.
-        bench_offset_error: Standard deviation of an offset from the bench in N.
+        errors: How wrong the robots are about themselves.
         stream: Number of the random stream.
         options: Options of the method.
 
@@ -71,10 +68,7 @@ class BatchCalibration:
         initial: str | Parameters | Mapping[str, Any],
         lag: int | None,
         fresh: bool,
-        mass_error: float,
-        com_offset: float,
-        bench_scale_error: float,
-        bench_offset_error: float,
+        errors: BeliefErrors,
         stream: int,
         options: Mapping[str, Any],
     ) -> None:
@@ -86,8 +80,8 @@ class BatchCalibration:
             )
         method = method_name(method)
         self._sensors, self._fresh, self._stream = sensors, fresh, stream
-        self._initial = StartingMap(initial, instruments.nominal, bench_scale_error, bench_offset_error)
-        self._model = BatchNominal(drawing, sensors.count, mass_error=mass_error, com_offset=com_offset)
+        self._initial = StartingMap(initial, instruments.nominal, errors)
+        self._model = BatchNominal(drawing, sensors.count, errors)
         self._mass = self._model.drawn_mass
         delay = sensors.telemetry.delay
         needed = ceil(delay + 2.5 - instruments.age / dt - 1e-9)
@@ -150,7 +144,7 @@ class BatchCalibration:
             self.feet.restart(begun)
         self._beliefs.update(readings.packet, begun)
         share, (scale, offset) = self._share, self._map
-        self.reference = reference = self._believed(readings.contacts)
+        self.reference = reference = self._next_reference(readings.contacts)
         told = reference._replace(angular_momentum_rate=reference.angular_momentum_rate / share)
         force = (scale * readings.raw + offset) / share
         self._state, estimate = self._method.update(self._state, force, told, sensors.meaning.dt)
@@ -182,10 +176,10 @@ class BatchCalibration:
             told |= {"flags": estimate.flags, "vgrf": estimate.vgrf, "reference": self.reference}
         return told
 
-    def _believed(self, contacts: Floats) -> Reference:
-        """Say what the calibrator is told.
+    def _next_reference(self, contacts: Floats) -> Reference:
+        """Take in plans and postures of one more sample, and return the references for it.
 
-        That is nothing of robots whose samples are of two episodes, or which are not upright.
+        They are NaN for robots whose samples are of two episodes, and for robots that are not upright.
         """
         unknown, none = self._held > 0, np.zeros((len(contacts), 2), dtype=bool)
         self._held = np.maximum(self._held - 1, 0)
@@ -239,7 +233,7 @@ class BatchCalibration:
     def _start(self, rng: np.random.Generator) -> Floats:
         """Find the maps to start from, (scale, offset) of each robot, shape (2, N, K)."""
         shape = self._map.shape
-        if self._initial.of_bench:
+        if self._initial.calibrated:
             true = self._sensors.true_parameters()
             return np.stack(self._initial.off(true, rng.standard_normal(shape)))
         return np.broadcast_to(np.stack(self._initial.known)[:, None], shape)

@@ -13,8 +13,7 @@ from surefoot.sensors import Encoders, Imu, Link
 from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
 from surefoot.wrappers.source import split_options
-from surefoot.wrappers.vector.devices import choose_devices
-from surefoot.wrappers.vector.sensors import BatchSensors
+from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
 from surefoot.wrappers.vector.truth import BatchTruth
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY
 from surefoot.wrappers.vector.view import BatchView, meet_copies, merge_rows

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs import RobotDrawing
+from surefoot.wrappers.belief_errors import BeliefErrors
 from surefoot.wrappers.nominal import NominalModel, update_posture
 
 Floats = NDArray[np.float64]
@@ -39,20 +40,19 @@ class BatchNominal:
     Args:
         drawing: The robot, on two feet.
         count: Number of robots N.
-        mass_error: As of :class:`~surefoot.wrappers.NominalModel`.
-        com_offset: As of :class:`~surefoot.wrappers.NominalModel`.
+        errors: As of :class:`~surefoot.wrappers.NominalModel`.
 
     Attributes:
         drawn_mass: Mass of the drawing in kg.
         mass: Masses that the robots believe they have in kg, shape (N,).
 
     Raises:
-        ValueError: If an error is negative, or a joint is neither the free one nor a hinge.
+        ValueError: If a joint is neither the free one nor a hinge.
     """
 
-    def __init__(self, drawing: RobotDrawing, count: int, *, mass_error: float, com_offset: float) -> None:
+    def __init__(self, drawing: RobotDrawing, count: int, errors: BeliefErrors) -> None:
         sites = (drawing.imu, drawing.soles[0], drawing.soles[1])
-        self._robot = NominalModel.of_drawing(drawing, mass_error=mass_error, com_offset=com_offset)
+        self._robot = NominalModel.of_drawing(drawing, errors)
         self.drawn_mass = self._robot.mass
         self.mass: Floats = np.full(count, self.drawn_mass)
         world = mujoco.MjSpec()

@@ -14,12 +14,12 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from surefoot.calibration import Parameters
 from surefoot.sensors import Encoders, Imu, Link
+from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
 from surefoot.wrappers.self_calibration import BELIEF_STREAM
 from surefoot.wrappers.vector.calibration import BatchCalibration
-from surefoot.wrappers.vector.devices import choose_devices
-from surefoot.wrappers.vector.sensors import BatchSensors
+from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
 from surefoot.wrappers.vector.truth import BatchTruth
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY
 from surefoot.wrappers.vector.view import BatchView, meet_copies, merge_rows
@@ -112,10 +112,7 @@ class VecSelfCalibration(VecEnvWrapper):
         initial: The map to start from.
         lag: How many samples ago a reference describes the feet.
         fresh: Whether a robot that is reset forgets what it learnt.
-        mass_error: Relative error of the masses that the robots believe they have.
-        com_offset: Distance in m by which their believed centres of mass are off.
-        bench_scale_error: Relative standard deviation of a scale from the bench.
-        bench_offset_error: Standard deviation of an offset from the bench in N.
+        errors: How wrong the robots are about themselves, also as a mapping of some of the fields.
         stream: Number of the random stream.
         options: Options of the method.
 
@@ -135,10 +132,7 @@ class VecSelfCalibration(VecEnvWrapper):
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         lag: int | None = None,
         fresh: bool = False,
-        mass_error: float = 0.005,
-        com_offset: float = 0.003,
-        bench_scale_error: float = 0.001,
-        bench_offset_error: float = 0.02,
+        errors: BeliefErrors | Mapping[str, Any] = USUAL,
         stream: int = BELIEF_STREAM,
         **options: Any,
     ) -> None:
@@ -154,10 +148,7 @@ class VecSelfCalibration(VecEnvWrapper):
             initial=initial,
             lag=lag,
             fresh=fresh,
-            mass_error=mass_error,
-            com_offset=com_offset,
-            bench_scale_error=bench_scale_error,
-            bench_offset_error=bench_offset_error,
+            errors=belief_errors(errors, options),
             stream=stream,
             options=options,
         )

@@ -10,6 +10,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
+from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.self_calibration import BELIEF_STREAM
 from surefoot.wrappers.source import find_sensors, split_options
 from surefoot.wrappers.vector.calibration import BatchCalibration
@@ -34,14 +35,11 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     Args:
         env: A vector environment with :class:`VectorFootSensors` around it.
         method: A key of :data:`surefoot.calibration.METHODS`.
-        initial: The map to start from: ``"nominal"``, ``"bench"`` or
+        initial: The map to start from: ``"nominal"``, ``"calibrated"`` or
             :class:`~surefoot.calibration.Parameters`.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
         fresh: Whether a robot that is reset forgets what it learnt.
-        mass_error: Relative error of the masses that the robots believe they have.
-        com_offset: Distance in m by which their believed centres of mass are off.
-        bench_scale_error: Relative standard deviation of a scale from the bench.
-        bench_offset_error: Standard deviation of an offset from the bench in N.
+        errors: How wrong the robots are about themselves, also as a mapping of some of the fields.
         stream: Number of the random stream, for other errors of beliefs on the same episodes.
         options: Options of the method.
 
@@ -62,10 +60,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         initial: str | Parameters | Mapping[str, Any] = "nominal",
         lag: int | None = None,
         fresh: bool = False,
-        mass_error: float = 0.005,
-        com_offset: float = 0.003,
-        bench_scale_error: float = 0.001,
-        bench_offset_error: float = 0.02,
+        errors: BeliefErrors | Mapping[str, Any] = USUAL,
         stream: int = BELIEF_STREAM,
         **options: Any,
     ) -> None:
@@ -77,10 +72,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
             initial=initial,
             lag=lag,
             fresh=fresh,
-            mass_error=mass_error,
-            com_offset=com_offset,
-            bench_scale_error=bench_scale_error,
-            bench_offset_error=bench_offset_error,
+            errors=belief_errors(errors, options),
             stream=stream,
             options=options,
         )

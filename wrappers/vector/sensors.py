@@ -5,6 +5,7 @@ ends of two steps. All robots draw from one stream, so that what a robot's senso
 robots there are and on its place among them, and on nothing else.
 """
 
+from collections.abc import Sequence
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -13,21 +14,40 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import ForceTorque, LoadCells
+from surefoot.sensors import Encoders, ForceTorque, Imu, Link, LoadCells, scaled
 from surefoot.sensors.devices.load_cells import true_map
+from surefoot.sensors.presets import resolve
 from surefoot.sensors.select import batch_axes, select
 from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.foot_device import foot_corruption
+from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
 from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
 from surefoot.wrappers.instruments import Instruments
-from surefoot.wrappers.source import wants_fresh
-from surefoot.wrappers.vector.devices import Devices
-from surefoot.wrappers.vector.seeds import Seeds, seed_numbers, seed_of_each
+from surefoot.wrappers.source import check_stream, wants_fresh
+from surefoot.wrappers.telemetry import timely_link
 from surefoot.wrappers.vector.telemetry import BatchTelemetry
 from surefoot.wrappers.vector.truth_row import RowMeaning, read_rows
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+Seeds = int | Sequence[int | None] | None
+"""One number for all robots, or one or none a robot."""
+
+
+class Devices(NamedTuple):
+    """What each robot is equipped with.
+
+    Attributes:
+        feet: What is under the feet.
+        imu: The IMU.
+        encoders: The joint encoders.
+        link: The link to the host.
+    """
+
+    feet: FootDevice
+    imu: Imu
+    encoders: Encoders
+    link: Link
 
 
 class Readings(NamedTuple):
@@ -292,3 +312,33 @@ class BatchSensors:
     def _keep(self, raw: Floats, rows: Floats) -> None:
         packet = self.telemetry.packet.copy() if self._started else None
         self.readings = Readings(raw, packet, rows[:, self.meaning.columns :].copy())
+
+
+def choose_devices(
+    owner: str, feet: Any, imu: Any, encoders: Any, link: Any, severity: float, stream: int
+) -> Devices:
+    """Make configurations of preset names, mappings or configurations.
+
+    Raises:
+        ValueError: If a name is unknown or a value is refused.
+    """
+    check_stream(owner, stream)
+    device = foot_device(feet)
+    chosen = timely_link(link)
+    if severity != 1.0:
+        device = scaled(device, severity)
+    return Devices(device, resolve(imu, Imu), resolve(encoders, Encoders), chosen)
+
+
+def seed_numbers(seed: Seeds) -> list[int]:
+    """List the numbers of what a vector environment is seeded with; none without a seed."""
+    if seed is None:
+        return []
+    if isinstance(seed, Sequence):
+        return [int(number) for number in seed if number is not None]
+    return [int(seed)]
+
+
+def seed_of_each(seed: Seeds, count: int) -> list[int | None]:
+    """Tell what each of ``count`` robots is seeded with; one number counts for all."""
+    return list(seed) if isinstance(seed, Sequence) else [seed] * count

@@ -16,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
-from surefoot.envs.instrumentation.robot import FOOT_WIDTH, TORSO_WIDTH
+from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
 from surefoot.wrappers.raw_view import TRUE_KEYS, own_copy
 from surefoot.wrappers.source import find_source, with_source
 from surefoot.wrappers.telemetry import MEASURED
@@ -173,7 +173,7 @@ def _meaning(source: Any) -> RowMeaning:
     if hasattr(source, "channels"):
         columns = source.channels.size
     else:
-        columns = FOOT_WIDTH * feet + TORSO_WIDTH + len(joints) + 1
+        columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
     named = getattr(source, "state_layout", None)
     state = () if named is None else tuple((name, named[name].start, named[name].stop) for name in MEASURED)
     return RowMeaning(int(columns), feet, joints, float(source.dt), state)

@@ -1,0 +1,65 @@
+"""How wrong a robot is about itself."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from surefoot.sensors.configuration import from_mapping, require, require_not_negative
+
+FORMER: Final = {
+    "mass_error": "mass",
+    "com_offset": "com",
+    "bench_scale_error": "scale",
+    "bench_offset_error": "offset",
+}
+"""Keyword arguments of the wrappers in version 0.1, and the fields that took their place."""
+
+
+@dataclass(frozen=True)
+class BeliefErrors:
+    """Sizes of a robot's errors about itself; the errors are drawn when its beliefs are fresh.
+
+    Attributes:
+        mass: Relative error of the total mass. Its sign is drawn, and each link's mass is drawn with this
+            relative spread besides.
+        com: Distance in m by which the believed centre of mass is off, in a direction that is drawn.
+        scale: Relative standard deviation of a scale of a calibrated start.
+        offset: Standard deviation of an offset of a calibrated start in N.
+
+    Raises:
+        ValueError: If an error is negative or not finite, or mass or com is 1 or more.
+    """
+
+    mass: float = 0.005
+    com: float = 0.003
+    scale: float = 0.001
+    offset: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if a field has no meaning."""
+        for name in ("mass", "com"):
+            require(0.0 <= getattr(self, name) < 1.0, self, name, "lie in 0 to 1")
+        require_not_negative(self, "scale", "offset")
+
+
+USUAL: Final = BeliefErrors()
+"""What a robot is wrong by unless something else is given."""
+
+NO_ERRORS: Final = BeliefErrors(mass=0.0, com=0.0, scale=0.0, offset=0.0)
+"""A robot that knows itself."""
+
+
+def belief_errors(given: BeliefErrors | Mapping[str, Any], options: dict[str, Any]) -> BeliefErrors:
+    """Return the errors that a wrapper was given.
+
+    Args:
+        given: The errors, also as a mapping of some of the fields.
+        options: The wrapper's further keyword arguments, from which those of version 0.1 (:data:`FORMER`)
+            are taken out.
+    """
+    errors = given if isinstance(given, BeliefErrors) else from_mapping(BeliefErrors, given)
+    former = {FORMER[name]: options.pop(name) for name in FORMER if name in options}
+    if former:
+        warnings.warn(f"Give errors={former!r} in place of {list(FORMER)}.", DeprecationWarning, stacklevel=3)
+    return replace(errors, **former)
