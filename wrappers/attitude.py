@@ -23,7 +23,7 @@ INTEGRAL_GAIN = 0.02
 """k_I in 1/s^2."""
 
 LEAST_SQUARE, MOST_SQUARE = 24.0, 217.0
-"""Squares of the specific force in m^2/s^4 between which an accelerometer tells what is up, 0.5 to 1.5 g: not
+"""Squares of the specific force in m^2/s^4 between which an accelerometer shows what is up, 0.5 to 1.5 g: not
 in free fall, not in an impact."""
 
 Vector = tuple[float, float, float]

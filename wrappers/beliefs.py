@@ -1,7 +1,7 @@
 """What a robot can know of its own motion without its feet's sensors, on their timeline.
 
 Encoders and IMU come at 100 Hz, numbered and some 20 ms late with jitter. The mean delay is known and taken
-off; the numbers tell the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
+off; the numbers are the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
 n, at their middle, the nominal model gives from the mean and the difference of both encoder readings the
 centre of mass c, the soles and the angular momentum L, and gyroscope and accelerometer give the turning and
 the specific force f. In axes that are level and whose heading follows the gyroscope (*odometry* axes),
@@ -12,8 +12,8 @@ with the torso's rotation R and the place p_imu of the IMU; differences are cent
 nothing. What is ready then is kept, and read between packets by linear interpolation at the moments of the
 feet's samples, some samples ago (``lag``): when the packets that are needed have come.
 
-What is level is told by the soles: the floor is, and a foot that is down lies flat on it. They hold the
-gyroscope's tilt upright, free of the accelerations of a gait, and then tell the bias of the accelerometer
+The soles show what is level: the floor is, and a foot that is down lies flat on it. They hold the
+gyroscope's tilt upright, free of the accelerations of a gait, and then show the bias of the accelerometer
 (over many steps the specific force must point up and be g). An error of the tilt that is left does little
 harm: the ground's force points along f from the centre of mass, whatever way is up, so that in Eqs. 10 and 11
 a common tilt cancels to first order.
@@ -48,7 +48,7 @@ SLOPE = 3
 """Packets over which the soles' velocities are taken."""
 
 FURTHEST = 8.0
-"""How many packets ahead soles are supposed to go on as they went."""
+"""How many packets ahead soles are assumed to keep their velocities."""
 
 CLOCK_MEMORY = 256
 """Packets over which arrival times are averaged to find the robot's clock on the host's."""
@@ -157,7 +157,7 @@ class Beliefs:
         row[MOMENTUM_RATE] = (after[MOMENTUM] - before[MOMENTUM]) / (2.0 * period)
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
-        """Say what the robot believed to do at a moment.
+        """Return what the robot believed to do at a moment.
 
         Before enough packets have come it is NaN, which calibrators know to leave alone.
 
@@ -185,7 +185,7 @@ class Beliefs:
         )
 
     def soles(self, time: float) -> tuple[SolePose, SolePose]:
-        """Tell where the soles are at a moment later than the newest packet, going on as they went.
+        """Return where the soles are at a moment later than the newest packet, at their last velocities.
 
         Args:
             time: The moment in s of the host's clock.
@@ -231,7 +231,7 @@ class Beliefs:
 
 
 def nothing(feet: int) -> Reference:
-    """Say what a robot believes that knows nothing: NaN, and of no foot whether it stands or swings."""
+    """Return the reference of a robot that knows nothing: NaN, and no foot in stance or swing."""
     unknown, soles, unsure = np.full((5, 3), np.nan), np.full((feet, 4, 3), np.nan), np.zeros((2, feet), bool)
     return Reference(
         com=unknown[0],

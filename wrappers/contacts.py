@@ -1,7 +1,7 @@
 """Which feet surely stood, or surely swung, at the moment of a reference.
 
-A robot that plans its steps knows; one whose policy plans nothing tells by its own kinematics: the lower sole
-is on the ground, unless the robot is falling freely, and a sole that is clearly above it is in the air.
+A robot that plans its steps knows; one whose policy plans nothing finds out by its own kinematics: the lower
+sole is on the ground, unless the robot is falling freely, and a sole that is clearly above it is in the air.
 """
 
 from collections import deque
@@ -31,7 +31,7 @@ COS_FLAT = 1.0 - 0.5 * FLAT * FLAT
 
 
 def planned_window(lag: int) -> tuple[int, int]:
-    """Tell how long a plan must have held by then to be sure of it, so many samples later.
+    """Return for how many samples a plan must have held, and how many of them are kept.
 
     Args:
         lag: How many samples ago a reference was.
@@ -57,7 +57,7 @@ robot may rest on more than its feet."""
 
 
 class Plan:
-    """Tells which feet surely stood, or surely swung, some samples ago, by what was planned.
+    """Finds which feet surely stood, or surely swung, some samples ago, by what was planned.
 
     Args:
         lag: How many samples ago.
@@ -70,7 +70,7 @@ class Plan:
     def at(
         self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in what is planned now, and tell of then.
+        """Take in what is planned now, and return what surely held then.
 
         Args:
             stance: Feet planned to stand, shape (2,).
@@ -86,13 +86,13 @@ class Plan:
 
 
 class Kinematics:
-    """Tells which feet surely stood, or surely swung, by where they were."""
+    """Finds which feet surely stood, or surely swung, by where they were."""
 
     def __init__(self) -> None:
         self._runs = [0, 0, 0, 0]
 
     def at(self, reference: Reference) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in the robot's beliefs of one moment, and tell of it.
+        """Take in the robot's beliefs of one moment, and return what its feet surely did then.
 
         Args:
             reference: The beliefs, of samples that follow each other.
@@ -119,10 +119,10 @@ class Kinematics:
 
 
 class Upright:
-    """Tells whether a robot is one that stands, walks or runs: only then do its feet carry all of it.
+    """Finds whether a robot stands, walks or runs: only then do its feet carry all of it.
 
     Who leans far, lies or sits rests on more than its soles, and what it takes for level is not: its own
-    weight and motion tell nothing about its feet then. The mean acceleration that a robot believes to have is
+    weight and motion say nothing about its feet then. The mean acceleration that a robot believes to have is
     small while it is upright, and as large as gravity is off its supposed vertical when it is not.
 
     Args:
@@ -135,7 +135,7 @@ class Upright:
         self._highest = 0.0
 
     def at(self, reference: Reference, force_bias: NDArray[np.float64]) -> bool:
-        """Take in the robot's beliefs of one moment, and tell of it.
+        """Take in the robot's beliefs of one moment, and return whether it was upright then.
 
         Args:
             reference: The beliefs, of samples that follow each other; NaN, where nothing is known, passes.

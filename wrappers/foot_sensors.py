@@ -1,4 +1,4 @@
-"""Puts sensors between an environment's truth and who observes it."""
+"""Sensors between an environment's truth and who observes it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -53,7 +53,7 @@ class HardwareState(NamedTuple):
 
 
 class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Let an environment be felt through load cells or ankle sensors, joint encoders and an IMU.
+    """Read an environment through load cells or ankle sensors, joint encoders and an IMU.
 
     Any environment built on MuJoCo will do: one that does not record its truth is instrumented first, in
     memory (:class:`~surefoot.envs.InstrumentedEnv`). The observation becomes a ``Dict``, with what the
@@ -64,16 +64,16 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     | ``"foot_raw"`` (K) | cells, left then right: FL, FR, RL, RR; ankles: fx to tz | 0 | 2^24 - 1 | count |
 
     (the range is the configuration's; where no reading arrives the last one is held, and before the first
-    that of an unloaded sensor). It loses what only truth can tell (``"foot_force"``, ``"cop"``,
+    that of an unloaded sensor). It loses what only truth has (``"foot_force"``, ``"cop"``,
     ``"cop_foot"`` and ``"cop_valid"``), and where the environment has a ``state_layout``, ``joint_position``,
     ``joint_velocity``, ``tilt`` and ``gyroscope`` become those of the newest packet of telemetry that has
     arrived; other environments' states are left as they are. Truth stays in ``info["surefoot"]["truth"]``.
 
     Sensors have a random stream of their own, seeded from the seed of the reset, so that the environment's
     trajectory is the bare one's, and the same seed under other wrappers is the same episode. A reset with a
-    seed draws the sensors anew: other gains, zeros, clocks and biases. A reset without one keeps them, and
+    seed draws fresh sensors: other scales, offsets, clocks and biases. A reset without one keeps them, and
     they drift on, as hardware does; ``fresh=True`` or ``options={"surefoot": {"sensors": "fresh"}}`` draws
-    them anew then as well, and ``"keep"`` keeps them whatever the seed.
+    fresh ones then as well, and ``"keep"`` keeps them whatever the seed.
 
     Args:
         env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
@@ -87,7 +87,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         faults: What breaks when, on the clock of the power-up: words such as ``"at t=12 s cell left/2 dies"``
             (:func:`~surefoot.sensors.parse_fault`), :class:`~surefoot.sensors.Fault` or mappings of its
             fields.
-        fresh: Whether every reset draws the sensors anew.
+        fresh: Whether every reset draws fresh sensors.
         measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
         feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
         cells: Places of the cells, see :class:`~surefoot.envs.InstrumentedEnv`.
@@ -99,7 +99,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         instruments: What is under the feet.
         packets: Telemetry that arrived during the last step, in order; only while somebody listens.
         time: The host's time since the reset in s.
-        drawn_anew: Whether the last reset drew the sensors anew.
+        sensors_fresh: Whether the last reset drew fresh sensors.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo, or is wrapped already.
@@ -163,7 +163,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self._rng = self._telemetry_rng = np.random.default_rng()
         self._listening = self._measures
         self._hardware: HardwareState | None = None
-        self.drawn_anew = True
+        self.sensors_fresh = True
         self.packets: Packets = ()
         self.time = 0.0
         self._telemetry: Telemetry | None = None
@@ -174,7 +174,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment, and draw the sensors anew or keep them.
+        """Reset the environment, with fresh or kept sensors.
 
         Args:
             seed: Seeds the environment, and the sensors with it; without, they go on.
@@ -194,7 +194,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         truth, dt = self.source.truth, float(self.source.dt)
         if self._telemetry is None or self._telemetry.dt != dt:
             self._telemetry = self._make_telemetry(dt, len(truth.time))
-        self.drawn_anew = wants_fresh(asked.get("sensors"), seed, self._fresh, self._hardware is not None)
+        self.sensors_fresh = wants_fresh(asked.get("sensors"), seed, self._fresh, self._hardware is not None)
         self._switch_on(truth)
         self.time, self._clock = 0.0, None
         return self._view.show(observation, self.raw, self.packets), info
@@ -231,11 +231,11 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         return self._telemetry
 
     def listen(self) -> None:
-        """Have telemetry sent from the next reset on, even if no observation shows it."""
+        """Send telemetry from the next reset on, even if no observation shows it."""
         self._listening = True
 
     def true_parameters(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Tell the map that would undo the feet's errors now: truth, to score calibrators against.
+        """Return the map that undoes the feet's errors now: truth, to score calibrators against.
 
         Returns:
             Scale in N per count and offset in N, each (K,).
@@ -244,7 +244,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         return scale, offset
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write what the hardware keeps while the power is on, its gains and zeros, to an ``.npz``.
+        """Write what the hardware keeps while the power is on, its scales and offsets, to an ``.npz``.
 
         Raises:
             RuntimeError: If nothing was drawn yet.
@@ -287,11 +287,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         }
 
     def _check_clock(self, time: float, dt: float) -> None:
-        """Refuse steps that are longer or shorter than the environment says: all rates would be wrong.
-
-        Raises:
-            RuntimeError: If two steps that follow each other do not lie dt apart.
-        """
+        """Raise RuntimeError if a step did not last the environment's dt: all rates would be wrong."""
         before, self._clock = self._clock, time
         if before is not None and abs(time - before - dt) > 0.01 * dt:
             raise RuntimeError(
@@ -301,15 +297,15 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             )
 
     def _switch_on(self, truth: Any) -> None:
-        """Draw fresh sensors, or take those that there are, and let every chip and the link deliver once."""
+        """Draw fresh sensors or keep those there are, and read every chip and the link once."""
         rng = self._rng
-        kept = None if self.drawn_anew else self._now().telemetry
-        if self.drawn_anew:
+        kept = None if self.sensors_fresh else self._now().telemetry
+        if self.sensors_fresh:
             broken = () if self._broken is None else self._broken.init((self.instruments.channels,), rng)
             self._hardware = HardwareState(self.instruments.init(rng), broken, None)
-            self._view.forget()
-        settled = self.instruments.settled(truth, self._devices.instruments)
-        self._hardware = self._devices._replace(instruments=settled)
+            self._view.hold_unloaded()
+        with_load = self.instruments.with_load(truth, self._devices.instruments)
+        self._hardware = self._devices._replace(instruments=with_load)
         dt = self.telemetry.dt
         self._read(truth, max(dt, self.instruments.slowest))
         # What is on its way, or averaged over the past, would be of another episode.
@@ -317,7 +313,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         for _ in range(1 + ceil(memory / dt) if memory else 0):
             self._read(truth, dt)
         if self._listening:
-            # At the reset a robot hangs just above its footprints; packets before tell of one that stood.
+            # At the reset a robot hangs just above its footprints; packets before are of one that stood.
             inertial = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
             self.packets, self._telemetry_state = self.telemetry.init(
                 truth.joint_position[-1].copy(), inertial, self._telemetry_rng, kept

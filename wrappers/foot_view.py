@@ -17,25 +17,21 @@ DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 """What is shown unless something else is asked for."""
 
 CERTAINTY: Final = ("foot_force_std", "cop_std")
-"""Parts that only a method with a covariance can tell."""
+"""Parts that only a method with a covariance has."""
 
 CERTAIN_METHODS: Final = ("moment",)
-"""Methods that claim one."""
+"""Methods that report one."""
 
 PARTS: Final = (*DEFAULT, "wrench", "vgrf", *CERTAINTY, "foot_flags")
 """All that can be shown."""
 
 
 def check_certainty(parts: Sequence[str], method: str) -> None:
-    """Refuse to show how sure a method is that does not say so.
-
-    Raises:
-        ValueError: If it does not.
-    """
+    """Raise ValueError if parts need a covariance that a method does not report."""
     unknown = [part for part in parts if part in CERTAINTY and method not in CERTAIN_METHODS]
     if unknown:
         raise ValueError(
-            f"Method {method!r} claims no covariance, so that {unknown} cannot be shown; "
+            f"Method {method!r} reports no covariance, so that {unknown} cannot be shown; "
             f"{CERTAIN_METHODS} do."
         )
 
@@ -81,10 +77,10 @@ class FootView:
             "foot_flags": box(0, np.iinfo(np.int32).max, (channels,), np.int32),
         }
         self.spaces = {part: every[part] for part in self.parts}
-        self.restart()
+        self.begin_episode()
 
-    def restart(self) -> None:
-        """Forget the centres of pressure of the last episode."""
+    def begin_episode(self) -> None:
+        """Start with centres of pressure at the origin."""
         self._cop = [0.0, 0.0]
         self._cop_foot = [[0.0, 0.0], [0.0, 0.0]]
         self._cop_std = [COP_BOUND, COP_BOUND]
@@ -93,7 +89,7 @@ class FootView:
         """Show one sample.
 
         Args:
-            estimate: What the calibrator says.
+            estimate: The calibrator's.
             soles: Where the soles are now in the level frame.
 
         Returns:

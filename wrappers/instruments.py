@@ -1,7 +1,7 @@
 """The instruments under one robot's feet: load cells, six-axis sensors in the ankles, or both.
 
 Their channels follow each other foot by foot: (left cells, left ankle, right cells, right ankle). What a
-level foot at rest weighs below its ankle counts as part of that sensor's zero, as it does for a calibrator.
+level foot at rest weighs below its ankle counts as part of that sensor's offset, as it does for a calibrator.
 """
 
 from typing import Any, Final, NamedTuple
@@ -84,8 +84,8 @@ class CellsUnderFeet:
         """Draw the cells."""
         return self._device.init((self.channels,), rng)
 
-    def settled(self, truth: Any, state: LoadCellState) -> LoadCellState:
-        """Let a state follow the load that is there now, and not the one of another episode."""
+    def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
+        """Return the state under the load of now, and not of another episode."""
         return state._replace(previous=truth.force_cell[-1].copy())
 
     def read(
@@ -95,12 +95,12 @@ class CellsUnderFeet:
         return self._device.apply(truth.force_cell, state, rng, dt)
 
     def force(self, truth: Any) -> Floats:
-        """Tell what they should read at the end of a control step in N, shape (K,)."""
+        """Return the true forces at the end of a control step in N, shape (K,)."""
         force: Floats = truth.force_cell[-1].copy()
         return force
 
     def true_map(self, state: LoadCellState) -> Parameters:
-        """Tell the map that would undo their errors now."""
+        """Return the map that undoes their errors now."""
         return Parameters(*true_map(self.config, state))
 
 
@@ -148,8 +148,8 @@ class SensorsInAnkles:
         """Draw the sensors."""
         return self._device.init((self.channels,), rng)
 
-    def settled(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
-        """Let a state follow the load that is there now; readings of an instant do so by themselves."""
+    def with_load(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
+        """Return the state as it is: readings of an instant have no load before."""
         return state
 
     def read(
@@ -159,17 +159,17 @@ class SensorsInAnkles:
         return self._device.apply(truth.wrench_ankle[-1].ravel(), state, rng, dt)
 
     def force(self, truth: Any) -> Floats:
-        """Tell what they should read at the end of a control step in N and N m, shape (K,)."""
+        """Return the true loads at the end of a control step in N and N m, shape (K,)."""
         force: Floats = truth.wrench_ankle[-1].ravel() + self.preload
         return force
 
     def true_map(self, state: ForceTorqueState) -> Parameters:
-        """Tell the map that would undo each axis's own errors now; cross-talk is left out."""
+        """Return the map that undoes each axis's own errors now; cross-talk is left out."""
         gain = 1.0 + np.diagonal(state.error, axis1=-2, axis2=-1).ravel()
         return Parameters(self.nominal.scale / gain, self.preload - state.offset.ravel() / gain)
 
     def cross_talk(self, state: ForceTorqueState) -> Floats:
-        """Tell what each channel feels of the others', rows read and columns felt, shape (K, K)."""
+        """Return what each channel reads of the others' loads, a row a channel, shape (K, K)."""
         scale = self.config.full_scale[:6]
         off = state.error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
         talk = np.zeros((self.channels, self.channels))
@@ -263,14 +263,14 @@ class Instruments:
             readings.append(reading)
         return readings[0] if self._one else self.joined(readings), InstrumentsState(**after)
 
-    def settled(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
-        """Let a state follow the loads that are there now, when a robot is put onto its feet anew."""
+    def with_load(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
+        """Return the state under the loads of now, at an episode start."""
         for part in self.parts:
-            state = state._replace(**{part.name: part.settled(truth, getattr(state, part.name))})
+            state = state._replace(**{part.name: part.with_load(truth, getattr(state, part.name))})
         return state
 
     def true_map(self, state: InstrumentsState) -> Parameters:
-        """Tell the map that would undo their errors now: truth, to score calibrators against."""
+        """Return the map that undoes their errors now: truth, to score calibrators against."""
         return self._parameters([part.true_map(getattr(state, part.name)) for part in self.parts])
 
     def joined(self, parts: list[Floats]) -> Floats:
@@ -294,7 +294,7 @@ class Instruments:
 
 
 def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> dict[str, float]:
-    """Make the options of a calibrator that follow from what is under the feet.
+    """Return the options of a calibrator that follow from what is under the feet.
 
     A foot whose channels have no places of their own gets a length. A six-axis sensor's words come together:
     one axis that leaps away alone is no broken word but a landing, and is not held.
@@ -315,7 +315,7 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> di
 
 
 def _memory(config: FootDevice) -> float:
-    """Tell how long a reading of a load before may still come, in s."""
+    """Return for how long readings may still be of an earlier load, in s."""
     wire = config.wire
     latest: float = wire.delay + 6.0 * wire.jitter
     if isinstance(config, LoadCells) and config.rate is not None and config.settling > 1:

@@ -1,4 +1,4 @@
-"""By how many samples the feet wait for the telemetry that tells what the robot did."""
+"""By how many samples the feet wait for the telemetry of what the robot did."""
 
 from math import ceil
 
@@ -8,7 +8,7 @@ from surefoot.wrappers.telemetry import Telemetry
 
 
 def usual_lag(telemetry: Telemetry, age: float) -> int:
-    """Tell after how many samples the packets that a reference needs have come, as good as always.
+    """Return after how many samples the packets that a reference needs have almost always come.
 
     Args:
         telemetry: The way of encoders and IMU to the host.
@@ -18,8 +18,8 @@ def usual_lag(telemetry: Telemetry, age: float) -> int:
     return max(ceil(needed / telemetry.dt), CONTACT_MARGIN)
 
 
-def held_samples(lag: int, age: float, dt: float) -> int:
-    """Tell for how many samples of an episode a reference may still be about the one before.
+def waiting_samples(lag: int, age: float, dt: float) -> int:
+    """Return for how many samples of an episode a reference may still be about the one before.
 
     Args:
         lag: How many samples ago a reference describes the feet.
@@ -30,15 +30,12 @@ def held_samples(lag: int, age: float, dt: float) -> int:
 
 
 def check_lag(lag: int, telemetry: Telemetry, age: float) -> None:
-    """Refuse a lag so long that the packets it needs would no longer be kept.
+    """Raise ValueError if a lag is so long that the packets it needs are no longer kept.
 
     Args:
         lag: In samples.
         telemetry: As of :func:`usual_lag`.
         age: As of :func:`usual_lag`.
-
-    Raises:
-        ValueError: If they would not.
     """
     # The newest packet that can have come, when the jitter was kind.
     youngest = max(telemetry.link.delay - 6.0 * telemetry.link.jitter, 0.0)

@@ -62,9 +62,9 @@ class NominalModel:
             raise ValueError(
                 "A nominal model needs a robot that floats on one free joint and has hinge joints otherwise, "
                 f"got the joints {[joint.name for joint in joints]}; a planar robot, for instance, has no "
-                "tilt that an IMU could tell."
+                "tilt that an IMU could measure."
             )
-        # Views of MuJoCo's own arrays: making one anew costs as much as the kinematics.
+        # Views of MuJoCo's own arrays: making one costs as much as the kinematics.
         data = self._data
         self._qpos, self._qvel = data.qpos[7:], data.qvel[6:]
         self._spin = data.qvel[3:6]
@@ -92,7 +92,7 @@ class NominalModel:
         return float(self._model.body_mass.sum())
 
     def draw(self, rng: np.random.Generator) -> None:
-        """Draw the errors of the masses and of the centre of mass anew, from the drawing's own values."""
+        """Draw fresh errors of the masses and of the centre of mass, from the drawing's own values."""
         factor = 1.0 + self._errors.mass * rng.standard_normal(len(self._mass))
         total = 1.0 + self._errors.mass * rng.choice([-1.0, 1.0])
         factor *= total * self._mass.sum() / (self._mass @ factor)
@@ -142,7 +142,7 @@ class NominalModel:
 
 
 def update_posture(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Have MuJoCo compute places, centres of mass and angular momenta of positions and velocities."""
+    """Compute places, centres of mass and angular momenta of positions and velocities."""
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_comVel(model, data)

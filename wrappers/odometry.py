@@ -21,7 +21,7 @@ TILT_TIME = 0.3
 """T in s: how fast the soles hold the tilt upright."""
 
 SPIN_BIAS_TIME = 3.0
-"""T_b in s: how fast they tell the gyroscope's bias."""
+"""T_b in s: how fast they find the gyroscope's bias."""
 
 REST_TIME = 10.0
 """Time in s over which the specific force must point up and be g, for the robot does not go on getting
@@ -31,7 +31,7 @@ FREE_FALL = 0.5 * GRAVITY
 """Specific force in m/s^2 below which a robot falls freely, which says nothing of an accelerometer's bias."""
 
 SOLE_HEIGHT = 0.003
-"""Height in m above the lower sole at which the other one no longer tells what is level."""
+"""Height in m above the lower sole at which the other one no longer shows what is level."""
 
 Vector = tuple[float, float, float]
 
@@ -116,7 +116,7 @@ class Odometry:
         return R
 
     def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:
-        """Tell which way is up by the lower sole, or by both where they are level with each other."""
+        """Return which way is up by the lower sole, or by both where they are level with each other."""
         _, _, left, _, _, right = axes.tolist()
         x, y, z = self.up
         _, (lx, ly, lz), (rx, ry, rz) = sites.tolist()

@@ -13,7 +13,7 @@ from surefoot.wrappers.instruments import Instruments
 from surefoot.wrappers.telemetry import MEASURED, TelemetryLayout
 
 TRUE_KEYS = ("foot_force", "cop", "cop_foot", "cop_valid")
-"""Parts of an observation that only truth can tell; readings take their place."""
+"""Parts of an observation that only truth has; readings take their place."""
 
 
 class RawView:
@@ -21,8 +21,8 @@ class RawView:
 
     Args:
         instruments: What is under the feet.
-        source: What records the truth; what it shows says what only truth can tell.
-        state_layout: Where parts of ``"state"`` lie that telemetry tells; ``None`` leaves it as it is.
+        source: What records the truth; what it shows says what only truth has.
+        state_layout: Where parts of ``"state"`` lie that telemetry has; ``None`` leaves it as it is.
         env: Who shows it, for messages.
 
     Attributes:
@@ -57,9 +57,9 @@ class RawView:
         self._measured: list[tuple[slice, slice]] = []
         self._newest: NDArray[np.float64]
         self._zero_code = instruments.zero_code.astype(np.float32)
-        self.forget()
+        self.hold_unloaded()
 
-    def forget(self) -> None:
+    def hold_unloaded(self) -> None:
         """Hold the readings of unloaded sensors until others arrive."""
         self._held = self._zero_code
 
@@ -102,7 +102,7 @@ class RawView:
 
 
 def _check_order(shown: spaces.Space[Any], own: spaces.Space[Any], env: Any) -> None:
-    """Refuse observations in which truth was mixed with what may be seen, before it is taken out."""
+    """Raise TypeError if truth was mixed with what may be seen before it is taken out."""
     if not isinstance(own, spaces.Dict) or not set(own.spaces) & set(TRUE_KEYS):
         return
     state = shown["state"] if isinstance(shown, spaces.Dict) and "state" in shown.spaces else None

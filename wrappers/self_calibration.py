@@ -1,4 +1,4 @@
-"""Lets a robot calibrate its feet while it walks, with what it knows of itself."""
+"""Self-calibration of a robot while it walks, with what it knows of itself."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -18,7 +18,7 @@ from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
 from surefoot.wrappers.instruments import layout_options
-from surefoot.wrappers.lag import check_lag, held_samples, usual_lag
+from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
 from surefoot.wrappers.nominal import Masses, NominalModel
 from surefoot.wrappers.source import check_stream, find_sensors, robot_note, split_options, wants_fresh
 from surefoot.wrappers.starting_map import StartingMap
@@ -49,7 +49,7 @@ class Learnt(NamedTuple):
 
 
 class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Calibrate the counts of :class:`FootSensors` as the robot goes, and observe what they say.
+    """Calibrate the readings of :class:`FootSensors` while the robot moves, and observe the result.
 
     The observation keeps ``"foot_raw"`` and gains, from the counts alone, what ``show`` names:
 
@@ -69,16 +69,16 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     centre of pressure is defined above 5 N; below, the last one is held and flagged, as all are for feet
     without area. The reference that the calibrator holds the counts against is made of the robot's beliefs
     (telemetry and a nominal model with wrong masses, see :mod:`surefoot.wrappers.beliefs`), never of truth.
-    Which feet stand and swing is what the environment's ``command`` plans, or else told by kinematics
+    Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
     (:mod:`surefoot.wrappers.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (:class:`~surefoot.calibration.Parameters`), ``"covariance"``
     (or ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, ``"reference"``
     (:class:`~surefoot.calibration.Reference`) and ``"lag"``, by how many samples the reference is late.
 
-    What was learnt is kept over resets, as the sensors are: a reset with a seed, or one that draws sensors
-    anew, forgets it. ``fresh=True`` forgets at each reset; ``options={"surefoot": {"calibration": choice}}``
-    with ``"fresh"`` or ``"keep"`` decides for one.
+    What was learnt is kept over resets, as the sensors are. Calibration starts fresh at a reset with a seed
+    or with fresh sensors, and with ``fresh=True`` at each; ``options={"surefoot": {"calibration": choice}}``,
+    ``"fresh"`` or ``"keep"``, decides for one.
 
     Args:
         env: An environment with :class:`FootSensors` around it.
@@ -88,7 +88,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             :class:`~surefoot.calibration.Parameters` (also as a mapping).
         show: What is observed.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
-        fresh: Whether each reset forgets what was learnt.
+        fresh: Whether calibration starts fresh at each reset.
         errors: How wrong the robot is about itself, also as a mapping of some of the fields.
         stream: Number of the random stream, for other errors of beliefs on the same episode.
         options: Options of the method.
@@ -96,9 +96,9 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Attributes:
         calibrator: The calibrator.
         beliefs: The robot's beliefs.
-        reference: What the calibrator was last told.
+        reference: The calibrator's last reference.
         reference_time: The moment that it describes, in s of the host's clock since the reset.
-        estimate: What it last said.
+        estimate: Its last estimate.
         frozen: Whether nothing is learnt for now.
 
     Raises:
@@ -170,15 +170,15 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.reference_time = 0.0
         self.estimate: Estimate
         self.frozen = self._made = False
-        self._held = 0
+        self._waiting = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment, and forget what was learnt or keep it.
+        """Reset the environment; what was learnt is kept, or calibration starts fresh.
 
         Args:
-            seed: Seeds the environment, the sensors and the errors of the beliefs, and forgets.
+            seed: Seeds the environment, the sensors and the errors of the beliefs; calibration starts fresh.
             options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``; handed on.
 
         Raises:
@@ -188,19 +188,19 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._rng = np.random.default_rng([self._stream, seed])
-        sensors, always = self._sensors, self._fresh or self._sensors.drawn_anew
+        sensors, always = self._sensors, self._fresh or self._sensors.sensors_fresh
         telemetry = sensors.telemetry
         if wants_fresh(asked.get("calibration"), seed, always, self._made):
-            self._forget(telemetry)
+            self._start_fresh(telemetry)
         else:
-            self._hold()
+            self._wait_out()
         self.beliefs = Beliefs(
             self._model, telemetry.layout, telemetry.period, telemetry.link.delay, telemetry.averaged
         )
         self.beliefs.update(sensors.packets)
         self._plan, self._kinematics = Plan(self._late), Kinematics()
         self._upright = Upright(telemetry.dt)
-        self._view.restart()
+        self._view.begin_episode()
         return self._calibrate(observation, info), info
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
@@ -235,11 +235,11 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._model.masses = learnt.masses
         self.calibrator = self._calibrator(learnt.initial, self.calibrator.setup.dt, self._late)
         self.calibrator.state = learnt.state
-        self._hold()
+        self._wait_out()
 
-    def _hold(self) -> None:
-        """Learn nothing until the oldest sample is of what comes now: what lies before is another story."""
-        self._held = held_samples(self._late, self._age, self._sensors.telemetry.dt)
+    def _wait_out(self) -> None:
+        """Learn nothing while the oldest sample that a reference needs is of the last episode."""
+        self._waiting = waiting_samples(self._late, self._age, self._sensors.telemetry.dt)
 
     def _learnt(self) -> Learnt:
         if not self._made:
@@ -255,15 +255,15 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             "timing": f"{setup.dt:.9g} s a sample, {setup.lag} samples late",
         }
 
-    def _forget(self, telemetry: Telemetry) -> None:
-        """Draw what the robot is wrong about, and begin from the starting map."""
+    def _start_fresh(self, telemetry: Telemetry) -> None:
+        """Draw what the robot is wrong about, and start from the starting map."""
         rng = self._rng
         self._model.draw(rng)
         initial = self._initial(rng)
         self._late = usual_lag(telemetry, self._age) if self._lag is None else self._lag
         check_lag(self._late, telemetry, self._age)
         self.calibrator = self._calibrator(initial, telemetry.dt, self._late)
-        self._made, self._held = True, 0
+        self._made, self._waiting = True, 0
 
     def _calibrate(self, observation: dict[str, Any], info: dict[str, Any]) -> dict[str, Any]:
         sensors = self._sensors
@@ -290,8 +290,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         command: Any = getattr(self._sensors.source, "command", None)
         if command is not None:
             contacts = self._plan.at(command.stance, command.swing)
-        if self.frozen or self._held:
-            self._held = max(self._held - 1, 0)
+        if self.frozen or self._waiting:
+            self._waiting = max(self._waiting - 1, 0)
             return nothing(2)
         if command is None:
             contacts = np.zeros(2, dtype=bool), np.zeros(2, dtype=bool)

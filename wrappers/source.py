@@ -53,7 +53,7 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
 
 
 def robot_note(source: Source) -> str:
-    """Tell which robot it is, to be kept with what is saved of it."""
+    """Return which robot it is, to be kept with what is saved of it."""
     drawing = source.drawing
     places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
     mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
@@ -89,7 +89,7 @@ def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -
 
 
 def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
-    """Make sure that truth is recorded below: put sensors into the model of an environment that has none.
+    """Return an environment that records its truth: one that does not gets sensors in its model.
 
     Args:
         env: An environment built on MuJoCo.
@@ -97,14 +97,14 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
 
     Raises:
         TypeError: If the environment is not built on MuJoCo.
-        ValueError: If its feet cannot be told or have no place for what is asked.
+        ValueError: If its feet cannot be found or have no place for what is asked.
     """
     given = {name: value for name, value in options.items() if value is not None}
     if find_source(env) is None:
         return InstrumentedEnv(env, **given)
     if given:
         raise ValueError(
-            f"{sorted(given)} tell how to put sensors into a robot, but {env} records its truth already; "
+            f"{sorted(given)} are about putting sensors into a robot, but {env} records its truth already; "
             "leave them out, or give them to the InstrumentedEnv below."
         )
     return env
@@ -113,7 +113,7 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
 def split_options(
     options: dict[str, Any] | None, *kinds: str
 ) -> tuple[dict[str, Any] | None, Mapping[str, str]]:
-    """Part what a reset is asked of wrappers from what it is asked of the environment.
+    """Split a reset's options into the environment's and the wrappers'.
 
     Args:
         options: Of the reset; it is not changed.
@@ -140,14 +140,14 @@ def split_options(
 
 
 def wants_fresh(choice: str | None, seed: int | None, always: bool, drawn: bool) -> bool:
-    """Decide whether a reset draws devices anew.
+    """Return whether a reset draws fresh hardware.
 
-    A seed names one course of events, so that it draws; without one hardware stays what it is.
+    A seed names one course of events, so that it draws; without one hardware is kept.
 
     Args:
         choice: What the reset's options ask for.
         seed: Of the reset.
-        always: Whether every reset draws.
+        always: Whether every reset draws fresh hardware.
         drawn: Whether there is anything to keep.
     """
     if not drawn:
@@ -156,11 +156,7 @@ def wants_fresh(choice: str | None, seed: int | None, always: bool, drawn: bool)
 
 
 def check_stream(owner: str, stream: Any) -> None:
-    """Refuse what cannot number a random stream, in the name of the wrapper that it was given to.
-
-    Raises:
-        ValueError: If it is no whole number from 0 on.
-    """
+    """Raise ValueError, in the name of a wrapper, if its stream is no whole number from 0 on."""
     whole = isinstance(stream, (int, np.integer)) and not isinstance(stream, bool)
     if not whole or stream < 0:
         raise ValueError(f"{owner}: 'stream' must be a whole number from 0 on, got {stream!r}.")

@@ -37,7 +37,7 @@ class StartingMap:
         self._errors = errors
 
     def recorded(self) -> str | dict[str, list[float]]:
-        """Say what was given in plain words and numbers."""
+        """Return what was given as plain words and numbers."""
         if self.given:
             return {name: part.tolist() for name, part in self.known._asdict().items()}
         return "calibrated" if self.calibrated else "nominal"

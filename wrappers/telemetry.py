@@ -28,7 +28,7 @@ LONGEST_DELAY = 0.3
 """Mean delay in s of the latest link that telemetry can come over."""
 
 MEASURED = ("joint_position", "joint_velocity", "tilt", "gyroscope")
-"""Parts of a state that telemetry can tell, where the environment names them."""
+"""Parts of a state that telemetry has, where the environment names them."""
 
 
 def timely_link(link: str | Mapping[str, Any] | Link) -> Link:
@@ -48,7 +48,7 @@ def timely_link(link: str | Mapping[str, Any] | Link) -> Link:
 
 
 def velocity_smoothing(config: Encoders, period: float) -> float:
-    """Tell which share of a new difference of encoder readings, ``period`` s apart, their filter takes in."""
+    """Return the share that the filter takes of a difference of encoder readings ``period`` s apart."""
     exact = config.resolution == 0.0 and config.noise_std == 0.0
     return 1.0 if exact else period / (period + VELOCITY_TIME_CONSTANT)
 

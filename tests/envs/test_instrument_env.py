@@ -280,7 +280,7 @@ def test_soles_give_round_feet_an_area():
 def test_bad_input_is_refused_before_the_first_step(path):
     with pytest.raises(TypeError, match=r"on MuJoCo, .* CartPoleEnv has NoneType and NoneType"):
         InstrumentedEnv(gym.make("CartPole-v1"))
-    with pytest.raises(ValueError, match="No left and right foot could be told"):
+    with pytest.raises(ValueError, match="No left and right foot could be found"):
         InstrumentedEnv(gym.make("Ant-v5"))
     for in_place in (None, False):
         with pytest.raises(ValueError, match=r"each once, got \['paw'\]; the model's bodies are \['torso'"):

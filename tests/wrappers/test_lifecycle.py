@@ -54,7 +54,7 @@ def test_a_reset_may_choose(always: bool, options: Any, seed: Any, stays: bool, 
     first = scale(env)
     env.reset(seed=seed, options=options)
     assert np.array_equal(scale(env), first) == stays
-    assert env.drawn_anew != stays
+    assert env.sensors_fresh != stays
 
 
 def test_an_imu_and_encoders_keep_their_biases(make_bare) -> None:
@@ -94,7 +94,7 @@ def test_new_sensors_are_learnt_anew(make_bare) -> None:
     np.testing.assert_array_equal(env.estimate.offset, env.env.instruments.nominal.offset)
     steps(env, 5)
     env.reset(options={"surefoot": {"sensors": "fresh", "calibration": "keep"}})
-    assert env.env.drawn_anew
+    assert env.env.sensors_fresh
 
 
 def test_who_is_frozen_learns_nothing_and_still_corrects(make_bare) -> None:

@@ -107,7 +107,7 @@ def test_a_robot_that_is_put_back_is_at_rest_and_others_do_not_notice():
         put.update(packet)
     mask = np.array([False, True, False])
     other = packets[25]
-    put.restart(other, mask)
+    put.begin_episode(other, mask)
     reference, before = put.reference(none, none, NOBODY), kept.reference(none, none, NOBODY)
     for together, single in zip(reference, before, strict=True):
         np.testing.assert_array_equal(together[~mask], single[~mask])
@@ -156,7 +156,7 @@ def test_plans_and_contacts_are_those_of_the_scalar_classes(lag):
             np.testing.assert_array_equal((stance[i], swing[i]), expected)
             sure += int(expected[0].sum())
     assert sure > 100
-    plan.restart(np.array([True, False, False]))
+    plan.begin_episode(np.array([True, False, False]))
     assert not plan.at(planned)[0][0].any()
 
 
@@ -225,5 +225,5 @@ def test_who_is_upright_is_told_as_by_the_scalar_class():
     squat = Reference(*(np.zeros_like(part) for part in reference))._replace(com=low)
     settled = BatchUpright(ROBOTS, PERIOD)
     settled.at(squat._replace(com=3.0 * low), 0.0 * low)
-    settled.restart(np.array([False, True, False]))
+    settled.begin_episode(np.array([False, True, False]))
     np.testing.assert_array_equal(settled.at(squat, 0.0 * low), [False, True, False])

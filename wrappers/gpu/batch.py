@@ -13,7 +13,7 @@ RobotIds = Tensor | slice | Sequence[int] | int | None
 """Robots as managers name them: their numbers or one, a mask (bool), a slice, or ``None`` for all."""
 
 Counter = Callable[[], int]
-"""Tells the number of the simulation step, such as ``lambda: env.common_step_counter``."""
+"""Returns the number of the simulation step, such as ``lambda: env.common_step_counter``."""
 
 
 def mask_of(env_ids: RobotIds, num_envs: int, device: torch.device) -> Tensor:
@@ -72,8 +72,8 @@ class BatchModule(nn.Module, ABC):
         device: Where everything is; readings must be there as well.
         dtype: A floating dtype; readings are brought to it.
         dt: Time between steps in s.
-        counter: Tells the number of the simulation step; ``None`` to be told at the calls, or to take every
-            call for a step. May be set later.
+        counter: Returns the number of the simulation step; ``None`` if it is given at the calls, or every
+            call is a step. May be set later.
 
     Raises:
         ValueError: If there is no robot, no time between steps, or the dtype cannot hold NaN.
@@ -97,15 +97,15 @@ class BatchModule(nn.Module, ABC):
         if not dtype.is_floating_point:
             raise ValueError(f"'dtype' must be a floating one, got {dtype}.")
         self.num_envs, self.dt, self.dtype = num_envs, float(dt), dtype
-        # A plain "cuda" is the current device, as tensors made on it say.
+        # A plain "cuda" is the current device, as tensors made on it have it.
         self.device = torch.empty(0, device=device).device
         self.counter = counter
         self._last: int | None = None
-        self._returned: Tensor | None = None
+        self._starting: Tensor | None = None
 
     @abstractmethod
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
-        """Begin new episodes with robots; see the modules.
+        """Start new episodes of robots; see the modules.
 
         Args:
             env_ids: Robots that begin one; all by default.
@@ -113,31 +113,31 @@ class BatchModule(nn.Module, ABC):
         """
 
     def extra_repr(self) -> str:
-        """Tell what the module is of."""
+        """Return the module's size, device and dtype as text."""
         return f"num_envs={self.num_envs}, device={self.device}, dtype={self.dtype}, dt={self.dt:g}"
 
     def _begins(self, step: int | None) -> bool:
-        """Tell whether a call is the first one of its step, and remember the step."""
+        """Return whether a call is the first one of its step, and remember the step."""
         if step is None and self.counter is not None:
             step = self.counter()
         again = step is not None and step == self._last
         self._last = step
         return not again
 
-    def _note_returned(self, env_ids: RobotIds) -> Tensor:
-        """Remember until the next call robots that begin episodes, and mark them, shape (N,)."""
+    def _note_starting(self, env_ids: RobotIds) -> Tensor:
+        """Remember until the next call whose episodes start, and return the mask, shape (N,)."""
         mask = mask_of(env_ids, self.num_envs, self.device)
-        self._returned = mask if self._returned is None else self._returned | mask
+        self._starting = mask if self._starting is None else self._starting | mask
         return mask
 
     def _saved_steps(self) -> dict[str, Any]:
-        """Hand over which step it is and who begins episodes."""
-        return {"returned": self._returned, "last": self._last}
+        """Return which step it is and whose episodes start."""
+        return {"returned": self._starting, "last": self._last}
 
     def _restore_steps(self, saved: dict[str, Any]) -> None:
-        """Go on from what :meth:`_saved_steps` handed over."""
+        """Go on from what :meth:`_saved_steps` returned."""
         returned = saved["returned"]
-        self._returned = None if returned is None else returned.to(self.device, copy=True)
+        self._starting = None if returned is None else returned.to(self.device, copy=True)
         self._last = saved["last"]
 
     def _bring(self, values: Tensor, name: str, tails: tuple[tuple[str, ...], ...], channels: int) -> Tensor:
@@ -166,11 +166,7 @@ class BatchModule(nn.Module, ABC):
         return values.detach().to(self.dtype)
 
     def _apply(self, fn: Any, recurse: bool = True) -> Any:
-        """Refuse to be moved: neither the state nor the random stream can follow.
-
-        Raises:
-            RuntimeError: If the device or the dtype would be another one.
-        """
+        """Raise RuntimeError for another device or dtype: neither state nor random stream can follow."""
         probe = torch.empty(0, dtype=self.dtype, device=self.device)
         moved = fn(probe)
         if moved.dtype != self.dtype or moved.device != self.device:
@@ -181,7 +177,7 @@ class BatchModule(nn.Module, ABC):
         return super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
 
     def _check_saved(self, saved: dict[str, Any], identity: dict[str, Any]) -> None:
-        """Refuse a saved state of another module, naming the first difference."""
+        """Raise ValueError if a saved state is of another module, with the first difference."""
         for name, ours in identity.items():
             theirs = saved.get("identity", {}).get(name)
             if name == "method":

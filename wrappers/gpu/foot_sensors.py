@@ -34,12 +34,12 @@ class FootSensorsModule(BatchModule):
     argument ``step`` or from ``counter``, the sensors advance at the first call of a step and hand out copies
     of the same readings at the others. Without one every call is a step.
 
-    **Resets.** Sensors are hardware: a robot that is put back keeps its own, and drift goes on. With
-    ``fresh=True`` it gets others. Either way converters with a clock run through under the first load of
-    the new episode, so that no reading tells of the one before, even when asked again within the same step.
+    **Resets.** Sensors are hardware: a robot that starts an episode keeps its own, and drift goes on. With
+    ``fresh=True`` it gets fresh ones. Either way converters with a clock run through under the first load of
+    the new episode, so that no reading is of the one before, even when asked again within the same step.
 
     **Loads that are not finite**, as of a simulation that blew up, read NaN at the robot that has them and
-    are forgotten at its next finite ones. Forces come in without their graph: nothing is differentiated.
+    have no effect after its next finite ones. Forces come in without their graph: nothing is differentiated.
 
     **Chance.** One generator on the device, seeded, draws for the whole batch: the same seed, calls and
     resets give the same readings on the same device, but what one robot reads depends on how many there are.
@@ -57,7 +57,7 @@ class FootSensorsModule(BatchModule):
             were drawn: words (:func:`~surefoot.sensors.parse_fault`; feet are left and right, more than two
             have numbers; axes of six-axis sensors are "cell left/fz"), :class:`~surefoot.sensors.Fault` or
             mappings of its fields.
-        counter: Tells the number of the simulation step.
+        counter: Returns the number of the simulation step.
 
     Attributes:
         config: The instrument with its severity.
@@ -97,8 +97,8 @@ class FootSensorsModule(BatchModule):
         broken = tuple(_fault(fault, self.config) for fault in faults)
         self._faults = channel_faults(broken, self.config) if broken else None
         self._fault_notes = repr(broken)
-        self._opening = _opening(self.config, self.dt)
-        for _, apart in [(1, self.dt), *self._opening]:
+        self._first_steps = _first_steps(self.config, self.dt)
+        for _, apart in [(1, self.dt), *self._first_steps]:
             check_wire(self.config, apart)
         self._slope = torch.as_tensor(self.config.slope, dtype=dtype, device=self.device)
         axes = batch_axes(self._cells, self.channels)
@@ -126,40 +126,40 @@ class FootSensorsModule(BatchModule):
         tails = (("channels",), ("S", "channels")) if self._blocks else (("channels",),)
         force = self._bring(force, "force", tails, self.channels)
         block = force[:, None] if force.ndim == 2 and self._blocks else force
-        advances, before, returned = self._begins(step), self._state, self._returned
+        advances, before, starting = self._begins(step), self._state, self._starting
         plain, first = [(block, self.dt)], self._first(block)
         if self._reading is None:
-            reading, state = self._read(first, self._rid(before, block))
+            reading, state = self._read(first, self._with_finite_loads(before, block))
         else:
             reading, state = self._read(plain, before) if advances else (self._reading, before)
             # Sensors that remember no load read the step itself as their first.
-            if returned is not None and (len(self._opening) > 0 or not advances):
-                opened, begun = self._read(first, self._rid(before, block))
-                reading = torch.where(returned[:, None], opened, reading)
-                state = select(returned, begun, state, self._axes)
-        self._reading, self._state, self._returned = reading, state, None
+            if starting is not None and (len(self._first_steps) > 0 or not advances):
+                first_reading, after = self._read(first, self._with_finite_loads(before, block))
+                reading = torch.where(starting[:, None], first_reading, reading)
+                state = select(starting, after, state, self._axes)
+        self._reading, self._state, self._starting = reading, state, None
         return reading.clone()
 
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
-        """Begin new episodes.
+        """Start new episodes.
 
         Args:
             env_ids: Robots that begin one; all by default.
-            fresh: Whether they get other sensors: new gains, zeros and clocks, and a new time for faults.
+            fresh: Whether they get fresh sensors: scales, offsets, clocks, and the time of faults.
 
         Raises:
             ValueError: If there is no such robot.
         """
-        mask = self._note_returned(env_ids)
+        mask = self._note_starting(env_ids)
         if fresh:
             self._state = select(mask, self._draw(), self._state, self._axes)
 
     def newtons(self, counts: Tensor) -> Tensor:
-        """Take counts to N (and N m) by the data sheet: what a robot without a calibrator believes."""
+        """Return counts in N (and N m) by the data sheet: what a robot without a calibrator believes."""
         return (counts - self.config.zero_code) / self._slope
 
     def true_parameters(self) -> Parameters:
-        """Tell the map that would undo the load cells' errors now, shape (N, K) each: truth, to score by.
+        """Return the map that undoes the load cells' errors now, shape (N, K) each: truth, to score by.
 
         Raises:
             TypeError: If the sensors are not load cells.
@@ -169,7 +169,7 @@ class FootSensorsModule(BatchModule):
         return Parameters(*true_map(self.config, self._state[0]))
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Hand over everything for ``state_dict()``: sensors, the last readings and the random stream."""
+        """Return everything for ``state_dict()``: sensors, the last readings and the random stream."""
         return {
             "identity": self._identity(),
             "leaves": saved_leaves(self._state),
@@ -179,7 +179,7 @@ class FootSensorsModule(BatchModule):
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Go on, bit for bit, from what :meth:`get_extra_state` handed over.
+        """Go on, bit for bit, from what :meth:`get_extra_state` returned.
 
         Raises:
             ValueError: If it is of other sensors.
@@ -208,8 +208,8 @@ class FootSensorsModule(BatchModule):
         faults = () if self._faults is None else self._faults.init(shape, self._generator, self.dtype)
         return cells, faults
 
-    def _rid(self, state: Any, block: Tensor) -> Any:
-        """Let loads of before an episode that were not finite count as its own."""
+    def _with_finite_loads(self, state: Any, block: Tensor) -> Any:
+        """Return a state in which loads before an episode that were not finite are its first load."""
         if not self._blocks:
             return state
         cells, faults = state
@@ -217,15 +217,15 @@ class FootSensorsModule(BatchModule):
         return cells._replace(previous=torch.where(known, cells.previous, block[:, -1])), faults
 
     def _first(self, block: Tensor) -> list[tuple[Tensor, float]]:
-        """Say how long the last load of a block must have been there to be an episode's first reading."""
-        if not self._opening:
+        """Return for how long the last load of a block lasts before an episode's first reading."""
+        if not self._first_steps:
             return [(block, self.dt)]
         if not self._blocks:
-            return [(block, dt) for _, dt in self._opening]
-        return [(block[:, -1:].expand(-1, rows, -1), dt) for rows, dt in self._opening]
+            return [(block, dt) for _, dt in self._first_steps]
+        return [(block[:, -1:].expand(-1, rows, -1), dt) for rows, dt in self._first_steps]
 
     def _read(self, blocks: list[tuple[Tensor, float]], state: Any) -> tuple[Tensor, Any]:
-        """Let loads come one after the other and hand out the last reading."""
+        """Apply loads one after the other, and return the last reading."""
         cells, faults = state
         counts = blocks[0][0]
         for block, dt in blocks:
@@ -249,8 +249,8 @@ def _fault(given: str | Fault | Mapping[str, Any], config: FootDevice) -> Fault:
     return parse_fault(given, names, cells)
 
 
-def _opening(config: FootDevice, dt: float) -> list[tuple[int, float]]:
-    """Tell in how many substeps, and for how long each, a load must come until readings are of it alone.
+def _first_steps(config: FootDevice, dt: float) -> list[tuple[int, float]]:
+    """Return in how many substeps, and for how long each, a load must last until readings are of it alone.
 
     Returns:
         Pairs of the number of substeps and their time in s; none for an instrument that remembers no load.

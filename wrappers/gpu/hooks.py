@@ -15,7 +15,7 @@ Written against Isaac Lab 2 and 3 (``ModifierBase``, ``NoiseModel``, ``ManagerTe
 managers call term, modifiers and noise model in this order, then clip and scale *in place*, for each group;
 Isaac Lab's environment does so twice within a step while it records, before and after the resets.
 
-Neither a modifier nor a noise model is told of the environment, and so not of the step: give the module a
+Neither a modifier nor a noise model is given the environment, and so not the step: give the module a
 ``counter``. A manager copies its configuration deeply, but not classes: several terms that are built from
 classes over one module share its sensors.
 """  # noqa: E501
@@ -127,7 +127,7 @@ def observation_term_class(
         read: Takes the environment and hands back the observation, shape (N, ...).
         modules: The modules that it asks.
         base: The simulator's base class of terms, if its manager asks for a subclass.
-        fresh: Whether robots get other sensors, and forget what was learnt, at each reset.
+        fresh: Whether sensors and calibration are fresh at each reset.
 
     Returns:
         A class for ``ObservationTermCfg(func=...)``.

@@ -5,7 +5,7 @@
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
 
-Nothing is copied to the host but a few bits a step that tell whether anything is to be done for faults.
+Nothing is copied to the host but a few bits a step: whether anything is to be done for faults.
 """
 
 from typing import Any
@@ -28,7 +28,7 @@ class SelfCalibrationModule(BatchModule):
     argument ``step`` or from ``counter``, a sample is taken in once however often it is handed over.
 
     **Resets.** A robot that begins a new episode keeps what it has learnt, and nothing is learnt from samples
-    on two sides of the seam. With ``fresh=True``, for a robot that got other sensors, it forgets all.
+    on two sides of the seam. With ``fresh=True``, for a robot that got fresh sensors, it starts fresh.
 
     **Beliefs.** A reference must hold what a robot can know of itself, never the simulator's truth: joint
     encoders and an IMU with their errors, and a model with a mass and a centre of mass that are a little off.
@@ -45,13 +45,13 @@ class SelfCalibrationModule(BatchModule):
         lag: How many steps ago the readings were taken that a reference describes.
         initial: The map to start from, such as a :class:`FootSensorsModule`'s ``nominal``; by default
             readings are taken for newtons.
-        counter: Tells the number of the simulation step.
+        counter: Returns the number of the simulation step.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
             method.
 
     Attributes:
         method: The method's name.
-        setup: What the method was told.
+        setup: What the method was given.
         frozen: Whether nothing is learnt for the time being.
 
     Raises:
@@ -104,27 +104,27 @@ class SelfCalibrationModule(BatchModule):
         counts = self._bring(counts, "counts", (("channels",),), self.setup.layout.channels)
         reference = Reference(*(self._belief(name, part) for name, part in reference._asdict().items()))
         begins = self._begins(step)
-        if self._estimate is not None and not begins and self._returned is None:
+        if self._estimate is not None and not begins and self._starting is None:
             return self._estimate
         state, estimate = self._update(counts, reference)
-        if self._estimate is not None and not begins and self._returned is not None:
-            # Asked again within a step: only for those who have begun an episode since is there news.
-            state = select(self._returned, state, self._state)
-            estimate = select(self._returned, estimate, self._estimate)
-        self._state, self._estimate, self._returned = state, estimate, None
+        if self._estimate is not None and not begins and self._starting is not None:
+            # Asked again within a step: only robots whose episode has started since are updated.
+            state = select(self._starting, state, self._state)
+            estimate = select(self._starting, estimate, self._estimate)
+        self._state, self._estimate, self._starting = state, estimate, None
         return estimate
 
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
-        """Begin new episodes.
+        """Start new episodes.
 
         Args:
             env_ids: Robots that begin one; all by default.
-            fresh: Whether they forget what they have learnt.
+            fresh: Whether their calibration starts fresh.
 
         Raises:
             ValueError: If there is no such robot.
         """
-        mask = self._note_returned(env_ids)
+        mask = self._note_starting(env_ids)
         self._state = (select if fresh else put_back)(mask, self._fresh, self._state)
 
     def freeze(self, frozen: bool = True) -> None:
@@ -146,7 +146,7 @@ class SelfCalibrationModule(BatchModule):
         self.frozen = frozen
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Hand over everything for ``state_dict()``."""
+        """Return everything for ``state_dict()``."""
         estimate = self._estimate
         return {
             "identity": self._identity(),
@@ -157,7 +157,7 @@ class SelfCalibrationModule(BatchModule):
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Go on, bit for bit, from what :meth:`get_extra_state` handed over.
+        """Go on, bit for bit, from what :meth:`get_extra_state` returned.
 
         Raises:
             ValueError: If it is of another calibrator.

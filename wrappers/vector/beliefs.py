@@ -84,30 +84,30 @@ class BatchBeliefs:
         """What the robots take for errors of their accelerometers in m/s^2, shape (N, 3)."""
         return self._odometry.force_bias
 
-    def update(self, packet: Floats, begun: Mask | None = None) -> None:
+    def update(self, packet: Floats, starting: Mask | None = None) -> None:
         """Take in one packet of each robot.
 
         Args:
             packet: Shape (N, C).
-            begun: Robots that were put back, shape (N,), and whose packet tells of one at rest.
+            starting: Robots whose episode starts, shape (N,), with a packet of one at rest.
         """
         if self._before is None:
-            begun = np.ones(len(packet), dtype=bool)
+            starting = np.ones(len(packet), dtype=bool)
             self._before = packet
         before = self._before
-        if begun is not None:
-            before = np.where(begun[:, None], packet, before)
-            self._odometry.restart(begun)
+        if starting is not None:
+            before = np.where(starting[:, None], packet, before)
+            self._odometry.begin_episode(starting)
         self._now = (self._now + 1) % self._length
         row = self._ring[self._now]
         self._posture(before, packet, row)
         self._before = packet.copy()
-        if begun is not None:
-            self._ring[:, begun] = row[begun]
-        self._differentiate(begun)
+        if starting is not None:
+            self._ring[:, starting] = row[starting]
+        self._differentiate(starting)
 
-    def restart(self, packet: Floats, mask: Mask) -> None:
-        """Begin anew with robots that were put back, between two packets.
+    def begin_episode(self, packet: Floats, mask: Mask) -> None:
+        """Start episodes of some robots between two packets.
 
         Args:
             packet: Shape (N, C), those of ``mask`` of robots at rest.
@@ -143,7 +143,7 @@ class BatchBeliefs:
     def _write(
         self, postures: Postures, force: Floats, spin: Floats, odometry: BatchOdometry, row: Floats
     ) -> None:
-        """Turn what kinematics tell into odometry axes, into a row of shape (n, ROWS, 3)."""
+        """Write a row of shape (n, ROWS, 3) of what follows from kinematics, in odometry axes."""
         sites, axes = postures.sites, postures.axes
         R_odometry_torso = odometry.turn(spin, force, sites[:, 1:], axes[:, 2::3])
         local = np.empty((len(row), FORCE + 1, 3))
@@ -153,7 +153,7 @@ class BatchBeliefs:
         row[:, ACCELEROMETER] = force
         row[:, GYROSCOPE] = spin
 
-    def _differentiate(self, begun: Mask | None) -> None:
+    def _differentiate(self, starting: Mask | None) -> None:
         """Fill in the rates one row before the newest, from its neighbours."""
         before, row, after, period = self._row(2), self._row(1), self._row(0), self._period
         bent = before + after
@@ -161,11 +161,11 @@ class BatchBeliefs:
         row[:, ACCELERATION] = row[:, FORCE] + (bent[:, COM] - bent[:, IMU]) / period**2
         row[:, ACCELERATION, 2] -= GRAVITY
         row[:, MOMENTUM_RATE] = (after[:, MOMENTUM] - before[:, MOMENTUM]) / (2.0 * period)
-        if begun is not None:
-            self._ring[:, begun, ACCELERATION : MOMENTUM_RATE + 1] = 0.0
+        if starting is not None:
+            self._ring[:, starting, ACCELERATION : MOMENTUM_RATE + 1] = 0.0
 
     def reference(self, stance: Mask, swing: Mask, unknown: Mask) -> Reference:
-        """Say what the robots believed to do at the moment that references are about.
+        """Return what the robots believed to do at the moment that references are about.
 
         Args:
             stance: Feet that are sure to stand then, shape (N, 2).
@@ -192,7 +192,7 @@ class BatchBeliefs:
         )
 
     def soles(self) -> tuple[Floats, Floats]:
-        """Tell where the soles are now, later than the newest packet, going on as they went.
+        """Return where the soles are now, later than the newest packet, at their last velocities.
 
         Returns:
             In the level frames of now: places of the soles in m and their headings, unit vectors, shape
@@ -230,7 +230,7 @@ def _heading(axes: Floats) -> Floats:
 
 
 def _turned(turn: Floats, vector: Floats) -> Floats:
-    """Give vectors, shape (N, n, 2), in axes of which the first is ``turn``, shape (N, 2)."""
+    """Return vectors, shape (N, n, 2), in axes of which the first is ``turn``, shape (N, 2)."""
     x, y = turn[:, None, 0], turn[:, None, 1]
     return np.stack(
         [x * vector[..., 0] + y * vector[..., 1], x * vector[..., 1] - y * vector[..., 0]], axis=-1

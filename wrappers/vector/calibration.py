@@ -22,7 +22,7 @@ from surefoot.calibration.select import select
 from surefoot.wrappers.belief_errors import BeliefErrors
 from surefoot.wrappers.contacts import CONTACT_MARGIN
 from surefoot.wrappers.instruments import layout_options
-from surefoot.wrappers.lag import held_samples
+from surefoot.wrappers.lag import waiting_samples
 from surefoot.wrappers.source import check_stream, wants_fresh
 from surefoot.wrappers.starting_map import StartingMap
 from surefoot.wrappers.vector.beliefs import BatchBeliefs
@@ -36,14 +36,14 @@ Mask = NDArray[np.bool_]
 
 
 class BatchCalibration:
-    """Calibrates the counts of :class:`BatchSensors`, and says what is observed of them.
+    """Calibrates the readings of :class:`BatchSensors`, and makes the observations of the feet.
 
     Args:
         sensors: The robots' sensors.
         method: A key of :data:`surefoot.calibration.METHODS`.
         initial: The map to start from: ``"nominal"``, ``"calibrated"`` or parameters.
         lag: How many samples ago a reference describes the feet; ``None`` for as few as the link allows.
-        fresh: Whether a robot that is reset forgets what it learnt.
+        fresh: Whether the calibration of a robot starts fresh at each of its resets.
         errors: How wrong the robots are about themselves.
         stream: Number of the random stream.
         options: Options of the method.
@@ -52,8 +52,8 @@ class BatchCalibration:
         lag: How many samples ago a reference describes the feet.
         feet: What is observed of the feet, and the feet's observations.
         parameters: The robots' maps now, shape (N, K).
-        reference: What the calibrator was last told.
-        estimate: What it last said, in real units.
+        reference: The calibrator's last reference.
+        estimate: Its last estimate, in real units.
 
     Raises:
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
@@ -102,8 +102,8 @@ class BatchCalibration:
         everyone = (sensors.count, instruments.channels)
         self._map: Floats = np.zeros((2, *everyone))
         self._share: Floats = np.ones((sensors.count, 1))
-        self._wait = held_samples(self.lag, instruments.age, dt)
-        self._held = np.zeros(sensors.count, dtype=np.int64)
+        self._wait = waiting_samples(self.lag, instruments.age, dt)
+        self._waiting = np.zeros(sensors.count, dtype=np.int64)
         self._plan = BatchPlan(sensors.count, self.lag)
         self._kinematics = BatchKinematics(sensors.count)
         self._upright = BatchUpright(sensors.count, dt)
@@ -129,25 +129,25 @@ class BatchCalibration:
         if not learnt:
             self._beliefs = self._make_beliefs(self._sensors.averaged)
         each = seed_of_each(seed, count)
-        drawn = (self._sensors.drawn | self._fresh).tolist()
+        drawn = (self._sensors.sensors_fresh | self._fresh).tolist()
         wanted = [wants_fresh(choice, own, new, learnt) for own, new in zip(each, drawn, strict=True)]
         self._begin(mask, mask & np.array(wanted), rng)
 
     def step(self) -> None:
         """Calibrate by one sample, after the sensors stepped."""
         sensors = self._sensors
-        readings, begun = sensors.stepped, sensors.begun
+        readings, starting = sensors.stepped, sensors.starting
         assert readings.packet is not None
-        if begun is not None:
-            self._forget(sensors.drawn | (begun & self._fresh), self._rng)
-            self._put_back(begun, self._wait)
-            self.feet.restart(begun)
-        self._beliefs.update(readings.packet, begun)
+        if starting is not None:
+            self._start_fresh(sensors.sensors_fresh | (starting & self._fresh), self._rng)
+            self._begin_episodes(starting, self._wait)
+            self.feet.begin_episode(starting)
+        self._beliefs.update(readings.packet, starting)
         share, (scale, offset) = self._share, self._map
         self.reference = reference = self._next_reference(readings.contacts)
-        told = reference._replace(angular_momentum_rate=reference.angular_momentum_rate / share)
+        scaled = reference._replace(angular_momentum_rate=reference.angular_momentum_rate / share)
         force = (scale * readings.raw + offset) / share
-        self._state, estimate = self._method.update(self._state, force, told, sensors.meaning.dt)
+        self._state, estimate = self._method.update(self._state, force, scaled, sensors.meaning.dt)
         self.parameters = Parameters(
             estimate.scale * scale, estimate.scale * offset + estimate.offset * share
         )
@@ -160,29 +160,29 @@ class BatchCalibration:
         )
         self.feet.show(estimate, *self._beliefs.soles())
 
-    def restart(self, mask: Mask) -> None:
-        """Take in robots that were put back within the step that ended their episode, after the sensors."""
-        self._begin(mask, self._sensors.drawn | (mask & self._fresh), self._rng)
+    def begin_episode(self, mask: Mask) -> None:
+        """Take in robots whose next episode starts within the step that ended one, after the sensors."""
+        self._begin(mask, self._sensors.sensors_fresh | (mask & self._fresh), self._rng)
 
     def info(self, stepped: bool) -> dict[str, Any]:
-        """Say what is known besides, by the names that the wrapper for one robot has.
+        """Return what ``info`` holds, by the names that the wrapper for one robot has.
 
         Args:
             stepped: Whether it is of a step, and not of a reset, in which nothing is calibrated.
         """
-        told = {"parameters": self.parameters, "lag": self.lag}
+        known = {"parameters": self.parameters, "lag": self.lag}
         if stepped:
             estimate = self.estimate
-            told |= {"flags": estimate.flags, "vgrf": estimate.vgrf, "reference": self.reference}
-        return told
+            known |= {"flags": estimate.flags, "vgrf": estimate.vgrf, "reference": self.reference}
+        return known
 
     def _next_reference(self, contacts: Floats) -> Reference:
         """Take in plans and postures of one more sample, and return the references for it.
 
         They are NaN for robots whose samples are of two episodes, and for robots that are not upright.
         """
-        unknown, none = self._held > 0, np.zeros((len(contacts), 2), dtype=bool)
-        self._held = np.maximum(self._held - 1, 0)
+        unknown, none = self._waiting > 0, np.zeros((len(contacts), 2), dtype=bool)
+        self._waiting = np.maximum(self._waiting - 1, 0)
         planned = contacts[0, 0] == contacts[0, 0]
         stance, swing = self._plan.at(contacts > 0.5) if planned else (none, none)
         reference = self._beliefs.reference(stance, swing, unknown)
@@ -195,24 +195,24 @@ class BatchCalibration:
         return reference._replace(stance=stance, swing=swing)
 
     def _begin(self, mask: Mask, forget: Mask, rng: np.random.Generator) -> None:
-        """Begin episodes without a sample to learn from; what is shown is the map applied to the readings."""
+        """Start episodes without a sample to learn from: the map is applied to the readings."""
         readings = self._sensors.readings
         assert readings.packet is not None
-        self._forget(forget, rng)
-        self._put_back(mask, self._wait - 1)
-        self._beliefs.restart(readings.packet, mask)
-        self.feet.restart(mask)
+        self._start_fresh(forget, rng)
+        self._begin_episodes(mask, self._wait - 1)
+        self._beliefs.begin_episode(readings.packet, mask)
+        self.feet.begin_episode(mask)
         force = self.parameters.scale * readings.raw + self.parameters.offset
         self.feet.apply(mask, force, *self._beliefs.soles())
 
-    def _put_back(self, mask: Mask, wait: int) -> None:
-        self._held[mask] = wait
-        self._plan.restart(mask)
-        self._kinematics.restart(mask)
-        self._upright.restart(mask)
+    def _begin_episodes(self, mask: Mask, wait: int) -> None:
+        self._waiting[mask] = wait
+        self._plan.begin_episode(mask)
+        self._kinematics.begin_episode(mask)
+        self._upright.begin_episode(mask)
 
-    def _forget(self, mask: Mask, rng: np.random.Generator) -> None:
-        """Draw what some robots are wrong about, and begin from their starting maps."""
+    def _start_fresh(self, mask: Mask, rng: np.random.Generator) -> None:
+        """Draw what some robots are wrong about, and start from their starting maps."""
         if not mask.any():
             return
         self._model.draw(np.flatnonzero(mask).tolist(), rng)

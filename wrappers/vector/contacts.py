@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 
 class BatchPlan:
-    """Tells it of some samples ago, by what was planned.
+    """Finds it for some samples ago, by what was planned.
 
     Args:
         count: Number of robots N.
@@ -36,13 +36,13 @@ class BatchPlan:
         none = np.zeros((count, 4), dtype=np.int64)
         self._runs = deque([none], maxlen=kept)
 
-    def restart(self, mask: Mask) -> None:
-        """Forget what some robots planned, shape (N,)."""
+    def begin_episode(self, mask: Mask) -> None:
+        """Start some robots without a plan, shape (N,)."""
         for runs in self._runs:
             runs[mask] = 0
 
     def at(self, planned: Mask) -> tuple[Mask, Mask]:
-        """Take in what is planned now, and tell of then.
+        """Take in what is planned now, and return what surely held then.
 
         Args:
             planned: Feet planned to stand and feet planned to swing, shape (N, 4).
@@ -56,7 +56,7 @@ class BatchPlan:
 
 
 class BatchKinematics:
-    """Tells it by where the feet were.
+    """Finds it by where the feet were.
 
     Args:
         count: Number of robots N.
@@ -65,12 +65,12 @@ class BatchKinematics:
     def __init__(self, count: int) -> None:
         self._runs = np.zeros((count, 4), dtype=np.int64)
 
-    def restart(self, mask: Mask) -> None:
-        """Forget what some robots did, shape (N,)."""
+    def begin_episode(self, mask: Mask) -> None:
+        """Start some robots without a past, shape (N,)."""
         self._runs[mask] = 0
 
     def at(self, reference: Reference) -> tuple[Mask, Mask]:
-        """Take in the robots' beliefs of one moment, and tell of it.
+        """Take in the robots' beliefs of one moment, and return what their feet surely did then.
 
         Args:
             reference: The beliefs, of samples that follow each other.
@@ -91,7 +91,7 @@ class BatchKinematics:
 
 
 class BatchUpright:
-    """Tells whether robots are ones that stand, walk or run, so that their feet carry all of them.
+    """Finds whether robots stand, walk or run, so that their feet carry all of them.
 
     Args:
         count: Number of robots N.
@@ -103,12 +103,12 @@ class BatchUpright:
         self._mean: Floats = np.zeros((count, 3))
         self._highest: Floats = np.zeros(count)
 
-    def restart(self, mask: Mask) -> None:
-        """Forget how some robots held themselves, shape (N,)."""
+    def begin_episode(self, mask: Mask) -> None:
+        """Start some robots without a past, shape (N,)."""
         self._mean[mask], self._highest[mask] = 0.0, 0.0
 
     def at(self, reference: Reference, force_bias: Floats) -> Mask:
-        """Take in the robots' beliefs of one moment, and tell of it.
+        """Take in the robots' beliefs of one moment, and return whether they were upright then.
 
         Args:
             reference: The beliefs, of samples that follow each other; NaN, where nothing is known, passes.

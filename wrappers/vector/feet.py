@@ -28,7 +28,7 @@ class BatchFeet:
     Attributes:
         spaces: The space of each part for one robot.
         shown: What is observed now, each with the robots in front; arrays that later steps do not change.
-        stepped: The same at the end of the last step, before robots were put back.
+        stepped: The same at the end of the last step, before the next episodes started.
     """
 
     def __init__(self, count: int, layout: FeetLayout, mass: float, flaw: str) -> None:
@@ -44,8 +44,8 @@ class BatchFeet:
         }
         self.stepped = self.shown
 
-    def restart(self, mask: Mask) -> None:
-        """Forget the centres of pressure of some robots' last episodes, shape (N,)."""
+    def begin_episode(self, mask: Mask) -> None:
+        """Start some robots with centres of pressure at the origin, shape (N,)."""
         self._cop[mask] = 0.0
         self._cop_foot[mask] = 0.0
 
@@ -53,7 +53,7 @@ class BatchFeet:
         """Show one sample of all robots.
 
         Args:
-            estimate: What the calibrator says.
+            estimate: The calibrator's.
             place: Where the soles are in the level frames in m, shape (N, 2, 2).
             heading: Their headings, unit vectors, shape (N, 2, 2).
         """
@@ -84,7 +84,7 @@ class BatchFeet:
         }
 
     def last_of(self, robot: int) -> dict[str, NDArray[Any]]:
-        """Give what one robot observed at the end of the last step, as arrays of its own."""
+        """Return what one robot observed at the end of the last step, as arrays of its own."""
         return {name: part[robot].copy() for name, part in self.stepped.items()}
 
     def _hold(self, valid: Mask, wrench: Floats, cop_foot: Floats, place: Floats, heading: Floats) -> None:

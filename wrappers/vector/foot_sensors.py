@@ -1,4 +1,4 @@
-"""Puts sensors between the truth of many robots and who observes them."""
+"""Sensors between the truth of many robots and who observes them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,13 +16,13 @@ from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
 from surefoot.wrappers.vector.truth import BatchTruth
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY
-from surefoot.wrappers.vector.view import BatchView, meet_copies, merge_rows
+from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
 
 Infos = dict[str, Any]
 
 
 class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
-    """Let many robots be felt through load cells or ankle sensors, joint encoders and IMUs.
+    """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
     It goes right around a vector environment whose copies have
     :class:`~surefoot.wrappers.TruthRow` around them. The observation is a ``Dict`` without truth
@@ -35,9 +35,9 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     ``infos["surefoot"]["truth"]`` is a mapping of (N, ...) arrays (:mod:`surefoot.wrappers.vector.truth`).
 
     All three autoreset modes are served. Sensors stay as they are when a robot is reset, and drift on, as
-    hardware does; ``fresh=True`` gives a robot that is reset new ones. A reset with a seed draws new ones
-    for the robots that are seeded; ``options={"surefoot": {"sensors": "fresh" or "keep"}}`` decides for one
-    reset. All robots draw from one stream: the same seeds, number of robots and actions give the same
+    hardware does; ``fresh=True`` gives a robot that is reset fresh ones. A reset with a seed draws fresh
+    ones for the robots that are seeded; ``options={"surefoot": {"sensors": "fresh" or "keep"}}`` decides for
+    one reset. All robots draw from one stream: the same seeds, number of robots and actions give the same
     readings.
 
     Args:
@@ -47,7 +47,7 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         encoders: The joint encoders, likewise.
         link: The links over which encoders and IMUs reach the hosts, likewise.
         severity: Factor of all errors of the feet's sensors, see :func:`~surefoot.sensors.scaled`.
-        fresh: Whether a robot that is reset gets new sensors.
+        fresh: Whether a robot that is reset gets fresh sensors.
         stream: Number of the random stream, for independent sensors on the same episodes.
 
     Attributes:
@@ -75,7 +75,7 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         devices = choose_devices("VectorFootSensors", config, imu, encoders, link, severity, stream)
         copies: Any = env.unwrapped
         space: Any = env.single_observation_space
-        drawing, meaning = meet_copies("VectorFootSensors", space, copies.get_attr)
+        drawing, meaning = check_copies("VectorFootSensors", space, copies.get_attr)
         count = env.num_envs
         self.sensors = BatchSensors(count, drawing, meaning, devices, stream=stream, fresh=fresh)
         self._view = BatchView(self.sensors, space)
@@ -101,9 +101,9 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         observations, infos = self.env.reset(seed=seed, options=None if rest is None else dict(rest))
         self._done[slice(None) if mask is None else mask] = False
         copies: Any = self.env.unwrapped
-        self.sensors.tell_rows(copies.get_attr("row_key")[0], copies.get_attr("row_averaged")[0])
+        self.sensors.set_rows(copies.get_attr("row_key")[0], copies.get_attr("row_averaged")[0])
         self.sensors.reset(observations[TRUTH_KEY], mask, seed, asked.get("sensors"))
-        return self._view.show(observations), self._told(infos)
+        return self._view.show(observations), self._with_truth(infos)
 
     def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Step all robots and read their sensors."""
@@ -116,18 +116,18 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
             for robot, final in finals.items():
                 shown[robot] = self._view.show_one(final, robot)
             infos = {**infos, "final_obs": shown}
-            self.sensors.restart(rows, done)
+            self.sensors.begin_episode(rows, done)
         else:
-            begun = self._done if self._mode is AutoresetMode.NEXT_STEP and self._done.any() else None
-            self.sensors.step(rows, begun)
+            starting = self._done if self._mode is AutoresetMode.NEXT_STEP and self._done.any() else None
+            self.sensors.step(rows, starting)
         self._done = done
-        return self._view.show(observations), rewards, terminations, truncations, self._told(infos)
+        return self._view.show(observations), rewards, terminations, truncations, self._with_truth(infos)
 
     def true_parameters(self) -> Parameters:
-        """Tell the maps that would undo the cells' errors now, shape (N, K): truth, to score against."""
+        """Return the maps that undo the cells' errors now, shape (N, K): truth, to score against."""
         return self.sensors.true_parameters()
 
-    def _told(self, infos: Infos) -> Infos:
+    def _with_truth(self, infos: Infos) -> Infos:
         known = infos.get("surefoot", {})
         truth = BatchTruth(self.sensors.truth, self.sensors.drawing)
         return {**infos, "surefoot": {**known, "truth": truth}}

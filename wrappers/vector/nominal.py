@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 class Postures(NamedTuple):
-    """What kinematics tell of N robots, in their torsos' frames.
+    """Kinematics of N robots, in their torsos' frames.
 
     Attributes:
         com: Centres of mass in m, shape (N, 3).
@@ -80,7 +80,7 @@ class BatchNominal:
         self._place, self._turn = data.site_xpos, data.site_xmat.reshape(-1, 3, 3)
 
     def draw(self, robots: Iterable[int], rng: np.random.Generator) -> None:
-        """Draw the errors of some robots anew, one after the other."""
+        """Draw fresh errors for some robots, one after the other."""
         for robot in robots:
             self._robot.draw(rng)
             self.mass[robot] = self._robot.mass

@@ -30,10 +30,10 @@ class BatchOdometry:
         self._middles: Floats = np.zeros(count)
         self.up: Floats = np.zeros((count, 3))
         self.force_bias: Floats = np.zeros((count, 3))
-        self.restart(np.ones(count, dtype=bool))
+        self.begin_episode(np.ones(count, dtype=bool))
 
-    def restart(self, mask: NDArray[np.bool_]) -> None:
-        """Have some robots know nothing, shape (N,)."""
+    def begin_episode(self, mask: NDArray[np.bool_]) -> None:
+        """Start some robots with no knowledge, shape (N,)."""
         self._forward[mask] = (1.0, 0.0, 0.0)
         self.up[mask] = (0.0, 0.0, 1.0)
         for part in (self._spin, self._spin_bias, self.force_bias):
@@ -80,7 +80,7 @@ class BatchOdometry:
         return R
 
     def _upright(self, position_sole: Floats, up_sole: Floats) -> Floats:
-        """Tell which way is up by the lower sole, or by both where they are level with each other."""
+        """Return which way is up by the lower sole, or by both where they are level with each other."""
         above = np.einsum("ni,ni->n", position_sole[:, 0] - position_sole[:, 1], self.up) / SOLE_HEIGHT
         weight = 0.5 * np.minimum(np.maximum(1.0 - above, 0.0), 2.0)[:, None]
         right = up_sole[:, 1]

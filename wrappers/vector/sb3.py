@@ -1,6 +1,6 @@
 """Sensors and calibrators for many robots in Stable-Baselines3, which has vector environments of its own.
 
-Needs the extra ``surefoot[rl]``. What happens to readings is told in :mod:`surefoot.wrappers.vector.sensors`
+Needs the extra ``surefoot[rl]``. What happens to readings is in :mod:`surefoot.wrappers.vector.sensors`
 and :mod:`surefoot.wrappers.vector.calibration`; here is only how SB3 gathers robots: it resets one in the
 step in which its episode ends, and hands the last observation over as ``infos[i]["terminal_observation"]``.
 """
@@ -22,11 +22,11 @@ from surefoot.wrappers.vector.calibration import BatchCalibration
 from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
 from surefoot.wrappers.vector.truth import BatchTruth
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY
-from surefoot.wrappers.vector.view import BatchView, meet_copies, merge_rows
+from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
 
 
 class VecFootSensors(VecEnvWrapper):
-    """Let the robots of an SB3 ``VecEnv`` be felt as :class:`VectorFootSensors` lets those of Gymnasium's.
+    """Read the robots of an SB3 ``VecEnv`` as :class:`VectorFootSensors` reads those of Gymnasium's.
 
     Each copy needs a :class:`~surefoot.wrappers.vector.truth_row.TruthRow` around it.
 
@@ -37,7 +37,7 @@ class VecFootSensors(VecEnvWrapper):
         encoders: The joint encoders.
         link: The links over which they reach the hosts.
         severity: Factor of all errors of the feet's sensors.
-        fresh: Whether a robot that is reset gets new sensors.
+        fresh: Whether a robot that is reset gets fresh sensors.
         stream: Number of the random stream.
 
     Attributes:
@@ -63,7 +63,7 @@ class VecFootSensors(VecEnvWrapper):
     ) -> None:
         devices = choose_devices("VecFootSensors", config, imu, encoders, link, severity, stream)
         space: Any = venv.observation_space
-        drawing, meaning = meet_copies("VecFootSensors", space, venv.get_attr)
+        drawing, meaning = check_copies("VecFootSensors", space, venv.get_attr)
         self.sensors = BatchSensors(venv.num_envs, drawing, meaning, devices, stream=stream, fresh=fresh)
         self._view = BatchView(self.sensors, space)
         super().__init__(venv, observation_space=self._view.space)
@@ -80,7 +80,7 @@ class VecFootSensors(VecEnvWrapper):
         observations: Any = self.venv.reset()
         self.seeds, self._next_seeds = self._next_seeds, None
         key, averaged = self.venv.get_attr("row_key", 0)[0], self.venv.get_attr("row_averaged", 0)[0]
-        self.sensors.tell_rows(key, averaged)
+        self.sensors.set_rows(key, averaged)
         self.sensors.reset(observations[TRUTH_KEY], None, self.seeds)
         return self._view.show(observations)
 
@@ -94,7 +94,7 @@ class VecFootSensors(VecEnvWrapper):
         for robot, final in finals.items():
             infos[robot] = {**infos[robot], "terminal_observation": self._view.show_one(final, robot)}
         if finals:
-            self.sensors.restart(rows, dones)
+            self.sensors.begin_episode(rows, dones)
         return self._view.show(given), rewards, dones, infos
 
     @property
@@ -104,14 +104,14 @@ class VecFootSensors(VecEnvWrapper):
 
 
 class VecSelfCalibration(VecEnvWrapper):
-    """Calibrate the counts of :class:`VecFootSensors` as the robots go, and observe what they say.
+    """Calibrate the readings of :class:`VecFootSensors` while the robots move, and observe the result.
 
     Args:
         venv: :class:`VecFootSensors` around a vector environment.
         method: As of :class:`~surefoot.wrappers.vector.self_calibration.VectorSelfCalibration`, like all.
         initial: The map to start from.
         lag: How many samples ago a reference describes the feet.
-        fresh: Whether a robot that is reset forgets what it learnt.
+        fresh: Whether the calibration of a robot starts fresh at each of its resets.
         errors: How wrong the robots are about themselves, also as a mapping of some of the fields.
         stream: Number of the random stream.
         options: Options of the method.
@@ -157,7 +157,7 @@ class VecSelfCalibration(VecEnvWrapper):
         super().__init__(venv, observation_space=shown)
 
     def reset(self) -> dict[str, Any]:
-        """Reset all robots, and forget what was learnt if they were seeded."""
+        """Reset all robots; calibration starts fresh if they were seeded."""
         observations = self._feet.reset()
         self.calibration.reset(None, self._feet.seeds)
         return {**observations, **self.calibration.feet.shown}
@@ -171,5 +171,5 @@ class VecSelfCalibration(VecEnvWrapper):
             final = {**infos[robot]["terminal_observation"], **calibration.feet.last_of(robot)}
             infos[robot] = {**infos[robot], "terminal_observation": final}
         if dones.any():
-            calibration.restart(dones)
+            calibration.begin_episode(dones)
         return {**observations, **calibration.feet.shown}, rewards, dones, infos

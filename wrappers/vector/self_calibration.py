@@ -1,4 +1,4 @@
-"""Lets many robots calibrate their feet while they walk, each with what it knows of itself."""
+"""Self-calibration of many robots while they walk, each with what it knows of itself."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -18,7 +18,7 @@ from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
 
 
 class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
-    """Calibrate the counts of :class:`VectorFootSensors` as the robots go, and observe what they say.
+    """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
     The observation keeps ``"foot_raw"`` and gains ``"foot_force"`` (N, K), ``"cop_foot"`` (N, 2, 2),
     ``"cop"`` (N, 2) and ``"cop_valid"`` (N, 3) as :class:`~surefoot.wrappers.SelfCalibration` has them for
@@ -28,8 +28,8 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     (N, 2) N and ``"reference"``: a reset only applies what was learnt to the first readings.
 
     What was learnt is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
-    robots that are not upright (:class:`~surefoot.wrappers.contacts.Upright`). A reset with a seed, or one
-    that draws sensors anew, forgets what was learnt, ``fresh=True`` forgets at each reset, and
+    robots that are not upright (:class:`~surefoot.wrappers.contacts.Upright`). Calibration starts fresh at a
+    reset with a seed or with fresh sensors, with ``fresh=True`` at each reset, and
     ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one.
 
     Args:
@@ -38,7 +38,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         initial: The map to start from: ``"nominal"``, ``"calibrated"`` or
             :class:`~surefoot.calibration.Parameters`.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
-        fresh: Whether a robot that is reset forgets what it learnt.
+        fresh: Whether the calibration of a robot starts fresh at each of its resets.
         errors: How wrong the robots are about themselves, also as a mapping of some of the fields.
         stream: Number of the random stream, for other errors of beliefs on the same episodes.
         options: Options of the method.
@@ -87,10 +87,10 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         self.observation_space = batch_space(single, env.num_envs)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, Infos]:
-        """Reset all robots, or those of ``options["reset_mask"]``, and forget what was learnt or keep it.
+        """Reset all robots, or those of ``options["reset_mask"]``, with calibration kept or fresh.
 
         Args:
-            seed: A number or one a robot: robots that are seeded forget.
+            seed: A number or one a robot: calibration of robots that are seeded starts fresh.
             options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``; handed on.
 
         Raises:
@@ -100,21 +100,21 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         mask = None if rest is None else rest.get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)
         self.calibration.reset(mask, seed, asked.get("calibration"))
-        return {**observations, **self.calibration.feet.shown}, self._told(infos, False)
+        return {**observations, **self.calibration.feet.shown}, self._with_calibration(infos, False)
 
     def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Step all robots and calibrate by one sample."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
-        calibration, restarted = self.calibration, self._sensors.restarted
+        calibration, started_within = self.calibration, self._sensors.started_within
         calibration.step()
-        if restarted is not None:
+        if started_within is not None:
             finals = infos["final_obs"].copy()
-            for robot in np.flatnonzero(restarted).tolist():
+            for robot in np.flatnonzero(started_within).tolist():
                 finals[robot] = {**finals[robot], **calibration.feet.last_of(robot)}
             infos = {**infos, "final_obs": finals}
-            calibration.restart(restarted)
+            calibration.begin_episode(started_within)
         shown = {**observations, **calibration.feet.shown}
-        return shown, rewards, terminations, truncations, self._told(infos, True)
+        return shown, rewards, terminations, truncations, self._with_calibration(infos, True)
 
-    def _told(self, infos: Infos, stepped: bool) -> Infos:
+    def _with_calibration(self, infos: Infos, stepped: bool) -> Infos:
         return {**infos, "surefoot": {**infos["surefoot"], **self.calibration.info(stepped)}}

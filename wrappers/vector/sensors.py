@@ -74,17 +74,17 @@ class BatchSensors:
         meaning: What the rows of truth hold.
         devices: What each is equipped with.
         stream: Number of the random stream.
-        fresh: Whether a robot that is reset gets new sensors.
+        fresh: Whether a robot that is reset gets fresh sensors.
 
     Attributes:
         instruments: What is under the feet of one robot.
         telemetry: The way of encoders and IMUs to the hosts.
         readings: What the hosts have now.
-        stepped: What they had at the end of the last step: of a robot that was put back within it, at the
-            end of its episode.
-        begun: Robots that were reset instead of stepped in the last step, shape (N,), or ``None``.
-        restarted: Robots that were put back within it, shape (N,), or ``None``.
-        drawn: Robots whose sensors were drawn anew at the last of these or of resets, shape (N,).
+        stepped: What they had at the end of the last step: of a robot whose episode ended with it, the end
+            of that episode.
+        starting: Robots that were reset instead of stepped in the last step, shape (N,), or ``None``.
+        started_within: Robots whose next episode started within it, shape (N,), or ``None``.
+        sensors_fresh: Robots that got fresh sensors at the last of these or of resets, shape (N,).
         truth: What really happened at the end of the step.
 
     Raises:
@@ -110,8 +110,8 @@ class BatchSensors:
         self._axes = batch_axes(self._device, self.instruments.channels)
         # Every chip delivers at least once, and what is averaged or on its way runs through.
         longest = max(meaning.dt, self.instruments.slowest)
-        self._opening = [longest] + [meaning.dt] * ceil(self.instruments.memory / meaning.dt - 1e-9)
-        self._remembers = self.instruments.slowest > 0.0 or len(self._opening) > 1
+        self._first_steps = [longest] + [meaning.dt] * ceil(self.instruments.memory / meaning.dt - 1e-9)
+        self._remembers = self.instruments.slowest > 0.0 or len(self._first_steps) > 1
         self.telemetry = BatchTelemetry(
             count,
             len(meaning.joints),
@@ -131,9 +131,9 @@ class BatchSensors:
         self.averaged = False
         self.readings: Readings
         self.stepped: Readings
-        self.begun: Mask | None = None
-        self.restarted: Mask | None = None
-        self.drawn: Mask = self._everyone
+        self.starting: Mask | None = None
+        self.started_within: Mask | None = None
+        self.sensors_fresh: Mask = self._everyone
         self.truth: Any = None
 
     @property
@@ -142,11 +142,11 @@ class BatchSensors:
         return self._state
 
     def listen(self) -> None:
-        """Have telemetry measured from the next reset on, which else is only where it is observed."""
+        """Measure telemetry from the next reset on, even if no observation shows it."""
         self._listening = True
 
-    def tell_rows(self, key: Any, averaged: bool) -> None:
-        """Say how rows are to be read, which copies know once they were reset.
+    def set_rows(self, key: Any, averaged: bool) -> None:
+        """Set how rows are to be read, which copies know once they were reset.
 
         Raises:
             ValueError: If rows hold means over a step and the IMU gives the value of an instant.
@@ -178,38 +178,38 @@ class BatchSensors:
             if mask.all():
                 self._rng, self._telemetry_rng = feet, telemetry
         self._begin(rows, mask, self.wanting(mask, seed, choice), feet, telemetry)
-        self.stepped, self.begun, self.restarted = self.readings, None, None
+        self.stepped, self.starting, self.started_within = self.readings, None, None
 
     def wanting(self, mask: Mask, seed: Seeds, choice: str | None) -> Mask:
-        """Tell which robots get new sensors at a reset, shape (N,)."""
+        """Return which robots get fresh sensors at a reset, shape (N,)."""
         each = seed_of_each(seed, self.count)
         drawn = self._state is not None
         wanted: Mask = mask & np.array([wants_fresh(choice, own, self.fresh, drawn) for own in each])
         return wanted
 
-    def step(self, rows: Floats, begun: Mask | None = None) -> None:
+    def step(self, rows: Floats, starting: Mask | None = None) -> None:
         """Read all robots after a control step.
 
         Args:
             rows: One row of truth a robot, shape (N, R).
-            begun: Robots that were reset instead of stepped, shape (N,), or ``None``.
+            starting: Robots that were reset instead of stepped, shape (N,), or ``None``.
         """
         force, before = self._look(rows), self._state
         raw, self._state = self._device.apply(force, before, self._rng, self.meaning.dt)
-        self.begun, self.restarted, self.drawn = begun, None, self._everyone & False
-        if begun is not None and self.fresh:
-            self.drawn = begun
-            before = self._drawn(begun, before, self._rng, self._telemetry_rng)
+        self.starting, self.started_within, self.sensors_fresh = starting, None, self._everyone & False
+        if starting is not None and self.fresh:
+            self.sensors_fresh = starting
+            before = self._drawn(starting, before, self._rng, self._telemetry_rng)
         # An instrument that remembers nothing has read the first moment already.
-        if begun is not None and (self.fresh or self._remembers):
-            raw = self._opened(force, begun, before, self._rng, raw)
+        if starting is not None and (self.fresh or self._remembers):
+            raw = self._first_readings(force, starting, before, self._rng, raw)
         if self._started:
-            self.telemetry.measure(*self._felt(), begun, self._telemetry_rng)
+            self.telemetry.measure(*self._felt(), starting, self._telemetry_rng)
         self._keep(raw, rows)
         self.stepped = self.readings
 
-    def restart(self, rows: Floats, mask: Mask) -> None:
-        """Read robots that were put back within the step that ended their episode; to be called after it.
+    def begin_episode(self, rows: Floats, mask: Mask) -> None:
+        """Read robots whose next episode starts within the step that ended one; to be called after it.
 
         Args:
             rows: One row of truth a robot, shape (N, R); those of ``mask`` are of the new episode.
@@ -218,10 +218,10 @@ class BatchSensors:
         stepped = self.stepped
         wanted = mask if self.fresh else mask & False
         self._begin(rows, mask, wanted, self._rng, self._telemetry_rng)
-        self.stepped, self.restarted = stepped, mask
+        self.stepped, self.started_within = stepped, mask
 
     def true_parameters(self) -> Parameters:
-        """Tell the maps that would undo the feet's errors now, shape (N, K): truth, to score against.
+        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against.
 
         Raises:
             ValueError: If there are six-axis sensors under the feet, whose cross-talk is in no such map.
@@ -244,10 +244,10 @@ class BatchSensors:
         rng: np.random.Generator,
         telemetry_rng: np.random.Generator,
     ) -> None:
-        """Read the robots in ``mask`` for the first time; those ``wanted`` with new sensors."""
+        """Read the robots in ``mask`` for the first time; those ``wanted`` with fresh sensors."""
         force = self._look(rows)
         state = self._drawn(wanted, self._state, rng, telemetry_rng) if wanted.any() else self._state
-        raw = self._opened(force, mask, state, rng, None if mask.all() else self.readings.raw)
+        raw = self._first_readings(force, mask, state, rng, None if mask.all() else self.readings.raw)
         if self._listening:
             if self._started:
                 self.telemetry.remeasure(mask, *self._felt(), telemetry_rng)
@@ -257,7 +257,7 @@ class BatchSensors:
                     self.telemetry.draw(self._everyone, telemetry_rng)
                 self.telemetry.measure(*self._felt(), self._everyone, telemetry_rng)
                 self._started = True
-        self.drawn = wanted
+        self.sensors_fresh = wanted
         self._keep(raw, rows)
 
     def _look(self, rows: Floats) -> Floats:
@@ -271,16 +271,16 @@ class BatchSensors:
     def _drawn(
         self, wanted: Mask, state: Any, rng: np.random.Generator, telemetry_rng: np.random.Generator
     ) -> Any:
-        """Give the robots that want them new sensors; the state of the feet's is returned."""
+        """Draw fresh sensors for the robots that want them; return the state of the feet's."""
         fresh = self._device.init(self._shape, rng)
         if self._listening:
             self.telemetry.draw(wanted, telemetry_rng)
         return fresh if wanted.all() or state is None else select(wanted, fresh, state, self._axes)
 
-    def _opened(
+    def _first_readings(
         self, force: Floats, mask: Mask, state: Any, rng: np.random.Generator, raw: Floats | None
     ) -> Floats:
-        """Let the sensors of robots that begin feel the load of now until no reading is of another.
+        """Read the load of now until no reading of robots that start an episode is of another load.
 
         Args:
             force: What is felt now.
@@ -296,7 +296,7 @@ class BatchSensors:
             # Nothing joins this moment to the one before.
             state = state._replace(previous=force[:, -1] + 0.0)
         first = force
-        for dt in self._opening:
+        for dt in self._first_steps:
             first, state = self._device.apply(force, state, rng, dt)
         if raw is None:
             self._state = state
@@ -317,7 +317,7 @@ class BatchSensors:
 def choose_devices(
     owner: str, feet: Any, imu: Any, encoders: Any, link: Any, severity: float, stream: int
 ) -> Devices:
-    """Make configurations of preset names, mappings or configurations.
+    """Return configurations of preset names, mappings or configurations.
 
     Raises:
         ValueError: If a name is unknown or a value is refused.
@@ -331,7 +331,7 @@ def choose_devices(
 
 
 def seed_numbers(seed: Seeds) -> list[int]:
-    """List the numbers of what a vector environment is seeded with; none without a seed."""
+    """Return the numbers that a vector environment is seeded with; none without a seed."""
     if seed is None:
         return []
     if isinstance(seed, Sequence):
@@ -340,5 +340,5 @@ def seed_numbers(seed: Seeds) -> list[int]:
 
 
 def seed_of_each(seed: Seeds, count: int) -> list[int | None]:
-    """Tell what each of ``count`` robots is seeded with; one number counts for all."""
+    """Return what each of ``count`` robots is seeded with; one number counts for all."""
     return list(seed) if isinstance(seed, Sequence) else [seed] * count

@@ -67,13 +67,13 @@ class BatchTelemetry:
         return packet
 
     def draw(self, mask: Mask, rng: np.random.Generator) -> None:
-        """Draw the IMUs and the encoders of some robots anew."""
+        """Draw fresh IMUs and encoders for some robots."""
         count, joints = self._count, self.layout.joint_position.stop
         self._imu_state = _drawn(self._imu, (count, 6), self._imu_state, mask, rng)
         self._encoder_state = _drawn(self._encoders, (count, joints), self._encoder_state, mask, rng)
 
     def measure(
-        self, position: Floats, inertial: Floats, up: Floats, begun: Mask | None, rng: np.random.Generator
+        self, position: Floats, inertial: Floats, up: Floats, starting: Mask | None, rng: np.random.Generator
     ) -> None:
         """Measure one control step of all robots.
 
@@ -81,13 +81,12 @@ class BatchTelemetry:
             position: Joint positions at its end in rad, shape (N, J).
             inertial: Specific force in m/s^2 and angular velocity in rad/s at the IMUs, shape (N, 6).
             up: Unit vectors against gravity in the IMUs' axes, shape (N, 3).
-            begun: Robots that were put back on their feet, shape (N,): their packets before tell of one that
-                had stood there.
+            starting: Robots whose episode starts, shape (N,): packets before are of robots that stood there.
             rng: Where noise comes from.
         """
-        if begun is not None:
+        if starting is not None:
             at_rest = np.concatenate([GRAVITY * up, np.zeros_like(up)], axis=1)
-            inertial = np.where(begun[:, None], at_rest, inertial)
+            inertial = np.where(starting[:, None], at_rest, inertial)
         dt, layout = self._dt, self.layout
         angle, self._encoder_state = self._encoders.apply(position, self._encoder_state, rng, dt)
         sample, self._imu_state = self._imu.apply(inertial, self._imu_state, rng, dt)
@@ -95,17 +94,17 @@ class BatchTelemetry:
         self._now = (self._now + 1) % len(self._ring)
         packet = self._ring[self._now]
         if self._tilts:
-            self._work_out(packet, before.copy() if before is packet else before, angle, sample, begun)
+            self._work_out(packet, before.copy() if before is packet else before, angle, sample, starting)
         packet[:, layout.joint_position] = angle
         packet[:, layout.accelerometer] = sample[:, :3]
         packet[:, layout.gyroscope] = sample[:, 3:]
-        if begun is not None:
-            self._ring[:, begun] = packet[begun]
+        if starting is not None:
+            self._ring[:, starting] = packet[starting]
 
     def remeasure(
         self, mask: Mask, position: Floats, inertial: Floats, up: Floats, rng: np.random.Generator
     ) -> None:
-        """Measure robots that were put back within a step, of which the others know already.
+        """Measure robots whose episode starts within a step in which the others were measured already.
 
         Args:
             mask: These robots, shape (N,).
@@ -126,15 +125,15 @@ class BatchTelemetry:
         self._imu_state, self._encoder_state = select(mask, fresh, states, axes)
 
     def _work_out(
-        self, packet: Floats, before: Floats, angle: Floats, sample: Floats, begun: Mask | None
+        self, packet: Floats, before: Floats, angle: Floats, sample: Floats, starting: Mask | None
     ) -> None:
         layout = self.layout
         velocity = before[:, layout.joint_velocity]
         change = (angle - before[:, layout.joint_position]) / self._dt - velocity
         velocity = velocity + self._smoothing * change
-        if begun is not None:
-            velocity[begun] = 0.0
-            self._attitude.restart(begun)
+        if starting is not None:
+            velocity[starting] = 0.0
+            self._attitude.begin_episode(starting)
         self._attitude.update(sample[:, 3:], sample[:, :3], self._dt)
         packet[:, layout.joint_velocity] = velocity
         packet[:, layout.tilt] = self._attitude.tilt
@@ -162,8 +161,8 @@ class BatchAttitude:
         pitch = -np.arcsin(np.minimum(np.maximum(up[:, 0], -1.0), 1.0))
         return np.stack([np.arctan2(up[:, 1], up[:, 2]), pitch], axis=1)
 
-    def restart(self, mask: Mask) -> None:
-        """Have some robots begin upright."""
+    def begin_episode(self, mask: Mask) -> None:
+        """Start some robots upright."""
         self.up[mask], self.bias[mask] = (0.0, 0.0, 1.0), 0.0
 
     def update(self, gyroscope: Floats, accelerometer: Floats, dt: float) -> None:

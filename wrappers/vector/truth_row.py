@@ -33,7 +33,7 @@ class RowMeaning(NamedTuple):
         feet: Number of feet F.
         joints: Names of the J hinge joints.
         dt: Duration of a control step in s.
-        state: Where (name, start, stop) of what telemetry can tell (``MEASURED``) lie in
+        state: Where (name, start, stop) of what telemetry has (``MEASURED``) lie in
             ``observation["state"]``, or nothing.
     """
 
@@ -54,13 +54,13 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     It goes around each copy, for instance by ``gym.make_vec(..., wrappers=[TruthRow])``. A robot that does
     not record its truth is instrumented first (:class:`~surefoot.envs.InstrumentedEnv`). An observation that
-    is no ``Dict`` becomes its ``"state"``; parts that only truth can tell are left out. Never give a policy
+    is no ``Dict`` becomes its ``"state"``; parts that only truth has are left out. Never give a policy
     what this wrapper returns.
 
     Args:
         env: An environment built on MuJoCo.
         averaged: Whether the IMU gives the mean of a control step, as most chips do, or its end.
-        keep_info: Whether ``info["surefoot"]``, in which the copy tells its truth, is handed on; it costs
+        keep_info: Whether ``info["surefoot"]``, in which the copy has its truth, is handed on; it costs
             more than everything else here.
 
     Attributes:
@@ -154,7 +154,7 @@ def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
 
 
 def _check_order(env: gym.Env[Any, Any], source: Any) -> None:
-    """Refuse observations in which truth was mixed with what may be seen, before it is taken out."""
+    """Raise TypeError if truth was mixed with what may be seen before it is taken out."""
     if getattr(source, "state_layout", None) is None:
         return
     shown, own = env.observation_space, source.observation_space["state"]

@@ -1,4 +1,4 @@
-"""Takes the rows of truth out of what copies of a robot show, and puts sensors in their place."""
+"""Observations of copies of a robot with sensors in the place of their rows of truth."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -15,8 +15,8 @@ Attribute = Callable[[str], Sequence[Any]]
 """Asks each copy for an attribute."""
 
 
-def meet_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDrawing, RowMeaning]:
-    """Make sure that all copies are of one robot that tells its truth.
+def check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDrawing, RowMeaning]:
+    """Return the robot of all copies, which must be the same and show its truth.
 
     Args:
         owner: Who asks, for messages.
