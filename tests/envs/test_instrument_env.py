@@ -285,7 +285,7 @@ def test_bad_input_is_refused_before_the_first_step(path):
     for in_place in (None, False):
         with pytest.raises(ValueError, match=r"each once, got \['paw'\]; the model's bodies are \['torso'"):
             InstrumentedEnv(gym.make("Humanoid-v5"), ["paw"], in_place=in_place)
-        with pytest.raises(ValueError, match=r"no area: .* as InstrumentedEnv\(env, soles=True\) does"):
+        with pytest.raises(ValueError, match=r"no area: .* give it a flat geom: InstrumentedEnv\("):
             InstrumentedEnv(gym.make("Humanoid-v5"), cells={"left_foot": np.zeros((4, 2))}, in_place=in_place)
     with pytest.raises(TypeError, match="got a string"):
         InstrumentedEnv(gym.make("Humanoid-v5"), "left_foot")
