@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from surefoot.calibration.in_situ.paper_offset import estimate_offset
+from surefoot.calibration.in_situ import estimate_offset
 from surefoot.experiments.force_torque.ellipsoids import draw_shell, few_ticks
 from surefoot.experiments.force_torque.score import force_ellipsoid
 from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult

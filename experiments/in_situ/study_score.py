@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ import InSituSet
 from surefoot.experiments.force_torque.score import added_mass, semi_axes
 from surefoot.experiments.in_situ.instruments import SensorTruth
 from surefoot.experiments.in_situ.methods import FITTED, MethodResult
