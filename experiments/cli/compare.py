@@ -85,8 +85,8 @@ def in_situ(
     quick: Annotated[bool, typer.Option("--quick", help="Two seeds at 10 samples a second.")] = False,
 ) -> None:
     """Compare in-situ methods on a simulated leg with known masses, as the in-situ paper."""
+    from surefoot.experiments.in_situ.page import InSituStudyPage
     from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
-    from surefoot.experiments.in_situ.study_page import InSituStudyPage
 
     with one_line_errors(out):
         options = InSituStudyOptions(out=out, seeds=seeds, jobs=jobs)

@@ -8,13 +8,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.options import KnownLimb
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
 from surefoot.experiments.force_torque.icub import write_icub_matrix
 from surefoot.experiments.force_torque.log import InSituConfig, InSituLog, read_in_situ_log
-from surefoot.experiments.force_torque.page import InSituPage
-from surefoot.experiments.force_torque.tables import Calibrated
+from surefoot.experiments.force_torque.page import write_in_situ_page
+from surefoot.experiments.force_torque.tables import Calibrated, shown_tables
 from surefoot.experiments.study.tables import Table
 
 __all__ = ["SAMPLE", "CalibratedSensor", "calibrate_in_situ_log"]
@@ -23,7 +25,7 @@ SAMPLE = Path(__file__).resolve().parent / "samples" / "in_situ_leg.parquet"
 """A simulated log that ships with the package: the iCub's leg with eight added masses."""
 
 ALIKE = 0.01
-"""Share by which the limb's fitted mass may differ from the known one without a word."""
+"""Share by which the limb's fitted mass may differ from the known one without a notice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,31 +68,29 @@ def calibrate_in_situ_log(
         CalibrationRefused: If the log cannot tell what was asked, with all reasons; nothing is written.
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
+    stem = paths[0].stem if stem is None else stem
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console or Console(quiet=True), transient=True) as progress:
         task = progress.add_task("reading the log", total=4)
         log = read_in_situ_log(paths, config)
         progress.update(task, advance=1, description=f"fitting {len(log.fitted)} sets")
         fit = _fit(log)
-        log = _with_notices(log, fit)
+        notices = [*_doubt_of_weight(log, fit), *log.notices]
         progress.update(task, advance=1, description="writing the calibration")
-        stem = paths[0].stem if stem is None else stem
-        files, log = _write(log, fit, folder, stem)
+        files = _write(log, fit, folder / f"{stem}.in_situ", notices)
         progress.update(task, advance=1, description="drawing the report")
-        page = InSituPage(Calibrated(log, fit))
-        files["report"] = page.write(folder / f"{stem}.in_situ.html")
+        found = Calibrated(dataclasses.replace(log, notices=tuple(notices)), fit)
+        files["report"] = write_in_situ_page(folder / f"{stem}.in_situ.html", found)
         progress.update(task, advance=1, description="done")
-    return CalibratedSensor(fit, files, page.shown_tables(), (*fit.warnings, *log.notices))
+    return CalibratedSensor(fit, files, shown_tables(found), (*fit.warnings, *notices))
 
 
 def _fit(log: InSituLog) -> InSituFit:
-    known = log.config.limb_mass
-    std = log.config.limb_mass_std
-    limb = None if known is None or std is None else KnownLimb(known, std)
+    known, std = log.config.limb_mass, log.config.limb_mass_std
     fit = calibrate_in_situ(
         log.fitted,
         factory_matrix=log.config.factory_matrix,
-        limb=limb,
+        limb=None if known is None or std is None else KnownLimb(known, std),
         options=log.config.options,
         refuse=False,
     )
@@ -101,42 +101,34 @@ def _fit(log: InSituLog) -> InSituFit:
     return fit
 
 
-def _with_notices(log: InSituLog, fit: InSituFit) -> InSituLog:
-    """Say where the limb's fitted mass is not the known one."""
+def _doubt_of_weight(log: InSituLog, fit: InSituFit) -> list[str]:
+    """Return a notice where the limb's fitted mass is not the known one."""
     known = log.config.limb_mass
     if known is None:
-        return log
+        return []
     off = fit.limb.mass / known - 1.0
     if abs(off) < max(ALIKE, 3.0 * fit.limb_mass_std / known):
-        return log
-    told = (
+        return []
+    return [
         f"The limb comes out at {fit.limb.mass:.4g} kg and weighs {known:.4g} kg ({100 * off:+.1f} %): so "
         "far may all forces be off. See that the added masses, and limb.mass_kg, are what hung beyond the "
         "sensor."
-    )
-    return dataclasses.replace(log, notices=(told, *log.notices))
+    ]
 
 
-def _write(log: InSituLog, fit: InSituFit, folder: Path, stem: str) -> tuple[dict[str, Path], InSituLog]:
-    config = log.config
+def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> dict[str, Path]:
     files: dict[str, Path] = {}
-    if config.full_scale is not None:
+    if log.config.full_scale is not None:
         try:
-            files["icub"] = write_icub_matrix(
-                fit.matrix, config.full_scale, folder / f"{stem}.in_situ.icub.txt"
-            )
+            path = stem.with_name(f"{stem.name}.icub.txt")
+            files["icub"] = write_icub_matrix(fit.matrix, log.config.full_scale, path)
         except ValueError as error:
-            said = f"No matrix in the iCub's format was written. {error}"
-            log = dataclasses.replace(log, notices=(*log.notices, said))
-    facts = {"channels": log.channels, "sensor": config.sensor, "notices": log.notices}
-    files["calibration"] = write_json(fit, folder / f"{stem}.in_situ.json", **facts)
-    files["yaml"] = write_yaml(fit, folder / f"{stem}.in_situ.yaml", **facts)
-    files["ros2"] = write_ros2_parameters(
-        fit, folder / f"{stem}.in_situ.ros2.yaml", temperature=_last_temperature(log)
-    )
-    return files, log
-
-
-def _last_temperature(log: InSituLog) -> float | None:
+            notices.append(f"No matrix in the iCub's format was written. {error}")
+    facts = {"channels": log.channels, "sensor": log.config.sensor, "notices": tuple(notices)}
+    files["calibration"] = write_json(fit, stem.with_name(f"{stem.name}.json"), **facts)
+    files["yaml"] = write_yaml(fit, stem.with_name(f"{stem.name}.yaml"), **facts)
     last = log.fitted[-1].temperature
-    return None if last is None else float(last[-1])
+    temperature = None if last is None else float(last[-1])
+    ros2 = stem.with_name(f"{stem.name}.ros2.yaml")
+    files["ros2"] = write_ros2_parameters(fit, ros2, temperature=temperature)
+    return files

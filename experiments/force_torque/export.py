@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 import surefoot
-from surefoot.calibration.in_situ import InSituFit, Limb
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import write_text
@@ -59,7 +59,7 @@ _NAMES = {
 def calibration_facts(
     fit: InSituFit, *, channels: tuple[str, ...] = (), sensor: str = "", notices: tuple[str, ...] = ()
 ) -> dict[str, Any]:
-    """Gather a calibration as values that JSON can hold; NaN becomes null.
+    """Return a calibration as values that JSON can hold; NaN becomes null.
 
     Args:
         fit: The calibration.
@@ -67,7 +67,7 @@ def calibration_facts(
         sensor: The sensor's name.
         notices: What the log lacked.
     """
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "format": FORMAT,
         "format_version": VERSION,
         "made_with": f"surefoot {surefoot.__version__}",
@@ -80,51 +80,33 @@ def calibration_facts(
         "notices": list(notices),
     }
     for field, name in _NAMES.items():
-        told[name] = _plain(getattr(fit, field))
-    told["matrix_std_N_Nm_per_count"] = _plain(_deviations(fit)[: fit.matrix.size].reshape(fit.matrix.shape))
-    told["offset_std_count"] = _plain(_deviations(fit)[fit.matrix.size : fit.matrix.size + len(fit.offset)])
-    told["temperature_reference_degC"] = fit.temperature_reference
-    told["limb"] = {
+        facts[name] = _plain(getattr(fit, field))
+    facts["matrix_std_N_Nm_per_count"] = _plain(fit.matrix_std)
+    facts["offset_std_count"] = _plain(fit.offset_std)
+    facts["temperature_reference_degC"] = fit.temperature_reference
+    facts["limb"] = {
         "mass_kg": _plain(fit.limb.mass),
-        "mass_std_kg": _plain(_deviations(fit)[-4]),
+        "mass_std_kg": _plain(fit.limb_mass_std),
         "mass_com_kg_m": _plain(fit.limb.mass_com),
         "inertia_kg_m2": _plain(fit.limb.inertia),
     }
-    told["sets"] = [
+    facts["sets"] = [
         {"name": name, **_stats(stats)} for name, stats in zip(fit.set_names, fit.set_stats, strict=True)
     ]
-    told["all_sets"] = _stats(fit.stats)
-    return told
+    facts["all_sets"] = _stats(fit.stats)
+    return facts
 
 
 def write_json(fit: InSituFit, path: Path, **facts: Any) -> Path:
-    """Write a calibration whole, to be read back by :func:`read_calibration`.
-
-    Args:
-        fit: The calibration.
-        path: Where.
-        facts: As :func:`calibration_facts` takes them.
-    """
+    """Write a calibration whole as JSON, with ``facts`` as :func:`calibration_facts` takes them."""
     write_text(path, json.dumps(calibration_facts(fit, **facts), indent=1, allow_nan=False) + "\n")
     return path
 
 
 def write_yaml(fit: InSituFit, path: Path, **facts: Any) -> Path:
-    """Write the same as YAML.
-
-    Args:
-        fit: The calibration.
-        path: Where.
-        facts: As :func:`calibration_facts` takes them.
-    """
-    text = yaml.safe_dump(
-        calibration_facts(fit, **facts),
-        default_flow_style=None,
-        sort_keys=False,
-        allow_unicode=True,
-        width=160,
-    )
-    write_text(path, text)
+    """Write the same as YAML."""
+    layout: dict[str, Any] = {"default_flow_style": None, "sort_keys": False, "width": 160}
+    write_text(path, yaml.safe_dump(calibration_facts(fit, **facts), allow_unicode=True, **layout))
     return path
 
 
@@ -137,26 +119,22 @@ def read_calibration(path: Path) -> InSituFit:
     if not path.is_file():
         raise LogError(f"{path}: no such file; 'surefoot calibrate ft' writes one.")
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        given = json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise LogError(f"{path.name}: not JSON: {error}.") from None
-    if not isinstance(told, dict) or told.get("format") != FORMAT:
+    if not isinstance(given, dict) or given.get("format") != FORMAT:
         raise LogError(f"{path.name}: no in-situ calibration (its 'format' is not '{FORMAT}').")
-    if told.get("format_version") != VERSION:
+    if given.get("format_version") != VERSION:
         raise LogError(
-            f"{path.name}: format_version {told.get('format_version')!r}, and this surefoot reads {VERSION}; "
-            "calibrate again."
+            f"{path.name}: format_version {given.get('format_version')!r}, and this surefoot reads "
+            f"{VERSION}; calibrate again."
         )
     try:
-        return _fit_of(told)
+        return _fit_of(given)
     except KeyError as error:
         raise LogError(f"{path.name}: key {error} is missing; calibrate again.") from None
     except (TypeError, ValueError) as error:
         raise LogError(f"{path.name}: holds what a calibration cannot: {error}; calibrate again.") from None
-
-
-def _deviations(fit: InSituFit) -> NDArray[np.float64]:
-    return np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
 
 
 def _plain(value: Any) -> Any:
@@ -175,11 +153,11 @@ def _stats(stats: FitStats) -> dict[str, Any]:
     }
 
 
-def _fit_of(told: dict[str, Any]) -> InSituFit:
+def _fit_of(given: dict[str, Any]) -> InSituFit:
     values: dict[str, Any] = {
-        field: _array(told[name]) for field, name in _NAMES.items() if told[name] is not None
+        field: _array(given[name]) for field, name in _NAMES.items() if given[name] is not None
     }
-    limb = told["limb"]
+    limb = given["limb"]
     mass = limb["mass_kg"]
     return InSituFit(
         limb=Limb(
@@ -187,13 +165,13 @@ def _fit_of(told: dict[str, Any]) -> InSituFit:
             _array(limb["mass_com_kg_m"]),
             None if limb["inertia_kg_m2"] is None else _array(limb["inertia_kg_m2"]),
         ),
-        result=FitResult(told["result"]),
-        refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in told["refusals"]),
-        warnings=tuple(told["warnings"]),
-        stats=_stats_of(told["all_sets"]),
-        set_stats=tuple(_stats_of(one) for one in told["sets"]),
-        set_names=tuple(one["name"] for one in told["sets"]),
-        temperature_reference=float(told["temperature_reference_degC"]),
+        result=FitResult(given["result"]),
+        refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in given["refusals"]),
+        warnings=tuple(given["warnings"]),
+        stats=_stats_of(given["all_sets"]),
+        set_stats=tuple(_stats_of(one) for one in given["sets"]),
+        set_names=tuple(one["name"] for one in given["sets"]),
+        temperature_reference=float(given["temperature_reference_degC"]),
         **{"temperature_coefficient": None, **values},
     )
 
@@ -202,8 +180,8 @@ def _array(value: Any) -> NDArray[np.float64]:
     return np.array(value, dtype=object).astype(np.float64)
 
 
-def _stats_of(told: dict[str, Any]) -> FitStats:
-    given = {key: value for key, value in told.items() if key != "name"}
+def _stats_of(given: dict[str, Any]) -> FitStats:
+    given = {key: value for key, value in given.items() if key != "name"}
     for key, absent in (("residual_rms", np.nan), ("condition", np.inf)):
         given[key] = absent if given[key] is None else given[key]
     return FitStats(**given)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path
 
-__all__ = ["icub_text", "read_icub_matrix", "read_icub_text", "read_matrix", "write_icub_matrix"]
+__all__ = ["read_icub_matrix", "read_matrix", "write_icub_matrix"]
 
 ICUB_COUNTS = 32767.0
 """Counts at the end of an FTSens's converter."""
@@ -24,15 +24,19 @@ _ENTRIES = 36
 _LINES = 43
 
 
-def icub_text(matrix: NDArray[np.float64], full_scale: NDArray[np.float64]) -> str:
-    """Write C as an FTSens file holds it; each entry is rounded to 2^-15 of full scale per 32767 counts.
+def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> Path:
+    """Write C as the iCub's FTSens reads it; offset and covariance are not in that format.
+
+    Each entry is rounded to 2^-15 of full scale per 32767 counts.
 
     Args:
         matrix: C in N and N m per count, shape (6, 6).
-        full_scale: In N and N m, whole numbers, shape (6,).
+        full_scale: Of the sensor in whole N and N m, shape (6,).
+        path: Where.
 
     Raises:
-        ValueError: If a shape is another, a full scale is no positive whole number, or an entry does not fit.
+        ValueError: If the sensor has other than six channels, a full scale is no positive whole number, or an
+            entry, as a share of full scale per 32767 counts, is not in [-1, 1).
     """
     matrix, scale = np.asarray(matrix, dtype=np.float64), np.asarray(full_scale, dtype=np.float64)
     if matrix.shape != (6, 6):
@@ -54,18 +58,60 @@ def icub_text(matrix: NDArray[np.float64], full_scale: NDArray[np.float64]) -> s
             f"{share[i, j]:.4g} of a full scale of {scale[i]:g}; give a larger full scale for that row."
         )
     entries = [f"{int(value) & 0xFFFF:04X}" for value in fixed.ravel()]
-    return "".join(f"{line}\r\n" for line in [*entries, "1", *(f"{int(value)}" for value in scale)])
+    lines = [*entries, "1", *(f"{int(value)}" for value in scale)]
+    with atomic_path(path) as part:
+        part.write_bytes("".join(f"{line}\r\n" for line in lines).encode("ascii"))
+    return path
 
 
-def read_icub_text(text: str, file: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read what :func:`icub_text` writes.
+def read_icub_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read C and the full scales from an FTSens file.
 
     Returns:
-        C in N and N m per count, shape (6, 6), and the full scales, shape (6,).
+        C in N and N m per count, shape (6, 6), and the full scales in N and N m, shape (6,).
 
     Raises:
-        LogError: If it is not such a file.
+        LogError: If the file is not there or not of the format.
     """
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; give an FTSens matrix of 43 lines.")
+    return _parse_icub(path.read_text(encoding="utf-8", errors="replace"), path.name)
+
+
+def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Read a factory matrix: six rows of numbers (commas or spaces between them), or an iCub's file.
+
+    Returns:
+        C in N and N m per count, shape (6, k), and the full scales, shape (6,), where the file has them.
+
+    Raises:
+        LogError: If the file is not there or holds neither.
+    """
+    if not path.is_file():
+        raise LogError(f"{path}: no such file; factory.file gives its path from the configuration.")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
+    if rows and all(len(row) == 1 for row in rows):
+        return _parse_icub(text, path.name)
+    widths = sorted({len(row) for row in rows})
+    if len(rows) != 6 or len(widths) != 1 or widths[0] < 6:
+        raise LogError(
+            f"{path.name}: a factory matrix has six rows (fx fy fz tx ty tz) of a number a channel, at least "
+            f"six of them; got {len(rows)} rows of {' or '.join(map(str, widths)) or 'no'} numbers."
+        )
+    try:
+        matrix = np.array(rows, dtype=np.float64)
+    except ValueError:
+        raise LogError(
+            f"{path.name}: a factory matrix holds numbers only; remove headings and text."
+        ) from None
+    if not np.isfinite(matrix).all():
+        raise LogError(f"{path.name}: the factory matrix has an entry that is not finite; write all of it.")
+    return matrix, None
+
+
+def _parse_icub(text: str, file: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return C and the full scales of an FTSens file."""
     lines = text.split()
     if len(lines) != _LINES:
         raise LogError(
@@ -84,67 +130,3 @@ def read_icub_text(text: str, file: str) -> tuple[NDArray[np.float64], NDArray[n
         ) from None
     share = np.where(entries >= _UNIT, entries - 2 * _UNIT, entries).reshape(6, 6) / _UNIT
     return gain * scale[:, None] * share / ICUB_COUNTS, scale
-
-
-def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Read a factory matrix: six rows of numbers (commas or spaces between them), or an iCub's file.
-
-    Returns:
-        C in N and N m per count, shape (6, k), and the full scales, shape (6,), where the file has them.
-
-    Raises:
-        LogError: If the file is not there or holds neither.
-    """
-    if not path.is_file():
-        raise LogError(f"{path}: no such file; factory.file gives its path from the configuration.")
-    text = path.read_text(encoding="utf-8", errors="replace")
-    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
-    if rows and all(len(row) == 1 for row in rows):
-        return read_icub_text(text, path.name)
-    widths = sorted({len(row) for row in rows})
-    if len(rows) != 6 or len(widths) != 1 or widths[0] < 6:
-        raise LogError(
-            f"{path.name}: a factory matrix has six rows (fx fy fz tx ty tz) of a number a channel, at least "
-            f"six of them; got {len(rows)} rows of {' or '.join(map(str, widths)) or 'no'} numbers."
-        )
-    try:
-        matrix = np.array(rows, dtype=np.float64)
-    except ValueError:
-        raise LogError(
-            f"{path.name}: a factory matrix holds numbers only; remove headings and text."
-        ) from None
-    if not np.isfinite(matrix).all():
-        raise LogError(f"{path.name}: the factory matrix has an entry that is not finite; write all of it.")
-    return matrix, None
-
-
-def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> Path:
-    """Write C as the iCub's FTSens reads it; offset and covariance are not in that format.
-
-    Args:
-        matrix: C in N and N m per count, shape (6, 6).
-        full_scale: Of the sensor in whole N and N m, shape (6,).
-        path: Where.
-
-    Raises:
-        ValueError: If the sensor has other than six channels, or an entry, as a share of full scale per 32767
-            counts, is not in [-1, 1).
-    """
-    text = icub_text(np.asarray(matrix), np.asarray(full_scale))
-    with atomic_path(path) as part:
-        part.write_bytes(text.encode("ascii"))
-    return path
-
-
-def read_icub_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read C and the full scales from an FTSens file.
-
-    Returns:
-        C in N and N m per count, shape (6, 6), and the full scales in N and N m, shape (6,).
-
-    Raises:
-        LogError: If the file is not there or not of the format.
-    """
-    if not path.is_file():
-        raise LogError(f"{path}: no such file; give an FTSens matrix of 43 lines.")
-    return read_icub_text(path.read_text(encoding="utf-8", errors="replace"), path.name)

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
-from surefoot.calibration.in_situ import InSituSet
+from surefoot.calibration.imu.accelerometer import AccelerometerModel, calibrate_accelerometer
+from surefoot.calibration.imu.motion import gravity_from_imu
+from surefoot.calibration.in_situ.dataset import InSituSet
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque.checks import check_channels, check_times, check_values, contiguous
 from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, read_config
@@ -40,9 +41,9 @@ class InSituLog:
     Attributes:
         sets: One for each added mass.
         channels: Names of the raw columns.
-        config: What the TOML file and the command line said.
+        config: What the TOML file and the command line gave.
         files: Names of the files.
-        notices: What the log lacks and the fit can do without, in plain words.
+        notices: What the log lacks and the fit can do without.
     """
 
     sets: tuple[InSituSet, ...]
@@ -65,7 +66,7 @@ def config_beside(log: Path) -> InSituConfig:
 
 
 def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path | None = None) -> InSituLog:
-    """Read a log with all sets, or several with one set each, and refuse what would mislead the fit.
+    """Read a log with all sets, or several with one set each, that does not mislead the fit.
 
     Args:
         paths: One ``.csv`` or ``.parquet`` file, or several; a file without a column of sets is one set that
@@ -111,7 +112,7 @@ def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path |
 
 
 def _check_names(parts: list[Samples], config: InSituConfig) -> None:
-    """Refuse sets that two files hold, that have other channels, or that only one of log and TOML knows."""
+    """Raise LogError if two files hold one set, have other channels, or log and TOML differ in sets."""
     first: dict[str, Samples] = {}
     for samples in parts:
         if samples.name in first:
@@ -149,15 +150,15 @@ def _check_names(parts: list[Samples], config: InSituConfig) -> None:
 
 
 def _added_mass(samples: Samples, config: InSituConfig, notices: list[str]) -> AddedMass:
-    """Take the added mass from columns or TOML; refuse it where the two, or two rows, disagree."""
+    """Return the added mass of columns or TOML; raise LogError if the two, or two rows, disagree."""
     listed = None if config.sets is None else config.sets.get(samples.name)
     if samples.added_mass is None:
         if listed is None:
             notices.append(
-                f"{samples.file}: nothing says what was added in set '{samples.name}'; it counts as the bare "
-                "limb. Give added_mass_kg and added_com_m under [[sets]], or as columns."
+                f"{samples.file}: nothing tells what was added in set '{samples.name}'; it counts as the "
+                "bare limb. Give added_mass_kg and added_com_m under [[sets]], or as columns."
             )
-        return listed if listed is not None else AddedMass(0.0, (0.0, 0.0, 0.0))
+        return listed or AddedMass()
     at = f"{samples.file}: column '{samples.columns.added_mass}'"
     mass = _constant(samples.added_mass, _ALIKE_KG)
     if mass is None:
@@ -201,7 +202,7 @@ def _added_mass(samples: Samples, config: InSituConfig, notices: list[str]) -> A
 
 
 def _calibrated(parts: list[Samples], model: AccelerometerModel, notices: list[str]) -> list[Samples]:
-    """Correct the accelerometer by the size of gravity alone, from the samples of all sets."""
+    """Return samples with an accelerometer that is corrected by the size of gravity in all sets."""
     try:
         fit = calibrate_accelerometer(
             np.concatenate([samples.acceleration for samples in parts]), gravity=GRAVITY, model=model
@@ -220,7 +221,7 @@ def _calibrated(parts: list[Samples], model: AccelerometerModel, notices: list[s
 
 
 def _constant(values: NDArray[np.float64], alike: float) -> float | None:
-    """Take the one value of a column; ``None`` if it has several, or none in some row."""
+    """Return the one value of a column; ``None`` if it has several, or none in some row."""
     if np.isnan(values).any() or np.ptp(values) > alike:
         return None
     return float(values[0])
@@ -229,7 +230,7 @@ def _constant(values: NDArray[np.float64], alike: float) -> float | None:
 def _to_set(
     samples: Samples, config: InSituConfig, added: AddedMass, notices: list[str]
 ) -> tuple[InSituSet, Samples]:
-    """Bring gravity to the sensor's frame and origin, moving or at rest."""
+    """Return a set with gravity in the sensor's frame and at its origin, and the samples behind it."""
     R = config.R_sensor_accelerometer
     up = -samples.acceleration if samples.points_down else samples.acceleration
     spin = rate = None
@@ -260,7 +261,7 @@ def _to_set(
         if not known.all():
             notices.append(
                 f"{samples.file}: {(~known).sum()} rows of set '{samples.name}' stand between gaps too close "
-                "together to tell angular acceleration; the fit does without them."
+                "together for an angular acceleration; the fit does without them."
             )
             samples, gravity, spin, rate = samples.take(known), gravity[known], spin[known], rate[known]
     found = InSituSet(

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.in_situ import InSituSet, Limb
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
 
 __all__ = [
     "AddedMassEstimate",
@@ -20,7 +21,6 @@ __all__ = [
     "force_ellipsoid",
     "motion_wrench",
     "offset_of_set",
-    "quadric_ellipsoid",
     "semi_axes",
 ]
 
@@ -63,7 +63,7 @@ class AddedMassEstimate(NamedTuple):
 
 
 def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
-    """Fit the ellipsoid that points draw while gravity turns, points = K g + centre.
+    """Return the ellipsoid that points draw while gravity turns, points = K g + centre.
 
     Gravity tells where on the ellipsoid each point belongs, so that a part of it suffices; its semi-axes are
     |g| times the singular values of K (in-situ paper, Lemma 1).
@@ -94,60 +94,12 @@ def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
 
 
 def semi_axes(force: ArrayLike, gravity: ArrayLike) -> NDArray[np.float64]:
-    """Measure the semi-axes of the force ellipsoid of a set (in-situ paper, Table I).
-
-    Args:
-        force: C (r - o) of one set in N, its first three rows, shape (n, 3).
-        gravity: g in the sensor's frame in m/s^2, shape (n, 3).
-
-    Returns:
-        In N, the longest first, shape (3,).
-
-    Raises:
-        ValueError: As :func:`force_ellipsoid`.
-    """
+    """Return the semi-axes of the ellipsoid of forces C (r - o) in N, the longest first, shape (3,)."""
     return force_ellipsoid(force, gravity).semi_axes
 
 
-def quadric_ellipsoid(points: ArrayLike) -> Ellipsoid:
-    """Fit an ellipsoid to points alone, by least squares on the coefficients of a quadric.
-
-    It needs no gravity, but points all around: from a part of an ellipsoid with noise it makes a smaller one.
-
-    Args:
-        points: Shape (n, 3).
-
-    Raises:
-        ValueError: If fewer than nine rows are finite, or the points lie on no ellipsoid.
-    """
-    given = np.asarray(points, dtype=np.float64)
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise ValueError(f"'points' must have shape (n, 3), got {given.shape}.")
-    there = given[np.isfinite(given).all(axis=1)]
-    if len(there) < 9:
-        raise ValueError(f"An ellipsoid has nine unknowns, got {len(there)} points; give more.")
-    middle, size = there.mean(axis=0), float(there.std())
-    if size == 0.0:
-        raise ValueError("All points are the same; turn the limb.")
-    x, y, z = ((there - middle) / size).T
-    design = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
-    a, b, c, d, e, f, p, q, r = np.linalg.lstsq(design, np.ones(len(there)), rcond=None)[0]
-    Q, slope = np.array([[a, d, e], [d, b, f], [e, f, c]]), np.array([p, q, r])
-    values, directions = np.linalg.eigh(Q)
-    if values[0] * values[2] <= 0.0:
-        raise ValueError("The points lie on no ellipsoid; turn the limb further around.")
-    centre = -np.linalg.solve(Q, slope)
-    level = 1.0 + centre @ Q @ centre
-    if level / values[0] <= 0.0:
-        raise ValueError("The points lie on no ellipsoid; turn the limb further around.")
-    # Ascending eigenvalues are descending axes, or the other way round where all are negative.
-    lengths = np.sqrt(level / values)
-    order = np.argsort(-lengths)
-    return Ellipsoid(middle + size * centre, size * (directions * lengths)[:, order])
-
-
 def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEstimate:
-    """Weigh and locate what hangs on a limb at rest (in-situ paper, Tables II and III).
+    """Return mass and place of what hangs on a limb at rest (in-situ paper, Tables II and III).
 
     Least squares of w - M(limb) g = M(m, c) g in m, and of its torques in m c; a limb in motion is brought to
     rest by :func:`motion_wrench` first.
@@ -181,7 +133,7 @@ def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEs
 def offset_of_set(
     raw: ArrayLike, gravity: ArrayLike, response: ArrayLike, noise: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Estimate a sensor's offset from a set that took no part in its calibration.
+    """Return a sensor's offset from a set that took no part in its calibration.
 
     Least squares of r = A M(m, c) g + o in o, m and m c: A is known, and neither what hangs there nor how
     heavy the limb is.
@@ -221,7 +173,7 @@ def offset_of_set(
 
 
 def motion_wrench(data: InSituSet, limb: Limb, *, added: bool = True) -> NDArray[np.float64]:
-    """Compute the part of a set's wrench that comes of turning: zero at rest.
+    """Return the part of a set's wrench that comes of turning: zero at rest.
 
     With g - a in place of g, what is left of a moving body's wrench is -(dw x m c + w x (w x m c)) and
     -(I dw + w x I w) about the sensor's origin.
@@ -249,15 +201,7 @@ def motion_wrench(data: InSituSet, limb: Limb, *, added: bool = True) -> NDArray
 
 
 def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
-    """Compute what limb and added mass exert through the sensor, at rest or moving (in-situ paper, Eq. 4).
-
-    Args:
-        data: The set.
-        limb: The bare limb.
-
-    Returns:
-        N and N m, shape (n, 6).
-    """
+    """Return what limb and added mass exert in N and N m (in-situ paper, Eq. 4), shape (n, 6)."""
     mass = limb.mass + data.added_mass
     first = np.asarray(limb.mass_com) + data.added_mass * data.added_com
     still = np.concatenate([mass * data.gravity, np.cross(first, data.gravity)], axis=1)
@@ -265,7 +209,7 @@ def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
 
 
 def _point(mass: float, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the inertia of a point mass about the origin in kg m^2."""
+    """Return the inertia of a point mass about the origin in kg m^2."""
     place = np.asarray(position, dtype=np.float64)
     return np.asarray(mass * (place @ place * np.eye(3) - np.outer(place, place)))
 
@@ -273,7 +217,7 @@ def _point(mass: float, position: NDArray[np.float64]) -> NDArray[np.float64]:
 def _pair(
     values: NDArray[np.float64], gravity: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Take the rows in which both are finite."""
+    """Return the rows in which both are finite."""
     if values.ndim != 2 or values.shape[1] % 3 or gravity.shape != (len(values), 3):
         raise ValueError(
             f"Forces and gravity must have shapes (n, 3) of one n, got {values.shape} and {gravity.shape}."

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.paper_offset import estimate_offset
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.force_torque.score import (
     AddedMassEstimate,
@@ -26,6 +28,7 @@ __all__ = [
     "offset_table",
     "semi_axes_table",
     "set_table",
+    "shown_tables",
     "weighing_tables",
 ]
 
@@ -100,7 +103,7 @@ class Calibrated:
         return self.log.config.factory_matrix
 
     def wrench(self, index: int, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute what a set's counts are by a matrix, less the set's offset and brought to rest.
+        """Return the wrench of a set's counts by a matrix, less the set's offset and brought to rest.
 
         Args:
             index: Number of the set.
@@ -114,22 +117,27 @@ class Calibrated:
         return np.asarray(wrench - motion_wrench(data, self.fit.limb))
 
     def residual(self, index: int) -> NDArray[np.float64]:
-        """Compute what a set's counts leave of the fit with a constant offset, shape (n, k)."""
+        """Return what a set's counts leave of the fit with a constant offset, shape (n, k)."""
         data = self.sets[index]
-        told = expected_wrench(data, self.fit.limb) @ self.fit.response.T
-        return np.asarray(data.raw - self.offsets[index] - told)
+        expected = expected_wrench(data, self.fit.limb) @ self.fit.response.T
+        return np.asarray(data.raw - self.offsets[index] - expected)
 
     def weighed(self, index: int, matrix: NDArray[np.float64]) -> AddedMassEstimate:
-        """Weigh a set's added mass by a matrix, with the fitted limb taken off."""
+        """Return a set's added mass by a matrix, with the fitted limb taken off."""
         return added_mass(self.wrench(index, matrix), self.sets[index].gravity, self.fit.limb)
 
     def matrices(self) -> list[NDArray[np.float64]]:
-        """List the calibrated matrix and, where there is one, the factory's."""
+        """Return the calibrated matrix and, where there is one, the factory's."""
         return [self.fit.matrix] if self.factory is None else [self.fit.matrix, self.factory]
 
 
+def shown_tables(found: Calibrated) -> tuple[Table, ...]:
+    """Return what a terminal shows at once."""
+    return (set_table(found), limb_table(found), semi_axes_table(found), *weighing_tables(found))
+
+
 def semi_axes_table(found: Calibrated) -> Table:
-    """Lay out the semi-axes of each set's force ellipsoid beside the weight (in-situ paper, Table I)."""
+    """Return the semi-axes of each set's force ellipsoid beside the weight (in-situ paper, Table I)."""
     rows = []
     for i, data in enumerate(found.sets):
         weight = (found.fit.limb.mass + data.added_mass) * GRAVITY
@@ -157,7 +165,7 @@ def semi_axes_table(found: Calibrated) -> Table:
 
 
 def weighing_tables(found: Calibrated) -> tuple[Table, ...]:
-    """Lay out the added masses and their places as the sensor weighs them (in-situ paper, Tables II, III)."""
+    """Return the added masses and their places as the sensor weighs them (in-situ paper, Tables II, III)."""
     sets, matrices = found.sets, found.matrices()
     if not any(data.added_mass > 0.0 for data in sets):
         return ()
@@ -199,7 +207,7 @@ def weighing_tables(found: Calibrated) -> tuple[Table, ...]:
 
 
 def limb_table(found: Calibrated) -> Table:
-    """Lay out the limb, and its mass against the known one where the log tells it."""
+    """Return the limb, and its mass against the known one where the log gives it."""
     fit, known = found.fit, found.log.config.limb_mass
     rows = [
         ("mass (kg)", f"{fit.limb.mass:.4f}", f"{fit.limb_mass_std:.2g}"),
@@ -221,7 +229,7 @@ def limb_table(found: Calibrated) -> Table:
 
 
 def matrix_table(found: Calibrated) -> Table:
-    """Lay out C with its standard deviations."""
+    """Return C with its standard deviations."""
     fit, std = found.fit, found.fit.matrix_std
     rows = tuple(
         (axis, *(f"{1e3 * c:.4f} ± {1e3 * s:.1g}" for c, s in zip(fit.matrix[i], std[i], strict=True)))
@@ -231,7 +239,7 @@ def matrix_table(found: Calibrated) -> Table:
 
 
 def offset_table(found: Calibrated) -> Table:
-    """Lay out the offset of each channel, by set."""
+    """Return the offset of each channel, by set."""
     fit = found.fit
     rows = [
         (name, *(f"{value:.1f}" for value in fit.offsets[:, i]), f"{fit.offset[i]:.1f}", f"{std:.2g}")
@@ -242,7 +250,7 @@ def offset_table(found: Calibrated) -> Table:
 
 
 def set_table(found: Calibrated) -> Table:
-    """Lay out what each set gave."""
+    """Return what each set gave."""
     rows = []
     for i, data in enumerate(found.sets):
         place = found.numbers[i]

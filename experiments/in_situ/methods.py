@@ -1,31 +1,41 @@
-"""The ways to calibrate a six-axis sensor in situ that are held against each other."""
+"""The ways to calibrate a six-axis sensor in situ that are compared, and their scores."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.imu import savitzky_golay
-from surefoot.calibration.in_situ import (
-    InSituFit,
-    InSituOptions,
-    InSituSet,
-    Limb,
-    calibrate_in_situ,
-    estimate_matrix,
-    estimate_offset,
-)
-from surefoot.experiments.force_torque.score import offset_of_set
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset, savitzky_golay
+from surefoot.experiments.force_torque.score import added_mass, offset_of_set, semi_axes
+from surefoot.experiments.in_situ.instruments import SensorTruth
 
-__all__ = ["FITTED", "METHODS", "MethodResult", "calibrate_by_all", "filtered", "paper_calibration"]
+__all__ = [
+    "FITTED",
+    "METHODS",
+    "MethodResult",
+    "calibrate_by_all",
+    "filtered",
+    "fit_row",
+    "of_fit",
+    "paper_calibration",
+    "set_rows",
+    "wrench_error",
+]
+
+Floats = NDArray[np.float64]
 
 FITTED = 4
 """Sets that are fitted, the first ones; the others validate (in-situ paper, IV)."""
 
 METHODS = {
-    "surefoot": "surefoot",
-    "no-loop": "surefoot without hysteresis",
+    "measurement": "measurement-space fit",
+    "no-loop": "the same without hysteresis",
     "paper": "paper (III-B, III-C)",
     "manufacturer": "manufacturer's matrix",
 }
@@ -33,6 +43,9 @@ METHODS = {
 
 FILTER = 3.0
 """Length of the paper's filter in s: 301 samples at 100 Hz."""
+
+FORCE, TORQUE = slice(0, 3), slice(3, 6)
+"""Parts of a wrench."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +58,15 @@ class MethodResult:
         limb: The body beyond the sensor.
     """
 
-    matrix: NDArray[np.float64]
-    offsets: NDArray[np.float64]
+    matrix: Floats
+    offsets: Floats
     limb: Limb
 
 
 def calibrate_by_all(
-    sets: Sequence[InSituSet], nominal: NDArray[np.float64], options: InSituOptions
+    sets: Sequence[InSituSet], nominal: Floats, options: InSituOptions
 ) -> dict[str, MethodResult | str]:
-    """Calibrate by every method, or say why one refused.
+    """Calibrate by every method.
 
     Args:
         sets: The first :data:`FITTED` are fitted, the others get an offset each.
@@ -61,28 +74,29 @@ def calibrate_by_all(
         options: Of the measurement-space fit.
 
     Returns:
-        A calibration, or what was said in its place, by the names of :data:`METHODS`.
+        A calibration, or why it was refused, by the names of :data:`METHODS`.
     """
     found: dict[str, MethodResult | str] = {}
-    for name, loops in (("surefoot", True), ("no-loop", False)):
+    for name, loops in (("measurement", True), ("no-loop", False)):
         fit = calibrate_in_situ(sets[:FITTED], options=replace(options, hysteresis=loops), refuse=False)
-        found[name] = str(fit.refusals[0]) if fit.refusals else of_fit(fit, sets)
+        found[name] = of_fit(fit, sets)
     try:
         paper = paper_calibration(sets)
     except ValueError as refusal:
-        found["paper"] = found["manufacturer"] = str(refusal)
-        return found
-    found["paper"] = paper
+        return found | dict.fromkeys(("paper", "manufacturer"), str(refusal))
     # The paper weighs with the maker's matrix as well, and takes off the limb that its own method found.
-    found["manufacturer"] = replace(paper, matrix=nominal)
-    return found
+    return found | {"paper": paper, "manufacturer": replace(paper, matrix=nominal)}
 
 
-def of_fit(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult:
-    """Add the offsets of the sets that were not fitted; what hangs there is not looked up."""
-    others = [
-        offset_of_set(data.raw, data.gravity, fit.response, fit.noise) for data in sets[len(fit.offsets) :]
-    ]
+def of_fit(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult | str:
+    """Return a fit with offsets for the sets that were not fitted, or its first refusal.
+
+    What hangs on the sensor in those sets is not looked up.
+    """
+    if fit.refusals:
+        return str(fit.refusals[0])
+    unseen = sets[len(fit.offsets) :]
+    others = [offset_of_set(one.raw, one.gravity, fit.response, fit.noise) for one in unseen]
     return MethodResult(fit.matrix, np.array([*fit.offsets, *others]), fit.limb)
 
 
@@ -102,7 +116,76 @@ def paper_calibration(sets: Sequence[InSituSet]) -> MethodResult:
 
 
 def filtered(data: InSituSet) -> InSituSet:
-    """Filter counts and gravity as the paper does, by cubics over 3 s."""
+    """Return a set whose counts and gravity are filtered as in the paper, by cubics over 3 s."""
     assert data.time is not None
     window = 2 * round(FILTER / float(data.time[1] - data.time[0]) / 2.0) + 1
     return replace(data, raw=savitzky_golay(data.raw, window), gravity=savitzky_golay(data.gravity, window))
+
+
+def wrench_error(matrix: Floats, response: Floats, wrench: Floats) -> tuple[float, float]:
+    """Return rms of (C A - I) w over the rms of w, for forces and for torques.
+
+    Args:
+        matrix: C in N and N m per count, shape (6, k).
+        response: The true A, shape (k, 6).
+        wrench: True w in N and N m, shape (n, 6).
+    """
+    off = wrench @ (matrix @ response - np.eye(6)).T
+    shares = [np.linalg.norm(off[:, part]) / np.linalg.norm(wrench[:, part]) for part in (FORCE, TORQUE)]
+    return float(shares[0]), float(shares[1])
+
+
+def fit_row(found: MethodResult | str, truth: SensorTruth, wrench: Floats) -> dict[str, Any]:
+    """Score a calibration against the truth.
+
+    Args:
+        found: The calibration, or why it was refused.
+        truth: What the simulator knows.
+        wrench: True wrenches of sets that were not fitted, shape (n, 6).
+
+    Returns:
+        ``limb_error`` (share of the limb's weight), ``com_error`` (m, largest of the axes), ``force_error``
+        and ``torque_error`` (shares of the load) and ``refusal``.
+    """
+    if isinstance(found, str):
+        nothing = dict.fromkeys(("limb_error", "com_error", "force_error", "torque_error"), np.nan)
+        return {**nothing, "refusal": found}
+    force, torque = wrench_error(found.matrix, truth.response, wrench)
+    return {
+        "limb_error": found.limb.mass / truth.limb.mass - 1.0,
+        "com_error": float(np.max(np.abs(found.limb.com - truth.limb.com))),
+        "force_error": force,
+        "torque_error": torque,
+        "refusal": "",
+    }
+
+
+def set_rows(found: MethodResult | str, sets: Sequence[InSituSet]) -> list[dict[str, Any]]:
+    """Check the sets that were not fitted as the paper does (Tables I to III).
+
+    Returns:
+        A row a set: ``set`` (its number), ``axis_1`` to ``axis_3`` (N), ``ratio``, ``added`` (kg, true),
+        ``mass`` (kg), ``place_x`` to ``place_z`` (m; NaN where nothing was added) and ``mass_error`` (kg),
+        ``place_error`` (m, largest of the axes).
+    """
+    if isinstance(found, str):
+        return []
+    rows = []
+    for j, data in enumerate(sets[FITTED:], FITTED):
+        wrench = (data.raw - found.offsets[j]) @ found.matrix.T
+        axes = semi_axes(wrench[:, FORCE], data.gravity)
+        weighed = added_mass(wrench, data.gravity, found.limb)
+        place = weighed.position if data.added_mass > 0.0 else np.full(3, np.nan)
+        rows.append(
+            {
+                "set": j + 1,
+                **{f"axis_{i + 1}": float(axes[i]) for i in range(3)},
+                "ratio": float(axes[0] / axes[2]),
+                "added": data.added_mass,
+                "mass": weighed.mass,
+                "mass_error": abs(weighed.mass - data.added_mass),
+                **{f"place_{axis}": float(p) for axis, p in zip("xyz", place, strict=True)},
+                "place_error": float(np.max(np.abs(place - data.added_com))),
+            }
+        )
+    return rows

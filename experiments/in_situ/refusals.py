@@ -1,4 +1,4 @@
-"""Experiments that must not be answered with a number: what a fit says to each, and what that spares."""
+"""Experiments that must not be answered with a number: whether a fit refuses, and what that spares."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, calibrate_in_situ
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.envs.leg_rig.recording import RigRecording, record_rig
+from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ.instruments import (
     SensorTruth,
     accelerometer_bias,
@@ -19,22 +21,21 @@ from surefoot.experiments.in_situ.instruments import (
     sensor_config,
     static_sets,
 )
-from surefoot.experiments.in_situ.methods import paper_calibration
-from surefoot.experiments.in_situ.study_score import wrench_error
+from surefoot.experiments.in_situ.methods import paper_calibration, wrench_error
 
-__all__ = ["CASES", "Case", "refusal_row"]
+__all__ = ["SPOILT", "SpoiltExperiment", "spoil_and_calibrate"]
 
 Sets = Sequence[InSituSet]
 
 SENSOR = "leg"
-"""Whose sensor the cases are tried on: the knee and the floor matter to it most."""
+"""Whose sensor they are tried on: the knee and the floor matter to it most."""
 
 UNCHECKED = InSituOptions(misfit_tolerance=1e9, mass_tolerance=1e9, scale_tolerance=1e9, axis_tolerance=1e300)
 """Options under which a fit answers as much as it can."""
 
 
 @dataclass(frozen=True)
-class Case:
+class SpoiltExperiment:
     """One experiment that went wrong.
 
     Attributes:
@@ -44,7 +45,7 @@ class Case:
         spoil: What happens to the sets.
         factory: How the maker's matrix was spoilt that the fit leans on; ``None`` for a fit without one.
         harmless: Whether it is a control, which must be answered.
-        clips: Whether the range of the converter is told.
+        clips: Whether the range of the converter is given.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Case:
 
 
 def _two_orientations(sets: Sets) -> list[InSituSet]:
-    """Keep what each set showed within a degree of two orientations."""
+    """Return what each set showed within a degree of two orientations."""
     found = []
     for data in sets:
         unit = data.gravity / np.linalg.norm(data.gravity, axis=1, keepdims=True)
@@ -79,7 +80,7 @@ def _mass_off(share: float) -> Callable[[Sets], list[InSituSet]]:
 
 
 def _saturated(sets: Sets) -> list[InSituSet]:
-    """Let channel 0 of one set end where a twentieth of its readings lie beyond."""
+    """Return sets where channel 0 of one ends, with a twentieth of its readings beyond."""
     low, high = sensor_config(SENSOR).code_range
     found = list(sets)
     raw = found[1].raw.copy()
@@ -89,46 +90,46 @@ def _saturated(sets: Sets) -> list[InSituSet]:
 
 
 def _flipped(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lose the sign of one entry."""
+    """Return a matrix that lost the sign of one entry."""
     spoilt = matrix.copy()
     spoilt[2, 0] *= -1.0
     return spoilt
 
 
-CASES = (
-    Case("nothing wrong", harmless=True),
-    Case("nothing wrong, factory matrix given", factory=np.copy, harmless=True),
-    Case("front-back motion only", {"range_deg": (70.0, 0.0)}),
-    Case("two orientations", spoil=_two_orientations),
-    Case("two masses", configurations=(1, 2)),
-    Case("one mass at three places, no bare limb", configurations=(5, 6, 8)),
-    Case("knee gives by 0.005 rad per N m", {"knee_slack": 0.005}),
-    Case("knee gives by 0.02 rad per N m", {"knee_slack": 0.02}),
-    Case("knee gives by 0.06 rad per N m", {"knee_slack": 0.06}),
-    Case("foot touches the floor", {"floor": True}),
-    Case("channel 0 saturated", spoil=_saturated, clips=True),
-    Case("sign of one factory entry lost", factory=_flipped),
-    Case("one mass given 5 % too heavy", spoil=_mass_off(0.05)),
-    Case("one mass given 20 % too heavy", spoil=_mass_off(0.2)),
+SPOILT = (
+    SpoiltExperiment("nothing wrong", harmless=True),
+    SpoiltExperiment("nothing wrong, factory matrix given", factory=np.copy, harmless=True),
+    SpoiltExperiment("front-back motion only", {"range_deg": (70.0, 0.0)}),
+    SpoiltExperiment("two orientations", spoil=_two_orientations),
+    SpoiltExperiment("two masses", configurations=(1, 2)),
+    SpoiltExperiment("one mass at three places, no bare limb", configurations=(5, 6, 8)),
+    SpoiltExperiment("knee gives by 0.005 rad per N m", {"knee_slack": 0.005}),
+    SpoiltExperiment("knee gives by 0.02 rad per N m", {"knee_slack": 0.02}),
+    SpoiltExperiment("knee gives by 0.06 rad per N m", {"knee_slack": 0.06}),
+    SpoiltExperiment("foot touches the floor", {"floor": True}),
+    SpoiltExperiment("channel 0 saturated", spoil=_saturated, clips=True),
+    SpoiltExperiment("sign of one factory entry lost", factory=_flipped),
+    SpoiltExperiment("one mass given 5 % too heavy", spoil=_mass_off(0.05)),
+    SpoiltExperiment("one mass given 20 % too heavy", spoil=_mass_off(0.2)),
 )
 """What is tried."""
 
 
-def refusal_row(index: int, seed: int, rate: float) -> dict[str, Any]:
-    """Try one case with one sensor.
+def spoil_and_calibrate(index: int, seed: int, rate: float) -> dict[str, list[dict[str, Any]]]:
+    """Try one spoilt experiment with one sensor.
 
     Args:
-        index: Of the case in :data:`CASES`.
+        index: In :data:`SPOILT`.
         seed: Of the sensor.
         rate: Samples per s.
 
     Returns:
-        ``case``, ``harmless``, ``seed``, ``refused``, ``said`` (the reason), and the errors of the forces and
-        torques: of the answer or, where it was refused, of a fit whose thresholds were taken away
-        (``force_error``, ``torque_error``; NaN where it still could not answer), and of III-C
+        ``refusals``, one row: ``case``, ``harmless``, ``seed``, ``refused``, ``refusal`` (why), and errors
+        of the forces and torques: of the answer or, where it was refused, of a fit whose thresholds
+        were taken away (``force_error``, ``torque_error``; NaN where it still could not answer), and of III-C
         (``paper_force``, ``paper_torque``).
     """
-    case = CASES[index]
+    case = SPOILT[index]
     recordings = record_rig(case.configurations, rate=rate, seed=seed, **case.rig)
     config = sensor_config(SENSOR)
     counts, truth = read_sensors(config, SENSOR, [recordings], [seed])[0]
@@ -140,30 +141,22 @@ def refusal_row(index: int, seed: int, rate: float) -> dict[str, Any]:
     factory = None if case.factory is None else case.factory(config.nominal_matrix)
     options = InSituOptions(code_range=config.code_range if case.clips else None)
     fit = calibrate_in_situ(sets, factory_matrix=factory, options=options, refuse=False)
-    answer: InSituFit | None = fit
+    matrix: NDArray[np.float64] | None = fit.matrix
     if fit.refusals:
         # A spoilt matrix of the maker's is what is left of a fit that does not look at it.
-        answer = None if case.factory else calibrate_in_situ(sets, options=UNCHECKED, refuse=False)
-    wrench = _loads(rate)
-    matrix = factory if answer is None else answer.matrix
-    found = _errors(matrix, truth, wrench)
-    paper: NDArray[np.float64] | None
-    try:
+        spared = case.factory is None
+        matrix = calibrate_in_situ(sets, options=UNCHECKED, refuse=False).matrix if spared else factory
+    paper: NDArray[np.float64] | None = None
+    with suppress(ValueError, AssertionError):
         paper = paper_calibration(sets).matrix
-    except (ValueError, AssertionError):
-        paper = None
-    by_paper = _errors(paper, truth, wrench)
-    return {
-        "case": case.name,
-        "harmless": case.harmless,
-        "seed": seed,
-        "refused": bool(fit.refusals),
-        "said": fit.refusals[0].reason if fit.refusals else "",
-        "force_error": found[0],
-        "torque_error": found[1],
-        "paper_force": by_paper[0],
-        "paper_torque": by_paper[1],
-    }
+    row: dict[str, Any] = {"case": case.name, "harmless": case.harmless, "seed": seed}
+    row["refused"] = bool(fit.refusals)
+    row["refusal"] = fit.refusals[0].reason if fit.refusals else ""
+    # True wrenches of a sound rig under the validation sets.
+    loads = np.concatenate([one.wrench_leg for one in record_rig(range(5, 9), rate=min(rate, 10.0))])
+    row["force_error"], row["torque_error"] = _errors(matrix, truth, loads)
+    row["paper_force"], row["paper_torque"] = _errors(paper, truth, loads)
+    return {"refusals": [row]}
 
 
 def _errors(
@@ -172,9 +165,3 @@ def _errors(
     if matrix is None or not np.isfinite(matrix).all():
         return float("nan"), float("nan")
     return wrench_error(matrix, truth.response, wrench)
-
-
-def _loads(rate: float) -> NDArray[np.float64]:
-    """True wrenches of a sound rig under the validation sets, shape (n, 6)."""
-    recordings: list[RigRecording] = record_rig(range(5, 9), rate=min(rate, 10.0))
-    return np.concatenate([recording.wrench_leg for recording in recordings])

@@ -1,41 +1,40 @@
-"""The experiment of the in-situ paper, simulated: sensors of many seeds, three ways to calibrate them.
+"""The experiment of the in-situ paper, simulated: sensors of many seeds, four ways to calibrate them.
 
-Everything lands in one folder: tables, figures, ``results.json`` and the page. Pieces that are finished are
-kept under the hash of all that made them, so that a run that was interrupted goes on where it was.
+Everything lands in one folder: results, tables, figures, ``results.json`` and the page. Cases that are
+finished are kept, so that a run that was interrupted goes on where it was.
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import joblib
 import pandas as pd
 from rich.console import Console
 
-from surefoot.experiments.in_situ.refusals import CASES, refusal_row
-from surefoot.experiments.in_situ.study_pieces import (
+from surefoot.experiments.in_situ.cases import (
     BATCH,
     KINDS,
     MOTIONS,
     SENSORS,
-    Shown,
-    exact_piece,
-    motion_piece,
-    sweep_piece,
-    white_piece,
+    compare_motion,
+    compare_with_bound,
+    exact_errors,
+    sweep_and_calibrate,
 )
+from surefoot.experiments.in_situ.refusals import SPOILT, spoil_and_calibrate
 from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.experiments.study.runner import machine, runner
-from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["InSituStudyOptions", "InSituStudyResults", "run_in_situ_study"]
+__all__ = ["InSituStudyOptions", "InSituStudyResults", "run_in_situ_study", "study_cases"]
 
-_SOURCES = tuple(f"surefoot.experiments.in_situ.{name}" for name in ("study_pieces", "refusals"))
-"""What decides what a piece finds."""
+FRAMES = ("exact", "fits", "sets", "white", "motions", "refusals")
+"""The tables of numbers that a study makes."""
+
+SLOWEST = {"exact": 10.0, "refusals": 5.0}
+"""Samples per s that are enough for a sensor without error, and for spoilt experiments."""
 
 
 @dataclass(frozen=True)
@@ -47,32 +46,39 @@ class InSituStudyOptions:
         seeds: Number of sweeps, sensors and IMUs; the seeds are 0, 1, ...
         jobs: Processes that work at the same time.
         rate: Samples per s; fast motion takes at least 100.
+        white_rate: Samples per s of the sets with white noise alone, of which the bound knows how many there
+            are.
         moving_seeds: Seeds at most for which motions are compared.
         refused_seeds: Seeds at most that the spoilt experiments are tried on.
+        kinds: Which of KINDS are compared with the bound.
         motions: Which of MOTIONS are compared, by their places.
+        spoilt: Which of SPOILT are tried, by their places.
         quick: Whether it was cut short by :meth:`quickly`.
 
     Raises:
         ValueError: If a number is not positive.
     """
 
-    out: Path = Path("out/in-situ-study")
+    out: Path = Path("out/compare-in-situ")
     seeds: int = 50
     jobs: int = 2
     rate: float = 100.0
+    white_rate: float = 4.0
     moving_seeds: int = 10
     refused_seeds: int = 3
+    kinds: tuple[str, ...] = tuple(KINDS)
     motions: tuple[int, ...] = tuple(range(len(MOTIONS)))
+    spoilt: tuple[int, ...] = tuple(range(len(SPOILT)))
     quick: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be done."""
-        for name in ("seeds", "jobs", "rate", "moving_seeds", "refused_seeds"):
+        """Raise ValueError if a number is not positive."""
+        for name in ("seeds", "jobs", "rate", "white_rate", "moving_seeds", "refused_seeds"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"'{name}' must be positive, got {getattr(self, name)!r}.")
 
     def quickly(self) -> "InSituStudyOptions":
-        """The same with two seeds at 10 samples a second, to see whether all works."""
+        """Return the same with two seeds at 10 samples a second, to see whether all works."""
         return replace(
             self,
             seeds=min(self.seeds, 2),
@@ -86,17 +92,18 @@ class InSituStudyOptions:
 
 @dataclass(eq=False)
 class InSituStudyResults:
-    """What the study found.
+    """What the study found; the functions of ``cases`` and ``refusals`` describe the columns.
 
     Attributes:
         options: How it was run.
         exact: A row a sensor: the paper's method without an error of the sensor.
         fits: A row a sensor, seed and method.
         sets: A row a set that was not fitted, by sensor, seed and method.
-        white: A row a sensor, seed and kind of sensor: errors beside their bound and the claimed covariance.
+        white: A row a sensor, seed and kind of errors: errors beside their bound and the fit's covariance.
         motions: A row a sensor, seed and motion.
         refusals: A row a spoilt experiment and seed.
-        shown: What figures show.
+        shown: What figures show, a row a sensor and set of seed 0.
+        failures: What was raised in cases that failed, by their names.
         seconds: Time that each stage took in s.
         machine: What it ran on.
     """
@@ -108,15 +115,33 @@ class InSituStudyResults:
     white: Frame = field(default_factory=pd.DataFrame)
     motions: Frame = field(default_factory=pd.DataFrame)
     refusals: Frame = field(default_factory=pd.DataFrame)
-    shown: tuple[Shown, ...] = ()
+    shown: Frame = field(default_factory=pd.DataFrame)
+    failures: dict[str, str] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     machine: str = ""
 
-    @property
-    def frames(self) -> dict[str, Frame]:
-        """All tables of figures, by name."""
-        names = ("exact", "fits", "sets", "white", "motions", "refusals")
-        return {name: getattr(self, name) for name in names}
+
+def study_cases(options: InSituStudyOptions) -> dict[str, list[Case]]:
+    """Return the cases of each stage."""
+    rate = options.rate
+    batches, moving = _batches(options.seeds), _batches(min(options.seeds, options.moving_seeds))
+    spoilt_seeds = range(min(options.seeds, options.refused_seeds))
+
+    def named(run: Any, arguments: list[tuple[Any, ...]]) -> list[Case]:
+        return [Case(f"{run.__name__}{given}", run, given) for given in arguments]
+
+    return {
+        "sensors without error": named(exact_errors, [(s, min(rate, SLOWEST["exact"])) for s in SENSORS]),
+        "sweep and calibrate": named(sweep_and_calibrate, [(batch, rate) for batch in batches]),
+        "compare with the bound": named(
+            compare_with_bound, [(b, kind, options.white_rate) for kind in options.kinds for b in batches]
+        ),
+        "compare motions": named(compare_motion, [(i, b, rate) for i in options.motions for b in moving]),
+        "spoil experiments": named(
+            spoil_and_calibrate,
+            [(i, seed, min(rate, SLOWEST["refusals"])) for i in options.spoilt for seed in spoilt_seeds],
+        ),
+    }
 
 
 def run_in_situ_study(options: InSituStudyOptions, *, console: Console | None = None) -> InSituStudyResults:
@@ -128,63 +153,31 @@ def run_in_situ_study(options: InSituStudyOptions, *, console: Console | None = 
 
     Returns:
         What was found; it is in files under ``options.out`` as well.
+
+    Raises:
+        StudyError: If the folder is in use, or the disk is full.
     """
     results = InSituStudyResults(options, machine=machine())
-    seeds = _batches(options.seeds)
-    moving = _batches(min(options.seeds, options.moving_seeds))
-    # Once for all: what is imported now is what will run.
-    sources = source_hash(*_SOURCES)
-    with runner(options.jobs, results.seconds, console) as stage:
-
-        def run(what: str, function: Callable[..., Any], arguments: list[tuple[Any, ...]]) -> list[Any]:
-            folder = options.out / "pieces"
-            return stage.do(what, [(_kept, (folder, sources, function, given)) for given in arguments])
-
-        rate = options.rate
-        exact = run("sensors without error", exact_piece, [(s, min(rate, 10.0)) for s in SENSORS])
-        swept = run("sweep and calibrate", sweep_piece, [(batch, rate) for batch in seeds])
-        white = run("hold against the bound", white_piece, [(b, kind) for kind in KINDS for b in seeds])
-        moved = run("compare motions", motion_piece, [(i, b, rate) for i in options.motions for b in moving])
-        tried = [
-            (i, seed, min(rate, 5.0))
-            for i in range(len(CASES))
-            for seed in range(min(options.seeds, options.refused_seeds))
-        ]
-        refused = run("spoil experiments", refusal_row, tried)
-    results.exact, results.refusals = pd.DataFrame(exact), pd.DataFrame(refused)
-    results.fits = pd.concat([fits for fits, _, _ in swept], ignore_index=True)
-    results.sets = pd.concat([sets for _, sets, _ in swept], ignore_index=True)
-    results.shown = tuple(one for _, _, shown in swept for one in shown)
-    results.white = pd.concat(white, ignore_index=True)
-    results.motions = pd.concat(moved, ignore_index=True)
-    _save(results)
+    stages = study_cases(options)
+    cases = [case for listed in stages.values() for case in listed]
+    store = Store(options.out / "results")
+    with store.opened(), runner(options.jobs, results.seconds, console) as run:
+        for what, listed in stages.items():
+            run.run(what, listed, store)
+    for name in (*FRAMES, "shown"):
+        setattr(results, name, store.rows(name, cases))
+    results.failures = store.failures(cases)
+    for name in FRAMES:
+        with atomic_path(options.out / "tables" / f"{name}.csv") as part:
+            getattr(results, name).to_csv(part, index=False)
+    facts = {
+        "options": {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()},
+        "machine": results.machine,
+        "seconds": results.seconds,
+    }
+    write_text(options.out / "results.json", json.dumps(facts, indent=1))
     return results
 
 
 def _batches(count: int) -> list[tuple[int, ...]]:
     return [tuple(range(first, min(first + BATCH, count))) for first in range(0, count, BATCH)]
-
-
-def _kept(folder: Path, sources: str, function: Callable[..., Any], given: tuple[Any, ...]) -> Any:
-    """Do a piece, or read what came of it before."""
-    made_of = repr((function.__name__, given, sources))
-    path = folder / f"{function.__name__}_{sha256(made_of.encode()).hexdigest()[:16]}.joblib"
-    if path.is_file():
-        return joblib.load(path)
-    found = function(*given)
-    with atomic_path(path) as part:
-        joblib.dump(found, part, compress=3)
-    return found
-
-
-def _save(results: InSituStudyResults) -> None:
-    out = results.options.out
-    for name, frame in results.frames.items():
-        with atomic_path(out / "tables" / f"{name}.csv") as part:
-            frame.to_csv(part, index=False)
-    facts = {
-        "options": {k: str(v) if isinstance(v, Path) else v for k, v in asdict(results.options).items()},
-        "machine": results.machine,
-        "seconds": results.seconds,
-    }
-    write_text(out / "results.json", json.dumps(facts, indent=1))

@@ -51,7 +51,8 @@ def test_all_files_are_written(result: CalibratedSensor) -> None:
 
 def test_the_page_shows_every_table_and_figure(result: CalibratedSensor) -> None:
     page = html.unescape(result.files["report"].read_text())
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 2
+    assert page.count("data:image/svg+xml;base64,") == 1
     for table in result.tables:
         assert f"<b>{table.title}</b>" in page
     for what in ("5 (kept aside)", "The matrix, per count", "Offsets (counts)", "by the factory matrix"):

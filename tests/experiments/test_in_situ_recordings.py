@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import CalibrationRefused
-from surefoot.calibration.in_situ import calibrate_in_situ
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 
 DATA = Path(os.environ.get("SUREFOOT_DATA") or "nowhere")
 pytestmark = pytest.mark.skipif(

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ import InSituSet, Limb
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.force_torque.score import (
     added_mass,
@@ -14,7 +15,6 @@ from surefoot.experiments.force_torque.score import (
     force_ellipsoid,
     motion_wrench,
     offset_of_set,
-    quadric_ellipsoid,
     semi_axes,
 )
 
@@ -49,16 +49,9 @@ def test_every_point_lies_on_the_ellipsoid_that_is_drawn() -> None:
     K, _ = mixed()
     gravity = pulls(spread=2.0)
     points = gravity @ K.T + 7.0
-    for ellipsoid in (force_ellipsoid(points, gravity), quadric_ellipsoid(points)):
-        on_sphere = np.linalg.solve(ellipsoid.axes, (points - ellipsoid.centre).T)
-        np.testing.assert_allclose(np.linalg.norm(on_sphere, axis=0), 1.0, rtol=1e-8)
-
-
-def test_a_quadric_needs_no_gravity() -> None:
-    K, values = mixed()
-    found = quadric_ellipsoid(pulls(spread=2.0) @ K.T + np.array([1e4, -2e4, 3e4]))
-    np.testing.assert_allclose(found.semi_axes, GRAVITY * values, rtol=1e-7)
-    np.testing.assert_allclose(found.centre, (1e4, -2e4, 3e4), rtol=1e-9)
+    ellipsoid = force_ellipsoid(points, gravity)
+    on_sphere = np.linalg.solve(ellipsoid.axes, (points - ellipsoid.centre).T)
+    np.testing.assert_allclose(np.linalg.norm(on_sphere, axis=0), 1.0, rtol=1e-8)
 
 
 def test_semi_axes_do_not_depend_on_the_frame() -> None:
@@ -87,15 +80,6 @@ def test_what_draws_no_ellipsoid_is_refused() -> None:
         semi_axes(gravity[:3], gravity[:3])
     with pytest.raises(ValueError, match=r"got \(200, 3\) and \(199, 3\)"):
         semi_axes(gravity, gravity[1:])
-    with pytest.raises(ValueError, match="nine unknowns, got 8 points"):
-        quadric_ellipsoid(gravity[:8])
-    with pytest.raises(ValueError, match=r"must have shape \(n, 3\), got \(200, 2\)"):
-        quadric_ellipsoid(gravity[:, :2])
-    x, y = np.random.default_rng(0).standard_normal((2, 50))
-    with pytest.raises(ValueError, match="lie on no ellipsoid; turn the limb further around"):
-        quadric_ellipsoid(np.stack([x, y, x * x - y * y], axis=1))
-    with pytest.raises(ValueError, match="All points are the same"):
-        quadric_ellipsoid(np.ones((20, 3)))
 
 
 @pytest.mark.parametrize("mass", [0.703, 0.05, -0.1])

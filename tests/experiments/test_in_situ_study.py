@@ -6,10 +6,15 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
+from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
+from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.envs.leg_rig.recording import record_rig
-from surefoot.experiments.in_situ import methods, study, study_pieces
+from surefoot.experiments.in_situ import cases, methods
 from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds
+from surefoot.experiments.in_situ.cases import compare_with_bound, exact_errors, sweep_and_calibrate
+from surefoot.experiments.in_situ.claims import Limit, consistency, limits_of
 from surefoot.experiments.in_situ.instruments import (
     XSENS_MTX,
     accelerometer_bias,
@@ -18,29 +23,29 @@ from surefoot.experiments.in_situ.instruments import (
     sensor_config,
     static_sets,
 )
-from surefoot.experiments.in_situ.methods import FITTED, METHODS, MethodResult, calibrate_by_all
+from surefoot.experiments.in_situ.methods import (
+    FITTED,
+    METHODS,
+    MethodResult,
+    calibrate_by_all,
+    fit_row,
+    wrench_error,
+)
+from surefoot.experiments.in_situ.page import InSituStudyPage
 from surefoot.experiments.in_situ.printed import PRINTED
-from surefoot.experiments.in_situ.refusals import CASES, refusal_row
+from surefoot.experiments.in_situ.refusals import SPOILT, spoil_and_calibrate
 from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
-from surefoot.experiments.in_situ.study_page import InSituStudyPage
-from surefoot.experiments.in_situ.study_pieces import KINDS, exact_piece, sweep_piece, white_piece
-from surefoot.experiments.in_situ.study_score import fit_row, wrench_error
-from surefoot.experiments.in_situ.targets import Target, consistency, targets_of
 
 QUIET = Console(quiet=True)
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    out = tmp_path_factory.mktemp("study")
     options = InSituStudyOptions(
-        out=out, seeds=2, jobs=1, rate=2.0, moving_seeds=1, refused_seeds=1, motions=(0,)
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study_pieces, "WHITE_RATE", 1.0)
-        patch.setattr(study, "CASES", CASES[:3])
-        patch.setattr(study, "KINDS", {"still": KINDS["still"]})
-        yield run_in_situ_study(options, console=QUIET)
+        out=tmp_path_factory.mktemp("study"), seeds=2, jobs=1, rate=2.0, white_rate=1.0, moving_seeds=1,
+        refused_seeds=1, kinds=("still",), motions=(0,), spoilt=(0, 1, 2),
+    )  # fmt: skip
+    return run_in_situ_study(options, console=QUIET)
 
 
 @pytest.fixture(scope="module")
@@ -48,39 +53,36 @@ def recordings():
     return record_rig(duration=100.0, rate=5.0)
 
 
-def case_named(start):
-    return next(i for i, case in enumerate(CASES) if case.name.startswith(start))
+def spoilt_named(start):
+    return next(i for i, case in enumerate(SPOILT) if case.name.startswith(start))
 
 
 def test_one_row_for_each_sensor_seed_method_and_set(results):
     assert len(results.fits) == 2 * 2 * len(METHODS)
     assert set(results.fits["method"]) == set(METHODS)
-    answered = results.fits[results.fits["said"] == ""]
+    answered = results.fits[results.fits["refusal"] == ""]
     assert len(results.sets) == 4 * len(answered)
     assert sorted(results.sets["set"].unique()) == [5, 6, 7, 8]
-    assert [one.sensor for one in results.shown] == ["foot", "leg"]
+    assert list(results.shown["sensor"]) == ["foot"] * 4 + ["leg"] * 4
 
 
 def test_everything_is_in_files(results):
     out = results.options.out
-    for name, frame in results.frames.items():
-        assert len(pd.read_csv(out / "tables" / f"{name}.csv")) == len(frame)
+    for name in ("exact", "fits", "sets", "white", "motions", "refusals"):
+        assert len(pd.read_csv(out / "tables" / f"{name}.csv")) == len(getattr(results, name)) > 0
     facts = json.loads((out / "results.json").read_text(encoding="utf-8"))
     assert facts["options"]["seeds"] == 2
     assert not list(out.rglob("*.part*"))
 
 
-def test_finished_pieces_are_read_and_give_the_same(results, monkeypatch):
-    def never(*_):
-        raise AssertionError("a finished piece was done again")
-
-    never.__name__ = "sweep_piece"
-    monkeypatch.setattr(study, "sweep_piece", never)
-    monkeypatch.setattr(study, "CASES", CASES[:3])
-    monkeypatch.setattr(study, "KINDS", {"still": KINDS["still"]})
+def test_finished_cases_are_read_and_give_the_same(results):
+    before = pd.read_parquet(results.options.out / "results" / "cases.parquet")
     again = run_in_situ_study(results.options, console=QUIET)
-    pd.testing.assert_frame_equal(again.fits, results.fits)
-    pd.testing.assert_frame_equal(again.white, results.white)
+    after = pd.read_parquet(results.options.out / "results" / "cases.parquet")
+    pd.testing.assert_frame_equal(before, after)
+    for name in ("fits", "sets", "white", "refusals"):
+        pd.testing.assert_frame_equal(getattr(again, name), getattr(results, name))
+    assert not results.failures
 
 
 def test_the_page_holds_all_tables_and_the_printed_numbers(results):
@@ -92,12 +94,13 @@ def test_the_page_holds_all_tables_and_the_printed_numbers(results):
         assert (results.options.out / "tables" / f"page_{table.name}.csv").is_file()
     assert "34.4 / 33.3 / 32.5" in text
     assert "273 / 83 / 81" in text
-    assert text.count("data:image/png;base64,") == 3
+    assert text.count("data:image/png;base64,") == 2
+    assert text.count("data:image/svg+xml;base64,") == 1
 
 
 def test_table_three_leaves_out_the_set_without_a_mass(results):
-    page = InSituStudyPage(results)
-    axes, masses, places = page.spheres
+    tables = {table.name: table for table in InSituStudyPage(results).tables}
+    axes, masses, places = (tables[name] for name in ("table1", "table2", "table3"))
     assert len(axes.rows) == len(masses.rows) == 8
     assert len(places.rows) == 6
     assert not any("set 7" in row[0] for row in places.rows)
@@ -112,7 +115,7 @@ def test_printed_numbers_cover_the_validation_sets():
 
 @pytest.mark.parametrize("sensor", ["foot", "leg"])
 def test_the_papers_method_is_exact_without_noise(sensor):
-    row = exact_piece(sensor, 5.0)
+    (row,) = exact_errors(sensor, 5.0)["exact"]
     assert max(value for key, value in row.items() if key != "sensor") < 1e-9
 
 
@@ -123,11 +126,11 @@ def test_methods_see_what_a_robot_has(recordings, monkeypatch):
         seen.append((sets, nominal, options))
         return dict.fromkeys(METHODS, "not asked")
 
-    monkeypatch.setattr(study_pieces, "calibrate_by_all", spy)
-    monkeypatch.setattr(study_pieces, "record_rig", lambda **_: recordings)
-    fits, sets_rows, _ = sweep_piece((0,), 5.0)
-    assert (fits["said"] == "not asked").all()
-    assert sets_rows.empty
+    monkeypatch.setattr(cases, "calibrate_by_all", spy)
+    monkeypatch.setattr(cases, "record_rig", lambda **_: recordings)
+    rows = sweep_and_calibrate((0,), 5.0)
+    assert {row["refusal"] for row in rows["fits"]} == {"not asked"}
+    assert rows["sets"] == []
     for (sets, nominal, options), sensor in zip(seen, ("foot", "leg"), strict=True):
         config = sensor_config(sensor)
         assert np.array_equal(nominal, config.nominal_matrix)
@@ -255,34 +258,34 @@ def test_wrench_errors_are_shares_of_the_load():
 def test_a_refused_calibration_has_no_numbers_and_says_why(recordings):
     ((_, truth),) = read_sensors(sensor_config("leg"), "leg", [recordings[:1]], [0])
     row = fit_row("because", truth, recordings[0].wrench_leg)
-    assert row["said"] == "because"
+    assert row["refusal"] == "because"
     assert np.isnan(row["limb_error"])
 
 
 def test_targets_count_refused_fits_as_missed():
-    within = Target("x", 1.0, np.array([0.5, 1.0]))
+    within = Limit("x", 1.0, np.array([0.5, 1.0]))
     assert within.met
     assert within.share == 1.0
-    refused = Target("x", 1.0, np.array([0.5, 1.0]), refused=2)
+    refused = Limit("x", 1.0, np.array([0.5, 1.0]), refused=2)
     assert not refused.met
     assert refused.share == 0.5
-    assert not Target("x", 1.0, np.array([0.5, 1.1])).met
-    assert not Target("x", 1.0, np.zeros(0)).met
+    assert not Limit("x", 1.0, np.array([0.5, 1.1])).met
+    assert not Limit("x", 1.0, np.zeros(0)).met
 
 
 def test_a_refused_seed_misses_its_sets(results):
-    before = {target.name: target for target in targets_of(results)}
+    before = {target.name: target for target in limits_of(results)}
     fits, sets = results.fits.copy(), results.sets
-    first = (fits["sensor"] == "leg") & (fits["seed"] == 1) & (fits["method"] == "surefoot")
-    fits.loc[first, ["said", "limb_error"]] = ["no", np.nan]
+    first = (fits["sensor"] == "leg") & (fits["seed"] == 1) & (fits["method"] == "measurement")
+    fits.loc[first, ["refusal", "limb_error"]] = ["no", np.nan]
     fits["clipped"] = False
-    gone = (sets["sensor"] == "leg") & (sets["seed"] == 1) & (sets["method"] == "surefoot")
-    after = {t.name: t for t in targets_of(replace(results, fits=fits, sets=sets[~gone]))}
+    gone = (sets["sensor"] == "leg") & (sets["seed"] == 1) & (sets["method"] == "measurement")
+    after = {t.name: t for t in limits_of(replace(results, fits=fits, sets=sets[~gone]))}
     for name, lost in (("semi-axis", 4), ("added mass", 4), ("position", 3), ("weight", 1)):
         key = next(known for known in before if name in known)
         assert after[key].refused == lost
         assert len(after[key].values) == len(before[key].values) - lost
-    rightly = targets_of(replace(results, fits=fits.assign(clipped=first), sets=sets[~gone]))
+    rightly = limits_of(replace(results, fits=fits.assign(clipped=first), sets=sets[~gone]))
     assert not any(target.refused for target in rightly)
 
 
@@ -306,9 +309,9 @@ def test_consistency_is_that_of_chi_square():
     ],
 )
 def test_spoilt_experiments_are_refused_with_the_reason(case, said):
-    row = refusal_row(case_named(case), 0, 2.0)
+    (row,) = spoil_and_calibrate(spoilt_named(case), 0, 2.0)["refusals"]
     assert row["refused"]
-    assert said in row["said"]
+    assert said in row["refusal"]
 
 
 def test_a_sound_experiment_is_answered(results):
@@ -328,19 +331,19 @@ def test_options_refuse_what_cannot_be_done():
 @pytest.mark.slow
 def test_ten_seeds_reach_the_targets():
     seeds = (tuple(range(5)), tuple(range(5, 10)))
-    found = [sweep_piece(batch, 20.0) for batch in seeds]
-    fits = pd.concat([fits for fits, _, _ in found])
-    ours = fits[fits["method"] == "surefoot"]
-    assert (ours["said"] == "").all()
+    found = [sweep_and_calibrate(batch, 20.0) for batch in seeds]
+    fits = pd.DataFrame([row for one in found for row in one["fits"]])
+    ours = fits[fits["method"] == "measurement"]
+    assert (ours["refusal"] == "").all()
     assert ours["limb_error"].abs().max() < 0.01
     paper = fits[(fits["method"] == "paper") & (fits["sensor"] == "leg")]
     assert paper["limb_error"].mean() < -0.03
-    sets = pd.concat([sets for _, sets, _ in found])
-    sets = sets[sets["method"] == "surefoot"]
+    sets = pd.DataFrame([row for one in found for row in one["sets"]])
+    sets = sets[sets["method"] == "measurement"]
     assert sets["ratio"].max() < 1.03
     assert sets["mass_error"].max() < 0.01
     assert sets["place_error"].max() < 0.01
-    white = pd.concat([white_piece(batch, "still") for batch in seeds])
+    white = pd.DataFrame([r for batch in seeds for r in compare_with_bound(batch, "still", 4.0)["white"]])
     for _, part in white.groupby("sensor"):
         assert part["force_square"].sum() < 1.3**2 * part["force_bound"].sum()
         assert part["torque_square"].sum() < 1.3**2 * part["torque_bound"].sum()
@@ -352,7 +355,7 @@ def test_sets_that_were_not_fitted_get_offsets_of_their_own(recordings):
     ((counts, truth),) = read_sensors(config, "leg", [recordings], [0])
     force = np.stack([one.specific_force for one in recordings])
     sets = static_sets("leg", recordings, counts, force)
-    found = calibrate_by_all(sets, config.nominal_matrix, InSituOptions())["surefoot"]
+    found = calibrate_by_all(sets, config.nominal_matrix, InSituOptions())["measurement"]
     assert isinstance(found, MethodResult)
     off = (found.offsets - truth.offsets) @ np.linalg.inv(truth.response).T
     assert off.shape == (8, 6)

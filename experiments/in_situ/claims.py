@@ -1,0 +1,253 @@
+"""What the simulated in-situ experiment is to reach, whether it did, and what else it shows, in sentences."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from surefoot.experiments.in_situ.cases import MOTIONS
+from surefoot.experiments.in_situ.study import InSituStudyResults
+from surefoot.experiments.study.tables import Frame, number, plural
+
+__all__ = [
+    "Consistency",
+    "Limit",
+    "bound_findings",
+    "consistency",
+    "limb_findings",
+    "limits_of",
+    "motion_findings",
+    "over_bound",
+    "refusal_findings",
+    "summary_findings",
+]
+
+OURS = "measurement"
+"""The method that is to keep the limits."""
+
+
+class Limit(NamedTuple):
+    """A limit that every number has to keep.
+
+    Attributes:
+        name: What is measured.
+        most: What it may be at most.
+        values: One number a sensor, seed and set (or one in all).
+        refused: Numbers that are missing because a sound fit was refused.
+        printed: What the paper printed for it.
+    """
+
+    name: str
+    most: float
+    values: NDArray[np.float64]
+    refused: int = 0
+    printed: str = ""
+
+    @property
+    def share(self) -> float:
+        """Share of the numbers that are within it; a refused fit is none of them."""
+        count = len(self.values) + self.refused
+        return float(np.sum(self.values <= self.most)) / count if count else float("nan")
+
+    @property
+    def met(self) -> bool:
+        """Whether all numbers are within it."""
+        return len(self.values) > 0 and self.share == 1.0
+
+
+class Consistency(NamedTuple):
+    """Squared errors by the fit's covariance, over their number.
+
+    Attributes:
+        mean: Over the seeds; 1 for fits that know themselves.
+        low: Of the interval that holds 95 % of such means.
+        high: Its other end.
+    """
+
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the mean lies in the interval."""
+        return self.low <= self.mean <= self.high
+
+
+def consistency(part: Frame) -> Consistency:
+    """Return the mean of the normalised squared errors of some rows of ``white``."""
+    nees = part["nees"].dropna()
+    if nees.empty:
+        return Consistency(float("nan"), float("nan"), float("nan"))
+    freedom = int(part["unknowns"].iloc[0]) * len(nees)
+    low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
+    return Consistency(float(nees.sum() / freedom), float(low), float(high))
+
+
+def over_bound(part: Frame, what: str) -> float:
+    """Return the root mean square error of some rows of ``white`` over its bound.
+
+    Args:
+        part: The rows.
+        what: "force" or "torque" of the offsets, or "limb" for its mass.
+    """
+    there = part[np.isfinite(part[f"{what}_square"])]
+    if there.empty:
+        return float("nan")
+    return float(np.sqrt(there[f"{what}_square"].sum() / there[f"{what}_bound"].sum()))
+
+
+def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
+    """Return what was to be reached, with what was found."""
+    fits = results.fits[results.fits["method"] == OURS]
+    sets = results.sets[results.sets["method"] == OURS]
+    # A sensor whose readings ended with the converter is refused rightly.
+    refused = int(((fits["refusal"] != "") & ~fits["clipped"]).sum())
+    # Each fit that was refused leaves its sets, of which those with a mass have a place, without a number.
+    key = ["sensor", "seed", "method"]
+    per_fit = int(results.sets.groupby(key).size().max())
+    placed = int(results.sets[results.sets["place_error"].notna()].groupby(key).size().max())
+    exact = results.exact[["offset", "matrix_force", "matrix_torque", "limb", "first_moment"]]
+    still = [part for _, part in results.white[results.white["kind"] == "still"].groupby("sensor")]
+    ratios = np.array([over_bound(part, what) for part in still for what in ("force", "torque")])
+    # How far the mean is out of its interval, in half widths about its middle.
+    known = [consistency(part) for part in still]
+    off = np.array([abs(2.0 * one.mean - one.low - one.high) / (one.high - one.low) for one in known])
+    place = "its position, error in m along the worst axis (Table III)"
+    weight = np.abs(fits["limb_error"].dropna().to_numpy())
+    return (
+        Limit("III-B and III-C without noise, relative error", 1e-9, exact.to_numpy().ravel()),
+        Limit(
+            "longest / shortest semi-axis (Table I)",
+            1.03,
+            sets["ratio"].to_numpy(),
+            refused * per_fit,
+            "1.04 to 1.15",
+        ),
+        Limit(
+            "added mass, error in kg (Table II)",
+            0.01,
+            sets["mass_error"].to_numpy(),
+            refused * per_fit,
+            "0.05",
+        ),
+        Limit(place, 0.01, sets["place_error"].dropna().to_numpy(), refused * placed, "up to 0.11"),
+        Limit("weight of the limb, relative error", 0.01, weight, refused, "about -0.38 (leg)"),
+        Limit("offset, rmse over the Cramér-Rao bound", 1.3, ratios),
+        Limit("covariance, NEES off the middle of its 95 % interval, in half widths", 1.0, off),
+    )
+
+
+def summary_findings(results: InSituStudyResults) -> tuple[str, ...]:
+    """Return which limits all seeds kept, and how many kept the others."""
+    limits = limits_of(results)
+    met = sum(limit.met for limit in limits)
+    found = [f"{met} of {plural(len(limits), 'target')} were reached by every seed, sensor and set."]
+    for limit in limits:
+        if limit.met:
+            continue
+        worst = number(float(np.max(limit.values)), 4) if len(limit.values) else "–"
+        missing = f", and {limit.refused} have none: refused." if limit.refused else "."
+        found.append(
+            f"Not by all: {limit.name}. {100.0 * limit.share:.1f} % stay within {limit.most:g}; the worst is "
+            f"{worst}{missing}"
+        )
+    clipped = results.fits[results.fits["clipped"]]
+    if len(clipped):
+        ours = clipped[clipped["method"] == OURS]
+        sensors = len(results.fits) // results.fits["method"].nunique()
+        found.append(
+            f"{len(ours)} of {plural(sensors, 'sensor')} reached the end of their converter; "
+            f"{int((ours['refusal'] != '').sum())} of these were refused, as they must be."
+        )
+    return tuple(found)
+
+
+def limb_findings(results: InSituStudyResults) -> tuple[str, ...]:
+    """Return how heavy the limb comes out by each method, and what the loop model is worth."""
+    found = []
+    for sensor, part in results.fits.groupby("sensor", sort=False):
+        errors = part.pivot(index="seed", columns="method", values="limb_error")
+        mean, rms = 100.0 * errors.mean(), 100.0 * np.sqrt((errors**2).mean())
+        found.append(
+            f"{str(sensor).capitalize()}: III-C finds the limb {_signed(mean['paper'])} % off its weight in "
+            f"the mean, the measurement-space fit {_signed(mean[OURS])} %, and without its hysteresis "
+            f"{_signed(mean['no-loop'])} %; the root mean squares are {number(rms['paper'])}, "
+            f"{number(rms[OURS])} and {number(rms['no-loop'])} %."
+        )
+    return tuple(found)
+
+
+def bound_findings(results: InSituStudyResults) -> tuple[str, ...]:
+    """Return how near to the bound the offsets are, and whether the covariance is right."""
+    found = []
+    for (kind, sensor), part in results.white.groupby(["kind", "sensor"], sort=False):
+        known, name = consistency(part), str(sensor).capitalize()
+        if kind == "real":
+            found.append(
+                f"{name} with all errors of a sensor: errors are {number(np.sqrt(known.mean))} times as "
+                "large as the fit reports."
+            )
+            continue
+        drift = "with no drift assumed" if kind == "still" else "with drift estimated"
+        found.append(
+            f"{name}, {drift}: offsets err by {number(over_bound(part, 'force'))} (forces) and "
+            f"{number(over_bound(part, 'torque'))} (torques) times the bound; NEES {known.mean:.3f} lies "
+            f"{'inside' if known.inside else 'outside'} {known.low:.3f} to {known.high:.3f}."
+        )
+    return tuple(found)
+
+
+def motion_findings(results: InSituStudyResults) -> tuple[str, ...]:
+    """Return the shortest fast motion that was answered beside the longest slow one."""
+    found = []
+    for sensor, part in results.motions.groupby("sensor", sort=False):
+        answered = part[part["refusal"] == ""]
+        fast = np.array([MOTIONS[int(i)].fast for i in answered["motion"]], dtype=bool)
+        name = str(sensor).capitalize()
+        if fast.all() or not fast.any():
+            which = "slow" if fast.all() else "fast"
+            found.append(f"{name}: no {which} motion was answered with a calibration.")
+            continue
+        slow, quick = answered[~fast], answered[fast]
+        slow = slow[slow["minutes"] == slow["minutes"].max()]
+        quick = quick[quick["minutes"] == quick["minutes"].min()]
+        found.append(
+            f"{name}: {number(slow['minutes'].iloc[0], 2)} minutes of slow sweeps leave "
+            f"{_percent(slow['force_error'])} % of the forces, {_percent(slow['torque_error'])} % of the "
+            f"torques and {_percent(slow['limb_error'].abs())} % of the limb's weight in the mean; "
+            f"{number(quick['minutes'].iloc[0], 2)} minutes of fast swings {_percent(quick['force_error'])}, "
+            f"{_percent(quick['torque_error'])} and {_percent(quick['limb_error'].abs())} %."
+        )
+    return tuple(found)
+
+
+def refusal_findings(results: InSituStudyResults) -> tuple[str, ...]:
+    """Return which spoilt experiments were answered all the same, and how wrong the answers are."""
+    spoilt = results.refusals[~results.refusals["harmless"]]
+    controls = results.refusals[results.refusals["harmless"]]
+    parts = dict(list(spoilt.groupby("case", sort=False)))
+    missed = {case: part for case, part in parts.items() if not part["refused"].all()}
+    found = [
+        f"{len(parts) - len(missed)} of {plural(len(parts), 'kind')} of spoilt experiments are refused with "
+        f"every sensor; of {len(controls)} sound ones {int(controls['refused'].sum())} are."
+    ]
+    usual = controls[~controls["refused"]]
+    for case, part in missed.items():
+        answered = part[~part["refused"]]
+        found.append(
+            f"Answered {len(answered)} of {plural(len(part), 'time')}: {case}. Forces are then "
+            f"{_percent(answered['force_error'])} % off and torques {_percent(answered['torque_error'])} %, "
+            f"where sound experiments leave {_percent(usual['force_error'])} and "
+            f"{_percent(usual['torque_error'])} %."
+        )
+    return tuple(found)
+
+
+def _percent(values: object) -> str:
+    return number(100.0 * float(np.mean(np.asarray(values, dtype=np.float64))))
+
+
+def _signed(value: float) -> str:
+    return ("+" if value > 0.0 else "") + number(value)
