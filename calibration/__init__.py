@@ -7,7 +7,7 @@ NumPy, SciPy and the array API standard; no simulator and no Gymnasium, so that 
 * :func:`calibrate_in_situ` for six-axis force-torque sensors, from gravity and known masses.
 """
 
-from surefoot.calibration.baselines.tare import TareConfig
+from surefoot.calibration.baselines import TareConfig
 from surefoot.calibration.centroidal import GroundReference, ground_height, ground_reference
 from surefoot.calibration.cop import (
     FORCE_THRESHOLD,
@@ -58,8 +58,13 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.replay import replay
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.calibration.standing.fit import StandingFit, standing_start
-from surefoot.calibration.standing.quiet import QuietStanding, StandingEstimate, StandingState
+from surefoot.calibration.standing import (
+    QuietStanding,
+    StandingEstimate,
+    StandingFit,
+    StandingState,
+    standing_start,
+)
 from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.channels import ChannelFit, fit_channels
 from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction

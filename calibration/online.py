@@ -28,11 +28,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from surefoot.calibration._setup import OnlineMethod, OnlineSetup, method_name
-from surefoot.calibration.baselines.none import uncorrected
-from surefoot.calibration.baselines.tare import TareConfig, tare
-from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
-from surefoot.calibration.window.config import WindowConfig, window
-from surefoot.calibration.window.quasi_static import quasi_static
+from surefoot.calibration.baselines import TareConfig, tare, uncorrected
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.stream import moment_filter
+from surefoot.calibration.window.config import WindowConfig
+from surefoot.calibration.window.stream import quasi_static, window
 
 __all__ = ["METHODS", "MethodEntry", "OnlineMethod", "OnlineSetup", "method_name", "online_method"]
 

@@ -21,13 +21,13 @@ from typing import Any, TypeVar
 
 from surefoot.calibration._constants import namespace_of
 from surefoot.calibration._setup import OnlineMethod
-from surefoot.calibration.baselines.tare import TareState
+from surefoot.calibration.baselines import TareState
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import FaultState
 from surefoot.calibration.moment.stream import MomentState
 from surefoot.calibration.reference import Reference
-from surefoot.calibration.standing.quiet import StandingState
+from surefoot.calibration.standing import StandingState
 from surefoot.calibration.window.stream import WindowState
 
 __all__ = ["COUNTERS", "LEARNT", "put_back", "select", "update_frozen"]

@@ -31,13 +31,7 @@ state.
 
 from dataclasses import dataclass
 
-from surefoot.calibration._setup import (
-    OnlineMethod,
-    OnlineSetup,
-    check_count,
-    check_not_negative,
-    check_positive,
-)
+from surefoot.calibration._setup import check_count, check_not_negative, check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,16 +137,3 @@ class MomentFilterConfig:
         check_count(self, "every", "average", "settle")
         if self.every % self.average:
             raise ValueError(f"'average' must divide 'every', got {self.average} and {self.every}.")
-
-
-def moment_filter(setup: OnlineSetup, config: MomentFilterConfig | None = None) -> OnlineMethod:
-    """Build the moment filter as a pair of pure functions.
-
-    Args:
-        setup: What the method must be told about the robot.
-        config: Options.
-    """
-    from surefoot.calibration.moment.stream import MomentStream
-
-    stream = MomentStream(setup, config or MomentFilterConfig())
-    return OnlineMethod(stream.init, stream.update)

@@ -4,7 +4,7 @@ Rows are in body weights and in body weights times foot lengths; columns are the
 :class:`~surefoot.calibration.moment.unknowns.Unknowns`. Private to the moment filter.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from surefoot.calibration._constants import Constants, namespace_of
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.reference import GRAVITY
-
-if TYPE_CHECKING:
-    from surefoot.calibration.moment.config import MomentFilterConfig
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -128,7 +126,7 @@ class MomentRows:
         compares: Whether any foot has several instruments to hold against each other.
     """
 
-    def __init__(self, setup: OnlineSetup, config: "MomentFilterConfig", unknowns: Unknowns) -> None:
+    def __init__(self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns) -> None:
         layout = setup.layout
         self.unknowns, self.config = unknowns, config
         self._feet, self._channels = len(layout.feet), layout.channels

@@ -5,24 +5,22 @@ Its theory and options are in :mod:`surefoot.calibration.moment.config`, its row
 more than applying the map.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
 
 from surefoot.calibration._constants import Constants, any_along, cast, namespace_of
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration._setup import OnlineMethod, OnlineSetup
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.faults import TRUST, Faults, FaultState
 from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.rows import Block, Misfit, MomentRows, Rows
 from surefoot.calibration.moment.uncertainty import Uncertainty
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.reference import Reference
-
-if TYPE_CHECKING:
-    from surefoot.calibration.moment.config import MomentFilterConfig
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -99,7 +97,7 @@ class MomentState(NamedTuple):
 class MomentStream:
     """The moment filter for one setup: ``init`` and ``update`` are pure functions that share constants."""
 
-    def __init__(self, setup: OnlineSetup, config: "MomentFilterConfig") -> None:
+    def __init__(self, setup: OnlineSetup, config: MomentFilterConfig) -> None:
         self.setup, self.config = setup, config
         self.unknowns = unknowns = Unknowns(setup, config)
         self.rows = MomentRows(setup, config, unknowns)
@@ -392,3 +390,14 @@ class MomentStream:
         estimate = self._front_end.report(sample, force, a * scale, a * offset + b, status)
         sure = self._uncertainty.told(estimate, sample, state)
         return estimate._replace(**sure, nis=nis, nis_rows=nis_rows)
+
+
+def moment_filter(setup: OnlineSetup, config: MomentFilterConfig | None = None) -> OnlineMethod:
+    """Return the moment filter as a pair of pure functions.
+
+    Args:
+        setup: The robot.
+        config: Options.
+    """
+    stream = MomentStream(setup, config or MomentFilterConfig())
+    return OnlineMethod(stream.init, stream.update)

@@ -12,17 +12,15 @@
 Units are chosen so that numbers are of order one and float32 is enough.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration._constants import Constants
 from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.reference import GRAVITY
-
-if TYPE_CHECKING:
-    from surefoot.calibration.moment.config import MomentFilterConfig
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -55,7 +53,7 @@ class Unknowns:
         learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
     """
 
-    def __init__(self, setup: OnlineSetup, config: "MomentFilterConfig") -> None:
+    def __init__(self, setup: OnlineSetup, config: MomentFilterConfig) -> None:
         layout = setup.layout
         channels = layout.channels
         torque = ~(layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))

@@ -4,7 +4,7 @@ r"""The CoP paper's sliding window: Gauss-Newton on the last half second (Eq. 14
           + w_P \left|\frac{p_k - p_k^{ref}}{L}\right|^2 + |\theta - \theta_{last}|^2_{w_S}
 
 over scales and offsets of all channels, solved every four samples by five iterations from the last
-solution, after a standing start (Eqs. 12, 13; :mod:`surefoot.calibration.standing.quiet`).
+solution, after a standing start (Eqs. 12, 13; :mod:`surefoot.calibration.standing`).
 
 Where the paper is silent or a stream demands it, this departs from it:
 
@@ -24,18 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._setup import (
-    OnlineMethod,
-    OnlineSetup,
-    check_count,
-    check_not_negative,
-    check_positive,
-)
+from surefoot.calibration._setup import OnlineSetup, check_count, check_not_negative, check_positive
 from surefoot.calibration.centroidal import ground_reference
 from surefoot.calibration.cop import cop_of_moments, moment_rows
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
-from surefoot.calibration.window.stream import sliding_window
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,16 +165,6 @@ class WindowConfig:
             raise ValueError(f"'scale_range' must enclose 1 and be positive, got {self.scale_range}.")
         if self.minimum_share > 1.0:
             raise ValueError(f"'minimum_share' must be a share from 0 to 1, got {self.minimum_share}.")
-
-
-def window(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:
-    """Build the CoP paper's sliding window (Eq. 14) as a pair of pure functions.
-
-    Args:
-        setup: What the method must be told about the robot.
-        config: Options; the paper's conditions by default.
-    """
-    return sliding_window(setup, config or WindowConfig())
 
 
 def confidence_from_standing(

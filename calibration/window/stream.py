@@ -5,7 +5,7 @@ in
 :mod:`surefoot.calibration.window.config`.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
@@ -19,11 +19,9 @@ from surefoot.calibration.front_end.filters import low_pass
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
-from surefoot.calibration.standing.quiet import QuietStanding, StandingState
+from surefoot.calibration.standing import QuietStanding, StandingState
+from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise, shorten, typical_square
-
-if TYPE_CHECKING:
-    from surefoot.calibration.window.config import WindowConfig
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -79,7 +77,7 @@ class WindowState(NamedTuple):
 class SlidingWindow:
     """The sliding window for one setup: ``init`` and ``update`` are pure functions that share constants."""
 
-    def __init__(self, setup: OnlineSetup, config: "WindowConfig", *, quasi_static: bool) -> None:
+    def __init__(self, setup: OnlineSetup, config: WindowConfig, *, quasi_static: bool) -> None:
         self.setup, self.config = setup, config
         self._weight, self._gross_length = setup.weight, config.gross_error * setup.length
         self._front_end = FrontEnd(setup, quasi_static=quasi_static)
@@ -321,7 +319,27 @@ def _forget(state: WindowState) -> WindowState:
     )
 
 
-def sliding_window(setup: OnlineSetup, config: "WindowConfig", *, quasi_static: bool = False) -> OnlineMethod:
-    """Build the sliding window as a pair of pure functions."""
-    method = SlidingWindow(setup, config, quasi_static=quasi_static)
+def window(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:
+    """Return the CoP paper's sliding window (Eq. 14) as a pair of pure functions.
+
+    Args:
+        setup: The robot.
+        config: Options; the paper's conditions by default.
+    """
+    method = SlidingWindow(setup, config or WindowConfig(), quasi_static=False)
+    return OnlineMethod(method.init, method.update)
+
+
+def quasi_static(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:
+    """Return the quasi-static method (Han, Jiang and Chirikjian, IROS 2022) as a pair of pure functions.
+
+    It is the sliding window against a robot that is thought to stand still: Fz_ref = M g, p_ref = (x, y) in
+    place of Eqs. 9-11, as the CoP paper compares itself with it. The faster a robot walks, the more of its
+    own acceleration flows into the cells.
+
+    Args:
+        setup: The robot.
+        config: Options, the same as the sliding window's.
+    """
+    method = SlidingWindow(setup, config or WindowConfig(), quasi_static=True)
     return OnlineMethod(method.init, method.update)

@@ -12,8 +12,9 @@ from surefoot.calibration import Parameters, Reference
 from surefoot.calibration.front_end.motion import Motions
 from surefoot.calibration.moment import stream as stream_module
 from surefoot.calibration.moment.bound import posterior_bound
-from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.rows import Block, MomentRows
+from surefoot.calibration.moment.stream import moment_filter
 from surefoot.calibration.moment.unknowns import Unknowns
 
 KNOWN = {"timing_noise": 0.0, "swing_noise": 5e-5, "still": 0.0, "gate": 1e6}

@@ -8,7 +8,8 @@ from _robots import BAD, calibrated, fleet, robot, rows_between, rows_of, stream
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, errors, walk
 
 from surefoot.calibration import FeetLayout, Flag, FootLayout, OnlineSetup, Parameters, Reference, replay
-from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.stream import moment_filter
 from surefoot.calibration.moment.unknowns import Unknowns
 
 

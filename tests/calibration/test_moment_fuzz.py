@@ -6,7 +6,7 @@ from _robots import BAD, calibrated, fleet
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, believed_mass, walk
 
 from surefoot.calibration import Flag, OnlineSetup, Parameters, Reference, online_method
-from surefoot.calibration.moment.config import moment_filter
+from surefoot.calibration.moment.stream import moment_filter
 
 
 def garbage(rng, values, share, dtype):

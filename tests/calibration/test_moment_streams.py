@@ -7,7 +7,8 @@ from _robots import BAD, stream
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, walk
 
 from surefoot.calibration import Parameters, Reference, replay
-from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.stream import moment_filter
 from surefoot.calibration.state import load_state, save_state
 
 

@@ -9,7 +9,8 @@ from scipy.stats import chi2
 
 from surefoot.calibration import OnlineSetup, online_method
 from surefoot.calibration.moment import stream as stream_module
-from surefoot.calibration.moment.config import MomentFilterConfig, moment_filter
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.stream import moment_filter
 
 
 def test_what_is_claimed_of_forces_and_of_the_centre_of_pressure_follows_from_the_parameters():

@@ -1,15 +1,17 @@
-"""The swing tare: a foot that is surely in the air reads its own zero.
+"""The methods to compare with: a swing tare, and no calibration at all.
 
-RoboCup teams re-zero a NAO's foot sensors as it walks: B-Human's ``SolePressureStateProvider`` takes the
-lowest reading of each sensor over some changes of the support foot for its offset. The lowest of many
-readings is right for a force-sensing resistor, which cannot read less than nothing; a load cell's noise has
-two sides, so that here it is the *mean* over the swing, and only where a robot is sure of the swing and the
-readings agree:
+**Tare.** A foot that is surely in the air reads its own offset. RoboCup teams tare a NAO's foot sensors as it
+walks: B-Human's ``SolePressureStateProvider`` takes the lowest reading of each sensor over some changes of
+the support foot for its offset. The lowest of many readings is right for a force-sensing resistor, which
+cannot read less than nothing; a load cell's noise has two sides, so that here it is the *mean* over the
+swing, and only where a robot is sure of the swing and the readings agree:
 
     b_i = -a_i mean(F0_i)    so that    mean(F_i) = 0.
 
-Scales stay as they are. The weight of the sole itself is in the zero; its inertia (some 50 g, up and down
+Scales stay as they are. The weight of the sole itself is in the offset; its inertia (some 50 g, up and down
 within a swing) averages out.
+
+**None.** The starting map as it is, behind the same checks as every method.
 """
 
 from dataclasses import dataclass
@@ -138,3 +140,19 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
         return TareState(front, airborne, count, mean, scatter, offset), estimate
 
     return OnlineMethod(init, update)
+
+
+def uncorrected(setup: OnlineSetup) -> OnlineMethod:
+    """Build the method that leaves the starting map as it is.
+
+    Args:
+        setup: What the method must be told about the robot.
+    """
+    front_end = FrontEnd(setup)
+
+    def update(state: FrontState, raw: Array, reference: Reference, dt: float) -> tuple[FrontState, Estimate]:
+        state, sample = front_end.observe(state, raw, reference, dt)
+        xp = namespace_of(raw)
+        return state, front_end.estimate(sample, xp.ones_like(sample.force), xp.zeros_like(sample.force))
+
+    return OnlineMethod(front_end.init, update)

@@ -1,1 +1,0 @@
-"""Calibration from quiet standing (CoP paper, Eqs. 12 and 13)."""
