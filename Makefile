@@ -6,13 +6,23 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test slow check format wheel-test clean
+.PHONY: demo test slow results check format wheel-test clean
 
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
 
 test: $(VENV)/.dev
 	$(BIN)/pytest -n auto --dist worksteal -m "not slow" $(PYTEST)
+
+# All studies (hours), and their tables in docs/results.md; what is finished is not run again.
+RESULTS := out/results
+results: $(VENV)/.dev
+	$(BIN)/surefoot compare walking --out $(RESULTS)/walking
+	$(BIN)/surefoot compare walking --full --out $(RESULTS)/full
+	$(BIN)/surefoot compare in-situ --out $(RESULTS)/in-situ
+	for task in balance walk; do $(BIN)/surefoot evaluate shipped shipped-randomised stabiliser zero --task $$task \
+		--severity 1 --severity 2 --uses-cop --out $(RESULTS)/$$task || exit 1; done
+	$(BIN)/python -m surefoot.experiments.study.results docs/results.md
 
 # Studies that take minutes: a million fuzzed samples, consistency over 200 runs.
 slow: $(VENV)/.dev

@@ -1,6 +1,9 @@
 """One page that a person reads from top to bottom: no server, no network, figures inside."""
 
 import base64
+import json
+import shlex
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -9,11 +12,16 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
+import surefoot
 from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.experiments.study.runner import machine
+from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.tables import Table, Verdict, plural
 
-__all__ = ["ReportFigure", "Section", "failure_section", "flat", "save_tables", "write_page"]
+__all__ = ["MADE", "ReportFigure", "Section", "failure_section", "flat", "save_tables", "write_page"]
+
+MADE = "made.json"
+"""Beside a study's tables: its command, code and date."""
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
@@ -120,10 +128,17 @@ def write_page(
 
 
 def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None:
-    """Save tables as CSV files of their names."""
+    """Save tables as CSV files of their names, and beside them how, by which code and when they were made."""
     for table in tables:
         with atomic_path(folder / f"{prefix}{table.name}.csv") as part:
             table.to_frame().to_csv(part, index=False)
+    code = source_hash(*(f"surefoot.{part}" for part in ("calibration", "sensors", "envs", "wrappers")))
+    made = {
+        "command": shlex.join(["surefoot", *sys.argv[1:]]),
+        "software": f"surefoot {surefoot.__version__} (code {code})",
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+    }
+    write_text(folder / MADE, json.dumps(made, indent=1) + "\n")
 
 
 def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:

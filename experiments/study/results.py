@@ -1,0 +1,71 @@
+"""Put the tables that studies wrote into the pages of docs/.
+
+    python -m surefoot.experiments.study.results docs/results.md
+
+A page marks where a table goes: ``<!-- table out/results/walking/tables/overview.csv -->``, later
+``<!-- end -->``. What stands between them is replaced by that table and a line that says how and with which
+code it was made. Where there is no such file, what stands there stays.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pandas as pd
+
+from surefoot.experiments.study.files import write_text
+from surefoot.experiments.study.page import MADE
+
+__all__ = ["main", "markdown", "refreshed"]
+
+_MARK = re.compile(r"(<!-- table (\S+\.csv) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def markdown(frame: pd.DataFrame) -> str:
+    """Return a table of text for a page.
+
+    >>> print(markdown(pd.DataFrame({"method": ["tare"], "CoP (mm)": ["5.1 ± 1.3"]})))
+    | method | CoP (mm) |
+    |---|---|
+    | tare | 5.1 ± 1.3 |
+    """
+    lines = [list(frame.columns), *frame.to_numpy().tolist()]
+    first, *others = ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
+    return "\n".join([first, "|" + "---|" * len(frame.columns), *others])
+
+
+def refreshed(text: str, root: Path) -> tuple[str, list[str]]:
+    """Return a page's text with new tables, and the files that were not there.
+
+    Args:
+        text: The page.
+        root: The folder that its tables' paths start from.
+    """
+    missing: list[str] = []
+
+    def replace(mark: re.Match[str]) -> str:
+        path = root / mark[2]
+        if not path.is_file():
+            missing.append(mark[2])
+            return mark[0]
+        made = json.loads((path.parent / MADE).read_text(encoding="utf-8"))
+        frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+        source = f"`{made['command']}`, {made['software']}, {made['date']}."
+        return f"{mark[1]}\n{markdown(frame)}\n\n{source}\n\n{mark[3]}"
+
+    return _MARK.sub(replace, text), missing
+
+
+def main(pages: list[str]) -> None:
+    """Refresh pages in place, and say which tables are not there."""
+    for page in map(Path, pages):
+        text, missing = refreshed(page.read_text(encoding="utf-8"), Path())
+        write_text(page, text)
+        print(f"{page}: {text.count('<!-- table ') - len(missing)} tables put in.")
+        for path in missing:
+            print(f"  kept as it is: {path} is not there")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,203 @@
+"""README and docs: their code runs, and the commands, links, modules and files that they name exist."""
+
+import contextlib
+import io
+import pkgutil
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from surefoot.calibration import GRAVITY, Reference, calibrate_in_situ, nao_shoe_layout
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.force_torque.calibrate import SAMPLE
+from surefoot.experiments.force_torque.export import write_json
+from surefoot.experiments.force_torque.log import read_in_situ_log
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("README.md"), *ROOT.glob("docs/*.md")])
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n+(?:```text\n(.*?)^```)?", re.MULTILINE | re.DOTALL)
+FOLDERS = "calibration|sensors|envs|wrappers|controllers|experiments|benchmarks|examples|tests|docs"
+RUN_AS_WELL = ("surefoot sweep --scenarios",)
+
+pytestmark = pytest.mark.skipif(not PAGES, reason="the pages are not part of the wheel")
+every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+
+
+def blocks(page: Path, language: str) -> Iterator[tuple[str, str | None]]:
+    """Give each block's code, after as many empty lines as the page has above it, and its output if shown."""
+    text = page.read_text(encoding="utf-8")
+    for block in BLOCK.finditer(text):
+        if block[1] == language:
+            yield "\n" * text[: block.start(2)].count("\n") + block[2], block[3]
+
+
+def standing_robot(_: Any = None) -> dict[str, Any]:
+    """A robot that stands still, for a second."""
+    still = np.zeros(3)
+    beliefs = {
+        "com": np.array([0.02, 0.0, 0.26]),
+        "com_acceleration": still,
+        "angular_momentum_rate": still,
+        "position_sole": np.array([[0.0, 0.05, 0.0], [0.0, -0.05, 0.0]]),
+        "R_level_sole": np.tile(np.eye(3), (2, 1, 1)),
+        "stance": np.ones(2, bool),
+        "swing": np.zeros(2, bool),
+        "accelerometer": np.array([0.0, 0.0, GRAVITY]),
+        "gyroscope": still,
+    }
+    counts = np.full(8, 5.3 * GRAVITY / 8 / 2e-5)
+    return {"scale": np.full(8, 2e-5), "offset": np.zeros(8), "robot": [(counts, beliefs)] * 80}
+
+
+def recorded_leg(_: Any = None) -> dict[str, Any]:
+    """The sets of the log that ships with the package."""
+    sets = read_in_situ_log(SAMPLE).fitted
+    return {"recorded": [(s.raw, s.gravity, s.added_mass, s.added_com, s.time) for s in sets]}
+
+
+def calibrated_leg(_: Any = None) -> dict[str, Any]:
+    """What the command leaves behind, and a reading."""
+    log = read_in_situ_log(SAMPLE)
+    fit = calibrate_in_situ(log.fitted, factory_matrix=log.config.factory_matrix)
+    Path("out/in-situ").mkdir(parents=True)
+    write_json(fit, Path("out/in-situ/in_situ_leg.in_situ.json"))
+    return {"raw": log.fitted[0].raw[0]}
+
+
+def trained_policy(_: Any = None) -> dict[str, Any]:
+    """A policy where the training leaves one."""
+    Path("out/policy").mkdir(parents=True)
+    folder = resources.files("surefoot.experiments.policy")
+    policy = folder.joinpath("files", "balance-true", "policy.npz").read_bytes()
+    Path("out/policy/policy.npz").write_bytes(policy)
+    return {}
+
+
+def gpu_simulator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Two robots as tensors, and what the managers of Isaac Lab and mjlab hand out."""
+    torch = pytest.importorskip("torch")
+
+    class Config:
+        def __init__(self, **options: Any) -> None: ...
+
+        def __init_subclass__(cls, **options: Any) -> None: ...
+
+    bases = {name: type(name, (), {}) for name in ("ManagerTermBase", "ModifierBase", "NoiseModel")}
+    configurations = dict.fromkeys(("ModifierCfg", "NoiseModelCfg", "ConstantNoiseCfg"), Config)
+    for path in MANAGERS:
+        monkeypatch.setitem(sys.modules, path, ModuleType(path))
+        vars(sys.modules[path]).update(bases | configurations)
+    _, beliefs = standing_robot()["robot"][0]
+    beliefs = {name: torch.as_tensor(value).expand(2, *value.shape) for name, value in beliefs.items()}
+    return {
+        "num_envs": 2,
+        "device": "cpu",
+        "step_dt": 0.02,
+        "k": 0,
+        "layout": nao_shoe_layout(),
+        "true_force": torch.full((2, 8), 6.5),
+        "reference": Reference(**beliefs),
+        "env_ids": torch.tensor([1]),
+    }
+
+
+MANAGERS = (
+    "isaaclab",
+    "isaaclab.managers",
+    "isaaclab.utils",
+    "isaaclab.utils.modifiers",
+    "isaaclab.utils.noise",
+    "mjlab",
+    "mjlab.utils",
+    "mjlab.utils.noise",
+    "mjlab.utils.noise.noise_model",
+)
+GIVEN = {
+    "README": standing_robot,
+    "in-situ": recorded_leg,
+    "in-situ-tutorial": calibrated_leg,
+    "policy": trained_policy,
+    "gpu": gpu_simulator,
+}
+"""What the reader of a page brings along: names that its code uses and does not make."""
+
+
+@every_page
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": page.stem}
+    for code, shown in blocks(page, "python"):
+        if len(names) == 1:
+            names |= GIVEN[page.stem](monkeypatch) if page.stem in GIVEN else {}
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            exec(compile(code, str(page), "exec"), names)
+        assert shown is None or printed.getvalue() == shown
+
+
+@every_page
+def test_commands_parse(page: Path) -> None:
+    for code, _ in blocks(page, "sh"):
+        for line in code.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            if words[:1] == ["surefoot"]:
+                command, rest = find_command(words[1:])
+                command.make_context("surefoot", rest)
+                if " ".join(words) in RUN_AS_WELL:
+                    assert CliRunner().invoke(app, words[1:]).exit_code == 0
+    for words in re.findall(r"`surefoot ([a-z][^`]*)`", page.read_text(encoding="utf-8")):
+        command, rest = find_command(words.split())
+        options = {option for parameter in command.params for option in parameter.opts}
+        assert {word for word in rest if word.startswith("--")} <= options, words
+
+
+def find_command(words: list[str]) -> tuple[Any, list[str]]:
+    """Give the (sub-)command that words begin with, and the rest of them; an old name is no command here."""
+    command: Any = typer.main.get_command(app)
+    while words and hasattr(command, "commands"):
+        command = command.commands[words[0]]
+        assert not command.hidden, f"'{words[0]}' is an old name"
+        words = words[1:]
+    return command, words
+
+
+@every_page
+def test_what_is_named_exists(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for name in set(re.findall(r"`(surefoot(?:\.\w+)+)[`(]", text)):
+        pkgutil.resolve_name(name)
+    for path in set(re.findall(rf"\b((?:{FOLDERS})/[\w/.-]*[\w/])", text)):
+        assert (ROOT / path).exists(), path
+    for path, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)]*)\)", text):
+        if path.startswith("http"):
+            continue
+        target = page.parent / path if path else page
+        assert target.exists(), path
+        headings = (
+            re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE) if anchor else []
+        )
+        slugs = [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings]
+        assert not anchor or anchor in slugs, f"{path}#{anchor}"
+
+
+def test_the_readme_fits_on_a_screen_and_its_results_are_those_of_the_results_page() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= 700
+    table = text.partition("## What it is worth")[2].partition("## ")[0]
+    results = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    numbers = [
+        cell.strip("* ") for line in re.findall(r"^\|.*$", table, re.MULTILINE) for cell in line.split("|")
+    ]
+    missing = [
+        cell for cell in numbers if re.fullmatch(r"[\d.]+", cell) and not re.search(rf"\b{cell}\b", results)
+    ]
+    assert missing == []
