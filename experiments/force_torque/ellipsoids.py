@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from surefoot.experiments.force_torque.score import Ellipsoid, force_ellipsoid
@@ -14,7 +14,7 @@ from surefoot.experiments.study.figures import Look, figure_at, legend_below
 __all__ = ["COUNTS", "FORCES", "Cloud", "Panel", "draw_ellipsoids"]
 
 FORCES = ("x (N)", "y (N)", "z (N)")
-COUNTS = ("1st direction (counts)", "2nd (counts)", "3rd (counts)")
+COUNTS = ("1st (1000 counts)", "2nd", "3rd")
 """Labels of the axes. Counts of mixed directions may differ in size by tens: forces alone share a scale."""
 
 _SHOWN = 400
@@ -72,12 +72,15 @@ def draw_ellipsoids(path: Path, panels: Sequence[Panel], labels: tuple[str, str,
                     axes.scatter(*cloud.mark, s=18.0, color="#000000", marker="+")
             axes.set_title(panel.title)
             if labels is FORCES:
-                axes.set_aspect("equal")
-            else:
-                axes.set_box_aspect((1.0, 1.0, 1.0))
-            for axis, label in zip("xyz", labels, strict=True):
-                getattr(axes, f"set_{axis}label")(label, fontsize=7, labelpad=-7)
-                getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(4))
+                axes.set_aspect("equal", adjustable="datalim")
+            # Without a zoom the label of the vertical axis is cut off.
+            axes.set_box_aspect((1.0, 1.0, 1.0), zoom=0.86)
+            unit = 1.0 if labels is FORCES else 1e-3
+            for axis, label in zip((axes.xaxis, axes.yaxis, axes.zaxis), labels, strict=True):
+                axis.set_label_text(label, fontsize=7)
+                axis.labelpad = -7 if labels is FORCES else -4
+                axis.set_major_locator(MaxNLocator(3, prune="both"))
+                axis.set_major_formatter(FuncFormatter(lambda value, _, unit=unit: f"{unit * value:g}"))
             axes.tick_params(labelsize=7, pad=-2)
         if labels is FORCES and figure.axes:
             legend_below(figure, figure.axes, columns=3, markerscale=4.0)

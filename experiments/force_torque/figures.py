@@ -27,7 +27,7 @@ def force_ellipsoids(path: Path, found: Calibrated) -> Path:
     """Draw each set's forces, calibrated and by the factory matrix, and their ellipsoids (paper, Fig. 6)."""
     looks = (
         look_of("moment")._replace(label="calibrated"),
-        look_of("baseline")._replace(label="factory matrix"),
+        look_of("none")._replace(label="factory matrix"),
     )
     panels = []
     for i, data in enumerate(found.sets):

@@ -15,12 +15,12 @@ from surefoot.calibration import Estimate, FootCalibrator, Parameters, replay
 from surefoot.calibration._setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
-from surefoot.experiments.logs.notices import check_weight, log_notices
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.experiments.study.tables import Table
-from surefoot.experiments.walking.page import WalkingPage
-from surefoot.experiments.walking.tables import consistency, parameter_table, shown_tables
+from surefoot.experiments.walking.notices import check_weight, log_notices
+from surefoot.experiments.walking.page import write_walking_page
+from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
 from surefoot.experiments.walks.replay import starting_map
 
 __all__ = ["DEFAULT_METHOD", "CalibratedLog", "calibrate_log"]
@@ -78,54 +78,48 @@ def calibrate_log(
     method = method_name(method)
     file = stem if file is None else file
     start = str(log.about.get("start", "nominal")) if start is None else start
-    began = starting_map(log, start)
+    initial = starting_map(log, start)
     if zero_phase and (np.diff(log.time) > MAX_GAP).any():
         raise LogError(
             f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
         )
-    check_weight(log, start, began, file)
+    check_weight(log, start, initial, file)
     notices = log_notices(log, file)
-    estimate = _replay(log, method, began, zero_phase)
-    page = WalkingPage(log, file, method, start, began, estimate, settle, notices)
-    tables = (parameter_table(log, estimate, began, start), *shown_tables(page.facts()))
-    walk = folder / f"{stem}.{method}.parquet"
-    with atomic_path(walk) as part:
-        pq.write_table(pa.table(_walk_columns(log, estimate, began)), part)
-    parameters = folder / f"{stem}.{method}.json"
-    write_text(parameters, json.dumps(_last(log, estimate, began, method, start, notices), indent=1))
-    shown = page.write(folder / f"{stem}.{method}.html")
-    return CalibratedLog(walk, parameters, shown, tables, notices)
-
-
-def _replay(log: Log, method: str, began: Parameters, zero_phase: bool) -> Estimate:
-    options: dict[str, Any] = {}
-    if "foot_length_m" in log.about:
-        options["foot_length"] = float(log.about["foot_length_m"])
-    return replay(
+    about = log.about
+    estimate = replay(
         log.layout,
         method,
         log.raw,
         log.reference,
         np.diff(log.time, prepend=log.time[0] - log.dt),
         mass=log.mass,
-        initial=began,
+        initial=initial,
         lag=log.lag,
         zero_phase=zero_phase,
-        **options,
+        **({"foot_length": float(about["foot_length_m"])} if "foot_length_m" in about else {}),
     )
+    facts = Facts(log, start, initial, estimate, settle, method, file, notices)
+    tables = (parameter_table(facts), *shown_tables(facts))
+    walk, parameters, page = (folder / f"{stem}.{method}.{end}" for end in ("parquet", "json", "html"))
+    with atomic_path(walk) as part:
+        pq.write_table(pa.table(_walk_columns(facts)), part)
+    write_text(parameters, json.dumps(_last(facts), indent=1))
+    write_walking_page(page, facts)
+    return CalibratedLog(walk, parameters, page, tables, notices)
 
 
 def _units(log: Log) -> list[str]:
-    """Name the unit of each calibrated channel as columns end in it."""
+    """Return the unit of each calibrated channel as columns end in it."""
     return [
         "Nm" if name.rpartition("/")[2] in ("tx", "ty", "tz") else "N" for name in log.layout.channel_names
     ]
 
 
-def _walk_columns(log: Log, estimate: Estimate, began: Parameters) -> dict[str, NDArray[Any]]:
+def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
+    log, estimate = facts.log, facts.estimate
     columns: dict[str, NDArray[Any]] = {"time_s": log.time}
     slugs, units = channel_slugs(log.layout), _units(log)
-    spread = standard_deviations(estimate, began)
+    spread = standard_deviations(estimate, facts.initial)
     for i, (name, unit) in enumerate(zip(slugs, units, strict=True)):
         columns[f"force_{name}_{unit}"] = estimate.force[:, i]
         if estimate.force_std is not None:
@@ -152,51 +146,47 @@ def _walk_columns(log: Log, estimate: Estimate, began: Parameters) -> dict[str, 
     return {name: np.ascontiguousarray(values) for name, values in columns.items()}
 
 
-def standard_deviations(estimate: Estimate, began: Parameters) -> Parameters | None:
-    """Say how sure a method is of its map.
+def standard_deviations(estimate: Estimate, initial: Parameters) -> Parameters | None:
+    """Return how sure a method is of its map.
 
-    The map in counts is c = a c0, d = a d0 + b, of which the method knows the covariance of (a, b).
+    The map in counts is c = a c0, d = a d0 + b, of which the method reports the covariance of (a, b).
 
     Args:
         estimate: N samples.
-        began: The map (c0, d0) that it started from.
+        initial: The map (c0, d0) that it started from.
 
     Returns:
         Standard deviations of scale and offset, shape (N, K) each; ``None`` if the method claims none.
     """
     if estimate.covariance is None:
         return None
-    aa, ab, bb = _blocks(np.asarray(estimate.covariance))
-    scale, offset = np.asarray(began.scale), np.asarray(began.offset)
+    covariance = np.asarray(estimate.covariance)
+    K = covariance.shape[-1] // 2
+    a = np.arange(K)
+    b = a + K
+    scale, offset = np.asarray(initial.scale), np.asarray(initial.offset)
+    aa, ab, bb = covariance[..., a, a], covariance[..., a, b], covariance[..., b, b]
     variance = offset**2 * aa + 2.0 * offset * ab + bb
     return Parameters(np.abs(scale) * np.sqrt(aa), np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _blocks(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Take the variances of a, of a with b and of b of each channel out of their covariance."""
-    K = covariance.shape[-1] // 2
-    rows = np.arange(K)
-    return tuple(covariance[..., i, j] for i, j in ((rows, rows), (rows, rows + K), (rows + K, rows + K)))
-
-
-def _last(
-    log: Log, estimate: Estimate, began: Parameters, method: str, start: str, notices: tuple[str, ...]
-) -> dict[str, Any]:
-    """Gather what is known at the end of the log."""
-    spread = standard_deviations(estimate, began)
-    told: dict[str, Any] = {
-        "method": method,
-        "start": start,
+def _last(facts: Facts) -> dict[str, Any]:
+    """Return what is known at the end of the log."""
+    log, estimate = facts.log, facts.estimate
+    spread = standard_deviations(estimate, facts.initial)
+    last: dict[str, Any] = {
+        "method": facts.method,
+        "start": facts.start,
         "time_s": float(log.time[-1]),
         "channels": list(log.layout.channel_names),
         "scale_N_per_count": estimate.scale[-1].tolist(),
         "offset_N": estimate.offset[-1].tolist(),
         "scale_std_N_per_count": None if spread is None else spread.scale[-1].tolist(),
         "offset_std_N": None if spread is None else spread.offset[-1].tolist(),
-        "nis_per_row": consistency(estimate),
+        "nis_per_row": nis_per_row(estimate),
         "covariance_relative": None if estimate.covariance is None else estimate.covariance[-1].tolist(),
-        "notices": list(notices),
+        "notices": list(facts.notices),
     }
     if estimate.matrix is not None:
-        told["matrix_relative"] = estimate.matrix[-1].tolist()
-    return told
+        last["matrix_relative"] = estimate.matrix[-1].tolist()
+    return last

@@ -1,14 +1,15 @@
 """Figures of one calibrated log: forces, centre of pressure, parameters with their bands, and flags."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from surefoot.calibration import Flag, sole_wrenches
-from surefoot.experiments.logs.agreement import Ground, asked_of, carried_by
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
+from surefoot.experiments.walking.agreement import Ground, asked_of, carried_by
 from surefoot.experiments.walking.tables import Facts
 
 __all__ = [
@@ -20,61 +21,47 @@ __all__ = [
 ]
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999933")
+_ASKED = look_of("reference")._replace(label="what the motion asks for", line="-")
+
+_LONG = 2000
+"""Points from which a line is an image within the SVG, which would grow with it."""
+
+_CLOSE_UP = 0.6, 20.0
+"""Room around what the motion asks for, in shares of its range, and the least range in mm."""
 
 
-def force_of_feet(path: Path, facts: Facts, method: str) -> Path:
-    """Draw the vertical force of both feet and of each, by the starting map and calibrated.
-
-    Args:
-        path: Where to save the figure.
-        facts: The calibrated log.
-        method: The method's name.
-    """
+def force_of_feet(path: Path, facts: Facts) -> Path:
+    """Draw the vertical force of both feet and of each, by the starting map and calibrated."""
     log, asked = facts.log, asked_of(facts.log)
-    before = sole_wrenches(facts.before, log.layout)[..., 2]
-    after = sole_wrenches(facts.estimate.force, log.layout)[..., 2]
-    with figure_at(path, 10.0, 2.0 + 1.7 * (1 + len(log.layout.feet))) as figure:
-        panels = grid_of(figure, 1 + len(log.layout.feet), 1, sharex=True)[:, 0]
-        for axes, name, raw, found in (
-            (panels[0], "all feet", before.sum(axis=-1), after.sum(axis=-1)),
-            *(
-                (panels[1 + i], f"{foot.name} foot", before[:, i], after[:, i])
-                for i, foot in enumerate(log.layout.feet)
-            ),
-        ):
-            _line(axes, log.time, raw, _before(facts))
-            _line(axes, log.time, found, look_of(method))
+    sides = [(facts.before, _before(facts)), (facts.estimate.force, look_of(facts.method))]
+    if log.truth is not None:
+        sides.append((log.truth.force, look_of("truth")))
+    feet = [foot.name for foot in log.layout.feet]
+    with figure_at(path, 10.0, 2.0 + 1.7 * (1 + len(feet))) as figure:
+        panels = grid_of(figure, 1 + len(feet), 1, sharex=True)[:, 0]
+        _line(panels[0], asked.time, asked.vgrf, _ASKED)
+        for force, look in sides:
+            vertical = sole_wrenches(force, log.layout)[..., 2]
+            for axes, part in zip(panels, (vertical.sum(axis=-1), *vertical.T), strict=True):
+                _line(axes, log.time, part, look)
+        for axes, name in zip(panels, ("all feet", *(f"{name} foot" for name in feet)), strict=True):
             axes.set_ylabel(f"{name}, Fz (N)")
-        _line(panels[0], asked.time, asked.vgrf, _asked())
-        if log.truth is not None:
-            true = sole_wrenches(log.truth.force, log.layout)[..., 2]
-            _line(panels[0], log.time, true.sum(axis=-1), look_of("truth"))
-            for axes, part in zip(panels[1:], true.T, strict=True):
-                _line(axes, log.time, part, look_of("truth"))
         panels[-1].set_xlabel("time (s)")
         legend_below(figure, panels[0])
     return path
 
 
-def cells_over_time(path: Path, facts: Facts, method: str) -> Path:
-    """Draw every channel by the starting map and calibrated.
-
-    Args:
-        path: Where to save the figure.
-        facts: The calibrated log.
-        method: The method's name.
-    """
-    log = facts.log
-    before = facts.before
+def cells_over_time(path: Path, facts: Facts) -> Path:
+    """Draw every channel by the starting map and calibrated."""
+    log, before = facts.log, facts.before
     rows = max(foot.channels for foot in log.layout.feet)
     with figure_at(path, 10.0, 1.0 + 1.4 * rows) as figure:
         panels = grid_of(figure, rows, len(log.layout.feet), sharex=True)
         for column, foot, where in zip(panels.T, log.layout.feet, log.layout.slices, strict=True):
-            for axes, name, i in zip(
-                column, foot.channel_names, range(where.start, where.stop), strict=False
-            ):
+            channels = range(where.start, where.stop)
+            for axes, name, i in zip(column, foot.channel_names, channels, strict=False):
                 _line(axes, log.time, before[:, i], _before(facts))
-                _line(axes, log.time, facts.estimate.force[:, i], look_of(method))
+                _line(axes, log.time, facts.estimate.force[:, i], look_of(facts.method))
                 if log.truth is not None:
                     _line(axes, log.time, log.truth.force[:, i], look_of("truth"))
                 axes.set_title(f"{foot.name}, {name}")
@@ -86,25 +73,17 @@ def cells_over_time(path: Path, facts: Facts, method: str) -> Path:
     return path
 
 
-def cop_against_motion(path: Path, facts: Facts, method: str) -> Path:
-    """Draw the centre of pressure against the one that the motion asks for.
-
-    Args:
-        path: Where to save the figure.
-        facts: The calibrated log.
-        method: The method's name.
-    """
+def cop_against_motion(path: Path, facts: Facts) -> Path:
+    """Draw the centre of pressure beside the one that the motion asks for, and their distance."""
     log, asked = facts.log, asked_of(facts.log)
-    sides = (
-        (carried_by(log, facts.before), _before(facts)),
-        (carried_by(log, facts.estimate.force), look_of(method)),
-    )
+    before, after = carried_by(log, facts.before), carried_by(log, facts.estimate.force)
+    sides = ((before, _before(facts)), (after, look_of(facts.method)))
     with figure_at(path, 10.0, 6.6) as figure:
         panels = grid_of(figure, 3, 1, sharex=True)[:, 0]
-        for axes, axis, name in ((panels[0], 0, "forward"), (panels[1], 1, "left")):
-            for ground, look in (*sides, (asked, _asked())):
+        for axis, (axes, name) in enumerate(zip(panels, ("x, forward", "y, left"), strict=False)):
+            for ground, look in (*sides, (asked, _ASKED)):
                 _line(axes, ground.time, 1e3 * ground.cop[:, axis], look)
-            axes.set_ylabel(f"CoP {'xy'[axis]}, {name} (mm)")
+            axes.set_ylabel(f"CoP {name} (mm)")
             _limit(axes, asked, axis)
         for ground, look in sides:
             _line(panels[2], ground.time, 1e3 * np.linalg.norm(ground.cop - asked.cop, axis=1), look)
@@ -116,62 +95,37 @@ def cop_against_motion(path: Path, facts: Facts, method: str) -> Path:
 
 
 def parameters_over_time(path: Path, facts: Facts) -> Path:
-    """Draw gains and zeros against the starting map, with bands of one standard deviation where claimed.
-
-    Args:
-        path: Where to save the figure.
-        facts: The calibrated log.
-    """
-    log, estimate = facts.log, facts.estimate
-    ratio = estimate.scale / facts.began.scale
-    shift = estimate.offset - ratio * facts.began.offset
-    std = None
-    if estimate.covariance is not None:
-        std = np.sqrt(np.maximum(np.diagonal(np.asarray(estimate.covariance), axis1=1, axis2=2), 0.0))
-    K = log.layout.channels
+    """Draw scales and offsets against the starting map, with bands of one standard deviation if known."""
+    log, change = facts.log, facts.change()
     with figure_at(path, 10.0, 6.2) as figure:
         panels = grid_of(figure, 2, len(log.layout.feet), sharex=True, sharey="row")
         for column, foot, where in zip(panels.T, log.layout.feet, log.layout.slices, strict=True):
-            for i, name in zip(range(where.start, where.stop), foot.channel_names, strict=True):
-                look = Look(name, _COLOURS[(i - where.start) % len(_COLOURS)], "-", "o")
-                for axes, values, index in ((column[0], 100 * (ratio - 1), i), (column[1], shift, K + i)):
-                    _line(axes, log.time, values[:, i], look)
+            for i, name in enumerate(foot.channel_names):
+                look = Look(name, _COLOURS[i % len(_COLOURS)], "-", "o")
+                for axes, values, std in zip(column, (change.scale, change.offset), change.std, strict=True):
+                    line = values[:, where][:, i]
+                    _line(axes, log.time, line, look)
                     if std is not None:
-                        half = std[:, index] * (100 if index == i else 1)
-                        axes.fill_between(
-                            log.time,
-                            values[:, i] - half,
-                            values[:, i] + half,
-                            color=look.colour,
-                            alpha=0.18,
-                            linewidth=0,
-                        )
+                        half = std[:, where][:, i]
+                        band = {"color": look.colour, "alpha": 0.18, "linewidth": 0}
+                        long = len(line) > _LONG
+                        axes.fill_between(log.time, line - half, line + half, rasterized=long, **band)
             column[0].set_title(f"{foot.name} foot")
             column[1].set_xlabel("time (s)")
-        panels[0, 0].set_ylabel("gain, against the start (%)")
-        panels[1, 0].set_ylabel("zero, against the start (N)")
+        panels[0, 0].set_ylabel("scale, against the start (%)")
+        panels[1, 0].set_ylabel("offset, against the start (N)")
         legend_below(figure, panels[0, 0])
     return path
 
 
 def flags_over_time(path: Path, facts: Facts) -> Path | None:
-    """Draw when which flag was raised on which channel.
-
-    Args:
-        path: Where to save the figure.
-        facts: The calibrated log.
-
-    Returns:
-        The path, or ``None`` if there is nothing to draw.
-    """
+    """Draw when which flag was raised on which channel; return ``None`` if none was."""
     log, flags = facts.log, np.asarray(facts.estimate.flags)
     lines: list[tuple[str, NDArray[np.bool_]]] = []
     for flag in Flag:
         raised = (flags & flag.value) != 0
-        if not raised.any():
-            continue
         label = str(flag.name).lower().replace("_", " ")
-        if (raised == raised[:, :1]).all():
+        if raised.any() and (raised == raised[:, :1]).all():
             lines.append((label, raised[:, 0]))
         else:
             names = log.layout.channel_names
@@ -182,13 +136,9 @@ def flags_over_time(path: Path, facts: Facts) -> Path | None:
         axes = grid_of(figure, 1, 1)[0, 0]
         for row, (_, raised) in enumerate(lines):
             edges = np.flatnonzero(np.diff(np.concatenate([[0], raised.astype(int), [0]])))
-            first, last = edges[::2], edges[1::2] - 1
-            starts = log.time[first]
-            axes.broken_barh(
-                list(zip(starts, log.time[last] - starts + log.dt, strict=True)),
-                (row - 0.35, 0.7),
-                color=_COLOURS[row % len(_COLOURS)],
-            )
+            starts, ends = log.time[edges[::2]], log.time[edges[1::2] - 1]
+            spans = list(zip(starts, ends - starts + log.dt, strict=True))
+            axes.broken_barh(spans, (row - 0.35, 0.7), color=_COLOURS[row % len(_COLOURS)])
         axes.set_yticks(range(len(lines)), [label for label, _ in lines])
         axes.set_xlim(log.time[0], log.time[-1])
         axes.invert_yaxis()
@@ -200,12 +150,9 @@ def _before(facts: Facts) -> Look:
     return look_of("none")._replace(label=f"by the {facts.start} map")
 
 
-def _asked() -> Look:
-    return look_of("reference")._replace(label="what the motion asks for", line="-")
-
-
 def _line(axes: Axes, time: NDArray[np.float64], values: NDArray[np.float64], look: Look) -> None:
-    axes.plot(time, values, color=look.colour, linestyle=look.line, linewidth=1.0, label=look.label)
+    style: Any = {"color": look.colour, "linestyle": look.line, "label": look.label}
+    axes.plot(time, values, linewidth=1.0, rasterized=len(time) > _LONG, **style)
 
 
 def _limit(axes: Axes, asked: Ground, axis: int) -> None:
@@ -214,6 +161,7 @@ def _limit(axes: Axes, asked: Ground, axis: int) -> None:
     if not np.isfinite(values).any():
         return
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    margin = 0.6 * max(high - low, 20.0)
+    share, least = _CLOSE_UP
+    margin = share * max(high - low, least)
     bottom, top = axes.get_ylim()
     axes.set_ylim(max(bottom, low - margin), min(top, high + margin))

@@ -1,14 +1,15 @@
-"""What to say in tables of a calibrated walk: the map, the agreement with the motion, flags, and errors."""
+"""Tables of a calibrated walk: the log, the map, the agreement with the motion, flags, and errors."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameters
-from surefoot.experiments.logs.agreement import Agreement, agreement, asked_of, carried_by
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.walks.score import score_forces
 
 __all__ = [
@@ -16,18 +17,22 @@ __all__ = [
     "Facts",
     "agreement_table",
     "flag_table",
+    "log_table",
+    "nis_per_row",
     "parameter_table",
     "score_table",
     "shown_tables",
 ]
 
+Floats = NDArray[np.float64]
+
 FLAG_WORDS = {
     "MISSING": "no reading arrived; the last one is held",
     "OUT_OF_RANGE": "a reading that no foot can give; the last one is held",
     "REFERENCE": "the motion is not known or not physical; nothing is learnt",
-    "GAP": "the clock jumped; filters begin anew",
+    "GAP": "the clock jumped; filters start again",
     "NO_CONTACT": "too little weight on the feet to learn from",
-    "SINGULAR": "the data do not tell the parameters apart; they stay",
+    "SINGULAR": "the data do not separate the parameters; they stay",
     "STANDING": "still collecting the standing start",
     "REJECTED": "the data ask for what no sensor does; refused",
     "SPIKE": "a single reading far off",
@@ -38,73 +43,123 @@ FLAG_WORDS = {
     "LOST": "the channel is out; its force comes from the others",
     "SATURATED": "the channel is at the end of its range",
 }
-"""What each bit of a flag means to who reads a page."""
+"""What each bit of a flag means to a reader of the page."""
 
 
-class Facts(NamedTuple):
-    """What tables and page are made of.
+class MapChange(NamedTuple):
+    """How a map differs from the one at the start, F = a F_start + b.
+
+    Attributes:
+        scale: a - 1 in percent, shape (N, K).
+        offset: b in N, shape (N, K).
+        std: Standard deviations of both in these units; ``None`` if the method claims none.
+    """
+
+    scale: Floats
+    offset: Floats
+    std: tuple[Floats | None, Floats | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What tables, figures and page are made of.
 
     Attributes:
         log: The log.
         start: Name of the map to start from.
-        began: That map.
+        initial: That map.
         estimate: What the method made of the log.
-        settle: Samples before this time in s do not count.
+        settle: Samples before this time in s do not count in errors.
+        method: The method.
+        file: Name of the log.
+        notices: What the log cannot tell.
     """
 
     log: Log
     start: str
-    began: Parameters
+    initial: Parameters
     estimate: Estimate
-    settle: float
+    settle: float = 0.0
+    method: str = ""
+    file: str = ""
+    notices: tuple[str, ...] = ()
 
     @property
-    def before(self) -> NDArray[np.float64]:
+    def before(self) -> Floats:
         """Forces by the starting map in N, shape (N, K).
 
         Where no reading arrived, or one that no foot can give, the last one is held, as calibrators do.
         """
-        force: NDArray[np.float64] = self.began.force(self.log.raw)
+        force: Floats = self.initial.force(self.log.raw)
         seen = np.abs(force) <= OnlineSetup.plausible_weights * self.log.mass * GRAVITY
         last = np.maximum.accumulate(np.where(seen, np.arange(len(force))[:, None], -1), axis=0)
         held = np.take_along_axis(force, np.maximum(last, 0), axis=0)
         return np.where(last >= 0, held, 0.0)
 
+    def sides(self) -> tuple[tuple[str, Floats], ...]:
+        """Return forces after and before, with what tables call them."""
+        return ("calibrated", self.estimate.force), (f"by the {self.start} map", self.before)
+
+    def change(self) -> MapChange:
+        """Return how the map changes along the log."""
+        estimate, initial = self.estimate, self.initial
+        ratio = estimate.scale / initial.scale
+        shift = estimate.offset - ratio * initial.offset
+        if estimate.covariance is None:
+            return MapChange(100 * (ratio - 1), shift, (None, None))
+        K = ratio.shape[1]
+        std = np.sqrt(np.maximum(np.diagonal(np.asarray(estimate.covariance), axis1=1, axis2=2), 0.0))
+        return MapChange(100 * (ratio - 1), shift, (100 * std[:, :K], std[:, K:]))
+
 
 def shown_tables(facts: Facts) -> tuple[Table, ...]:
-    """List the tables besides the map that a terminal shows."""
-    tables = [agreement_table(facts)]
-    if facts.log.truth is not None:
-        tables.append(score_table(facts))
-    tables.append(flag_table(facts.log, facts.estimate.flags))
-    return tuple(tables)
+    """Return the tables besides the map that a terminal shows."""
+    score = () if facts.log.truth is None else (score_table(facts),)
+    return (agreement_table(facts), *score, flag_table(facts))
 
 
-def parameter_table(log: Log, estimate: Estimate, began: Parameters, start: str) -> Table:
-    """Show the map at the end of a log."""
-    ratio = estimate.scale[-1] / began.scale
-    shift = estimate.offset[-1] - ratio * began.offset
-    sure = estimate.covariance
-    std = None if sure is None else np.sqrt(np.diagonal(np.asarray(sure)[-1]))
-    K = log.layout.channels
-    unit, factor = ("1e-6 N/count", 1e6) if np.abs(began.scale).max() < 1e-2 else ("N/count", 1.0)
+def log_table(facts: Facts) -> Table:
+    """Return what was calibrated."""
+    log = facts.log
+
+    def shares(phase: NDArray[np.bool_]) -> str:
+        named = zip(log.layout.feet, np.asarray(phase).mean(axis=0), strict=True)
+        return ", ".join(f"{foot.name} {100 * share:.0f} %" for foot, share in named)
+
+    about = log.about
+    model = (("model", f"{about['model']}, {about['model_mass_kg']:.4g} kg"),) if "model" in about else ()
+    rows = (
+        ("samples", str(len(log))),
+        ("duration", f"{log.time[-1] - log.time[0]:.2f} s at {1 / log.dt:.4g} Hz"),
+        ("mass", f"{log.mass:.4g} kg"),
+        ("channels", str(log.layout.channels)),
+        ("motion is late by", f"{log.lag} samples"),
+        *model,
+        ("contacts", str(about.get("contacts", "as the log says"))),
+        ("surely in the air", shares(log.reference.swing)),
+        ("surely on the ground", shares(log.reference.stance)),
+        ("started from", f"the {facts.start} map"),
+        ("errors count from", f"{facts.settle:g} s on"),
+    )
+    return Table("log", "What was calibrated", ("what", "given"), rows)
+
+
+def parameter_table(facts: Facts) -> Table:
+    """Return the map at the end of a log."""
+    log, estimate, change = facts.log, facts.estimate, facts.change()
+    unit, factor = ("1e-6 N/count", 1e6) if np.abs(facts.initial.scale).max() < 1e-2 else ("N/count", 1.0)
+    scale_std, offset_std = change.std
     rows = []
     for i, name in enumerate(log.layout.channel_names):
-        gain, zero = f"{100 * (ratio[i] - 1):+.2f} %", f"{shift[i]:+.3f}"
-        if std is not None:
-            gain, zero = f"{gain} ± {100 * std[i]:.2f}", f"{zero} ± {std[K + i]:.3f}"
-        rows.append(
-            (
-                name.replace("/", ", "),
-                f"{factor * estimate.scale[-1, i]:.5f}",
-                f"{estimate.offset[-1, i]:.4f}",
-                gain,
-                zero,
-            )
-        )
-    columns = ("cell", f"scale ({unit})", "offset (N)", "scale changed by", "zero changed by (N)")
-    note = f"Changes against {start}" + ("." if std is None else ", ± one standard deviation.")
-    nis = consistency(estimate)
+        scale, offset = f"{change.scale[-1, i]:+.2f} %", f"{change.offset[-1, i]:+.3f}"
+        if scale_std is not None and offset_std is not None:
+            scale += f" ± {scale_std[-1, i]:.2f}"
+            offset += f" ± {offset_std[-1, i]:.3f}"
+        now = f"{factor * estimate.scale[-1, i]:.5f}", f"{estimate.offset[-1, i]:.4f}"
+        rows.append((name.replace("/", ", "), *now, scale, offset))
+    columns = ("cell", f"scale ({unit})", "offset (N)", "scale changed by", "offset changed by (N)")
+    note = f"Changes against {facts.start}" + ("." if scale_std is None else ", ± one standard deviation.")
+    nis = nis_per_row(estimate)
     if nis is not None:
         note += (
             f" Normalised innovations are {nis:.2f} per row; 1 is what the method expects of its own noise."
@@ -112,15 +167,10 @@ def parameter_table(log: Log, estimate: Estimate, began: Parameters, start: str)
     return Table("parameters", "The map at the end of the log", columns, tuple(rows), note)
 
 
-def consistency(estimate: Estimate) -> float | None:
-    """Say how the innovations compare with what a method expected of them.
+def nis_per_row(estimate: Estimate) -> float | None:
+    """Return the sum of the normalised innovations squared over that of their degrees of freedom.
 
-    Args:
-        estimate: N samples.
-
-    Returns:
-        Sum of the normalised innovations squared over the sum of their degrees of freedom: 1 where the noise
-        is as the method supposes. ``None`` if the method claims none, or never had one.
+    It is 1 where the noise is as the method assumes; ``None`` if the method claims none, or never had one.
     """
     if estimate.nis is None:
         return None
@@ -130,11 +180,11 @@ def consistency(estimate: Estimate) -> float | None:
 
 
 def agreement_table(facts: Facts) -> Table:
-    """Show how far the feet are from what the motion asks for, before and after."""
+    """Return how far the feet are from what the motion asks for, after and before."""
     log, asked = facts.log, asked_of(facts.log)
     rows = []
-    for name, force in _both(facts):
-        found: Agreement = agreement(carried_by(log, force), asked, facts.settle)
+    for name, force in facts.sides():
+        found = agreement(carried_by(log, force), asked, facts.settle)
         rows.append((name, number(found.vgrf), number(1e3 * found.cop), str(found.rows)))
     return Table(
         "agreement",
@@ -146,7 +196,7 @@ def agreement_table(facts: Facts) -> Table:
 
 
 def score_table(facts: Facts) -> Table:
-    """Show errors against the truth of a simulated log.
+    """Return errors against the truth of a simulated log.
 
     Raises:
         ValueError: If there is nothing to score.
@@ -154,7 +204,7 @@ def score_table(facts: Facts) -> Table:
     log, truth = facts.log, facts.log.truth
     assert truth is not None
     rows = []
-    for name, force in _both(facts):
+    for name, force in facts.sides():
         score = score_forces(
             force,
             truth.force,
@@ -169,31 +219,21 @@ def score_table(facts: Facts) -> Table:
     return Table("score", f"Errors from {facts.settle:g} s on", columns, tuple(rows))
 
 
-def flag_table(log: Log, flags: NDArray[np.int64]) -> Table:
-    """Show which flags were raised, how long and on which channels."""
+def flag_table(facts: Facts) -> Table:
+    """Return which flags were raised, how long and on which channels."""
+    log, flags = facts.log, np.asarray(facts.estimate.flags)
     rows = []
     for flag in Flag:
         raised = (flags & flag.value) != 0
         if not raised.any():
             continue
         when = np.flatnonzero(raised.any(axis=1))
-        share = raised.mean(axis=0)
-        names = [
-            name.replace("/", ", ")
-            for name, part in zip(log.layout.channel_names, share, strict=True)
-            if part
-        ]
-        where = "all channels" if len(names) == len(share) else "; ".join(names)
+        channels = np.flatnonzero(raised.any(axis=0))
+        names = [log.layout.channel_names[i].replace("/", ", ") for i in channels]
+        where = "all channels" if len(names) == raised.shape[1] else "; ".join(names)
         span = f"{log.time[when[0]]:.2f} to {log.time[when[-1]]:.2f}"
         words = FLAG_WORDS.get(str(flag.name), str(flag.name).lower().replace("_", " "))
         rows.append((words, f"{100 * len(when) / len(flags):.2f} %", span, where))
     if not rows:
         rows.append(("nothing was flagged", "0 %", "–", "–"))
     return Table("flags", "Flags", ("flag", "of the samples", "between (s)", "on"), tuple(rows))
-
-
-def _both(facts: Facts) -> tuple[tuple[str, NDArray[np.float64]], ...]:
-    return (
-        ("calibrated", facts.estimate.force),
-        (f"by the {facts.start} map", facts.before),
-    )

@@ -13,16 +13,16 @@ from typer.testing import CliRunner
 from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, FootLayout, Parameters, replay
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.logs.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
-from surefoot.experiments.logs.notices import check_weight, log_notices
 from surefoot.experiments.walking import calibrate as module
+from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.walking.calibrate import (
     DEFAULT_METHOD,
     CalibratedLog,
     calibrate_log,
     standard_deviations,
 )
+from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.tables import Facts, shown_tables
 
 RUNNER = CliRunner()
@@ -64,7 +64,7 @@ def test_what_is_written(log: Log, tmp_path: Path) -> None:
     )
     assert told["notices"] == list(result.notices)
     page = result.page.read_text()
-    assert page.count("data:image/png;base64,") >= 4
+    assert page.count("data:image/svg+xml;base64,") >= 4
     assert "http" not in page.replace("http-equiv", "")
     for part in ("Agreement with the robot", "Errors against the truth", "Parameters", "Flags", "The log"):
         assert part in page
@@ -214,31 +214,31 @@ def test_a_log_without_a_reading_is_refused(log: Log, tmp_path: Path) -> None:
 
 FEET_DOWN = tuple(
     f"walk.csv: the {foot} foot is never surely in the air ('reference_{foot}_swing' is 0 in all 60 rows), "
-    "so that its zeros cannot be told from its gains; let it swing, or lift it for a second."
+    "so that its offsets cannot be separated from its scales; let it swing, or lift it for a second."
     for foot in ("left", "right")
 )
 
 
-def test_a_robot_that_never_moves_is_calibrated_and_told_of(log: Log, tmp_path: Path) -> None:
+def test_a_robot_that_never_moves_is_calibrated_with_a_notice(log: Log, tmp_path: Path) -> None:
     result = calibrate(balanced(log), tmp_path)
     assert result.notices == (
         *FEET_DOWN,
         "walk.csv: the robot never moves: the centre of pressure that its motion asks for stays within 0.0 "
-        "mm, so that only the weight and its place can be told and single channels cannot; walk, or shift "
+        "mm, so that only the weight and its place can be learnt and single channels cannot; walk, or shift "
         "the weight over each corner.",
     )
     page = result.page.read_text()
     assert "the robot never moves" in page
 
 
-def test_one_foot_that_swings_is_not_told_of(log: Log) -> None:
+def test_one_foot_that_swings_needs_no_notice(log: Log) -> None:
     swing = np.zeros((len(log), 2), dtype=bool)
     swing[10:20, 1] = True
     log = dataclasses.replace(log, reference=log.reference._replace(swing=swing))
     assert log_notices(log, "walk.csv") == FEET_DOWN[:1]
 
 
-def test_a_channel_that_is_out_is_told_of(log: Log, tmp_path: Path) -> None:
+def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path) -> None:
     raw = log.raw.copy()
     raw[:, 1] = np.nan
     raw[:, 6] = 8_000_000.0
@@ -271,9 +271,9 @@ def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert (
         "Note: walk.csv: column 'time_s' leaps 1 times by more than 0.1 s, the longest by 22.6 s; after each "
-        "the filters begin anew, and what was learnt is kept.\n" in result.stdout
+        "the filters start again, and what was learnt is kept.\n" in result.stdout
     )
-    assert "the clock jumped; filters begin anew" in result.stdout
+    assert "the clock jumped; filters start again" in result.stdout
     both = ["--split-gaps", "--zero-phase"]
     refused = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none", *both])
     assert refused.stderr == (
@@ -282,7 +282,7 @@ def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path) -> None:
     )
 
 
-def test_a_mass_that_is_not_the_models_is_told_of(log: Log) -> None:
+def test_a_mass_that_is_not_the_models_is_a_notice(log: Log) -> None:
     about = {"model": "nao.xml", "model_mass_kg": 5.8}
     notices = log_notices(dataclasses.replace(log, about=about), "walk.csv")
     assert notices[0] == (

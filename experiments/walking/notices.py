@@ -1,21 +1,21 @@
 """What a log cannot tell, in plain words, and units that cannot be right.
 
-What would mislead any calibrator is refused. What merely leaves something untold is a notice: the calibration
-goes on, and says so.
+What would mislead any calibrator is refused. What merely leaves something open is a notice: the calibration
+goes on, and shows it.
 """
 
 import numpy as np
 
 from surefoot.calibration import GRAVITY, Parameters, sole_wrenches
-from surefoot.experiments.logs.agreement import asked_of
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
+from surefoot.experiments.walking.agreement import asked_of
 
 __all__ = ["check_weight", "log_notices"]
 
 MOST = 3.0
-"""By how much the feet's total may differ from the weight, as a factor, before units must be wrong: gains of
+"""By how much the feet's total may differ from the weight, as a factor, before units must be wrong: scales of
 cells that nobody calibrated are off by tens of percent."""
 
 STILL = 0.003
@@ -33,24 +33,21 @@ _UNITS = {
 }
 
 
-def check_weight(log: Log, start: str, began: Parameters, file: str) -> None:
-    """Refuse a log whose feet carry by far more or less than the robot weighs.
+def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
+    """Raise LogError if the feet carry by far more or less than the robot weighs, or pull.
 
     Args:
         log: The log.
         start: What the map to start from is called.
-        began: That map.
+        initial: That map.
         file: The log's name in messages.
-
-    Raises:
-        LogError: If the feet's total and the weight differ by more than a factor of three, or in sign.
     """
     if not np.isfinite(log.raw).any():
         raise LogError(
             f"{file}: columns 'raw_..._count' hold no reading in any of the {len(log)} rows; "
             "write the converters' counts into them."
         )
-    force = np.where(np.isfinite(log.raw), began.force(log.raw), 0.0)
+    force = np.where(np.isfinite(log.raw), initial.force(log.raw), 0.0)
     total = sole_wrenches(force, log.layout)[..., 2].sum(axis=-1)
     low, high = np.percentile(total, (10, 90))
     weight = log.mass * GRAVITY
@@ -73,7 +70,7 @@ def check_weight(log: Log, start: str, began: Parameters, file: str) -> None:
 
 
 def log_notices(log: Log, file: str) -> tuple[str, ...]:
-    """Say what a log cannot tell.
+    """Return what a log cannot tell.
 
     Args:
         log: The log.
@@ -86,66 +83,66 @@ def log_notices(log: Log, file: str) -> tuple[str, ...]:
 
 
 def _channels(log: Log) -> list[str]:
-    said = []
+    found = []
     for name, readings in zip(raw_names_of(log.layout), log.raw.T, strict=True):
         there = readings[np.isfinite(readings)]
         if len(there) == 0:
-            said.append(
+            found.append(
                 f"column '{name}' holds no reading in any of {len(log)} rows, and a channel must be read now "
                 "and then; a method that needs every channel learns nothing. Check its cable and the "
                 "column's name."
             )
         elif len(there) > 16 and np.ptp(there) == 0.0:
-            said.append(
+            found.append(
                 f"column '{name}' is {there[0]:g} in all of its {len(there)} readings, and a channel that "
                 "lives makes some noise: nothing can be learnt of it. Check its cable and its converter."
             )
-    return said
+    return found
 
 
 def _rows(log: Log) -> list[str]:
-    said = []
+    found = []
     gaps = np.diff(log.time) > MAX_GAP
     if gaps.any():
         longest = float(np.diff(log.time).max())
-        said.append(
+        found.append(
             f"column 'time_s' leaps {gaps.sum()} times by more than {MAX_GAP:g} s, the longest by "
-            f"{longest:.3g} s; after each the filters begin anew, and what was learnt is kept."
+            f"{longest:.3g} s; after each the filters start again, and what was learnt is kept."
         )
     unknown = ~np.isfinite(log.reference.com).all(axis=-1)
     if unknown.any():
-        said.append(
+        found.append(
             f"in {unknown.sum()} of {len(log)} rows joints and IMU do not reach around the sample of the "
             "feet; nothing is learnt there."
         )
-    told = log.about.get("model_mass_kg")
-    if told is not None and abs(told / log.mass - 1.0) > ALIKE:
-        said.append(
-            f"mass_kg = {log.mass:.4g} is not the model's {told:.4g} kg; its centre of mass and angular "
+    model = log.about.get("model_mass_kg")
+    if model is not None and abs(model / log.mass - 1.0) > ALIKE:
+        found.append(
+            f"mass_kg = {log.mass:.4g} is not the model's {model:.4g} kg; its centre of mass and angular "
             "momentum are the model's. Weigh the robot, and correct the model."
         )
-    return said
+    return found
 
 
 def _motion(log: Log) -> list[str]:
-    said = []
+    found = []
     swing = np.asarray(log.reference.swing)
     if len(log.layout.feet) == 2:
         for i, foot in enumerate(log.layout.feet):
             if not swing[:, i].any():
-                said.append(
+                found.append(
                     f"the {foot.name} foot is never surely in the air ('reference_{foot.name}_swing' is 0 in "
-                    f"all {len(log)} rows), so that its zeros cannot be told from its gains; let it "
+                    f"all {len(log)} rows), so that its offsets cannot be separated from its scales; let it "
                     "swing, or lift it for a second."
                 )
     spread = _spread(log)
     if not swing.any() and spread < STILL:
-        said.append(
+        found.append(
             f"the robot never moves: the centre of pressure that its motion asks for stays within "
-            f"{1e3 * spread:.1f} mm, so that only the weight and its place can be told and single channels "
+            f"{1e3 * spread:.1f} mm, so that only the weight and its place can be learnt and single channels "
             "cannot; walk, or shift the weight over each corner."
         )
-    return said
+    return found
 
 
 def _spread(log: Log) -> float:
