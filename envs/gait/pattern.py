@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from surefoot.envs.command import Command
 from surefoot.envs.gait.dynamics import joint_torques, joint_velocities, motor_targets, multibody_zmp
 from surefoot.envs.gait.footsteps import CONTROL_RATE, Footstep, GaitTiming, plan_footsteps
-from surefoot.envs.gait.ground import Ground, Walk, lay_out
+from surefoot.envs.gait.ground import Walk, lay_out
 from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait.preview import CartTable, track_zmp
 from surefoot.envs.gait.route import Leg, plan_legs
@@ -105,7 +105,6 @@ class Pattern:
         )
 
 
-@lru_cache(maxsize=32)
 def plan_walk(
     speed: float = 0.04,
     turn_rate: float = 0.0,
@@ -150,11 +149,9 @@ def plan_walk(
     if com_height is None:
         com_height = _com_height(speed, timing)
     walks = (Walk(timing.stand_ticks, footsteps),)
-    ground = lay_out(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll))
-    return _make_pattern(ground, footsteps, com_height)
+    return _plan(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll), com_height)
 
 
-@lru_cache(maxsize=32)
 def plan_route(
     legs: tuple[Leg, ...],
     duration: float | None = None,
@@ -197,8 +194,7 @@ def plan_route(
         )
     if com_height is None:
         com_height = _com_height(max(abs(leg.speed) for leg in legs), timing)
-    ground = lay_out(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll))
-    return _make_pattern(ground, tuple(step for walk in walks for step in walk.footsteps), com_height)
+    return _plan(walks, timing, ticks, lift_height, half_width, checked_roll(foot_roll), com_height)
 
 
 def _ticks_of(duration: float) -> int:
@@ -211,7 +207,17 @@ def _com_height(speed: float, timing: GaitTiming) -> float:
     return COM_HEIGHT - COM_LOWERING * max(abs(speed) * timing.step_time - 0.02, 0.0)
 
 
-def _make_pattern(ground: Ground, footsteps: tuple[Footstep, ...], com_height: float) -> Pattern:
+@lru_cache(maxsize=64)
+def _plan(
+    walks: tuple[Walk, ...],
+    timing: GaitTiming,
+    ticks: int,
+    lift_height: float,
+    half_width: float,
+    foot_roll: float,
+    com_height: float,
+) -> Pattern:
+    ground = lay_out(walks, timing, ticks, lift_height, half_width, foot_roll)
     model = load_nao_spec().compile()
     kinematics = WholeBodyKinematics(model)
     table = CartTable(com_height, 1.0 / CONTROL_RATE)
@@ -247,4 +253,5 @@ def _make_pattern(ground: Ground, footsteps: tuple[Footstep, ...], com_height: f
     }
     for array in arrays.values():
         array.flags.writeable = False
+    footsteps = tuple(step for walk in walks for step in walk.footsteps)
     return Pattern(**arrays, footsteps=footsteps, kinematic_error=error)

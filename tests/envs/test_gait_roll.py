@@ -19,7 +19,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def pattern():
-    return plan_walk(0.04, 0.0, 6.0, foot_roll=ANGLE)
+    return plan_walk(0.04, 0.0, 8.0, foot_roll=ANGLE)
 
 
 def corners(pattern):

@@ -23,7 +23,7 @@ def rows(env, seed, steps):
 
 
 def test_by_default_nothing_is_changed_bit_for_bit():
-    options = {"duration": 4.5, "push_impulse": (0.1, 0.3), "push_interval": 0.5}
+    options = {"duration": 8.0, "push_impulse": (0.1, 0.3), "push_interval": 0.5}
     off = {"route": None, "foot_roll": 0.0, "ground_time_constant": 0.02, "payload": None}
     plain, explicit = NaoWalkEnv(**options), NaoWalkEnv(**options, **off)
     model, published = plain.model, load_nao_spec().compile()
@@ -63,7 +63,7 @@ def test_slippery_ground_is_slipped_on():
     """A stance foot stays where it is on rough ground and slides where friction cannot hold the walk."""
     slid = []
     for friction in (0.7, 0.03):
-        env = NaoWalkEnv(speed=0.1, duration=6.0, friction=(friction, friction), push_impulse=(0.0, 0.0))
+        env = NaoWalkEnv(speed=0.1, duration=8.0, friction=(friction, friction), push_impulse=(0.0, 0.0))
         env.reset(seed=0)
         way, last = 0.0, env.truth.position_sole[-1].copy()
         for _ in range(400):
