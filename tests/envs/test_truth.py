@@ -54,7 +54,7 @@ def cop_of_wrench(wrench: np.ndarray) -> np.ndarray:
 
 
 class Moment(NamedTuple):
-    """What is known after a step: the truth, the contacts' wrenches, the cells' CoP, and whether it is pushed."""
+    """What is known after a step: truth, the contacts' wrenches, the cells' CoP, and whether it is pushed."""
 
     truth: Truth
     contact: np.ndarray

@@ -1,4 +1,4 @@
-"""Which feet stand and swing, told by where they are."""
+"""Which feet stand and swing, by where they are."""
 
 import gymnasium as gym
 import numpy as np
@@ -66,26 +66,21 @@ class Planless(gym.Wrapper):
         return self.unwrapped.truth
 
 
-def test_kinematics_agree_with_the_plan_of_a_walk_and_never_contradict_the_contacts(make_bare) -> None:
-    planned = SelfCalibration(FootSensors(make_bare()), "tare")
-    told = SelfCalibration(FootSensors(Planless(make_bare())), "tare")
-    assert not hasattr(told.env.source, "command")
-    planned.reset(seed=0)
-    told.reset(seed=0)
-    both, load = [], []
-    for _ in range(640):
-        for env in (planned, told):
-            env.step(np.zeros(11, dtype=np.float32))
-        both.append((*planned.reference.stance, *planned.reference.swing, *told.reference.stance,
-                     *told.reference.swing))  # fmt: skip
-        load.append(told.unwrapped.truth.vgrf())
-    sure, late = np.array(both[20:]), told.calibrator.setup.lag
-    swings = sure[:, 6:]
+def test_kinematics_see_the_swings_of_a_walk_and_never_contradict_the_contacts(make_bare) -> None:
+    env = SelfCalibration(FootSensors(Planless(make_bare())), "tare")
+    assert not hasattr(env.env.source, "command")
+    env.reset(seed=0)
+    stands, swings, load = [], [], []
+    for _ in range(480):
+        env.step(np.zeros(11, dtype=np.float32))
+        stands.append(env.reference.stance)
+        swings.append(env.reference.swing)
+        load.append(env.unwrapped.truth.vgrf())
+    swings, late = np.array(swings[20:]), env.calibrator.setup.lag
     carried = np.array(load)[20 - late : -late]
     assert swings.sum() > 40, "swings are seen"
     assert carried[swings].max() < 2.0, "a foot that surely swings carries nothing"
-    stands = sure[:, 4:6].any(axis=1)
-    assert stands.mean() > 0.6
+    assert np.array(stands[20:]).any(axis=1).mean() > 0.6
 
 
 def leaning(angle: float, height: float = 0.8) -> Reference:
@@ -130,7 +125,7 @@ def test_nothing_is_learnt_from_a_robot_that_lies(name: str) -> None:
     env = SelfCalibration(FootSensors(gym.make(name, **options), "icub-force-torque"))
     env.reset(seed=0)
     rng = np.random.default_rng(0)
-    for _ in range(500):
+    for _ in range(250):
         env.step(rng.uniform(-0.4, 0.4, 17).astype(np.float32))
     start = env.env.instruments.nominal.scale
     np.testing.assert_allclose(env.estimate.scale, start, rtol=0.02)

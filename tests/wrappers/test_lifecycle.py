@@ -1,6 +1,7 @@
 """Hardware and what was learnt of it over the episodes of a robot's life."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -68,11 +69,31 @@ def test_an_imu_and_encoders_keep_their_biases(make_bare) -> None:
     assert np.abs(after.imu.bias).max() > 0.01
 
 
-def test_what_was_learnt_is_kept_and_nothing_is_learnt_across_a_reset(make_bare) -> None:
-    env = SelfCalibration(FootSensors(make_bare(STAND)))
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    """What a robot of seed 0 has learnt, and its sensors, after it stood for 4 s."""
+    folder = tmp_path_factory.mktemp("learnt")
+    env = SelfCalibration(FootSensors(gym.make(STAND)))
     env.reset(seed=0)
     steps(env, 320)
-    learnt = env.estimate
+    env.env.save(folder / "sensors.npz")
+    env.save(folder / "learnt.npz")
+    return folder
+
+
+@pytest.fixture
+def stood(files) -> SelfCalibration:
+    """The robot that goes on from these files."""
+    env = SelfCalibration(FootSensors(gym.make(STAND)))
+    env.reset(seed=0)
+    env.env.load(files / "sensors.npz")
+    env.load(files / "learnt.npz")
+    steps(env, 20)
+    return env
+
+
+def test_what_was_learnt_is_kept_and_nothing_is_learnt_across_a_reset(stood) -> None:
+    env, learnt = stood, stood.estimate
     assert np.abs(learnt.offset - env.env.instruments.nominal.offset).max() > 0.1
     _, info = env.reset()
     late = info["surefoot"]["lag"]
@@ -86,10 +107,8 @@ def test_what_was_learnt_is_kept_and_nothing_is_learnt_across_a_reset(make_bare)
     np.testing.assert_array_equal(env.estimate.scale, env.env.instruments.nominal.scale)
 
 
-def test_new_sensors_are_learnt_anew(make_bare) -> None:
-    env = SelfCalibration(FootSensors(make_bare(STAND)))
-    env.reset(seed=0)
-    steps(env, 320)
+def test_calibration_of_fresh_sensors_starts_fresh(stood) -> None:
+    env = stood
     env.reset(options={"surefoot": {"sensors": "fresh"}})
     np.testing.assert_array_equal(env.estimate.offset, env.env.instruments.nominal.offset)
     steps(env, 5)
@@ -97,10 +116,8 @@ def test_new_sensors_are_learnt_anew(make_bare) -> None:
     assert env.env.sensors_fresh
 
 
-def test_who_is_frozen_learns_nothing_and_still_corrects(make_bare) -> None:
-    env = SelfCalibration(FootSensors(make_bare(STAND)))
-    env.reset(seed=0)
-    steps(env, 320)
+def test_who_is_frozen_learns_nothing_and_still_corrects(stood) -> None:
+    env = stood
     env.freeze()
     # What was measured by then is still learnt, with the block of samples that it belongs to.
     steps(env, 20)
@@ -114,10 +131,8 @@ def test_who_is_frozen_learns_nothing_and_still_corrects(make_bare) -> None:
     assert not np.array_equal(env.estimate.offset, kept.offset)
 
 
-def test_hardware_and_what_was_learnt_survive_in_files(tmp_path, make_bare) -> None:
-    old = SelfCalibration(FootSensors(make_bare(STAND)))
-    old.reset(seed=0)
-    steps(old, 320)
+def test_hardware_and_what_was_learnt_survive_in_files(tmp_path, stood, make_bare) -> None:
+    old = stood
     old.env.save(tmp_path / "sensors.npz")
     old.save(tmp_path / "learnt.npz")
     new = SelfCalibration(FootSensors(make_bare(STAND)))
@@ -254,9 +269,7 @@ def test_files_of_another_body_or_with_other_faults_are_refused(tmp_path, make_b
     other.reset(seed=0)
     with pytest.raises(ValueError, match="was saved for faults 'Fault"):
         other.load(tmp_path / "a.npz")
-    humanoid = FootSensors(
-        gym.make("surefoot/Exercise-v0", robot="nao"), faults=["at t=1 s cell left/2 dies"]
-    )
+    humanoid = FootSensors(gym.make("Humanoid-v5"), soles=True, faults=["at t=1 s cell left/2 dies"])
     humanoid.reset(seed=0)
     with pytest.raises(ValueError, match="was saved for robot 'torso with"):
         humanoid.load(tmp_path / "a.npz")
