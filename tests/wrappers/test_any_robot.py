@@ -244,7 +244,7 @@ def test_feet_that_do_not_exist_are_refused_with_those_that_do(stilts: str) -> N
     with pytest.raises(ValueError, match=r"got \['toes'\]; the model's bodies are .*'left_foot'"):
         FootSensors(Stilts(stilts), feet=("toes",))
     instrumented = InstrumentedEnv(Stilts(stilts))
-    with pytest.raises(ValueError, match=r"\['feet'\] tell how to put sensors into a robot, but"):
+    with pytest.raises(ValueError, match=r"\['feet'\] are about putting sensors into a robot, but"):
         FootSensors(instrumented, feet=("left_foot", "right_foot"))
 
 
