@@ -138,18 +138,14 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
         ValueError: If a fault names a channel that the instrument lacks, or a rail that it has not.
     """
     faults = tuple(faults)
-    slope = np.asarray(config.slope, dtype=np.float64)
-    channels = len(slope)
-    unloaded = np.broadcast_to(np.asarray(config.zero_code, dtype=np.float64), (channels,))
-    low, high = (np.broadcast_to(np.asarray(end, dtype=np.float64), (channels,)) for end in config.code_range)
-    _check(faults, channels, low, high)
-    rounds = bool(np.isfinite(low).all())
-    chosen = [Table(np.arange(channels) == fault.channel) for fault in faults]
+    channels = _channels(config)
+    _check(faults, channels)
+    chosen = [Table(np.arange(len(channels)) == fault.channel) for fault in faults]
     chance = [index for index, fault in enumerate(faults) if fault.kind in ("spiking", "dropped")]
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> FaultState:
-        if not shape or shape[-1] != channels:
-            raise ValueError(f"The last axis must hold the {channels} channels, got shape {shape}.")
+        if not shape or shape[-1] != len(channels):
+            raise ValueError(f"The last axis must hold the {len(channels)} channels, got shape {shape}.")
         flags = (*shape[:-1], len(faults))
         return FaultState(
             filled(rng, 0.0, (*shape[:-1], 1), dtype),
@@ -172,39 +168,19 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
             code, kept, gap = counts[..., fault.channel], held[..., index], lost[..., index]
             kept = xp.where((active & ~xp.isnan(kept)) | xp.isnan(code), kept, code)
             held_next.append(kept)
-            k, no_load = float(slope[fault.channel]), float(unloaded[fault.channel])
-            ends = float(low[fault.channel]), float(high[fault.channel])
-            wrong = code
-            match fault.kind:
-                case "dead":
-                    wrong = code * 0.0 + no_load
-                    wrong = xp.where(xp.isnan(code), code, wrong)
-                case "stuck":
-                    wrong = kept
-                case "saturated":
-                    rail = ends[1] if k > 0.0 else ends[0]
-                    if fault.level is None:
-                        wrong = xp.where(xp.isnan(code), code, code * 0.0 + rail)
-                    else:
-                        edge = no_load + k * fault.level
-                        edge = float(np.rint(edge)) if rounds else edge
-                        wrong = limit(code, -np.inf, edge) if k > 0.0 else limit(code, edge, np.inf)
-                case "spiking":
-                    hit = draws[index][0] < 1.0 - np.exp(-fault.rate * dt)
-                    jump = xp.where(draws[index][1] < 0.5, code * 0.0 - 1.0, code * 0.0 + 1.0)
-                    off = limit(code + jump * (abs(k) * fault.size), *ends)
-                    wrong = xp.where(hit, round_off(off) if rounds else off, code)
-                case "dropped":
+            if fault.kind == "swapped":
+                counts = _swapped(xp, counts, fault, active)
+            else:
+                if fault.kind == "dropped":
                     gap = _gap(xp, fault, gap, draws[index][0], dt)
                     wrong = xp.where(gap > 0.5, code * 0.0 + float("nan"), code)
-                case "flipped":
-                    wrong = limit(2.0 * no_load - code, *ends)
-                case "swapped":
-                    counts = _swapped(xp, counts, fault, active)
-            lost_next.append(xp.where(active, gap, gap * 0.0))
-            if fault.kind != "swapped":
+                elif fault.kind == "stuck":
+                    wrong = kept
+                else:
+                    wrong = _misread(xp, fault, channels[fault.channel], code, draws.get(index), dt)
                 where = chosen[index].like(counts) > 0.5
                 counts = xp.where(where & active[..., None], wrong[..., None], counts)
+            lost_next.append(xp.where(active, gap, gap * 0.0))
         if not faults:
             return counts, FaultState(time, held, lost)
         return counts, FaultState(time, xp.stack(held_next, axis=-1), xp.stack(lost_next, axis=-1))
@@ -261,6 +237,48 @@ def apply_faults(
     return read
 
 
+class _Channel(NamedTuple):
+    """One channel of an instrument: counts per newton, code without a load, ends, and whether it rounds."""
+
+    slope: float
+    unloaded: float
+    low: float
+    high: float
+    rounds: bool
+
+    def clip(self, code: Array) -> Array:
+        return limit(code, self.low, self.high)
+
+
+def _channels(config: Converter) -> list[_Channel]:
+    """Return the channels of an instrument, whose properties are numbers or shapes (K,)."""
+    slope = np.asarray(config.slope, dtype=np.float64)
+    rows = (slope, np.asarray(config.zero_code), *map(np.asarray, config.code_range))
+    columns = np.stack([np.broadcast_to(row, slope.shape) for row in rows], axis=-1).astype(np.float64)
+    rounds = bool(np.isfinite(columns).all())
+    return [_Channel(k, unloaded, low, high, rounds) for k, unloaded, low, high in columns.tolist()]
+
+
+def _misread(xp: Any, fault: Fault, channel: _Channel, code: Array, draws: Array, dt: float) -> Array:
+    """Return what a faulty channel reads by its own code and by chance; a code that never came stays NaN."""
+    presses = channel.slope > 0.0
+    match fault.kind:
+        case "dead":
+            return code * 0.0 + channel.unloaded
+        case "saturated":
+            if fault.level is None:
+                return code * 0.0 + (channel.high if presses else channel.low)
+            edge = channel.unloaded + channel.slope * fault.level
+            edge = float(np.rint(edge)) if channel.rounds else edge
+            return limit(code, -np.inf, edge) if presses else limit(code, edge, np.inf)
+        case "spiking":
+            hit = draws[0] < 1.0 - np.exp(-fault.rate * dt)
+            jump = xp.where(draws[1] < 0.5, code * 0.0 - 1.0, code * 0.0 + 1.0)
+            off = channel.clip(code + jump * (abs(channel.slope) * fault.size))
+            return xp.where(hit, round_off(off) if channel.rounds else off, code)
+    return channel.clip(2.0 * channel.unloaded - code)  # flipped
+
+
 def _gap(xp: Any, fault: Fault, gap: Array, drawn: Array, dt: float) -> Array:
     """Return whether a reading is in a gap, by one step of a chain with two states."""
     if fault.burst == 0.0 or fault.probability == 1.0:
@@ -279,20 +297,18 @@ def _swapped(xp: Any, counts: Array, fault: Fault, active: Array) -> Array:
     return xp.where(active[..., None], xp.take(counts, index, axis=-1), counts)
 
 
-def _check(
-    faults: tuple[Fault, ...], channels: int, low: NDArray[np.float64], high: NDArray[np.float64]
-) -> None:
+def _check(faults: tuple[Fault, ...], channels: list[_Channel]) -> None:
     """Raise ValueError if a fault names a channel or a rail that the instrument lacks."""
     for fault in faults:
         for name in ("channel", "other"):
             number = getattr(fault, name)
             require(
-                number is None or number < channels,
+                number is None or number < len(channels),
                 fault,
                 name,
-                f"be one of the instrument's {channels} channels, 0 to {channels - 1}",
+                f"be one of the instrument's {len(channels)} channels, 0 to {len(channels) - 1}",
             )
-        ends = low[fault.channel], high[fault.channel]
+        ends = channels[fault.channel].low, channels[fault.channel].high
         require(
             fault.kind != "saturated" or fault.level is not None or bool(np.isfinite(ends).all()),
             fault,
