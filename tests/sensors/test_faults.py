@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.sensors import Fault, ForceTorque, apply_faults, channel_faults
+from surefoot.sensors import Fault, ForceTorque, LoadCells, apply_faults, channel_faults, parse_fault
+from surefoot.sensors.faults.words import CELLS as CELL_NAMES
+from surefoot.sensors.faults.words import cell_names
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 CELLS = HX711_LOAD_CELLS
@@ -96,10 +98,18 @@ def test_a_saturated_cell_clips_on_the_side_that_presses_whichever_way_it_is_wir
         assert load.min() < 2.0
 
 
+def many(fault, seconds):
+    """What 100 robots read of counts of no load, each for this long: (N, 100)."""
+    rng, stage = np.random.default_rng(0), channel_faults([fault], CELLS)
+    state, rows = stage.init((100, 8), rng), []
+    for _ in range(round(seconds / DT)):
+        read, state = stage.apply(np.full((100, 8), ZERO), state, rng, DT)
+        rows.append(read[:, fault.channel])
+    return np.stack(rows)
+
+
 def test_spikes_come_at_their_rate_with_their_size_to_either_side():
-    counts, time = log(200.0)
-    read = faulty(Fault("spiking", 1, rate=2.0, size=15.0), counts=counts, time=time)
-    off = (read - counts)[:, 1] / K[1]
+    off = (many(Fault("spiking", 1, rate=2.0, size=15.0), 2.0) - ZERO) / K[1]
     hit = off != 0.0
     # Of a Poisson process at 2/s in 12.5 ms: 400 +- 20 in 200 s.
     assert 330 < hit.sum() < 470
@@ -109,14 +119,11 @@ def test_spikes_come_at_their_rate_with_their_size_to_either_side():
 
 @pytest.mark.parametrize("burst", [0.0, 0.25])
 def test_samples_are_lost_by_their_share_in_gaps_of_their_length(burst):
-    counts, time = log(400.0)
-    read = faulty(Fault("dropped", 3, probability=0.3, burst=burst), counts=counts, time=time)
-    lost = np.isnan(read[:, 3])
+    lost = np.isnan(many(Fault("dropped", 3, probability=0.3, burst=burst), 10.0))
     assert lost.mean() == pytest.approx(0.3, abs=0.05)
-    edges = np.flatnonzero(np.diff(lost.astype(int)))
-    gaps = np.diff(edges)[int(not lost[edges[0] + 1]) :: 2] * DT
+    ends = (lost[:-1] & ~lost[1:]).sum()
     # Readings lost each on its own leave gaps of 1/(1 - 0.3) readings.
-    assert gaps.mean() == pytest.approx(burst if burst else DT / 0.7, rel=0.2)
+    assert lost[:-1].sum() * DT / ends == pytest.approx(burst if burst else DT / 0.7, rel=0.2)
 
 
 def test_a_channel_may_be_lost_for_good():
@@ -212,3 +219,70 @@ def test_six_axis_sensors_break_alike():
 def test_impossible_faults_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+# Faults in words
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("at t=12 s cell left/2 dies", Fault("dead", 1, start=12.0)),
+        ("at t=0 s cell right/rear-right sticks", Fault("stuck", 7)),
+        ("from t=3 s to t=5.5 s cell left/front-left flips", Fault("flipped", 0, start=3.0, stop=5.5)),
+        ("at t=1 s cell right/1 saturates", Fault("saturated", 4, start=1.0)),
+        ("at t=1 s cell right/1 saturates beyond 20 N", Fault("saturated", 4, start=1.0, level=20.0)),
+        ("at t=1 s cell right/2 spikes", Fault("spiking", 5, start=1.0)),
+        ("at t=1 s cell right/2 spikes 2 /s by 15 N", Fault("spiking", 5, start=1.0, rate=2.0, size=15.0)),
+        ("at t=1 s cell left/4 drops", Fault("dropped", 3, start=1.0)),
+        (
+            "at t=1 s cell left/4 drops 30 % in gaps of 0.2 s",
+            Fault("dropped", 3, start=1.0, probability=0.3, burst=0.2),
+        ),
+        ("  at t=9 s  cell left/3 swaps with right/1 ", Fault("swapped", 2, start=9.0, other=4)),
+    ],
+)
+def test_a_line_says_when_which_and_what(text, fault):
+    assert parse_fault(text) == fault
+
+
+def test_cells_go_by_number_or_name_in_the_order_of_the_channels():
+    assert cell_names()[:2] == ["left/front-left", "left/front-right"]
+    for channel, name in enumerate(cell_names()):
+        assert parse_fault(f"at t=0 s cell {name} dies").channel == channel
+    assert parse_fault("at t=0 s cell b/2 dies", feet=("a", "b"), cells=("heel", "toe")).channel == 3
+    assert len(CELL_NAMES) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("left/2 dies", "A fault reads 'at t=12 s cell left/2 dies' or .*, got 'left/2 dies'"),
+        ("at t=-1 s cell left/2 dies", "A fault reads"),
+        ("at t=1 s cell middle/2 dies", r"no cell 'middle/2'; there are \['left/front-left', .*right/4"),
+        ("at t=1 s cell left/5 dies", "no cell 'left/5'; there are"),
+        ("at t=1 s cell left dies", "no cell 'left'; there are"),
+        ("at t=1 s cell left/1 swaps with left/9", "no cell 'left/9'"),
+        ("at t=1 s cell left/1 explodes", "A cell dies, sticks, .*, got 'explodes' in 'at t=1 s"),
+        ("at t=1 s cell left/1 swaps with left/1", "Fault.other must name another channel"),
+        ("from t=3 s to t=2 s cell left/1 dies", "Fault.stop must come after the start at 3.0 s"),
+        ("at t=1 s cell left/1 drops 300 %", "Fault.probability must lie above 0 and at most at 1"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_what_can(text, error):
+    with pytest.raises(ValueError, match=error):
+        parse_fault(text)
+
+
+def test_a_line_does_to_a_log_what_it_says():
+    config = LoadCells(adc_bits=0, polarity=(1,))
+    time = np.arange(1.0, 6.0)
+    read = apply_faults(
+        np.full((5, 8), 7.0),
+        time,
+        [parse_fault("from t=2 s to t=4 s cell left/2 dies")],
+        config,
+        np.random.default_rng(0),
+    )
+    np.testing.assert_array_equal(read[:, 1], [7.0, 0.0, 0.0, 7.0, 7.0])
+    np.testing.assert_array_equal(np.delete(read, 1, axis=1), 7.0)

@@ -70,7 +70,7 @@ def test_encoders_have_12_bits_a_turn() -> None:
     assert np.abs(reading - angle).max() <= 0.5 * config.resolution + 1e-12
 
 
-def test_encoders_have_a_constant_zero_and_fresh_noise() -> None:
+def test_encoders_have_a_constant_offset_and_fresh_noise() -> None:
     rng = np.random.default_rng(2)
     stage = encoders(Encoders(bits=0))
     state = stage.init((MANY,), rng)

@@ -4,13 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _streams import DT
 
-from surefoot.sensors import LoadCells, load_cells
+from surefoot.sensors import LoadCells, Mechanics, Wire, chain, load_cells, preset, sized
 from surefoot.sensors.devices.load_cells import load_cell_chain, static_counts, true_map
-from surefoot.sensors.presets import BAR_CELLS_ON_HX711, HX711_LOAD_CELLS, NAO_FSR, PERFECT_LOAD_CELLS
+from surefoot.sensors.presets import (
+    BAR_CELLS_ON_HX711,
+    HX711_LOAD_CELLS,
+    NAO_FSR,
+    PERFECT_LOAD_CELLS,
+    REFERENCE_WEIGHT,
+)
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
+from surefoot.sensors.stages.clock import sample_and_hold
 
-DT = 1 / 80
 PLAIN = replace(
     HX711_LOAD_CELLS,
     initial_scale_std=0.0,
@@ -19,6 +26,7 @@ PLAIN = replace(
     offset_drift=0.0,
     rate=None,
 )
+CODES = replace(PLAIN, polarity=(1,), input_noise=0.0)
 WARMING = replace(
     HX711_LOAD_CELLS,
     scale_tempco=1e-3,
@@ -26,6 +34,20 @@ WARMING = replace(
     temperature_ramp=20.0 / 600.0,
     temperature_rise=14.0,
 )
+
+
+def read(config: LoadCells, loads: np.ndarray) -> np.ndarray:
+    """Read loads of shape (N, ..., K), constant over each step, and return what the host finds in N."""
+    rng, cells, rows = np.random.default_rng(0), load_cells(config), []
+    state = cells.init(loads.shape[1:], rng)
+    for load in loads:
+        counts, state = cells.apply(load[..., None, :], state, rng, DT)
+        rows.append(counts)
+    return config.nominal_scale * np.stack(rows) + config.nominal_offset
+
+
+def spring(**fields) -> LoadCells:
+    return replace(PERFECT_LOAD_CELLS, capacity=100.0, mechanics=Mechanics(**fields))
 
 
 @pytest.mark.parametrize(
@@ -65,7 +87,7 @@ def test_fused_cells_equal_the_chain_of_their_stages(config: LoadCells) -> None:
         np.testing.assert_allclose(counts, expected, rtol=1e-12, atol=1e-9)
 
 
-def test_counts_are_whole_and_span_24_bits() -> None:
+def test_counts_are_whole_and_scale_24_bits() -> None:
     rng = np.random.default_rng(2)
     cells = load_cells(HX711_LOAD_CELLS)
     state = cells.init((1000, 8), rng)
@@ -146,7 +168,7 @@ def test_static_readings_leave_the_state_alone_and_do_not_drift() -> None:
 
 @pytest.mark.parametrize(("rise", "expected"), [(0.0, 20.0), (14.0, 14.0 * (1.0 - np.exp(-20.0 / 14.0)))])
 @pytest.mark.parametrize("steps", [10, 60])
-def test_ten_minutes_of_warming_move_zero_and_span_by_their_coefficients(rise, expected, steps):
+def test_ten_minutes_of_warming_move_offset_and_scale_by_their_coefficients(rise, expected, steps):
     rng = np.random.default_rng(10)
     config = replace(WARMING, scale_drift=0.0, offset_drift=0.0, temperature_rise=rise)
     cells = load_cells(config)
@@ -201,3 +223,112 @@ def test_wrong_channels_are_refused() -> None:
     state = load_cells(HX711_LOAD_CELLS).init((8,), rng)
     with pytest.raises(ValueError, match=r"'load' must hold 8 cells on its last axis, got shape \(3, 4\)"):
         static_counts(HX711_LOAD_CELLS, state, np.zeros((3, 4)), rng)
+
+
+# Spring elements and filters
+
+
+def test_the_true_map_knows_what_impacts_and_overloads_did_to_the_offsets():
+    config = spring(mounting_warp_std=2.0, mounting_common_std=0.5, impact_threshold=20.0, overload_share=0.1)
+    rng, cells = np.random.default_rng(3), load_cells(config)
+    state, loads = cells.init((8,), rng), np.full((1, 8), 5.0)
+    for _ in range(6):
+        _, state = cells.apply(loads, state, rng, DT)
+        _, state = cells.apply(loads + 20.0, state, rng, DT)
+    _, state = cells.apply(loads + 245.0, state, rng, DT)
+    _, state = cells.apply(loads + 245.0, state, rng, DT)
+    scale, offset = true_map(config, state)
+    assert np.abs(offset).min() > 1.0
+    weights = np.array([[0.0] * 8, [30.0] * 8])
+    np.testing.assert_allclose(scale * static_counts(config, state, weights, rng) + offset, weights)
+    stayed, _ = cells.apply(loads + 245.0, state, rng, DT)
+    np.testing.assert_allclose(scale * stayed + offset, 250.0)
+
+
+def test_a_converter_that_averages_four_settles_in_four_and_is_late_by_one_and_a_half():
+    config = replace(CODES, rate=(80.0, 80.0), settling=4)
+    ramp = np.arange(1.0, 200.0)[:, None] * DT * np.ones(8)
+    rng, cells = np.random.default_rng(4), load_cells(config)
+    state = cells.init((8,), rng)
+    due = state.due
+    for load in ramp:
+        counts, state = cells.apply(load[None], state, rng, DT)
+    late = ramp[-1] - (config.nominal_scale * counts + config.nominal_offset)
+    # The last conversion lies due - period before now, and its mean 1.5 periods before that.
+    np.testing.assert_allclose(late, (DT - due) % DT + 1.5 * DT, atol=3e-5)
+    step = np.repeat([0.0, 8.0], 10)[:, None] * np.ones(8)
+    steady = replace(config, rate=None)
+    np.testing.assert_allclose(read(steady, step)[9:15, 0], [0.0, 2.0, 4.0, 6.0, 8.0, 8.0], atol=3e-5)
+
+
+@pytest.mark.parametrize("blocks", [1, 5, 25])
+def test_the_mean_is_over_conversions_however_the_host_steps(blocks):
+    """A ramp, on which the conversions between two looks lie on a straight line."""
+    rate, settling, dt = 100.0, 4, 0.001 * blocks * 5
+    stage = sample_and_hold(chain(), (rate, rate), settling=settling)
+    rng = np.random.default_rng(5)
+    state = stage.init((200,), rng)
+    phase, time = state.due, 0.0
+    for k in range(round(0.5 / dt)):
+        time = dt * (k + 1)
+        block = (time - dt + dt * np.arange(1, 11) / 10)[:, None] * np.ones(200)
+        mean, state = stage.apply(block, state, rng, dt)
+    last = phase + np.floor((time - phase) * rate + 1e-9) / rate
+    np.testing.assert_allclose(mean, last - 0.5 * (settling - 1) / rate, atol=1e-9)
+
+
+def test_noise_is_that_of_one_conversion_with_and_without_a_filter():
+    for settling in (1, 4):
+        config = replace(CODES, input_noise=9e-8, rate=(80.0, 80.0), settling=settling)
+        rows = read(config, np.full((50, 300, 8), 10.0))[10:]
+        assert rows.std() == pytest.approx(config.noise_counts * config.nominal_scale[0], rel=0.02)
+
+
+def test_a_chip_that_skips_a_look_does_not_lead_its_cell_astray():
+    """Slow chips, most of whose looks find nothing new: no spring element sees a load that never was."""
+    config = replace(spring(overload_share=1.0, safe_overload=0.2), rate=(9.0, 11.0))
+    rng, cells = np.random.default_rng(6), load_cells(config)
+    state = cells.init((500, 8), rng)
+    for k in range(300):
+        load = 10.0 + 9.0 * np.sin(2.0 * k * DT)
+        _, state = cells.apply(np.full((500, 10, 8), load), state, rng, DT)
+    assert state.mechanics.overload.excess.max() == 0.0
+
+
+def test_the_whole_device_has_every_link():
+    assert all(getattr(BAR_CELLS_ON_HX711.wire, name) for name in Wire.__dataclass_fields__)
+    spring_fields = set(Mechanics.__dataclass_fields__) - {"mounting_common_std"}
+    assert all(getattr(BAR_CELLS_ON_HX711.mechanics, name) for name in spring_fields)
+    # Half of a conversion, three halves of the filter's, and the network.
+    assert BAR_CELLS_ON_HX711.nominal_age == pytest.approx(2.0 / 86.0 + 0.02)
+
+
+# Cells for robots of other weights
+
+
+def test_cells_of_the_reference_robot_stay_as_they_are():
+    for name in ("hx711-load-cells", "hx711-bar-cells", "nao-fsr"):
+        assert sized(preset(name), REFERENCE_WEIGHT) == preset(name)
+
+
+@pytest.mark.parametrize("config", [HX711_LOAD_CELLS, NAO_FSR, preset("hx711-bar-cells")])
+def test_larger_cells_read_larger_loads_alike(config):
+    """In shares of the weight everything but the drawn spikes is the same, sample by sample."""
+    config, factor = replace(config, wire=replace(config.wire, spike_rate=0.0, wrong_words=0.0)), 8.0
+    shares = []
+    for weight in (REFERENCE_WEIGHT, factor * REFERENCE_WEIGHT):
+        larger = sized(config, weight)
+        rng, cells = np.random.default_rng(4), load_cells(larger)
+        state, rows = cells.init((8,), rng), []
+        for k in range(60):
+            load = weight / 8.0 * (1.0 + np.sin(0.4 * k))
+            counts, state = cells.apply(np.full((4, 8), load), state, rng, 0.02)
+            rows.append((larger.nominal_scale * counts + larger.nominal_offset) / weight)
+        shares.append(np.stack(rows))
+    np.testing.assert_allclose(shares[1], shares[0], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("weight", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_weight_that_is_none_is_refused(weight):
+    with pytest.raises(ValueError, match=f"'weight' must be finite and positive, in N, got {weight}"):
+        sized(HX711_LOAD_CELLS, weight)

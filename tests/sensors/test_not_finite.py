@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from _streams import DT, leaves
 
 from surefoot.sensors import (
     PRESETS,
@@ -24,7 +25,6 @@ from surefoot.sensors.stages.mounting import mounting
 from surefoot.sensors.stages.moving_average import moving_average
 from surefoot.sensors.stages.overload import overload
 
-DT = 1 / 80
 BAD = [float("nan"), float("inf"), -float("inf")]
 values = pytest.mark.parametrize("value", BAD)
 REMEMBERING = {
@@ -33,10 +33,6 @@ REMEMBERING = {
     "a clock and its filter": LoadCells(settling=4),
     "a filter alone": LoadCells(settling=4, rate=None),
 }
-
-
-def leaves(state):
-    return [leaf for part in state for leaf in leaves(part)] if isinstance(state, tuple) else [state]
 
 
 @values

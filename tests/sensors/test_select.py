@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from _streams import leaves
 
 from surefoot.sensors import (
     Fault,
@@ -76,10 +77,6 @@ SENSORS = {
     "clock": (lambda: sample_and_hold(chain(drift(1.0, 1.0), white_noise(0.1))), 8, True),
     "stateless": (lambda: scale(2.0), 8, False),
 }
-
-
-def leaves(state):
-    return [leaf for part in state for leaf in leaves(part)] if isinstance(state, tuple) else [state]
 
 
 def run(corruption, channels, blocks, robots, rng, steps=5):

@@ -27,7 +27,7 @@ def test_the_spread_of_a_drift_depends_on_time_and_not_on_the_step(dt: float) ->
 
 
 @pytest.mark.parametrize("dt", [1 / 80, 1.0])
-def test_the_spread_of_a_gain_depends_on_time_and_not_on_the_step(dt: float) -> None:
+def test_the_spread_of_a_scale_depends_on_time_and_not_on_the_step(dt: float) -> None:
     readings = walk(scale_drift(density=0.02 * PER_SQRT_MINUTE), 4.0, dt, 50.0)
     assert readings.std() == pytest.approx(50.0 * 0.02 * (4.0 / 60.0) ** 0.5, rel=0.03)
     assert readings.mean() == pytest.approx(50.0, abs=0.02)

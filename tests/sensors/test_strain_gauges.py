@@ -89,7 +89,7 @@ def test_an_old_leg_sensor_shows_a_weight_as_badly_as_the_papers_did():
     assert np.median(axes[:, 0] / axes[:, 2]) == pytest.approx(1.9, abs=0.1)
 
 
-def test_zeros_lie_within_their_range_and_fill_it():
+def test_offsets_lie_within_their_range_and_fill_it():
     _, state, _ = drawn(LEG, (4000,), seed=5)
     shown = wrenches(LEG, state.offset)
     for part, most in ((FORCE, LEG.offset_force), (TORQUE, LEG.offset_torque)):
@@ -117,7 +117,7 @@ def test_drift_depends_on_time_and_not_on_the_step(steps):
     assert shown[:, TORQUE].std() == pytest.approx(0.001, rel=0.04)
 
 
-def test_zeros_jump_between_recordings():
+def test_offsets_jump_between_recordings():
     _, state, rng = drawn(LEG, (3000,), seed=8)
     later = shift_offset(LEG, state, rng, 2.0, 0.04)
     jump = wrenches(LEG, later.offset - state.offset)
@@ -129,7 +129,7 @@ def test_zeros_jump_between_recordings():
 
 
 @pytest.mark.parametrize("step", [1.0, 90.0])
-def test_heat_moves_zeros_and_gains_as_specified(step):
+def test_heat_moves_offsets_and_scales_as_specified(step):
     config = replace(
         PERFECT,
         offset_tempco_force=0.05,

@@ -1,30 +1,17 @@
-"""Links of the error chain against their own specifications: bends, jumps, delays, shares, spreads."""
-
-from typing import Any
+"""Laws of spring elements and filters: nonlinearity, mounting, overload, moving average, creep."""
 
 import numpy as np
 import pytest
-import torch
+from _streams import DT, stream
 
-from surefoot.sensors import LoadCells, chain, load_cells, preset
+from surefoot.sensors import Mechanics, chain, load_cells, preset
+from surefoot.sensors.stages.creep import creep
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mechanics import SMALLEST_LOOP, mechanics
 from surefoot.sensors.stages.mounting import mounting
 from surefoot.sensors.stages.moving_average import moving_average
-from surefoot.sensors.stages.nonlinearity import nonlinearity
+from surefoot.sensors.stages.nonlinearity import drawn_nonlinearity, nonlinearity
 from surefoot.sensors.stages.overload import overload
-from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
-
-DT = 0.0125
-
-
-def stream(stage: Any, loads: np.ndarray, seed: int = 0, dt: float = DT) -> np.ndarray:
-    """Pass readings through a stage, one after the other along the first axis."""
-    rng = np.random.default_rng(seed)
-    state, read = stage.init(loads.shape[1:], rng), []
-    for load in loads:
-        reading, state = stage.apply(load, state, rng, dt)
-        read.append(reading)
-    return np.stack(read)
-
 
 # Nonlinearity
 
@@ -60,6 +47,15 @@ def test_what_is_allowed_grows_with_the_load(terms):
     assert (np.diff(read) > 0.0).all()
 
 
+def test_drawn_terms_are_uniform_within_the_data_sheet():
+    loads = np.broadcast_to(np.array([0.0, 50.0, 100.0])[:, None, None], (3, 4000, 8))
+    off = stream(drawn_nonlinearity(0.002, 100.0), loads) - loads
+    np.testing.assert_allclose(off[[0, 2]], 0.0, atol=1e-12)
+    assert np.abs(off[1]).max() == pytest.approx(0.2, rel=0.01)
+    # Uniform: the standard deviation is the range over the root of 12.
+    assert off[1].std() == pytest.approx(0.4 / 12**0.5, rel=0.02)
+
+
 # Mounting
 
 
@@ -71,16 +67,17 @@ def impacts(count: int) -> np.ndarray:
 
 
 def test_an_impact_moves_a_foot_along_its_modes_with_their_spreads():
-    loads = impacts(3000)
-    zero = stream(mounting(8.0, 0.7, 0.2), loads) - loads
-    np.testing.assert_array_equal(zero[:, 4:], 0.0)
-    jumps = np.diff(zero[:, :4], axis=0)
-    when = np.flatnonzero(np.abs(jumps).max(axis=1) > 1e-9)
+    loads = np.repeat(impacts(30)[:, None], 100, axis=1)
+    offset = stream(mounting(8.0, 0.7, 0.2), loads) - loads
+    np.testing.assert_array_equal(offset[..., 4:], 0.0)
+    jumps = np.diff(offset[..., :4], axis=0)
+    when = np.flatnonzero(np.abs(jumps).max(axis=(1, 2)) > 1e-9)
     # Once each cycle at touch-down, at its first reading, and once at lift-off.
-    np.testing.assert_array_equal(np.sort(when % 7), np.repeat([1, 6], [3000, 2999]))
-    modes = jumps[when] @ np.array([[1, 1, 1, 1], [1, -1, -1, 1], [1, -1, 1, -1], [1, 1, -1, -1]]).T / 4.0
+    np.testing.assert_array_equal(np.sort(when % 7), np.repeat([1, 6], [30, 29]))
+    corners = np.array([[1, 1, 1, 1], [1, -1, -1, 1], [1, -1, 1, -1], [1, 1, -1, -1]])
+    modes = (jumps[when] @ corners.T / 4.0).reshape(-1, 4)
     np.testing.assert_allclose(modes[:, 2:], 0.0, atol=1e-10)
-    # A standard deviation of 6,000 draws is good to 0.9 %, a correlation to 0.013.
+    # A standard deviation of 5,900 draws is good to 0.9 %, a correlation to 0.013.
     np.testing.assert_allclose(modes[:, :2].std(axis=0), [0.2, 0.7], rtol=0.04)
     assert abs(np.corrcoef(modes[:, :2].T)[0, 1]) < 0.05
 
@@ -177,98 +174,87 @@ def test_a_lost_reading_does_not_spoil_the_next():
     np.testing.assert_allclose(stream(moving_average(3), loads), loads)
 
 
-# Gaps, repeats, words and spikes
+# Creep
 
 
-@pytest.mark.parametrize("dt", [0.01, 0.05])
-def test_gaps_have_their_share_their_length_and_their_memory(dt):
-    share, length = 0.2, 0.1
-    lost = np.isnan(stream(burst_gaps(share, length), np.zeros((1500, 400, 3)), dt=dt))
-    assert (lost == lost[..., :1]).all(), "a packet holds every channel"
-    gone = lost[..., 0]
-    rate = 1.0 / (length * (1.0 - share))
-    # As many independent looks as correlation times: the share is good to about 1 %.
-    assert gone.mean() == pytest.approx(share, rel=0.05)
-    assert gone[0].mean() == pytest.approx(share, abs=0.08), "stationary from the start"
-    ends = (gone[:-1] & ~gone[1:]).sum()
-    leave = (1.0 - share) * -np.expm1(-rate * dt)
-    assert gone[:-1].sum() / ends == pytest.approx(1.0 / leave, rel=0.04)
-    for lag in (round(0.05 / dt), round(0.1 / dt)):
-        both = (gone[:-lag] & gone[lag:]).mean()
-        correlation = (both - share**2) / (share * (1.0 - share))
-        assert correlation == pytest.approx(np.exp(-rate * lag * dt), abs=0.03)
+SHARES, CONSTANTS = (0.02, -0.005, 0.01), (0.5, 8.0, 120.0)
 
 
-def test_gaps_of_long_links_last_their_mean_length():
-    gone = np.isnan(stream(burst_gaps(0.3, 0.5), np.zeros((3000, 300, 1)), dt=0.005))[..., 0]
-    ends = (gone[:-1] & ~gone[1:]).sum()
-    # Some 7,700 gaps, each exponential: good to 1.2 %.
-    assert gone[:-1].sum() * 0.005 / ends == pytest.approx(0.5, rel=0.05)
+def expected_step(time):
+    return 1.0 + sum(s * (1.0 - np.exp(-time / tau)) for s, tau in zip(SHARES, CONSTANTS, strict=True))
 
 
-def test_channels_with_links_of_their_own_are_lost_on_their_own():
-    gone = np.isnan(stream(burst_gaps(0.4, 0.02, each=True), np.zeros((4000, 2))))
-    assert abs(np.corrcoef(gone.T)[0, 1]) < 0.08
-    np.testing.assert_allclose(gone.mean(axis=0), 0.4, atol=0.05)
+@pytest.mark.parametrize("dt", [0.01, 0.7, 60.0])
+def test_a_step_creeps_as_the_exponentials_say(dt):
+    rng = np.random.default_rng(0)
+    element = creep(SHARES, CONSTANTS)
+    state = element.init((2,), rng)
+    for number in range(1, 51):
+        read, state = element.apply(np.array([40.0, -3.0]), state, rng, dt)
+        np.testing.assert_allclose(read, np.array([40.0, -3.0]) * expected_step(number * dt), rtol=1e-12)
 
 
-@pytest.mark.parametrize("each", [False, True])
-def test_repeats_have_their_share_and_geometric_runs(each):
-    loads = np.random.default_rng(5).normal(size=(40000, 2))
-    read = stream(stale_repeats(0.6, each=each), loads)
-    same = read[1:] == read[:-1]
-    np.testing.assert_array_equal(read[0], loads[0])
-    np.testing.assert_array_equal(read[1:][~same], loads[1:][~same])
-    np.testing.assert_allclose(same.mean(axis=0), 0.6, atol=0.012)
-    # Without a memory, two in a row are the square.
-    np.testing.assert_allclose((same[1:] & same[:-1]).mean(axis=0), 0.36, atol=0.015)
-    together = (same[:, 0] & same[:, 1]).mean()
-    assert together == pytest.approx(0.36 if each else 0.6, abs=0.015)
+def test_the_answer_does_not_depend_on_the_step():
+    """A load of stairs, each read once or in many uneven parts."""
+    rng = np.random.default_rng(1)
+    element = creep(SHARES, CONSTANTS)
+    whole = parts = element.init((4,), rng)
+    for load in rng.normal(0.0, 20.0, (30, 4)):
+        duration = rng.uniform(0.01, 20.0)
+        at_once, whole = element.apply(load, whole, rng, duration)
+        for share in rng.dirichlet(np.ones(9)):
+            bit_by_bit, parts = element.apply(load, parts, rng, duration * share)
+        np.testing.assert_allclose(bit_by_bit, at_once, rtol=1e-11, atol=1e-11)
 
 
-def test_a_lost_reading_is_not_repeated():
-    loads = np.array([np.nan, 1.0, np.nan, 2.0])[:, None]
-    read = stream(stale_repeats(1.0 - 1e-12), loads)[:, 0]
-    np.testing.assert_array_equal(read, [np.nan, 1.0, 1.0, 1.0])
+def test_unloading_creeps_back_to_nothing():
+    rng = np.random.default_rng(2)
+    element = creep(SHARES, CONSTANTS)
+    _, state = element.apply(np.array([100.0]), element.init((1,), rng), rng, 50.0)
+    left, state = element.apply(np.array([0.0]), state, rng, 3.0)
+    loaded = expected_step(53.0) - expected_step(3.0)
+    np.testing.assert_allclose(left, 100.0 * loaded, atol=1e-12)
+    left, _ = element.apply(np.array([0.0]), state, rng, 1e5)
+    np.testing.assert_allclose(left, 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("coding", ["offset-binary", "two's complement"])
-def test_one_bit_of_a_wrong_word_is_off_and_each_as_often(coding):
-    bits, signed = 12, coding != "offset-binary"
-    rng = np.random.default_rng(6)
-    words = rng.integers(-2048 if signed else 0, 2048 if signed else 4096, (300, 400))
-    read, _ = wrong_words(0.1, bits, coding).apply(words.astype(float), (), rng, DT)
-    assert (read == np.rint(read)).all()
-    assert read.min() >= words.min()
-    assert read.max() <= words.max()
-    # The integers' own bits are the independent formula.
-    turned = (words ^ read.astype(np.int64)) & (2**bits - 1)
-    wrong = turned != 0
-    assert wrong.mean() == pytest.approx(0.1, rel=0.04)
-    which = np.log2(turned[wrong])
-    assert (which == np.rint(which)).all(), "one bit alone"
-    # 1,000 of each are good to 3 %.
-    np.testing.assert_allclose(np.bincount(which.astype(int), minlength=bits) / which.size, 1 / 12, rtol=0.15)
+def test_no_time_changes_nothing_and_loads_add_up():
+    rng = np.random.default_rng(3)
+    element = creep(SHARES, CONSTANTS)
+    fresh = element.init((3,), rng)
+    at_once, _ = element.apply(np.ones(3), fresh, rng, 0.0)
+    np.testing.assert_array_equal(at_once, 1.0)
+    one, other = rng.normal(size=(2, 20, 3))
+    read = {}
+    for name, loads in (("one", one), ("other", other), ("both", one + other)):
+        state = fresh
+        for load in loads:
+            read[name], state = element.apply(load, state, rng, 0.3)
+    np.testing.assert_allclose(read["both"], read["one"] + read["other"], rtol=1e-12)
 
 
-def test_wrong_words_of_float32_tensors_are_whole_and_lost_ones_stay_lost():
-    words = torch.randint(0, 2**24, (20000,), generator=torch.Generator().manual_seed(1))
-    read, _ = wrong_words(1.0).apply(words.to(torch.float32), (), torch.Generator().manual_seed(2), DT)
-    turned = (words ^ read.to(torch.int64)).numpy()
-    assert set(turned.tolist()) == {2**bit for bit in range(24)}
-    gone, _ = wrong_words(1.0).apply(np.array([np.nan]), (), np.random.default_rng(0), DT)
-    assert np.isnan(gone).all()
+# All of them in one element
 
 
-@pytest.mark.parametrize("dt", [0.005, 0.1])
-def test_spikes_come_at_their_rate_with_their_spread(dt):
-    read = stream(spikes(4.0, 30.0), np.full((500, 400), 7.0), dt=dt) - 7.0
-    hit = read != 0.0
-    # Some 4,000 and 66,000 spikes.
-    assert hit.mean() == pytest.approx(1.0 - np.exp(-4.0 * dt), rel=0.06)
-    assert read[hit].std() == pytest.approx(30.0, rel=0.05)
-    assert abs(read[hit].mean()) < 2.0
-    assert abs(np.corrcoef(hit[1:].ravel(), hit[:-1].ravel())[0, 1]) < 0.02
+@pytest.mark.parametrize(
+    ("fields", "stage"),
+    [
+        ({"nonlinearity": 0.01}, drawn_nonlinearity(0.01, 40.0)),
+        ({"hysteresis": 0.01}, hysteresis(0.01, 40.0, smallest=SMALLEST_LOOP)),
+        ({"creep_shares": (0.1,), "creep_time_constants": (2.0,)}, creep((0.1,), (2.0,))),
+        (
+            {"mounting_warp_std": 2.0, "mounting_common_std": 0.5, "impact_threshold": 30.0},
+            mounting(30.0, 2.0, 0.5),
+        ),
+        ({"overload_share": 0.1, "safe_overload": 0.5}, overload(0.1, 20.0)),
+    ],
+    ids=lambda part: next(iter(part)) if isinstance(part, dict) else "",
+)
+def test_each_field_of_the_mechanics_is_one_stage_with_its_numbers(fields, stage):
+    loads = np.random.default_rng(7).normal(10.0, 20.0, (50, 8))
+    read = stream(mechanics(Mechanics(**fields), 40.0), loads)
+    np.testing.assert_array_equal(read, stream(stage, loads))
+    assert (read != loads).any()
 
 
 # Bad input
@@ -290,41 +276,11 @@ def test_spikes_come_at_their_rate_with_their_spread(dt):
         (lambda: overload(0.1, [1.0, -1.0]), "'safe' must be finite and positive"),
         (lambda: moving_average(0), "'count' must be a positive whole number, got 0"),
         (lambda: moving_average(2, 1.5), "'order' must be a positive whole number, got 1.5"),
-        (lambda: burst_gaps(1.0, 1.0), r"'share' must lie in \[0, 1\), got 1.0"),
-        (lambda: burst_gaps(0.1, 0.0), "'mean_length' must be finite and positive, got 0.0"),
-        (lambda: stale_repeats(1.0), r"'probability' must lie in \[0, 1\), got 1.0"),
-        (lambda: wrong_words(-0.1), r"'probability' must lie in \[0, 1\], got -0.1"),
-        (lambda: wrong_words(0.1, 33), "'bits' must be a whole number from 1 to 32, got 33"),
-        (lambda: wrong_words(0.1, 8, "gray"), "'coding' must be one of .* got 'gray'"),
-        (lambda: spikes(1.0, -2.0), "'size' must be finite and not negative, got -2.0"),
+        (lambda: creep((0.1,), ()), "as many 'shares' as 'time_constants', got 1 and 0"),
+        (lambda: creep((float("nan"),), (1.0,)), r"'shares' must be finite, got \(nan,\)"),
+        (lambda: creep((0.1,), (0.0,)), r"'time_constants' must be finite and positive, got \(0.0,\)"),
     ],
 )
-def test_impossible_links_are_refused(make, text):
+def test_impossible_laws_are_refused(make, text):
     with pytest.raises(ValueError, match=text):
         make()
-
-
-def test_links_stand_in_one_chain_with_an_instrument():
-    """From the load to the host in the instrument's order, without one NaN that no gap explains."""
-    config = LoadCells(rate=None, polarity=(1,))
-    stage = chain(
-        overload(0.01, 150.0),
-        nonlinearity(5e-4, 0.0, config.capacity),
-        mounting(20.0, 1.0),
-        moving_average(5, blocks=False),
-    )
-    loads = np.abs(np.random.default_rng(2).normal(30.0, 20.0, (50, 8)))
-    bridge = stream(stage, loads)
-    host = chain(load_cells(config), wrong_words(0.01, config.adc_bits), burst_gaps(0.2, 0.1))
-    rng = np.random.default_rng(3)
-    state, read = host.init((8,), rng), []
-    for load in bridge:
-        counts, state = host.apply(load[None], state, rng, DT)
-        read.append(counts)
-    read = np.stack(read)
-    assert np.isfinite(bridge).all()
-    assert (np.isnan(read).all(axis=1) == np.isnan(read).any(axis=1)).all()
-    assert 0.0 < np.isnan(read).mean() < 0.8
-    kept = read[~np.isnan(read)]
-    assert (kept == np.rint(kept)).all()
-    assert kept.max() <= config.code_range[1]

@@ -1,0 +1,30 @@
+"""Readings that stream through a stage or a device."""
+
+from typing import Any
+
+import numpy as np
+import torch
+
+DT = 1 / 80
+
+
+def generator(library: str, seed: int = 0) -> Any:
+    return np.random.default_rng(seed) if library == "numpy" else torch.Generator().manual_seed(seed)
+
+
+def leaves(state: Any) -> list[Any]:
+    return [leaf for part in state for leaf in leaves(part)] if isinstance(state, tuple) else [state]
+
+
+def follow(stage: Any, loads: Any, seed: int = 0, dt: float = DT, state: Any = None) -> tuple[Any, Any]:
+    """Pass readings through a stage, one after the other along the first axis; its readings and state."""
+    rng, read = np.random.default_rng(seed), []
+    state = stage.init(loads.shape[1:], rng) if state is None else state
+    for load in loads:
+        reading, state = stage.apply(load, state, rng, dt)
+        read.append(reading)
+    return np.stack(read), state
+
+
+def stream(stage: Any, loads: Any, seed: int = 0, dt: float = DT) -> Any:
+    return follow(stage, loads, seed, dt)[0]
