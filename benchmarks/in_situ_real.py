@@ -14,6 +14,7 @@ this package: ``$SUREFOOT_DATA/ft`` has to hold ``icub_right_foot_swing.npz`` an
 
 import os
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -103,7 +104,7 @@ _FOOT: dict[str, tuple[float | None, float, dict[str, Any], bool]] = {
 """Deviations of the limb's mass (as a share) and of its place in m, options, whether counts are filtered."""
 
 
-def icub_foot(folder: Path) -> list[FootRow]:
+def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> list[FootRow]:
     """Calibrate the iCub's foot on one half of its recording and score it on all samples of the other.
 
     Counts are filtered in each half by itself, and filtered counts are scored. What the wrench should be is
@@ -111,6 +112,7 @@ def icub_foot(folder: Path) -> list[FootRow]:
 
     Args:
         folder: The folder that holds ``ft/``.
+        methods: Keys of ``_FOOT``, which are compared with the factory matrix.
     """
     with np.load(folder / "ft" / "icub_right_foot_swing.npz") as file:
         time, raw, gravity = file["t"], file["raw"], file["gravity"]
@@ -132,7 +134,8 @@ def icub_foot(folder: Path) -> list[FootRow]:
         # The foot swings so nearly in a plane that III-B refuses it at its default of 1 %.
         found = estimate_offset(smooth[half], gravity[half], minimum_spread=0.003).offset
         rows.append(FootRow("factory matrix, offset by III-B", fitted, score(factory, found), np.nan))
-        for name, (mass_std, com_std, options, filtered) in _FOOT.items():
+        for name in methods:
+            mass_std, com_std, options, filtered = _FOOT[name]
             known = None
             if mass_std is not None:
                 known = KnownLimb(mass, mass_std * mass, moment / mass, com_std)

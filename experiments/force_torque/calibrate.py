@@ -58,14 +58,14 @@ def calibrate_in_situ_log(
 
     Args:
         paths: One log with all sets, or several with one each.
-        config: What the tables do not say; by default the TOML file beside the first one.
+        config: What the tables leave open; by default the TOML file beside the first one.
         folder: Where the files go.
         stem: How their names begin; by default the first log's name.
         console: Where progress is shown; nowhere by default.
 
     Raises:
-        LogError: If the log cannot be used; it says why and what to do.
-        CalibrationRefused: If the log cannot tell what was asked, with all reasons; nothing is written.
+        LogError: If the log cannot be used; the message has the cure.
+        CalibrationRefused: If the log does not determine what was asked; nothing is written.
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
     stem = paths[0].stem if stem is None else stem

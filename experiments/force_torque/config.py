@@ -1,4 +1,4 @@
-"""What a log of in-situ sets does not say itself: names, units, frames, masses.
+"""What a log of in-situ sets leaves open: names, units, frames, masses.
 
 A TOML file beside the log holds it; ``docs/in-situ-log.md`` lists every key. Unknown keys are refused, since
 a misspelt one would leave a default standing that nobody meant.

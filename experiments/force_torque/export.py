@@ -1,6 +1,6 @@
 """A calibrated six-axis sensor as files: JSON and YAML in full, and an offset for ROS 2.
 
-JSON reads back to the last digit by :func:`read_calibration`; YAML says the same to people and to other
+JSON reads back to the last digit by :func:`read_calibration`; YAML is the same for people and for other
 programs. The ``force_torque_sensor_broadcaster`` of ROS 2 adds an offset to the wrench that a driver reports.
 """
 
@@ -188,7 +188,7 @@ def _stats_of(given: dict[str, Any]) -> FitStats:
 
 
 def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[np.float64]:
-    """Compute what the broadcaster of ROS 2 must add to the wrench C r of a driver: -C o, shape (6,).
+    """Return what the broadcaster of ROS 2 must add to the wrench C r of a driver: -C o, shape (6,).
 
     Args:
         fit: The calibration.

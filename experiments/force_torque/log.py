@@ -1,7 +1,7 @@
 """Logs of in-situ calibration: a sensor's counts and an accelerometer's readings, set by set.
 
 A log is a table with one row a sample, as Parquet or CSV, with a column that names the sets; or one such file
-a set. What the table does not say itself (other names, units, the added masses, frames) stands in a small
+a set. What the table leaves open (other names, units, the added masses, frames) stands in a small
 TOML file beside it. ``docs/in-situ-log.md`` lists all columns and keys.
 """
 
@@ -71,7 +71,7 @@ def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path |
     Args:
         paths: One ``.csv`` or ``.parquet`` file, or several; a file without a column of sets is one set that
             has the file's name without its ending.
-        config: What the tables do not say, or the TOML file that says it; by default the one beside the first
+        config: What the tables leave open, or the TOML file with it; by default the one beside the first
             file.
 
     Raises:

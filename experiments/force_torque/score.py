@@ -1,8 +1,8 @@
 r"""How good a calibrated six-axis sensor is: spheres, added masses and their places (in-situ paper, IV).
 
 Turned about, a limb of weight m |g| draws the force f = m g, a sphere. A sensor that is off by a matrix draws
-an ellipsoid instead, whose semi-axes say by how much and in how many directions (Table I). With the bare limb
-taken off, what is left is the added mass (Table II) and its place (Table III).
+an ellipsoid instead, whose semi-axes show by how much and in how many directions (Table I). With the bare
+limb taken off, what is left is the added mass (Table II) and its place (Table III).
 """
 
 from typing import NamedTuple
@@ -65,7 +65,7 @@ class AddedMassEstimate(NamedTuple):
 def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
     """Return the ellipsoid that points draw while gravity turns, points = K g + centre.
 
-    Gravity tells where on the ellipsoid each point belongs, so that a part of it suffices; its semi-axes are
+    Gravity gives the place of each point on the ellipsoid, so that a part of it suffices; its semi-axes are
     |g| times the singular values of K (in-situ paper, Lemma 1).
 
     Args:
@@ -124,7 +124,7 @@ def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEs
     squares = gravity.T @ gravity
     normal = np.trace(squares) * np.eye(3) - squares
     if np.linalg.eigvalsh(normal)[0] < _LEAST**2 * np.trace(squares):
-        raise ValueError("Gravity has one direction only; turn the limb to tell where the mass hangs.")
+        raise ValueError("Gravity has one direction only; turn the limb to find where the mass hangs.")
     first_moment = np.linalg.solve(normal, np.cross(gravity, torque).sum(axis=0))
     position = first_moment / mass if mass != 0.0 else np.full(3, np.nan)
     return AddedMassEstimate(mass, np.asarray(position))

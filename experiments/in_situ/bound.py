@@ -24,7 +24,7 @@ _LIMB = 4
 
 
 def cramer_rao(sets: Sequence[InSituSet], response: Matrix, limb: Limb, noise: Matrix) -> Matrix:
-    """Compute the bound on the covariance of (A row by row, m, m c, the offsets of the sets).
+    """Return the bound on the covariance of (A row by row, m, m c, the offsets of the sets).
 
     Args:
         sets: Of which gravity and the added masses are used, which must be exact.
@@ -63,7 +63,7 @@ def cramer_rao(sets: Sequence[InSituSet], response: Matrix, limb: Limb, noise: M
 
 
 def offset_bounds(bound: Matrix, response: Matrix, sets: int) -> Matrix:
-    """Express the bound of each set's offset as a wrench, C P C', in N^2 and (N m)^2, shape (J, 6, 6).
+    """Return the bound of each set's offset as a wrench, C P C', in N^2 and (N m)^2, shape (J, 6, 6).
 
     Args:
         bound: Of :func:`cramer_rao`.
@@ -78,7 +78,7 @@ def offset_bounds(bound: Matrix, response: Matrix, sets: int) -> Matrix:
 
 
 def normalised_error(fit: InSituFit, response: Matrix, offset: Matrix, limb: Limb) -> float:
-    """Square the error of (C, the last offset, limb) by the covariance claimed (NEES).
+    """Return the squared error of (C, the last offset, limb) by the covariance of the fit (NEES).
 
     Args:
         fit: What was fitted.

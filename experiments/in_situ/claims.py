@@ -11,8 +11,8 @@ from surefoot.experiments.in_situ.study import InSituStudyResults
 from surefoot.experiments.study.tables import Frame, number, plural
 
 __all__ = [
-    "Consistency",
     "Limit",
+    "Nees",
     "bound_findings",
     "consistency",
     "limb_findings",
@@ -56,7 +56,7 @@ class Limit(NamedTuple):
         return len(self.values) > 0 and self.share == 1.0
 
 
-class Consistency(NamedTuple):
+class Nees(NamedTuple):
     """Squared errors by the fit's covariance, over their number.
 
     Attributes:
@@ -75,14 +75,14 @@ class Consistency(NamedTuple):
         return self.low <= self.mean <= self.high
 
 
-def consistency(part: Frame) -> Consistency:
+def consistency(part: Frame) -> Nees:
     """Return the mean of the normalised squared errors of some rows of ``white``."""
     nees = part["nees"].dropna()
     if nees.empty:
-        return Consistency(float("nan"), float("nan"), float("nan"))
+        return Nees(float("nan"), float("nan"), float("nan"))
     freedom = int(part["unknowns"].iloc[0]) * len(nees)
     low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
-    return Consistency(float(nees.sum() / freedom), float(low), float(high))
+    return Nees(float(nees.sum() / freedom), float(low), float(high))
 
 
 def over_bound(part: Frame, what: str) -> float:

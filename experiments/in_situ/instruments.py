@@ -1,8 +1,8 @@
 """Sensors on the rig of in-situ calibration: true wrenches and motion in, what a robot would have out.
 
-Everything random belongs to a seed: the F/T sensor with its response, zeros, noise, creep and hysteresis, and
-the IMU on the beam with its biases and noise. The zeros jump between data sets, as masses are changed. What a
-fit is given are counts, the IMU's readings and the added masses; the truth goes beside it, for scores.
+Everything random belongs to a seed: the F/T sensor with its response, offsets, noise, creep and hysteresis,
+and the IMU on the beam with its biases and noise. The offsets jump between data sets, as masses are changed.
+A fit gets counts, the IMU's readings and the added masses; the truth goes beside it, for scores.
 """
 
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ per root hertz, 50 m/s^2 and 1200 deg/s of range. Its gyroscope was zeroed at re
 calibrated. The walks are ours: the maker gives none."""
 
 OFFSET_SHIFT = (2.0, 0.05)
-"""Standard deviation of what the zeros jump by between sets, in N and N m."""
+"""Standard deviation of what the offsets jump by between sets, in N and N m."""
 
 _STREAM = 0x1F75
 
@@ -76,7 +76,7 @@ class SensorTruth(NamedTuple):
 
 
 def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> StrainGauges:
-    """Describe the sensor of the rig's foot or leg.
+    """Return the sensor of the rig's foot or leg.
 
     Args:
         sensor: "foot" or "leg".
@@ -100,7 +100,7 @@ def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> S
 def read_sensors(
     config: StrainGauges, sensor: str, runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int]
 ) -> list[tuple[NDArray[np.float64], SensorTruth]]:
-    """Let a sensor of each seed read recordings of one length.
+    """Return what a sensor of each seed reads of recordings of one length.
 
     Args:
         config: The sensor.
@@ -142,7 +142,7 @@ def _one_sensor(config: StrainGauges, sets: int, rng: np.random.Generator) -> St
 def read_imus(
     runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int], config: Imu = XSENS_MTX
 ) -> NDArray[np.float64]:
-    """Let an IMU of each seed read its recordings: force and angular velocity, shape (S, J, n, 6)."""
+    """Return what an IMU of each seed reads: force and angular velocity, shape (S, J, n, 6)."""
     device = imu(config)
     felt = np.array([[np.hstack([r.specific_force, r.angular_velocity]) for r in run] for run in runs])
     rng = np.random.default_rng([_STREAM, 4, *seeds])
@@ -161,11 +161,11 @@ def static_sets(
     counts: NDArray[np.float64],
     specific_force: NDArray[np.float64],
 ) -> tuple[InSituSet, ...]:
-    """Hand out sets of a limb that is taken to be at rest.
+    """Return sets of a limb that is taken to be at rest.
 
     Args:
         sensor: "foot" or "leg".
-        recordings: Of which the names, times and added masses are told.
+        recordings: Of which the names, times and added masses are used.
         counts: Shape (J, n, 6).
         specific_force: Of the accelerometer without its bias, shape (J, n, 3).
     """
@@ -190,11 +190,11 @@ def moving_sets(
     bias: NDArray[np.float64],
     window: int = 15,
 ) -> tuple[InSituSet, ...]:
-    """Hand out sets of a limb in motion, carried from the IMU to the sensor.
+    """Return sets of a limb in motion, carried from the IMU to the sensor.
 
     Args:
         sensor: "foot" or "leg".
-        recordings: Of which the names, times, added masses and the IMU's place are told.
+        recordings: Of which the names, times, added masses and the IMU's place are used.
         counts: Shape (J, n, 6).
         readings: Of the IMU, shape (J, n, 6).
         bias: Of its accelerometer in m/s^2, shape (3,).

@@ -1,6 +1,6 @@
 """Which feet surely stand and which surely swing.
 
-What the log says comes first, then what was commanded, then a guess from the soles' own motion: the lower
+What the log holds comes first, then what was commanded, then a guess from the soles' own motion: the lower
 sole carries the robot, and the other one swings where it is well above it and moves. What is not sure is
 neither, and no calibrator learns from a foot that is neither.
 """
@@ -105,7 +105,7 @@ def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
 
 
 def _sure(held: Bools, dt: float, margin: float = SURE) -> Bools:
-    """Keep what held for a while before and after."""
+    """Return what held for a while before and after."""
     kept = minimum_filter1d(held.astype(np.int8), 2 * round(margin / dt) + 1, axis=0, mode="nearest")
     return np.asarray(kept > 0)
 

@@ -1,4 +1,4 @@
-"""What a log says of its robot beside the table."""
+"""The description of the robot that goes with a log's table."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ FORMAT_VERSION = 1
 
 
 def describe(log: Any) -> dict[str, Any]:
-    """Return what the file's header says of a log."""
+    """Return a log's description, for the file's header."""
     return {
         "format": "surefoot-log",
         "format_version": FORMAT_VERSION,
@@ -59,13 +59,13 @@ def _describe_parameters(parameters: Parameters) -> dict[str, list[float]]:
 
 
 def read_description(description: Any, name: str) -> dict[str, Any]:
-    """Return what a header says, checked.
+    """Return a description, checked.
 
     Raises:
         LogError: If it is not a header of a log.
     """
     if not isinstance(description, dict) or description.get("format") != "surefoot-log":
-        raise LogError(f'{name}: the description does not say "format": "surefoot-log".')
+        raise LogError(f'{name}: the description lacks "format": "surefoot-log".')
     version = description.get("format_version")
     if version != FORMAT_VERSION:
         raise LogError(

@@ -1,4 +1,4 @@
-"""A robot's drawing, made ready to tell what its joints and IMU say of its motion.
+"""A robot's drawing, made ready for joint angles and an IMU.
 
 Any MJCF or URDF file will do that has a floating body which carries the IMU, hinges and two soles. Places are
 sites, or bodies where a URDF has only links.
@@ -50,7 +50,7 @@ class LogModel:
     def evaluate(
         self, position: NDArray[np.float64], velocity: NDArray[np.float64], spin: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Compute the posture, as :meth:`NominalModel.evaluate` does."""
+        """Return the posture, as :meth:`NominalModel.evaluate` does."""
         com, momentum, sites, axes = self._nominal.evaluate(position, velocity, spin)
         if self._right_first:
             return com, momentum, sites[[0, 2, 1]], axes[[3, 4, 5, 0, 1, 2]]
@@ -120,7 +120,7 @@ def _fix_masses(spec: Any) -> None:
 
 
 def _place_imu(spec: Any, facts: MotionFacts, torso: Any, file: str) -> NDArray[np.float64]:
-    """Put a site where the IMU is, and tell how its axes lie in the torso's."""
+    """Put a site where the IMU is; return the rotation from its axes to the torso's."""
     source = _source(spec, facts.imu, "imu", file)
     model = spec.copy().compile()
     data = mujoco.MjData(model)
@@ -142,7 +142,7 @@ def _place_imu(spec: Any, facts: MotionFacts, torso: Any, file: str) -> NDArray[
 
 
 def _place_site(spec: Any, name: str, label: str, file: str) -> Any:
-    """Put a site under a name of ours where the drawing has a sole."""
+    """Add a site under our own name where the drawing has a sole."""
     source = _source(spec, name, "soles", file)
     if spec.site(name) is None:
         return source.add_site(name=label)
@@ -168,14 +168,14 @@ def _source(spec: Any, name: str, role: str, file: str) -> Any:
 
 
 def _tree_order(spec: Any, soles: list[Any]) -> tuple[int, int]:
-    """Tell which sole the compiler will meet first."""
+    """Return the order in which the compiler meets the soles."""
     model = spec.copy().compile()
     first, second = (model.site(site.name).id for site in soles)
     return (0, 1) if first < second else (1, 0)
 
 
 def _strip(spec: Any) -> None:
-    """Take out what needs files or parts that a posture does not."""
+    """Remove what needs files or parts that a posture does not."""
     for part in ("geoms", "tendons", "actuators", "sensors", "equalities", "excludes", "keys"):
         for element in list(getattr(spec, part, ())):
             spec.delete(element)

@@ -1,4 +1,4 @@
-"""Joint angles and IMU in place of references: what such a log must say and hold.
+"""Joint angles and IMU in place of references: what such a log must hold.
 
 The description's ``motion`` names the robot's drawing and the parts of it that matter; the columns
 ``joint_<name>_rad``, ``accelerometer_<axis>_m_s2`` and ``gyroscope_<axis>_rad_s`` lie in the log itself, or,
@@ -42,7 +42,7 @@ GYROSCOPE = tuple(f"gyroscope_{axis}_rad_s" for axis in "xyz")
 
 
 class MotionFacts(NamedTuple):
-    """What a description says under ``motion``.
+    """What a description holds under ``motion``.
 
     Attributes:
         model: The robot's drawing, MJCF or URDF.
@@ -149,7 +149,7 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
 
     Args:
         table: The table.
-        facts: What the description says of it.
+        facts: What the description holds of it.
         joints: Names of the model's hinges, in its order.
 
     Raises:
@@ -227,7 +227,7 @@ def _clock(
 
 
 def _count(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:
-    """Number the rows: a row that is merely late is made up for by the next ones, a lost one is not."""
+    """Return numbers of the rows: the next rows make up for a late one, and not for a lost one."""
     skipped = np.zeros(len(time))
     for row in (np.flatnonzero(np.diff(time) >= LOST * period) + 1).tolist():
         first, last = max(row - AROUND, 0), min(row + AROUND, len(time))

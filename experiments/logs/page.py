@@ -28,7 +28,7 @@ def write_log_page(
         made_of: The log or the method that it was made of, or by.
         introduction: What was done.
         log: What was calibrated.
-        notices: What the log cannot tell, and warnings.
+        notices: What the log lacks, and warnings.
         sections: Returns what follows, with figures drawn into a folder that it is given.
 
     Returns:

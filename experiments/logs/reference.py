@@ -34,12 +34,12 @@ NEEDED = 2
 def make_reference(
     time: NDArray[np.float64], motion: Motion, facts: MotionFacts, model: LogModel, mass: float
 ) -> Reference:
-    """Make the references of the feet's samples; contacts are left open.
+    """Return the references of the feet's samples; contacts are left open.
 
     Args:
         time: When the feet were read in s, shape (N,).
         motion: Joints and IMU.
-        facts: What the description says of them.
+        facts: What the description holds of them.
         model: The robot.
         mass: Its mass in kg as the log has it: the drawing's angular momentum is scaled to it.
 
@@ -68,7 +68,7 @@ def make_reference(
 
 
 def _surrounded(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Tell which moments lie among rows of which none is lost."""
+    """Return which moments lie among rows of which none is lost."""
     first, last = place - NEEDED, place + NEEDED - 1
     inside = (first >= 0) & (last < len(motion.number))
     span = motion.number[np.where(inside, last, 0)] - motion.number[np.where(inside, first, 0)]
@@ -83,15 +83,12 @@ def _unknown(reference: Reference) -> Reference:
 
 
 def check_spin(motion: Motion, model: LogModel, file: str) -> None:
-    """Refuse a gyroscope in other units, by how fast the torso turns over the sole that turns less under it.
+    """Raise LogError if a gyroscope is far faster than the torso over the sole that turns less under it.
 
     Args:
         motion: Joints and IMU.
         model: The robot.
         file: Their table's name in messages.
-
-    Raises:
-        LogError: If the gyroscope is far faster than the robot on its soles.
     """
     stride = max(round(APART / motion.period), 1)
     still = np.zeros(len(model.joint_names)), np.zeros(3)

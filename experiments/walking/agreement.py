@@ -1,6 +1,6 @@
 """How well calibrated forces agree with what the robot's own motion asks of the ground.
 
-A log of a real robot holds no truth. What can be said of it is how far the feet's total and centre of
+A log of a real robot holds no truth. What can be measured is how far the feet's total and centre of
 pressure lie from those that mass, joints and IMU ask for (CoP paper, Eqs. 9 to 11). Both sides pass the
 paper's zero-phase filter of 10 Hz. The motion's own errors are in the difference, and a calibrator that
 follows the motion makes it small whether the motion is right or not: agreement is not truth.
@@ -61,7 +61,7 @@ class Agreement(NamedTuple):
 
 
 def asked_of(log: Log) -> Ground:
-    """Compute what the motion asks of the ground.
+    """Return what the motion asks of the ground.
 
     Args:
         log: The log.
@@ -73,7 +73,7 @@ def asked_of(log: Log) -> Ground:
 
 
 def carried_by(log: Log, force: NDArray[np.float64]) -> Ground:
-    """Compute what the feet carry by forces of their channels.
+    """Return what the feet carry by forces of their channels.
 
     Args:
         log: The log.
@@ -106,7 +106,7 @@ def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
 
 
 def _late(log: Log) -> Reference:
-    """Take the references from the first that describes a row, without those that cannot be."""
+    """Return the references from the first that describes a row, without those that cannot be."""
     late = Reference(*(np.asarray(part)[log.lag :] for part in log.reference))
     parts = [part.reshape(len(part), -1) for part in late]
     sound = np.all(np.abs(np.concatenate(parts, axis=1)) <= LARGEST, axis=1)

@@ -38,7 +38,7 @@ class CalibratedLog:
         parameters: The last map with its uncertainty, in JSON as a log's description holds it.
         page: What a person reads: one HTML file.
         tables: What to show at once.
-        notices: What the log cannot tell, in plain words.
+        notices: What the log lacks.
     """
 
     walk: Path
@@ -64,7 +64,7 @@ def calibrate_log(
     Args:
         log: The log.
         method: A key of :data:`~surefoot.calibration.METHODS`.
-        start: ``"nominal"`` or ``"bench"``; by default what the log says, else ``"nominal"``.
+        start: ``"nominal"`` or ``"bench"``; by default as in the log, else ``"nominal"``.
         folder: Where the files go.
         stem: How their names begin.
         settle: Samples before this time in s do not count in a score.

@@ -1,4 +1,4 @@
-"""What a log cannot tell, in plain words, and units that cannot be right.
+"""What a log lacks, and units that cannot be right.
 
 What would mislead any calibrator is refused. What merely leaves something open is a notice: the calibration
 goes on, and shows it.
@@ -70,7 +70,7 @@ def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
 
 
 def log_notices(log: Log, file: str) -> tuple[str, ...]:
-    """Return what a log cannot tell.
+    """Return what a log lacks.
 
     Args:
         log: The log.

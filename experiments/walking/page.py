@@ -1,4 +1,4 @@
-"""The page about one calibrated log: what came of it, how far to trust it, and what the log cannot tell."""
+"""The page about one calibrated log: what came of it, how far to trust it, and what the log lacks."""
 
 from collections.abc import Iterator
 from pathlib import Path

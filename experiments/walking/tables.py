@@ -72,7 +72,7 @@ class Facts:
         settle: Samples before this time in s do not count in errors.
         method: The method.
         file: Name of the log.
-        notices: What the log cannot tell.
+        notices: What the log lacks.
     """
 
     log: Log

@@ -1,1 +1,1 @@
-"""Calibrate from weights, on a virtual or a real bench."""
+"""Calibrate load cells from known weights, of a real robot or simulated."""

@@ -1,12 +1,12 @@
-"""A virtual bench: known weights on cells, then at known holes of a plate, read through real-looking chips.
+"""Known weights on simulated cells, one by one, then at known holes of a plate.
 
 As the CoP paper does (section 3.1): every cell bears weights of 1 g to 6 kg by itself, then weights stand at
 holes 1 cm apart on each foot's plate. Whole holes are held out, so that the score is of places that the fit
 never saw.
 
-What can go wrong on it: the cells' gains and zeros, noise and rounding (from the sensor's configuration); a
-curve in each cell; cells that do not sit where the drawing says; weights with play in their holes. How the
-plate shares a load among its cells follows from its statics, with cells of unequal stiffness. That alone
+What can go wrong: the cells' scales and offsets, noise and rounding (from the sensor's configuration); a
+curve in each cell; cells that do not sit where the drawing has them; weights with play in their holes. How
+the plate shares a load among its cells follows from its statics, with cells of unequal stiffness. That alone
 moves no centre of pressure, since forces and moments balance however they are shared; it decides which part
 of its curve each cell works on, and it leaves one combination of the four forces unseen.
 
@@ -32,12 +32,12 @@ from surefoot.sensors.presets import HX711_LOAD_CELLS
 __all__ = ["Placements", "WeighingReport", "WeighingSetup", "run_weighing"]
 
 _STREAM = 7001
-"""Keeps the bench's randomness apart from every other stream with the same seed."""
+"""Keeps this randomness apart from every other stream with the same seed."""
 
 
 @dataclass(frozen=True)
 class WeighingSetup:
-    """What stands on the bench, and how carefully."""
+    """What is weighed, and how carefully."""
 
     channel_loads: tuple[float, ...] = (0.0, 0.001, 0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 4.0, 6.0)
     """Weights put on each cell by itself in kg."""
@@ -70,11 +70,10 @@ class WeighingSetup:
     """How far a weight stands from the middle of its hole in m, per axis (standard deviation)."""
 
     seconds_per_weighing: float = 0.0
-    """Time from one weighing to the next in s, in which the cells drift as configured; 0 is a bench on
-    which they have settled."""
+    """Time from one weighing to the next in s, in which the cells drift as configured; 0 if settled."""
 
     def __post_init__(self) -> None:
-        """Refuse a bench that cannot be built."""
+        """Raise ValueError if a number is too small."""
         for name in ("fitted_holes", "held_out_holes", "readings"):
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
@@ -108,13 +107,13 @@ class Placements:
 
 @dataclass(frozen=True, eq=False)
 class WeighingReport:
-    """What the bench found.
+    """What known weights gave.
 
     Attributes:
         channel_names: The cells, in order.
         channel_load: Weights put on each cell in kg, shape (n,).
-        channel_code: Mean codes under them, shape (n, K): the left part of a Table 2.
-        channels: The fit of the cells in N; ``channels.value`` is the bench-calibrated map.
+        channel_code: Mean counts under them, shape (n, K): the left part of a Table 2.
+        channels: The fit of the cells in N; ``channels.value`` is the calibrated map.
         corrections: The fit of each foot's centre of pressure, (left, right).
         initial: Errors on held-out holes by the data sheet's map (the left column of a Table 3).
         calibrated: Errors on held-out holes by the fitted channels and the fitted correction.
@@ -133,7 +132,7 @@ class WeighingReport:
 
 @dataclass(eq=False)
 class _Cells:
-    """The cells on the bench: reads true loads as mean codes, and grows older with every weighing."""
+    """The cells: read true loads as mean counts, and grow older with every weighing."""
 
     config: LoadCells
     state: LoadCellState
@@ -145,7 +144,7 @@ class _Cells:
         self.bow = self.setup.nonlinearity * self.rng.uniform(-1.0, 1.0, self.config.channels)
 
     def read(self, load: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Weigh true loads in N, shape (n, K), one after another."""
+        """Return mean counts of true loads in N, shape (n, K), weighed one after another."""
         share = load / self.config.capacity
         bowed = load + self.bow * self.config.capacity * 4.0 * share * (1.0 - share)
         step = np.sqrt(self.setup.seconds_per_weighing)
@@ -166,15 +165,15 @@ def run_weighing(
     layout: FeetLayout | None = None,
     seed: int = 0,
 ) -> WeighingReport:
-    """Calibrate a robot's load cells on the bench.
+    """Calibrate a robot's load cells with known weights.
 
     Args:
-        setup: The bench.
+        setup: What is weighed.
         cells: The cells.
         state: The very cells to calibrate, as they came out of ``load_cells(cells).init``; by default some
-            are drawn. Only errors of gain and zero are read from it.
+            are drawn. Only errors of scale and offset are read from it.
         layout: Where the cells are by the drawing, four a foot; by default a NAO's shoes.
-        seed: Of everything random on the bench.
+        seed: Of everything random.
 
     Returns:
         The fits and their errors on held-out holes.
@@ -189,10 +188,10 @@ def run_weighing(
     rng = np.random.default_rng([_STREAM, seed])
     if state is None:
         state = load_cells(cells).init((cells.channels,), rng)
-    bench = _Cells(cells, state, setup, rng)
+    weighed = _Cells(cells, state, setup, rng)
 
     weight = np.array(setup.channel_loads) * GRAVITY
-    code = bench.read(np.repeat(weight[:, None], cells.channels, axis=1))
+    code = weighed.read(np.repeat(weight[:, None], cells.channels, axis=1))
     channels = fit_channels(code, weight, layout.channel_names)
 
     nominal = Parameters(cells.nominal_scale, cells.nominal_offset)
@@ -201,7 +200,7 @@ def run_weighing(
         hole, load, held_out, cell_load = _place(setup, foot, rng)
         on_all_cells = np.zeros((len(load), cells.channels))
         on_all_cells[:, where] = cell_load
-        raw = bench.read(on_all_cells)
+        raw = weighed.read(on_all_cells)
         fit = fit_cop_correction(
             channels.value.force(raw)[:, where], load, hole, _positions(foot), held_out=held_out
         )
@@ -232,16 +231,14 @@ def run_weighing(
 
 def _positions(foot: FootLayout) -> NDArray[np.float64]:
     if foot.position_cell_sole is None or foot.channels != 4:
-        raise ValueError(
-            f"The bench needs four load cells a foot, but foot '{foot.name}' has none or others."
-        )
+        raise ValueError(f"Weighing needs four load cells a foot, but foot '{foot.name}' has none or others.")
     return foot.position_cell_sole[:, :2]
 
 
 def _place(
     setup: WeighingSetup, foot: FootLayout, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Put every weight at every chosen hole of one foot.
+    """Return every weight at every chosen hole of one foot.
 
     Returns:
         Holes (n, 2) in m, loads (n,) in N, whether held out (n,), and the cells' true loads (n, 4) in N.
@@ -269,7 +266,7 @@ def _place(
 
 
 def _pool(scores: list[PlacementScore]) -> PlacementScore:
-    """Bring the scores of both feet together."""
+    """Return the scores of both feet together."""
     placements, weighings = (np.array([getattr(s, n) for s in scores]) for n in ("placements", "weighings"))
 
     def pooled(name: str, count: NDArray[np.int64]) -> float:

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.force_torque import calibrate as module
 from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
 from surefoot.experiments.force_torque.export import read_calibration
 from surefoot.experiments.force_torque.icub import read_icub_matrix
@@ -35,6 +36,12 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     told = SAMPLE.with_suffix(".toml").read_text()
     path.with_suffix(".toml").write_text(told[: told.index('[[sets]]\nname = "6"')])
     return path
+
+
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the page out, whose figures take seconds."""
+    monkeypatch.setattr(module, "write_in_situ_page", lambda path, found: path)
 
 
 def test_all_files_are_written(result: CalibratedSensor) -> None:
@@ -78,7 +85,7 @@ def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> No
     assert rows["known mass (kg)"] == "6.0000"
 
 
-def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Path) -> None:
+def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Path, no_page: None) -> None:
     """One column a table less, no iCub file, and a notice that the sign cannot be checked."""
     config = dataclasses.replace(
         config_beside(short), factory_matrix=None, full_scale=None, limb_mass=None, fit_sets=None
@@ -90,7 +97,7 @@ def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Pat
     assert "No known mass of the limb" in result.tables[1].note
 
 
-def test_a_matrix_that_an_icub_cannot_hold_is_left_out(short: Path, tmp_path: Path) -> None:
+def test_a_matrix_that_an_icub_cannot_hold_is_left_out(short: Path, tmp_path: Path, no_page: None) -> None:
     config = dataclasses.replace(config_beside(short), full_scale=np.array([100.0, 100, 100, 35, 35, 25]))
     result = calibrate_in_situ_log(short, config, folder=tmp_path)
     assert "icub" not in result.files

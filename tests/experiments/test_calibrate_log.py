@@ -32,6 +32,12 @@ def calibrate(log: Log, folder: Path, method: str = "none", **options: Any) -> C
     return calibrate_log(log, method, folder=folder, stem="walk", file="walk.csv", **options)
 
 
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the page out, whose figures take seconds."""
+    monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
+
+
 def balanced(log: Log) -> Log:
     """Stand still and upright over the middle of the cells, which share the weight and make some noise."""
     n = len(log)
@@ -238,7 +244,7 @@ def test_one_foot_that_swings_needs_no_notice(log: Log) -> None:
     assert log_notices(log, "walk.csv") == FEET_DOWN[:1]
 
 
-def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path) -> None:
+def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path, no_page: None) -> None:
     raw = log.raw.copy()
     raw[:, 1] = np.nan
     raw[:, 6] = 8_000_000.0
@@ -258,7 +264,7 @@ def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path) -> None:
     assert flags.rows[0][3] == "left, front-right"
 
 
-def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path) -> None:
+def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path, no_page: None) -> None:
     gap = dataclasses.replace(log, time=log.time + 22.6 * (np.arange(len(log)) >= 30))
     path = write_log(gap, tmp_path / "walk.csv")
     refused = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])

@@ -150,7 +150,7 @@ def test_a_bad_table_is_refused(log: Log, tmp_path: Path, case: str) -> None:
 
 
 BAD_DESCRIPTIONS: dict[str, tuple[dict[str, object], str]] = {
-    "another format": ({"format": "rosbag"}, 'the description does not say "format": "surefoot-log".'),
+    "another format": ({"format": "rosbag"}, 'the description lacks "format": "surefoot-log".'),
     "another version": ({"format_version": 9}, "log format version 9 is not 1, which this surefoot reads."),
     "negative mass": ({"mass_kg": -5.3}, "the description's mass_kg is -5.3; it must be positive."),
     "negative lag": ({"lag_samples": -1}, "the description's lag_samples is -1; it must be positive."),

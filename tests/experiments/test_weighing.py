@@ -1,4 +1,4 @@
-"""The virtual bench: the paper's tables, and what spoils a bench."""
+"""Simulated weighing: the paper's tables, and what spoils it."""
 
 import re
 from dataclasses import replace
@@ -69,13 +69,13 @@ def test_the_correction_takes_out_what_sits_in_the_wrong_place():
     assert crooked.calibrated.cop < 3e-4
 
 
-def test_cells_that_drift_while_they_are_calibrated_spoil_the_bench():
+def test_cells_that_drift_while_they_are_calibrated_spoil_it():
     report = run_weighing(WeighingSetup(seconds_per_weighing=10.0))
     assert report.calibrated.cop > 20 * TABLE_3["calibrated"].cop
     assert report.calibrated.vgrf > 20 * TABLE_3["calibrated"].vgrf
 
 
-def test_the_same_seed_is_the_same_bench():
+def test_the_same_seed_is_the_same_weighing():
     one, same, other = run_weighing(seed=3), run_weighing(seed=3), run_weighing(seed=4)
     np.testing.assert_array_equal(one.channel_code, same.channel_code)
     assert one.calibrated == same.calibrated
@@ -91,12 +91,12 @@ def test_the_same_seed_is_the_same_bench():
         ({"nonlinearity": -1e-3}, "'nonlinearity' must not be negative, got -0.001."),
     ],
 )
-def test_refuses_a_bench_that_cannot_be_built(changes, message):
+def test_numbers_that_are_too_small_are_refused(changes, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         WeighingSetup(**changes)
 
 
-def test_refuses_feet_that_do_not_fit_the_bench():
+def test_feet_without_four_cells_or_holes_are_refused():
     with pytest.raises(
         ValueError, match=re.escape("The plate of foot 'left' has 180 holes, but 300 were asked for.")
     ):
@@ -105,5 +105,7 @@ def test_refuses_feet_that_do_not_fit_the_bench():
         run_weighing(cells=replace(HX711_LOAD_CELLS, channels=4))
     left, right = nao_shoe_layout().feet
     sensor = FootLayout("right", right.wrench_map, right.channel_names)
-    with pytest.raises(ValueError, match="needs four load cells a foot, but foot 'right' has none or others"):
+    with pytest.raises(
+        ValueError, match="Weighing needs four load cells a foot, but foot 'right' has none or others"
+    ):
         run_weighing(layout=FeetLayout((left, sensor)))
