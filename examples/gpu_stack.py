@@ -18,7 +18,7 @@ LAYOUT, MASS, HEIGHT, DT, CYCLE = nao_shoe_layout(), 5.305, 0.26, 1 / 80, 128
 
 
 def march() -> tuple[torch.Tensor, ...]:
-    """Work out one cycle: true cell forces (T, 8), true centre of pressure (T, 2), fields of the motion."""
+    """Return one cycle: true cell forces (T, 8), true centre of pressure (T, 2), fields of the motion."""
     phase = torch.arange(CYCLE, dtype=torch.float64) * (2 * math.pi / CYCLE)
     left = (0.5 + 0.9 * torch.sin(phase)).clip(0.0, 1.0)
     share = torch.stack([left, 1.0 - left], dim=1)
@@ -49,7 +49,7 @@ def march() -> tuple[torch.Tensor, ...]:
 
 
 def main(robots: int = 256, device: str = "cpu", seconds: float = 20.0) -> tuple[float, float]:
-    """March; tell the root mean square error of the centre of pressure in mm, before and after."""
+    """March; return the root mean square error of the centre of pressure in mm, before and after."""
     force, cop, *motion = (part.to(device) for part in march())
     chance = torch.Generator(device).manual_seed(1)
     feet = FootSensorsModule("hx711-load-cells", robots, device, dt=DT)

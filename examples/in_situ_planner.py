@@ -1,6 +1,6 @@
 """Calibrate the F/T sensor in a leg with poses that a planner proposes, and with those of a raster sweep.
 
-The planner begins with the maker's matrix, drives the hip of ``surefoot/LegRig-v0`` to what it proposes,
+The planner starts from the maker's matrix, drives the hip of ``surefoot/LegRig-v0`` to what it proposes,
 waits until the leg hangs still, reads, fits and plans again, also which mass to hang.
 Run with ``python examples/in_situ_planner.py``.
 """
@@ -30,7 +30,7 @@ SAMPLES = 20
 
 
 def gravity_at(hip: np.ndarray) -> np.ndarray:
-    """What the robot believes gravity to be at angles of the hip, in the sensor's frame: x ahead, z down."""
+    """Return gravity as the robot believes it, in the frame of the sensor: x ahead, z down."""
     a, b = hip[..., 0], hip[..., 1]
     return 9.81 * np.stack([-np.sin(a), -np.cos(a) * np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
 
@@ -47,16 +47,16 @@ def drive(env: gym.Env, observation: np.ndarray, hip: np.ndarray) -> tuple[np.nd
 
 
 def read(env: gym.Env, poses: list, sensor: tuple, rng: np.random.Generator) -> list[InSituSet]:
-    """Take poses (orientation, mass), mass by mass; each mass is a set, with a zero of its own."""
+    """Take poses (orientation, mass), mass by mass; each mass is a set, with an offset of its own."""
     response, offset = sensor
     noise, sets = np.linalg.inv(FACTORY) * np.repeat([0.1, 0.0025], 3), []
     for index in sorted({mass for _, mass in poses}):
         raw, gravity, (mass, com, _) = [], [], MASSES[index]
-        zero = offset + 30.0 * noise @ rng.standard_normal(6)
+        off = offset + 30.0 * noise @ rng.standard_normal(6)
         observation, _ = env.reset(seed=0, options={"configuration": CONFIGURATIONS[index]})
         for orientation in sorted(o for o, mass in poses if mass == index):
             observation, info = drive(env, observation, HIP[orientation])
-            counts = response @ info["surefoot"]["truth"]["wrench_leg"] + zero
+            counts = response @ info["surefoot"]["truth"]["wrench_leg"] + off
             raw.append(counts + rng.standard_normal((SAMPLES, 6)) @ noise.T)
             gravity.append(np.tile(-observation[4:7].astype(float), (SAMPLES, 1)))
         sets.append(InSituSet(np.concatenate(raw), np.concatenate(gravity), mass, com))
@@ -64,7 +64,7 @@ def read(env: gym.Env, poses: list, sensor: tuple, rng: np.random.Generator) -> 
 
 
 def compare(rounds: int = 3, poses: int = 20, seed: int = 0) -> dict[str, list[tuple[float, float]]]:
-    """Calibrate round by round; give for each way the claimed and the true rms error of A in percent."""
+    """Calibrate round by round; return for each way the reported and the true rms error of A in percent."""
     rng = np.random.default_rng([1, seed])
     response = np.linalg.inv(FACTORY) @ (np.eye(6) + np.diag(0.15 * rng.standard_normal(6)))
     sensor = response, response @ np.array([50.0, -30.0, 40.0, 0.5, 0.2, -0.3])
@@ -90,15 +90,15 @@ def compare(rounds: int = 3, poses: int = 20, seed: int = 0) -> dict[str, list[t
 
 
 def errors(fit: InSituFit, response: np.ndarray) -> tuple[float, float]:
-    """The claimed and the true rms error of what the axes read, in percent of a leg's weight and torque."""
+    """Return the reported and the true rms error of the axes, in percent of a leg's weight and torque."""
     size = np.repeat([48.0, 10.0], 3)
     share = size / size[:, None]
-    claimed = np.diag(prior_from_fit(fit).covariance)[:36].reshape(6, 6) * share**2
+    reported = np.diag(prior_from_fit(fit).covariance)[:36].reshape(6, 6) * share**2
     true = (fit.matrix @ response - np.eye(6)) * share
-    return 100.0 * float(np.sqrt(claimed.mean())), 100.0 * float(np.sqrt(np.mean(true**2)))
+    return 100.0 * float(np.sqrt(reported.mean())), 100.0 * float(np.sqrt(np.mean(true**2)))
 
 
 if __name__ == "__main__":
     for name, rows in compare().items():
-        for number, (claimed, true) in enumerate(rows, start=1):
-            print(f"{name:>8}, {20 * number} poses: claimed {claimed:6.3f} %, true {true:6.3f} %")
+        for number, (reported, true) in enumerate(rows, start=1):
+            print(f"{name:>8}, {20 * number} poses: reported {reported:6.3f} %, true {true:6.3f} %")

@@ -10,7 +10,7 @@ import surefoot
 
 
 def cop_error(method: str, seconds: float = 20.0, seed: int = 0) -> float:
-    """Walk for a while; give the error of the feet's centres of pressure in mm rms over its second half."""
+    """Walk for a while; return the error of the feet's centres of pressure in mm rms over its second half."""
     env = gym.make("surefoot/NaoWalk-v0", speed=0.04, duration=seconds)
     env = surefoot.wrappers.FootSensors(env, "hx711-load-cells")
     env = surefoot.wrappers.SelfCalibration(env, method)
@@ -22,7 +22,7 @@ def cop_error(method: str, seconds: float = 20.0, seed: int = 0) -> float:
         observation, _, terminated, truncated, info = env.step(stay)
         done = terminated or truncated
         truth = info["surefoot"]["truth"]
-        standing = truth["vgrf"][:, None] > 20.0  # N: where a foot has a centre of pressure worth the name
+        standing = truth["vgrf"][:, None] > 20.0  # N: where the centre of pressure of a foot is well defined
         errors.append(np.where(standing, observation["cop_foot"] - truth["cop_foot"], np.nan))
     late = np.array(errors[len(errors) // 2 :])
     return 1e3 * float(np.sqrt(np.nanmean(np.sum(late**2, axis=-1))))

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from surefoot.experiments.cli.console import console, fail, keep_old_name, one_line_errors, show
 
@@ -14,24 +15,20 @@ app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=Tr
 
 @app.command()
 def walk(
-    log: Annotated[Path, typer.Argument(help="A log, .parquet or .csv; see docs/log-format.md.")],
+    log: Annotated[Path, Argument(help="A log, .parquet or .csv; see docs/log-format.md.")],
     method: Annotated[
-        str | None,
-        typer.Option(help="moment, window, quasi-static, tare or none; by default as FootCalibrator."),
+        str | None, Option(help="moment, window, quasi-static, tare or none; by default as FootCalibrator.")
     ] = None,
     start: Annotated[
-        str | None,
-        typer.Option(help="Start from the nominal or bench map; by default as the log says."),
+        str | None, Option(help="Start from the nominal or bench map; by default as the log says.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the result; by default beside the log.")
-    ] = None,
-    settle: Annotated[float, typer.Option(help="Errors count from this time in s on.")] = 0.0,
+    out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
+    settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,
     zero_phase: Annotated[
-        bool, typer.Option("--zero-phase", help="Filter with hindsight, as the paper did.")
+        bool, Option("--zero-phase", help="Filter with hindsight, as the paper did.")
     ] = False,
     split_gaps: Annotated[
-        bool, typer.Option("--split-gaps", help="Go on after gaps in time, with filters begun anew.")
+        bool, Option("--split-gaps", help="Go on after gaps in time; filters start again.")
     ] = False,
 ) -> None:
     """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
@@ -58,8 +55,8 @@ def walk(
 
 @app.command()
 def weights(
-    weighings: Annotated[Path, typer.Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
-    out: Annotated[Path | None, typer.Option(help="Where to write the map as JSON.")] = None,
+    weighings: Annotated[Path, Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
+    out: Annotated[Path | None, Option(help="Where to write the map as JSON.")] = None,
 ) -> None:
     """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
     from surefoot.experiments.weights.calibrate import fit_weighings
@@ -74,23 +71,21 @@ def weights(
 def ft(
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(help="A log with all sets, or one file a set, .parquet or .csv; docs/in-situ-log.md."),
+        Argument(help="A log with all sets, or one file a set, .parquet or .csv; docs/in-situ-log.md."),
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="TOML with columns, units and added masses; by default beside the first log."),
+        Option(help="TOML with columns, units and added masses; by default beside the first log."),
     ] = None,
-    sample: Annotated[bool, typer.Option("--sample", help="Calibrate surefoot's own sample.")] = False,
-    raw: Annotated[str | None, typer.Option(help="Columns of the channels, separated by commas.")] = None,
+    sample: Annotated[bool, Option("--sample", help="Calibrate surefoot's own sample.")] = False,
+    raw: Annotated[str | None, Option(help="Columns of the channels, separated by commas.")] = None,
     specific_force: Annotated[
-        str | None, typer.Option(help="Columns of the accelerometer: x,y,z; up at rest.")
+        str | None, Option(help="Columns of the accelerometer: x,y,z; up at rest.")
     ] = None,
-    gravity: Annotated[str | None, typer.Option(help="Columns of gravity in its place: x,y,z; down.")] = None,
-    time: Annotated[str | None, typer.Option(help="Column of time.")] = None,
-    set_: Annotated[str | None, typer.Option("--set", help="Column that names the sets.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the result; by default beside the log.")
-    ] = None,
+    gravity: Annotated[str | None, Option(help="Columns of gravity in its place: x,y,z; down.")] = None,
+    time: Annotated[str | None, Option(help="Column of time.")] = None,
+    set_: Annotated[str | None, Option("--set", help="Column that names the sets.")] = None,
+    out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
 ) -> None:
     """Calibrate a six-axis F/T sensor where it is built in: counts, gravity and known masses in."""
     from surefoot.experiments.force_torque.calibrate import SAMPLE, calibrate_in_situ_log
@@ -101,15 +96,15 @@ def ft(
     paths = [SAMPLE] if sample else list(logs or ())
     folder = out if out is not None else (Path("out/in-situ") if sample else paths[0].parent)
     with one_line_errors():
-        told = read_config(config) if config is not None else config_beside(paths[0])
-        told = told.override(
+        given = read_config(config) if config is not None else config_beside(paths[0])
+        given = given.override(
             raw=_names(raw),
             specific_force=_names(specific_force),
             gravity=_names(gravity),
             time=time,
             set=set_,
         )
-        result = calibrate_in_situ_log(paths, told, folder=folder, console=console)
+        result = calibrate_in_situ_log(paths, given, folder=folder, console=console)
     for notice in result.notices:
         typer.echo(f"Note: {notice}")
     show(result.tables)

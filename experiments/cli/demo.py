@@ -23,25 +23,34 @@ def demo(
 
 def view(
     feed: Annotated[
-        str, typer.Option(help="CoP fed back: true, none (drifting raw), tare, quasi-static or window.")
-    ] = "window",
+        list[str] | None,
+        typer.Option(
+            help="CoP fed back: true, none (drifting raw), tare, quasi-static, window or moment; window by "
+            "default. Give it again to film several side by side."
+        ),
+    ] = None,
     speed: Annotated[float, typer.Option(help="Walking speed in m/s.")] = 0.04,
     seed: Annotated[int, typer.Option(help="Seed of the walk and its sensors.")] = 0,
     duration: Annotated[float, typer.Option(help="Duration in s, 4 s of standing included.")] = 20.0,
     severity: Annotated[float, typer.Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
-    video: Annotated[Path | None, typer.Option(help="Write an .mp4 here in place of a window.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="Write an .mp4, .webp or .gif here in place of a window.")
+    ] = None,
 ) -> None:
     """Watch the walker in a window, or film it."""
-    from surefoot.experiments.walks.video import film_walk, prepare_rendering, watch_walk
+    from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
 
     prepare_rendering()
-    if video is not None and video.suffix != ".mp4":
-        fail(f"'{video}' must end in .mp4.")
+    feeds = feed or ["window"]
+    if video is not None and video.suffix not in (".mp4", *ANIMATIONS):
+        fail(f"'{video}' must end in .mp4, .webp or .gif.")
+    if video is None and len(feeds) > 1:
+        fail("a window shows one feed; film several side by side with --video walk.mp4.")
     try:
         if video is None:
-            watch_walk(feed, speed=speed, seed=seed, duration=duration, severity=severity)
+            watch_walk(feeds[0], speed=speed, seed=seed, duration=duration, severity=severity)
         else:
-            film = film_walk(video, feed, speed=speed, seed=seed, duration=duration, severity=severity)
+            film = film_walks(video, feeds, speed=speed, seed=seed, duration=duration, severity=severity)
             typer.echo(f"Film: {film}")
     except (ValueError, OSError, ImportError) as error:
         fail(str(error))

@@ -4,53 +4,48 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
-from surefoot.experiments.cli.console import console, fail
+from surefoot.experiments.cli.console import console, fail, one_line_errors
 
 __all__ = ["train"]
 
 
 def train(
-    out: Annotated[
-        Path, typer.Option(help="Folder of the training; one that was stopped there goes on.")
-    ] = Path("out/policy"),
-    task: Annotated[str, typer.Option(help="balance, or walk.")] = "balance",
+    out: Annotated[Path, Option(help="Folder of the training; one that was stopped there goes on.")] = Path(
+        "out/policy"
+    ),
+    task: Annotated[str, Option(help="balance, or walk.")] = "balance",
     sensors: Annotated[
-        str, typer.Option(help="CoP trained on: true, or randomised (drifting sensors of every severity).")
+        str, Option(help="CoP trained on: true, or randomised (drifting sensors of every severity).")
     ] = "true",
-    seed: Annotated[int, typer.Option(help="Of everything random.", min=0, max=999)] = 0,
-    steps: Annotated[int | None, typer.Option(help="Decisions in all; 160 000 by default.", min=1)] = None,
-    restart: Annotated[bool, typer.Option("--restart", help="Forget what the folder holds.")] = False,
+    seed: Annotated[int, Option(help="Of everything random.", min=0, max=999)] = 0,
+    steps: Annotated[int | None, Option(help="Decisions in all; 160 000 by default.", min=1)] = None,
+    restart: Annotated[bool, Option("--restart", help="Start again, whatever the folder holds.")] = False,
     export: Annotated[
         Path | None,
-        typer.Option(help="Train nothing: turn this Stable-Baselines3 zip into a policy file in --out."),
+        Option(help="Train nothing: turn this Stable-Baselines3 zip into a policy file in --out."),
     ] = None,
     trusted: Annotated[
-        bool, typer.Option("--trusted", help="The zip's maker is trusted: opening it runs pickled code.")
+        bool, Option("--trusted", help="The zip's maker is trusted: opening it runs pickled code.")
     ] = False,
 ) -> None:
     """Train a policy by PPO, and write it with its learning curve and a card."""
     from surefoot.experiments.policy.options import TrainOptions
 
-    try:
-        if export is not None:
-            from surefoot.experiments.policy.export import export_zip
-            from surefoot.experiments.policy.train import POLICY
+    with one_line_errors(out, "what was trained until the last checkpoint is there."):
+        try:
+            if export is not None:
+                from surefoot.experiments.policy.export import export_zip
+                from surefoot.experiments.policy.train import POLICY
 
-            export_zip(export, out / POLICY, task=task, trusted=trusted)
-            typer.echo(f"Policy: {out / POLICY}")
-            return
-        given: dict[str, Any] = {} if steps is None else {"steps": steps}
-        options = TrainOptions(task=task, sensors=sensors, seed=seed, **given)
-        _train(out, options, restart)
-    except (ValueError, FileNotFoundError) as error:
-        fail(str(error))
-    except ImportError as error:
-        fail(f"training needs torch and stable-baselines3 ({error}): pip install 'surefoot[rl]'.")
-    except OSError as error:
-        fail(
-            f"cannot write to '{out}': {error.strerror}; what was trained until the last checkpoint is there."
-        )
+                export_zip(export, out / POLICY, task=task, trusted=trusted)
+                typer.echo(f"Policy: {out / POLICY}")
+                return
+            given: dict[str, Any] = {} if steps is None else {"steps": steps}
+            _train(out, TrainOptions(task=task, sensors=sensors, seed=seed, **given), restart)
+        except ImportError as error:
+            fail(f"training needs torch and stable-baselines3 ({error}): pip install 'surefoot[rl]'.")
 
 
 def _train(out: Path, options: Any, restart: bool) -> None:

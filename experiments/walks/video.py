@@ -7,7 +7,7 @@ pressure, a coloured one that which the controller is given.
 
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from ctypes.util import find_library
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ from surefoot.experiments.walks.closed_loop import Moment, walk_moments
 __all__ = [
     "Film",
     "Reel",
-    "film_walk",
+    "film_walks",
     "join_reels",
     "mark_cop",
     "prepare_rendering",
@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 FRAMES_PER_SECOND = 16
+ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
 FIRST_MOMENT = 3.0
 """Time in s at which a film begins: before it the robot stands."""
@@ -127,32 +128,34 @@ def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
     problem = left.problem or right.problem
     if problem:
         return Film(None, None, problem)
-    count = max(len(left.frames), len(right.frames))
-    frames = np.concatenate([_extended(reel.frames, count) for reel in (left, right)], axis=2)
+    frames = _side_by_side([left, right])
     falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
-    shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else count // 2
+    shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else len(frames) // 2
     path = write_film(folder / "walk.mp4", frames)
     still = folder / "walk.png"
     with atomic_path(still) as part:
-        Image.fromarray(frames[min(shown, count - 1)]).save(part)
+        Image.fromarray(frames[min(shown, len(frames) - 1)]).save(part)
     return Film(path, still)
 
 
-def film_walk(
-    path: Path, feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0
+def film_walks(
+    path: Path, feeds: Sequence[str], *, speed: float, seed: int, duration: float, severity: float = 1.0
 ) -> Path:
-    """Film one walk into a file; arguments as in :func:`shoot`.
+    """Film the same walk on one or more feeds side by side into a file; arguments as in :func:`shoot`.
 
     Raises:
         OSError: If nothing can be drawn on this machine.
     """
-    reel = shoot(feed, speed=speed, seed=seed, duration=duration, severity=severity)
-    if reel.problem:
-        raise OSError(
-            f"nothing can be drawn here ({reel.problem}); install an OpenGL driver such as libegl1 and "
-            "libgl1-mesa-dri, or set MUJOCO_GL."
-        )
-    return write_film(path, reel.frames)
+    options = {"speed": speed, "duration": duration, "severity": severity}
+    reels = []
+    for feed in feeds:
+        reels.append(shoot(feed, seed=seed, **options))
+        if reels[-1].problem:
+            raise OSError(
+                f"nothing can be drawn here ({reels[-1].problem}); install an OpenGL driver such as libegl1 "
+                "and libgl1-mesa-dri, or set MUJOCO_GL."
+            )
+    return write_film(path, _side_by_side(reels))
 
 
 def watch_walk(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> None:
@@ -178,8 +181,25 @@ def mark_cop(feed: str, moment: Moment) -> None:
 
 
 def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], quality: int = 7) -> Path:
-    """Write pictures of shape (height, width, 3) to an .mp4, atomically; quality from 0 to 10."""
+    """Write pictures of shape (height, width, 3) to an .mp4, or an animated .webp or .gif, atomically.
+
+    Args:
+        path: Where the film goes.
+        frames: The pictures; an animation takes every other one.
+        quality: From 0 to 10, of an .mp4.
+    """
     with atomic_path(path) as part:
+        if path.suffix in ANIMATIONS:
+            stills = [Image.fromarray(frame) for frame in list(frames)[::2]]
+            stills[0].save(
+                part,
+                save_all=True,
+                append_images=stills[1:],
+                duration=2000 // FRAMES_PER_SECOND,
+                loop=0,
+                method=6,
+            )
+            return path
         writer: Any = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=quality)
         try:
             for frame in frames:
@@ -193,9 +213,13 @@ def _has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _extended(frames: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
-    missing = count - len(frames)
-    return np.concatenate([frames, np.repeat(frames[-1:], missing, axis=0)]) if missing else frames
+def _side_by_side(reels: Sequence[Reel]) -> NDArray[np.uint8]:
+    """Join walks; one that has ended shows its last picture on."""
+    count = max(len(reel.frames) for reel in reels)
+    ends = [np.repeat(reel.frames[-1:], count - len(reel.frames), axis=0) for reel in reels]
+    return np.concatenate(
+        [np.concatenate([reel.frames, end]) for reel, end in zip(reels, ends, strict=True)], axis=2
+    )
 
 
 def _frames(

@@ -145,7 +145,11 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
         "No sample from 99 s on has finite forces, so there is nothing to score; the walk ends at 0.7375 s: "
         "walk longer or settle for less.",
     )
-    fails(["view", "--video", "walk.gif"], "'walk.gif' must end in .mp4.")
+    fails(["view", "--video", "walk.avi"], "'walk.avi' must end in .mp4, .webp or .gif.")
+    fails(
+        ["view", "--feed", "none", "--feed", "tare"],
+        "a window shows one feed; film several side by side with --video walk.mp4.",
+    )
     fails(
         ["view", "--feed", "guess", "--video", "walk.mp4"],
         "There is no feed 'guess'. Available: 'true', 'none', 'tare', 'quasi-static', 'window', 'moment'.",

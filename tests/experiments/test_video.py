@@ -6,6 +6,7 @@ import imageio.v2 as imageio
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
 from surefoot.experiments.walks import video
 from surefoot.experiments.walks.video import FRAMES_PER_SECOND, Film, Reel, join_reels
@@ -32,6 +33,14 @@ def test_two_walks_side_by_side(tmp_path: Path) -> None:
     assert (still[:, 32:] == 208).all()
 
 
+@pytest.mark.parametrize("suffix", video.ANIMATIONS)
+def test_an_animation_takes_every_other_picture_and_goes_round(tmp_path: Path, suffix: str) -> None:
+    shades = np.linspace(0, 255, 9, dtype=np.uint8)
+    path = video.write_film(tmp_path / f"walk{suffix}", np.full((9, 32, 32, 3), shades[:, None, None, None]))
+    with Image.open(path) as film:
+        assert (film.n_frames, film.info["loop"], film.size) == (5, 0, (32, 32))
+
+
 def test_without_pictures_there_is_no_film_but_a_reason(tmp_path: Path) -> None:
     dark = Reel(np.empty((0, 0, 0, 3), np.uint8), None, "RuntimeError: no OpenGL")
     assert join_reels(tmp_path, reel(3, 20), dark) == Film(None, None, "RuntimeError: no OpenGL")
@@ -46,4 +55,4 @@ def test_a_driver_that_fails_is_no_error(monkeypatch: pytest.MonkeyPatch) -> Non
     shot = video.shoot("true", speed=0.04, seed=0, duration=4.0)
     assert (len(shot.frames), shot.problem) == (0, "RuntimeError: no context")
     with pytest.raises(OSError, match=r"can be drawn here \(RuntimeError: no context\); install an OpenGL"):
-        video.film_walk(Path("walk.mp4"), "true", speed=0.04, seed=0, duration=4.0)
+        video.film_walks(Path("walk.mp4"), ["true"], speed=0.04, seed=0, duration=4.0)
