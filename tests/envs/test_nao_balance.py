@@ -11,7 +11,6 @@ from surefoot.envs.nao.balance import FADE_TIME, LARGEST_SWAY, NaoBalanceEnv, Ra
 from surefoot.envs.nao.disturbances import Payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.robots.nao import load_nao_spec
-from surefoot.wrappers import FootSensors, SelfCalibration
 
 ZERO = np.zeros(11, dtype=np.float32)
 CALM = {"push_impulse": (0.0, 0.0), "joint_noise": 0.0, "velocity_noise": 0.0}
@@ -109,20 +108,6 @@ def test_ten_millimetres_clearly_cost():
     assert paid[0] - paid[1] > 0.7
     assert env._reward({"cop_world": np.full(2, np.nan)}, np.zeros(11))["reward_cop"] == 0.0
     assert env._reward({"cop_world": near}, np.ones(11))["reward_action"] == pytest.approx(-0.1)
-
-
-def test_sensors_and_calibration_wrap_it_unchanged():
-    bare = NaoBalanceEnv(stand_time=0.1)
-    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoBalance-v0", stand_time=0.1)), "moment")
-    observation, _ = env.reset(seed=3)
-    for key in bare.observation_space.spaces:
-        assert observation[key].shape == bare.observation_space[key].shape
-    bare.reset(seed=3)
-    for _ in range(30):
-        *_, info = env.step(ZERO)
-        *_, plain = bare.step(ZERO)
-    truth, true = info["surefoot"]["truth"], plain["surefoot"]["truth"]
-    np.testing.assert_array_equal(truth["cop_world"], true["cop_world"])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from gymnasium.utils.env_checker import check_env
 import surefoot  # noqa: F401
 from surefoot.envs.nao.carry import COP_SCALE, COP_WEIGHT, PAYLOAD_BOX, NaoCarryEnv
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.wrappers import FootSensors, SelfCalibration
 
 ZERO = np.zeros(11, dtype=np.float32)
 CALM = {"push_impulse": (0.0, 0.0), "joint_noise": 0.0, "velocity_noise": 0.0}
@@ -104,18 +103,6 @@ def test_the_centre_of_pressure_pays_as_much_as_all_the_rest():
     assert sum(info[term] for term in info if term.startswith("reward_")) == pytest.approx(6.0, abs=0.1)
     # The walk of the sibling is paid by its own, wider scale.
     assert NaoWalkEnv.cop_scale > NaoCarryEnv.cop_scale == COP_SCALE
-
-
-def test_sensors_and_calibration_wrap_it_unchanged():
-    bare = NaoCarryEnv(**SHORT)
-    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoCarry-v0", **SHORT)), "moment")
-    env.reset(seed=3)
-    bare.reset(seed=3)
-    for _ in range(30):
-        *_, info = env.step(ZERO)
-        *_, plain = bare.step(ZERO)
-    truth, true = info["surefoot"]["truth"], plain["surefoot"]["truth"]
-    np.testing.assert_array_equal(truth["cop_world"], true["cop_world"])
 
 
 @pytest.mark.parametrize(

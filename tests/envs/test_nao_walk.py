@@ -40,21 +40,6 @@ def test_it_passes_the_environment_checker():
     check_env(gym.make("surefoot/NaoWalk-v0", duration=8.0).unwrapped, skip_render_check=True)
 
 
-def test_it_is_deterministic_and_seeded():
-    def roll(seed):
-        env = NaoWalkEnv(duration=8.0, push_impulse=(0.5, 1.0), push_interval=0.5)
-        observation, _ = env.reset(seed=seed)
-        seen = [observation["state"]]
-        env.action_space.seed(3)
-        for _ in range(80):
-            observation, reward, *_ = env.step(0.1 * env.action_space.sample())
-            seen.append(np.append(observation["state"], reward))
-        return np.concatenate(seen)
-
-    assert (roll(1) == roll(1)).all()
-    assert not (roll(1) == roll(2)).all()
-
-
 @pytest.mark.parametrize("speed", [0.02, 0.04, 0.1])
 def test_the_open_loop_walker_goes_as_fast_as_planned_to_the_end_of_its_plan(speed):
     env = NaoWalkEnv(speed=speed, duration=8.0, **QUIET)

@@ -42,7 +42,6 @@ def bare(name: str) -> gym.Env[Any, Any]:
     [
         ("Humanoid-v5", PERFECT_FORCE_TORQUE),
         ("Walker2d-v5", PERFECT_FORCE_TORQUE),
-        ("surefoot/NaoStand-v0", "perfect"),
         ("surefoot/NaoWalk-v0", "perfect"),
     ],
 )
