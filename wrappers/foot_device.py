@@ -11,6 +11,9 @@ from surefoot.sensors.presets import resolve
 FootDevice = LoadCells | ForceTorque
 """What can be under a foot."""
 
+JITTER_BOUND = 6.0
+"""Standard deviations of a wire's or a link's jitter that no word is late by."""
+
 
 def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
     """Make a configuration of a preset's name, a mapping or a configuration, of either kind.

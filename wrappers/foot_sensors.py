@@ -33,6 +33,9 @@ from surefoot.wrappers.telemetry import Hardware, Telemetry, TelemetryState, tim
 SENSOR_STREAM = 0x5F00
 """Number of the random stream that sensors draw from unless another is given."""
 
+CLOCK_TOLERANCE = 0.01
+"""Error of a step's duration, as a share of dt, from which rates would be wrong."""
+
 TELEMETRY_STREAM = 1
 """Number, within that, of the stream of an IMU and of encoders that no observation shows."""
 
@@ -289,7 +292,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def _check_clock(self, time: float, dt: float) -> None:
         """Raise RuntimeError if a step did not last the environment's dt: all rates would be wrong."""
         before, self._clock = self._clock, time
-        if before is not None and abs(time - before - dt) > 0.01 * dt:
+        if before is not None and abs(time - before - dt) > CLOCK_TOLERANCE * dt:
             raise RuntimeError(
                 f"A step of {self.env} took {time - before:g} s of simulated time, but its dt is {dt:g} s; "
                 "put whatever repeats or skips steps around FootSensors, and give an environment of your own "

@@ -15,7 +15,7 @@ from surefoot.envs import RobotDrawing
 from surefoot.sensors import Corruption, ForceTorque, LoadCells, force_torque, load_cells
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map
-from surefoot.wrappers.foot_device import FootDevice
+from surefoot.wrappers.foot_device import JITTER_BOUND, FootDevice
 
 Floats = NDArray[np.float64]
 
@@ -317,7 +317,7 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> di
 def _memory(config: FootDevice) -> float:
     """Return for how long readings may still be of an earlier load, in s."""
     wire = config.wire
-    latest: float = wire.delay + 6.0 * wire.jitter
+    latest: float = wire.delay + JITTER_BOUND * wire.jitter
     if isinstance(config, LoadCells) and config.rate is not None and config.settling > 1:
         latest += config.settling / config.rate[0]
     return latest

@@ -4,6 +4,7 @@ from math import ceil
 
 from surefoot.wrappers.beliefs import HISTORY
 from surefoot.wrappers.contacts import CONTACT_MARGIN
+from surefoot.wrappers.foot_device import JITTER_BOUND
 from surefoot.wrappers.telemetry import Telemetry
 
 
@@ -38,7 +39,7 @@ def check_lag(lag: int, telemetry: Telemetry, age: float) -> None:
         age: As of :func:`usual_lag`.
     """
     # The newest packet that can have come, when the jitter was kind.
-    youngest = max(telemetry.link.delay - 6.0 * telemetry.link.jitter, 0.0)
+    youngest = max(telemetry.link.delay - JITTER_BOUND * telemetry.link.jitter, 0.0)
     packets = ceil((lag * telemetry.dt + age - youngest) / telemetry.period) + 3
     if packets > HISTORY:
         raise ValueError(

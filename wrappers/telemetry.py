@@ -17,6 +17,7 @@ from surefoot.sensors.devices.imu import ImuState
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.transport.link import Packets, receive, send
 from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
+from surefoot.wrappers.foot_device import JITTER_BOUND
 
 VELOCITY_TIME_CONSTANT = 0.02
 """Time constant in s of the low-pass filter on differences of encoder readings."""
@@ -154,8 +155,8 @@ class Telemetry:
             "rate",
             f"be at most {fastest:g} per second, one packet a substep of the simulation",
         )
-        # Beyond six standard deviations no packet is late: some have come when the episode begins.
-        latest = link.delay + 6.0 * link.jitter
+        # Some packets have come when the episode begins.
+        latest = link.delay + JITTER_BOUND * link.jitter
         self.before_start = max(PACKETS_BEFORE_START, ceil(latest / self.period) + 4)
         self._imu: Corruption[ImuState] = imu(imu_config)
         self._encoders: Corruption[Any] = encoders(encoder_config)

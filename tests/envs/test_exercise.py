@@ -119,7 +119,7 @@ def test_it_is_a_source_of_truth(env):
     env.reset(seed=0)
     for _ in range(5):
         observation, _, _, _, info = env.step(zero(env))
-    truth, told = env.truth, info["surefoot"]["truth"]
+    truth, given = env.truth, info["surefoot"]["truth"]
     joints = len(env.joint_names)
     assert joints == 13
     assert env.joint_names == env.drawing.joint_names
@@ -132,18 +132,18 @@ def test_it_is_a_source_of_truth(env):
         assert getattr(truth, name).shape == shape, name
     np.testing.assert_allclose(np.diff(truth.time), env.model.opt.timestep, atol=1e-12)
     assert truth.time[-1] == pytest.approx(5 * env.dt - env.model.opt.timestep)
-    np.testing.assert_allclose(told["force_cell"].sum(), told["wrench_sole"][:, 2].sum(), rtol=1e-9)
-    np.testing.assert_array_equal(told["vgrf"], truth.vgrf())
+    np.testing.assert_allclose(given["force_cell"].sum(), given["wrench_sole"][:, 2].sum(), rtol=1e-9)
+    np.testing.assert_array_equal(given["vgrf"], truth.vgrf())
     state, layout = observation["state"], env.state_layout
     np.testing.assert_allclose(state[layout["joint_position"]], truth.joint_position[-1], rtol=1e-6)
     velocity = (truth.joint_position[-1] - truth.joint_position[-2]) / env.model.opt.timestep
     np.testing.assert_allclose(state[layout["joint_velocity"]], velocity, atol=1e-4)
     np.testing.assert_allclose(state[layout["com_reference"]], env.command.com[:2], atol=1e-6)
-    np.testing.assert_allclose(observation["foot_force"], told["force_cell"], rtol=1e-5)
-    np.testing.assert_allclose(observation["cop_foot"], told["cop_foot"], rtol=1e-5)
+    np.testing.assert_allclose(observation["foot_force"], given["force_cell"], rtol=1e-5)
+    np.testing.assert_allclose(observation["cop_foot"], given["cop_foot"], rtol=1e-5)
     np.testing.assert_array_equal(observation["cop_valid"], 1)
-    np.testing.assert_allclose(observation["cop"], told["cop_world"], atol=5e-4)
-    np.testing.assert_allclose(told["vgrf"].sum(), env.model.body_subtreemass[1] * 9.81, rtol=0.2)
+    np.testing.assert_allclose(observation["cop"], given["cop_world"], atol=5e-4)
+    np.testing.assert_allclose(given["vgrf"].sum(), env.model.body_subtreemass[1] * 9.81, rtol=0.2)
 
 
 def test_a_lifted_foot_holds_its_last_centre_of_pressure(env):
@@ -163,7 +163,7 @@ def test_a_lifted_foot_holds_its_last_centre_of_pressure(env):
     assert held > 50
 
 
-def test_seeds_tell_episodes(path, env):
+def test_a_seed_is_an_episode(path, env):
     def cops(which, seed):
         which.reset(seed=seed)
         return np.array([which.step(zero(which))[0]["cop"] for _ in range(40)])

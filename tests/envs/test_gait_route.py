@@ -29,7 +29,7 @@ def ground_of(*legs):
 
 
 @pytest.mark.parametrize(("speed", "turn_rate"), [(0.04, -0.1), (-0.04, 0.0)])
-def test_a_route_of_one_leg_is_the_walk_that_it_says(speed, turn_rate):
+def test_a_route_of_one_leg_is_that_walk(speed, turn_rate):
     """The walk is 8 s long with a second of standing at either end: the leg takes 6 s."""
     walk, route = plan_walk(speed, turn_rate, 8.0), plan_route((Leg(6.0, speed, turn_rate),), 8.0)
     assert route.footsteps == walk.footsteps

@@ -136,7 +136,7 @@ def test_who_stands_presses_with_its_weight_where_its_contacts_are(name):
     np.testing.assert_allclose(truth.cop_world(), moment / felt, atol=1e-5)
 
 
-def test_naos_own_sensors_say_the_same():
+def test_naos_own_sensors_read_the_same():
     instrumentation = instrument(load_nao_spec(), margin=0.0)
     model = instrumentation.spec.compile()
     data = standing_pose(model)
@@ -179,7 +179,7 @@ def test_recorded_rows_read_as_one_by_one_and_are_copies():
 
 
 @pytest.mark.parametrize("name", ["humanoid", "walker2d"])
-def test_a_foot_at_one_point_tells_its_force_and_refuses_the_rest_with_the_reason(name):
+def test_a_foot_at_one_point_has_its_force_and_refuses_the_rest_with_the_reason(name):
     _, instrumentation, model = robot(name)
     data = standing_pose(model)
     mujoco.mj_forward(model, data)
@@ -210,20 +210,20 @@ def test_a_robot_that_is_left_alone_is_read_alike(name):
             data.ctrl += control
             mujoco.mj_step(m, data, 25)
         before = {part: getattr(own, part).copy() for part in ("qacc", "cfrc_ext", "cfrc_int", "xpos")}
-        told = reader.now()
+        given = reader.now()
         for part, value in before.items():
             np.testing.assert_array_equal(getattr(own, part), value)
         mujoco.mj_forward(model, sensed)
         truth = instrumentation.read(model, sensed)
         for part in ("wrench_ankle", "wrench_sole", "R_world_sole", "accelerometer", "rows"):
-            expected, read = getattr(truth, part), getattr(told, part)[0]
+            expected, read = getattr(truth, part), getattr(given, part)[0]
             if part == "rows":
                 # Contacts are summed about another point.
                 ground = np.concatenate([27 * i + np.arange(6, 15) for i in range(2)])
                 expected, read = np.delete(expected, ground), np.delete(read, ground)
             scale = 1.0 + np.abs(expected).max()
             np.testing.assert_allclose(read, expected, rtol=0.0, atol=1e-9 * scale)
-        np.testing.assert_allclose(told.vgrf(), truth.vgrf(), atol=1e-9 * scale)
+        np.testing.assert_allclose(given.vgrf(), truth.vgrf(), atol=1e-9 * scale)
 
 
 def test_robots_are_loaded_by_name_and_missing_ones_say_where_they_are(monkeypatch):
@@ -271,7 +271,7 @@ def test_a_drawing_moves_and_weighs_as_the_robot_does(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_drawing_says_what_hangs_below_the_ankle(name):
+def test_a_drawing_has_what_hangs_below_the_ankle(name):
     """A foot held still in the air: its ankle carries what the drawing says, at the place that it says."""
     _, instrumentation, model = robot(name)
     drawing = instrumentation.drawing

@@ -1,4 +1,4 @@
-"""Sensors around any MuJoCo environment: its episodes stay what they are, and the truth is told."""
+"""Sensors around any MuJoCo environment: its episodes stay what they are, and the truth is beside them."""
 
 import pickle
 
@@ -113,7 +113,7 @@ def test_an_episode_that_is_wrapped_on_its_way_goes_on():
 
 
 @pytest.mark.parametrize("in_place", [None, False])
-def test_truth_tells_the_instant_that_it_says(in_place):
+def test_truth_is_of_the_instant_that_is_documented(in_place):
     env = InstrumentedEnv(gym.make("Walker2d-v5"), in_place=in_place)
     env.reset(seed=0)
     instrumentation = instrument(load_robot_spec("walker2d"))
@@ -145,27 +145,27 @@ def test_truth_tells_the_instant_that_it_says(in_place):
     assert (renderer.model, renderer.data) == (env.model, env.data)
 
 
-def test_info_tells_the_truth_when_asked_and_travels_as_a_dict(path):
+def test_info_has_the_truth_when_asked_and_travels_as_a_dict(path):
     env = InstrumentedEnv(Toy(fullpath=path))
     assert not env.untouched
     env.reset()
     for _ in range(200):
         info = env.step(None)[4]
-    told = info["surefoot"]["truth"]
-    assert list(told) == ["force_cell", "vgrf", "cop_world", "cop_foot", "com", "wrench_sole"]
+    given = info["surefoot"]["truth"]
+    assert list(given) == ["force_cell", "vgrf", "cop_world", "cop_foot", "com", "wrench_sole"]
     weight = 9.81 * env.model.body_subtreemass[0]
-    assert told["vgrf"].sum() == pytest.approx(weight, rel=1e-3)
-    np.testing.assert_array_equal(told["force_cell"], env.truth.force_cell[0])
-    np.testing.assert_allclose(told["cop_foot"], env.truth.cop_sole[0])
-    np.testing.assert_array_equal(told["cop_world"], env.truth.cop_world())
-    sent = pickle.loads(pickle.dumps(told))
+    assert given["vgrf"].sum() == pytest.approx(weight, rel=1e-3)
+    np.testing.assert_array_equal(given["force_cell"], env.truth.force_cell[0])
+    np.testing.assert_allclose(given["cop_foot"], env.truth.cop_sole[0])
+    np.testing.assert_array_equal(given["cop_world"], env.truth.cop_world())
+    sent = pickle.loads(pickle.dumps(given))
     assert type(sent) is dict
-    assert told == sent
+    assert given == sent
     env.step(None)
-    assert told == sent
-    assert told != env.reset()[1]["surefoot"]["truth"]
+    assert given == sent
+    assert given != env.reset()[1]["surefoot"]["truth"]
     with pytest.raises(KeyError, match="cop"):
-        told["cop"]
+        given["cop"]
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_without_a_description_the_model_is_read_from_beside(path):
     assert InstrumentedEnv(base).untouched.startswith("its file is of another robot: its bodies are")
 
 
-def test_a_model_made_anew_at_a_reset_is_refused(path):
+def test_another_model_made_at_a_reset_is_refused(path):
     class Fickle(Toy):
         def reset(self, **given):
             self.make()
@@ -255,8 +255,8 @@ def test_soles_give_round_feet_an_area():
         info = env.step(np.zeros(17))[4]
         if env.truth.vgrf().min() > 50.0:
             break
-    told = info["surefoot"]["truth"]
-    assert told["force_cell"].reshape(2, 4).sum(axis=1) == pytest.approx(told["wrench_sole"][:, 2])
+    given = info["surefoot"]["truth"]
+    assert given["force_cell"].reshape(2, 4).sum(axis=1) == pytest.approx(given["wrench_sole"][:, 2])
     bare = gym.make("Humanoid-v5").unwrapped.model
     np.testing.assert_array_equal(env.model.body_mass, bare.body_mass)
     box = env.model.geom("surefoot/left_foot_sole")

@@ -92,7 +92,7 @@ def test_chosen_cells_are_used_and_wrong_ones_are_refused():
             instrument(toy(BOX), margin=margin)
 
 
-def test_feet_that_cannot_be_told_are_refused_with_what_there_is():
+def test_feet_that_cannot_be_found_are_refused_with_what_there_is():
     bodies = re.escape("['torso', 'foot_l', 'foot_r']")
     for feet in (("foot_l", "paw"), (), ("foot_l", "foot_l")):
         with pytest.raises(ValueError, match=rf"each once, got .*; the model's bodies are {bodies}"):

@@ -1,4 +1,4 @@
-"""The carrying task: a quiet stand, a walk to the end, a load that nobody told about."""
+"""The carrying task: a quiet stand, a walk to the end, a load that is not announced."""
 
 import gymnasium as gym
 import numpy as np

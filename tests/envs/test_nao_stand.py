@@ -202,7 +202,7 @@ def test_the_zero_action_stands(options):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_robot_sways_to_the_side_that_it_is_told(axis):
+def test_the_robot_sways_to_the_side_that_is_asked_for(axis):
     """A positive amplitude moves the centre of mass forward, or left, in the first half of a period."""
     env = NaoStandEnv(sway=tuple(0.03 * (np.arange(2) == axis)), sway_period=4.0, joint_noise=0.0)
     env.reset(seed=0)

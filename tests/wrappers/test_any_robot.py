@@ -52,7 +52,7 @@ def test_a_null_sensor_changes_nothing(name: str, config: Any) -> None:
     check_environments_match(bare(name), sensed, num_steps=300, seed=3, info_comparison=comparison)
 
 
-def test_a_null_sensor_tells_the_truth_about_the_ankles() -> None:
+def test_a_null_sensor_reads_the_truth_about_the_ankles() -> None:
     env = FootSensors(gym.make("Humanoid-v5"), PERFECT_FORCE_TORQUE)
     observation, _ = env.reset(seed=0)
     for _ in range(20):
@@ -123,8 +123,8 @@ def test_sensors_never_touch_the_environments_own_randomness() -> None:
 
 def test_listening_shifts_nothing_that_feet_draw() -> None:
     alone = steps(STACKS["ankles"]())
-    heard = steps(STACKS["calibrated"]())
-    for one, other in zip(alone, heard, strict=True):
+    listened = steps(STACKS["calibrated"]())
+    for one, other in zip(alone, listened, strict=True):
         np.testing.assert_array_equal(one["foot_raw"], other["foot_raw"])
 
 
@@ -247,7 +247,7 @@ def test_feet_that_do_not_exist_are_refused_with_those_that_do(stilts: str) -> N
         FootSensors(instrumented, feet=("left_foot", "right_foot"))
 
 
-def test_a_step_that_is_longer_than_it_says_is_refused(stilts: str) -> None:
+def test_a_step_that_is_longer_than_dt_is_refused(stilts: str) -> None:
     class Repeat(gym.Wrapper):
         def step(self, action):
             self.env.step(action)

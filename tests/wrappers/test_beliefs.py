@@ -49,7 +49,7 @@ def test_an_exact_model_agrees_with_the_simulator(exact: NominalModel) -> None:
             np.testing.assert_allclose(R @ axes[3 * i : 3 * i + 3].T, R_world_sole, atol=1e-12)
 
 
-def test_the_nominal_model_is_wrong_by_as_much_as_it_says(exact: NominalModel) -> None:
+def test_the_nominal_model_is_wrong_by_its_errors(exact: NominalModel) -> None:
     nothing = np.zeros(24), np.zeros(24), np.zeros(3)
     com = exact.evaluate(*nothing)[0].copy()
     model = NominalModel(load_nao_spec())
@@ -74,7 +74,7 @@ def test_a_drawing_without_the_sites_is_refused() -> None:
         BeliefErrors(com=-0.1)
 
 
-def test_soles_are_told_in_the_order_in_which_they_are_named() -> None:
+def test_soles_come_in_the_order_of_their_names() -> None:
     still = np.zeros(24), np.zeros(24), np.zeros(3)
     _, _, sites, axes = NominalModel(load_nao_spec()).evaluate(*still)
     _, _, turned, turned_axes = NominalModel(
@@ -143,7 +143,7 @@ def test_jitter_averages_out_of_the_clock(exact: NominalModel) -> None:
     assert np.abs(errors).max() < 1.2e-3
 
 
-def test_soles_hold_the_gyroscope_upright_and_tell_its_bias(exact: NominalModel) -> None:
+def test_soles_hold_the_gyroscope_upright_and_show_its_bias(exact: NominalModel) -> None:
     odometry = Odometry(0.01)
     _, _, sites, axes = exact.evaluate(np.zeros(24), np.zeros(24), np.zeros(3))
     sites, axes = sites.copy(), axes.copy()
@@ -155,7 +155,7 @@ def test_soles_hold_the_gyroscope_upright_and_tell_its_bias(exact: NominalModel)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
 
 
-def test_the_lower_sole_tells_what_is_level(exact: NominalModel) -> None:
+def test_the_lower_sole_shows_what_is_level(exact: NominalModel) -> None:
     """A swinging foot may be tilted: it is higher, and left aside."""
     odometry = Odometry(0.01)
     _, _, sites, axes = exact.evaluate(np.zeros(24), np.zeros(24), np.zeros(3))

@@ -177,7 +177,7 @@ def test_a_saved_state_of_another_calibrator_is_refused():
         make().load_state_dict(broken)
 
 
-def test_what_is_wrong_is_said(log):
+def test_bad_input_is_refused_with_the_reason(log):
     module = make()
     raw, reference = row(log, 0)
     with pytest.raises(ValueError, match=r"'counts' must have shape \(4, 8\), got \(3, 8\)"):

@@ -146,7 +146,7 @@ def test_a_partial_reset_leaves_the_others_alone(name, fresh):
 
 
 @pytest.mark.parametrize("fresh", [False, True])
-def test_sensors_are_kept_or_drawn_anew(fresh):
+def test_sensors_are_kept_or_fresh(fresh):
     feet = make()
     feet(forces(feet))
     error = feet._state[0].error.clone()
@@ -163,7 +163,7 @@ def test_sensors_are_kept_or_drawn_anew(fresh):
         replace(HX711_LOAD_CELLS, settling=4, rate=None),
     ],
 )
-def test_no_reading_tells_of_the_episode_before(config):
+def test_no_reading_is_of_the_episode_before(config):
     """Converters of 80 Hz under a loop of 1 kHz hold their last reading, but not across a reset."""
     quiet = replace(config, input_noise=0.0, initial_scale_std=0.0, initial_offset_std=0.0)
     quiet = replace(quiet, scale_drift=0.0, offset_drift=0.0)
@@ -254,7 +254,7 @@ def test_a_mapping_of_either_kind_is_a_configuration():
     assert make({"noise_force": 0.0}).config == ForceTorque(noise_force=0.0)
 
 
-def test_what_is_wrong_is_said():
+def test_bad_input_is_refused_with_the_reason():
     feet = make()
     with pytest.raises(ValueError, match=r"'force' must have shape \(5, 8\) or \(5, S, 8\), got \(6, 8\)"):
         feet(torch.zeros(6, 8))

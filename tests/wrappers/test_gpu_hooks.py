@@ -156,7 +156,7 @@ def test_recording_and_further_groups_do_not_age_the_sensors(hook):
 
 
 @pytest.mark.parametrize("hook", HOOKS)
-def test_what_ends_within_a_step_is_read_anew(hook):
+def test_what_ends_within_a_step_is_read_again(hook):
     env, _ = environment(hook, groups=2)
     for _ in range(3):
         env.step()
@@ -170,7 +170,7 @@ def test_what_ends_within_a_step_is_read_anew(hook):
 
 @pytest.mark.parametrize("fresh", [False, True])
 @pytest.mark.parametrize("hook", HOOKS)
-def test_a_reset_keeps_the_sensors_unless_told(hook, fresh):
+def test_a_reset_keeps_the_sensors_unless_fresh(hook, fresh):
     env, sensors = environment(hook, fresh=fresh)
     env.step()
     before = sensors.true_parameters().scale

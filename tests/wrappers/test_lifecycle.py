@@ -24,7 +24,7 @@ def scale(env: Any) -> np.ndarray:
     return env.true_parameters()[0]
 
 
-def test_hardware_goes_on_over_resets_and_a_seed_draws_it_anew(make_bare) -> None:
+def test_hardware_is_kept_over_resets_and_fresh_with_a_seed(make_bare) -> None:
     env = FootSensors(make_bare(STAND))
     env.reset(seed=1)
     first = scale(env)

@@ -1,4 +1,4 @@
-"""The calibrator in the loop: what it is told, what it shows, and what it never sees."""
+"""The calibrator in the loop: what it is given, what it shows, and what it never sees."""
 
 import re
 from typing import Any
@@ -63,7 +63,7 @@ def test_what_is_shown_is_the_calibrated_count(make_bare) -> None:
         assert (left, right) == tuple(force.reshape(2, 4).sum(axis=1) > 5.0)
 
 
-def test_another_calibrator_told_the_same_says_the_same(make_bare) -> None:
+def test_another_calibrator_given_the_same_reports_the_same(make_bare) -> None:
     """All that reaches the calibrator are the counts and the reference: a recorded stream replays."""
     env = SelfCalibration(FootSensors(make_bare()), "window")
     env.reset(seed=1)
@@ -108,7 +108,7 @@ def test_calibration_starts_from_the_map_that_was_asked_for(make_bare) -> None:
     assert np.abs(nominal.relative_to(true).scale - 1.0).max() > 0.05
 
 
-def test_a_bench_is_as_good_as_it_says(make_bare) -> None:
+def test_a_calibrated_start_is_as_good_as_its_errors(make_bare) -> None:
     env = SelfCalibration(
         FootSensors(make_bare()), "none", initial="calibrated", errors={"scale": 0.01, "offset": 0.2}
     )
@@ -135,7 +135,7 @@ def test_a_foot_in_the_air_keeps_its_last_centre_of_pressure(make_bare) -> None:
     assert lifted > 20
 
 
-def test_resets_with_a_seed_forget_what_was_learnt(make_bare) -> None:
+def test_calibration_starts_fresh_at_a_reset_with_a_seed(make_bare) -> None:
     env = SelfCalibration(FootSensors(make_bare()), "window")
     first = walk(env, 100, seed=5)
     second = walk(env, 100, seed=5)

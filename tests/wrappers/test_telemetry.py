@@ -40,7 +40,7 @@ def test_packets_are_measured_every_10_ms_and_come_20_ms_later() -> None:
     np.testing.assert_allclose([packet.arrival for packet in packets], measured + 0.020, atol=1e-9)
 
 
-def test_an_averaging_imu_tells_of_the_middle() -> None:
+def test_an_averaging_imu_is_of_the_middle() -> None:
     telemetry = Telemetry(2, AVERAGING, EXACT, Link(), DT, SUBSTEPS)
     for imu, age in ((AVERAGING, 3.5 * DT / SUBSTEPS), (preset("perfect", Imu), 0.0)):
         packets = clockwork(Link(jitter=0.0), imu)

@@ -97,7 +97,7 @@ def test_references_and_soles_are_those_of_the_scalar_class(averaged):
     assert compared == 28 * ROBOTS
 
 
-def test_a_robot_that_is_put_back_is_at_rest_and_others_do_not_notice():
+def test_a_robot_whose_episode_starts_is_at_rest_and_others_do_not_notice():
     layout = TelemetryLayout(24)
     packets = _motions(30, layout)
     kept, put = (BatchBeliefs(_nominal(), layout, PERIOD, DELAY, True, 0.08) for _ in range(2))
@@ -184,7 +184,7 @@ def test_contacts_by_kinematics_are_those_of_the_scalar_class():
     assert (seen > 50).all()
 
 
-def test_who_is_upright_is_told_as_by_the_scalar_class():
+def test_who_is_upright_is_found_as_by_the_scalar_class():
     rng = np.random.default_rng(6)
     batch, alone = BatchUpright(ROBOTS, PERIOD), [Upright(PERIOD) for _ in range(ROBOTS)]
     told = []

@@ -256,15 +256,15 @@ def test_what_does_not_fit_is_refused_at_the_door():
     ids=["clock", "filter and wire", "wire alone"],
 )
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_no_reading_of_a_new_episode_tells_of_the_dead_one(mode, memory):
+def test_no_reading_of_a_new_episode_is_of_the_last_one(mode, memory):
     cells = replace(preset("perfect", LoadCells), **({"rate": (10.0, 10.0)} | memory))
     felt = VectorFootSensors(_copies(mode), cells)
     since: list[list[Any]] = [[] for _ in range(ROBOTS)]
 
-    def follow(seen: Any, infos: Any, begun: Any) -> int:
+    def follow(seen: Any, infos: Any, starting: Any) -> int:
         force, starts = infos["surefoot"]["truth"]["force_cell"], 0
         for robot, loads in enumerate(since):
-            if begun[robot]:
+            if starting[robot]:
                 # The weight of the dead episode is more than anything that the new one begins with.
                 starts += bool(loads) and loads[-1].sum() > force[robot].sum() + 5.0
                 loads.clear()
@@ -281,8 +281,8 @@ def test_no_reading_of_a_new_episode_tells_of_the_dead_one(mode, memory):
         before = done
         seen, _, terminated, truncated, infos = felt.step(ACTIONS)
         done = terminated | truncated
-        begun = {AutoresetMode.NEXT_STEP: before, AutoresetMode.SAME_STEP: done}.get(mode, ~everyone)
-        starts += follow(seen, infos, begun)
+        starting = {AutoresetMode.NEXT_STEP: before, AutoresetMode.SAME_STEP: done}.get(mode, ~everyone)
+        starts += follow(seen, infos, starting)
         if mode is AutoresetMode.DISABLED and done.any():
             seen, infos = felt.reset(options={"reset_mask": done.copy()})
             starts += follow(seen, infos, done)

@@ -191,10 +191,10 @@ def test_old_readings_are_waited_for_alike_in_all_modes(mode):
     wait, run = 8 + 8, 0
     done = np.zeros(ROBOTS, dtype=bool)
     for _ in range(60):
-        begun = done
+        starting = done
         *_, terminated, truncated, infos = env.step(ACTIONS)
         done = terminated | truncated
-        run = 0 if mode is AutoresetMode.NEXT_STEP and begun[2] else run + 1
+        run = 0 if mode is AutoresetMode.NEXT_STEP and starting[2] else run + 1
         unknown = np.isnan(infos["surefoot"]["reference"].com[2]).any()
         assert unknown == (run <= wait), run
         if mode is AutoresetMode.DISABLED and done.any():
@@ -239,7 +239,7 @@ def test_fresh_seeds_and_options_start_fresh():
     np.testing.assert_array_equal(env.calibration._map, first[0])
 
 
-def test_standing_robots_say_where_they_press():
+def test_standing_robots_report_where_they_press():
     """The level frame's centre of pressure is that of the truth, seen from between the soles."""
     copies = SyncVectorEnv([partial(_copy, task="Stand")] * 2)
     env = VectorSelfCalibration(VectorFootSensors(copies, "perfect"), "none")

@@ -183,7 +183,7 @@ class BatchCalibration:
         """
         unknown, none = self._waiting > 0, np.zeros((len(contacts), 2), dtype=bool)
         self._waiting = np.maximum(self._waiting - 1, 0)
-        planned = contacts[0, 0] == contacts[0, 0]
+        planned = not np.isnan(contacts[0, 0])
         stance, swing = self._plan.at(contacts > 0.5) if planned else (none, none)
         reference = self._beliefs.reference(stance, swing, unknown)
         silent = unknown | ~self._upright.at(reference, self._beliefs.force_bias)
