@@ -19,13 +19,8 @@ import numpy as np
 import torch
 
 import surefoot
-from surefoot.calibration import (
-    InSituSet,
-    calibrate_accelerometer,
-    calibrate_in_situ,
-    estimate_offset,
-    fit_channels,
-)
+from surefoot.calibration import InSituSet, calibrate_accelerometer, calibrate_in_situ, fit_channels
+from surefoot.calibration.in_situ import estimate_offset
 from surefoot.sensors import (
     PRESETS,
     Encoders,

@@ -22,10 +22,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from surefoot.calibration import CalibrationRefused
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
+from surefoot.calibration.in_situ import (
+    InSituOptions,
+    InSituSet,
+    KnownLimb,
+    calibrate_in_situ,
+    estimate_matrix,
+    estimate_offset,
+)
 from surefoot.experiments.study.tables import Table, number
 
 Floats = NDArray[np.float64]

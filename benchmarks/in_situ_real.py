@@ -22,12 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from surefoot.calibration.imu.accelerometer import calibrate_accelerometer
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ.paper import estimate_offset, savitzky_golay
+from surefoot.calibration.imu import calibrate_accelerometer, savitzky_golay
+from surefoot.calibration.in_situ import (
+    InSituFit,
+    InSituOptions,
+    InSituSet,
+    KnownLimb,
+    calibrate_in_situ,
+    estimate_offset,
+)
 from surefoot.experiments.study.tables import Table, number
 
 Floats = NDArray[np.float64]

@@ -24,10 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
+from surefoot.calibration.in_situ import (
+    InSituOptions,
+    InSituSet,
+    calibrate_in_situ,
+    estimate_matrix,
+    estimate_offset,
+)
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.study.tables import Table, number
 from surefoot.sensors import StrainGauges, preset, strain_gauges

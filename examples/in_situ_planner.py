@@ -9,16 +9,17 @@ import gymnasium as gym
 import numpy as np
 
 import surefoot  # noqa: F401 - registers the environment
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.excitation import (
+from surefoot.calibration.in_situ import (
+    InSituFit,
+    InSituOptions,
+    InSituSet,
+    KnownLimb,
     MassCandidate,
+    calibrate_in_situ,
     plan_excitation,
     prior_from_factory,
     prior_from_fit,
 )
-from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
 from surefoot.envs.leg_rig.spec import ADDED_MASSES
 from surefoot.sensors import StrainGauges, preset
 

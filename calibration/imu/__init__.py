@@ -1,1 +1,19 @@
-"""Calibrate an accelerometer, and read gravity and motion from an IMU."""
+"""What an IMU on a limb tells: its own errors, the limb's motion, and when the limb was at rest."""
+
+from surefoot.calibration.imu.accelerometer import (
+    AccelerometerFit,
+    AccelerometerModel,
+    calibrate_accelerometer,
+)
+from surefoot.calibration.imu.motion import ImuMotion, gravity_from_imu
+from surefoot.calibration.imu.static import savitzky_golay, static_samples
+
+__all__ = [
+    "AccelerometerFit",
+    "AccelerometerModel",
+    "ImuMotion",
+    "calibrate_accelerometer",
+    "gravity_from_imu",
+    "savitzky_golay",
+    "static_samples",
+]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.in_situ.static import savitzky_golay
+from surefoot.calibration.imu.static import savitzky_golay
 
 __all__ = ["ImuMotion", "gravity_from_imu"]
 

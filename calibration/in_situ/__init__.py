@@ -2,11 +2,12 @@
 
 * :func:`calibrate_in_situ`: the fit to use; :class:`InSituTracker` keeps its offset up to date.
 * :func:`plan_excitation`: which posture or mass to take next.
-* :mod:`surefoot.calibration.in_situ.paper`: the paper's own method (Traversaro, Pucci and Nori, 2015).
+* :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
+  Pucci and Nori, 2015).
 """
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.excitation import (
     ExcitationPlan,
     ExcitationPrior,
@@ -17,16 +18,11 @@ from surefoot.calibration.in_situ.excitation import (
     prior_from_fit,
 )
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ.options import InSituOptions, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
 from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
-from surefoot.calibration.in_situ.static import savitzky_golay, static_samples
-from surefoot.calibration.in_situ.tracker import (
-    InSituEstimate,
-    InSituTracker,
-    InSituTrackerConfig,
-    in_situ_tracker,
-)
+from surefoot.calibration.in_situ.stream import InSituEstimate
+from surefoot.calibration.in_situ.tracker import InSituTracker, in_situ_tracker
 
 __all__ = [
     "ExcitationPlan",
@@ -50,6 +46,4 @@ __all__ = [
     "plan_excitation",
     "prior_from_factory",
     "prior_from_fit",
-    "savitzky_golay",
-    "static_samples",
 ]

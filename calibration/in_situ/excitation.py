@@ -1,7 +1,7 @@
 r"""Choose which postures and masses to calibrate with: those whose readings tell most.
 
 A reading y of a pose, linear in the unknowns :math:`\theta` with covariance P
-(:mod:`surefoot.calibration.in_situ._linear`; whitened rows H, n samples averaged), tells of quantities q
+(:mod:`surefoot.calibration.in_situ.model`; whitened rows H, n samples averaged), tells of quantities q
 among them (what ``goal`` names), by the mutual information of Gaussian variables,
 
 .. math:: I(q; y) = \tfrac12 \log\frac{\det P_{qq}}{\det P_{qq}^+}
@@ -19,22 +19,24 @@ thought to be. From a factory matrix alone a plan is good, not optimal: fit what
 """
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.in_situ._design import Design
-from surefoot.calibration.in_situ._linear import GAINS
-from surefoot.calibration.in_situ.excitation_plan import ExcitationPlan, PlannedPose
-from surefoot.calibration.in_situ.excitation_prior import (
-    SHARED,
-    ExcitationPrior,
-    MassCandidate,
-    prior_from_factory,
-    prior_from_fit,
+from surefoot.calibration._setup import check_value
+from surefoot.calibration.in_situ.fit import InSituFit, Limb, error_covariance, refuse_refused
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    GAINS,
+    STATIC,
+    LinearSensor,
+    inertial_parameters,
+    offset_covariance,
 )
-from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.options import KnownLimb
+from surefoot.calibration.moment.kalman import kalman_step
 
 __all__ = [
     "GOALS",
@@ -47,6 +49,11 @@ __all__ = [
     "prior_from_fit",
 ]
 
+Matrix = NDArray[np.float64]
+
+SHARED = GAINS + STATIC
+"""Unknowns that all sets share: D and the limb."""
+
 GOALS = {
     "calibration": slice(0, SHARED),
     "matrix": slice(0, GAINS),
@@ -56,6 +63,89 @@ GOALS = {
 }
 """What a plan can be for: matrix and limb, the matrix, the limb, its mass alone, or the offset of the first
 mass that is given."""
+
+_SWEEPS = 4
+"""How often the poses of a block are exchanged at most."""
+
+
+class MassCandidate(NamedTuple):
+    """A mass that can be hung on the limb.
+
+    Attributes:
+        mass: In kg; 0 for the bare limb.
+        com: Its centre of mass in the sensor's frame in m.
+        offset_covariance: What is known of the offset while it hangs, in counts^2, shape (k, k); None takes
+            the prior's ``new_offset``.
+    """
+
+    mass: float
+    com: tuple[float, float, float] | NDArray[np.float64] = (0.0, 0.0, 0.0)
+    offset_covariance: Matrix | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationPrior:
+    """What is known before a plan.
+
+    Attributes:
+        response: A in counts per N and N m, shape (k, 6).
+        noise: Covariance of a sample in counts^2, shape (k, k).
+        limb: The bare limb.
+        covariance: Of (D row by row, m, m c), D the relative error of the response, shape (40, 40).
+        new_offset: Covariance of a new set's offset in counts^2, shape (k, k).
+    """
+
+    response: Matrix
+    noise: Matrix
+    limb: Limb
+    covariance: Matrix
+    new_offset: Matrix
+
+
+class PlannedPose(NamedTuple):
+    """One reading to take.
+
+    Attributes:
+        orientation: Index of the orientation.
+        mass: Index of the mass.
+        gain: What it adds to what those before it tell of the goal, in nats.
+    """
+
+    orientation: int
+    mass: int
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationPlan:
+    """What to read, and what that will tell.
+
+    Attributes:
+        poses: In the order of choice, a block with one mass after the other.
+        mass_gain: What the best block with each mass would tell of the goal to begin with, in nats, (M,).
+        pose_gain: What each single reading would tell then, in nats, shape (N, M).
+        before: Covariance of (D, m, m c) before, shape (40, 40).
+        after: And after all poses.
+        total: What all poses tell of the goal together, in nats.
+    """
+
+    poses: tuple[PlannedPose, ...]
+    mass_gain: NDArray[np.float64]
+    pose_gain: Matrix
+    before: Matrix
+    after: Matrix
+    total: float
+
+    @property
+    def ranked_masses(self) -> NDArray[np.intp]:
+        """Indices of the masses, the most telling block first, shape (M,)."""
+        return np.argsort(-self.mass_gain, kind="stable")
+
+    @property
+    def ranked_poses(self) -> NDArray[np.intp]:
+        """Pairs (orientation, mass), the most telling single reading first, shape (N M, 2)."""
+        order = np.argsort(-self.pose_gain, axis=None, kind="stable")
+        return np.stack(np.unravel_index(order, self.pose_gain.shape), axis=1)
 
 
 def plan_excitation(
@@ -108,7 +198,7 @@ def plan_excitation(
     known = prior if isinstance(prior, ExcitationPrior) else prior_from_fit(prior)
     first_offset = slice(SHARED, SHARED + len(known.response))
     wanted = first_offset if goal == "offset" else GOALS[goal]
-    design = Design(known, g, candidates, wanted, samples, block)
+    design = _Design(known, g, candidates, wanted, samples, block)
     P = design.start()
     pose_gain = np.stack([design.gains(P, mass) for mass in range(len(candidates))], axis=1)
     mass_gain: NDArray[np.float64] | None = None
@@ -131,3 +221,186 @@ def plan_excitation(
         after=P[:SHARED, :SHARED],
         total=sum(pose.gain for pose in poses),
     )
+
+
+def prior_from_fit(
+    fit: InSituFit, *, offset_force: float = 300.0, offset_torque: float = 5.0
+) -> ExcitationPrior:
+    """Take up where a calibration ended.
+
+    Args:
+        fit: The calibration, also one that leans on a factory matrix.
+        offset_force: Standard deviation of a new set's offset along each axis in N.
+        offset_torque: The same for torques in N m.
+
+    Raises:
+        ValueError: If the fit was refused or a deviation is not positive.
+    """
+    refuse_refused(fit, "A plan")
+    shared = error_covariance(fit)[len(fit.offset) :, len(fit.offset) :]
+    new = _checked_covariance(fit.response, offset_force, offset_torque)
+    return ExcitationPrior(fit.response, fit.noise, fit.limb, shared, new)
+
+
+def prior_from_factory(
+    matrix: ArrayLike,
+    limb: KnownLimb,
+    *,
+    gain_std: float = 0.2,
+    cross_talk_std: float = 0.03,
+    full_scale: tuple[float, float] = (1500.0, 35.0),
+    noise_force: float = 0.1,
+    noise_torque: float = 0.0025,
+    offset_force: float = 300.0,
+    offset_torque: float = 5.0,
+) -> ExcitationPrior:
+    """Begin from a maker's matrix and a guess of the limb, before any reading.
+
+    Args:
+        matrix: C in N and N m per count, shape (6, k).
+        limb: What is thought of the limb; an unknown centre of mass counts as the sensor's origin.
+        gain_std: How far each axis may be off, relative.
+        cross_talk_std: What one axis may feel of another, in shares of the full scales.
+        full_scale: Largest force in N and torque in N m.
+        noise_force: Standard deviation of a sample in N.
+        noise_torque: The same for torques in N m.
+        offset_force: Standard deviation of a set's offset along each axis in N.
+        offset_torque: The same for torques in N m.
+
+    Raises:
+        ValueError: If the matrix is not of rank 6 or a value has no meaning.
+    """
+    C = np.asarray(matrix, dtype=np.float64)
+    if C.ndim != 2 or C.shape[0] != AXES or not np.isfinite(C).all() or np.linalg.matrix_rank(C) < AXES:
+        raise ValueError(f"'matrix' must be finite, of rank 6 and of shape (6, k), got shape {C.shape}.")
+    given = {"gain_std": gain_std, "noise_force": noise_force, "noise_torque": noise_torque}
+    for name, value in given.items():
+        check_value(name, value, positive=True)
+    check_value("cross_talk_std", cross_talk_std, positive=False)
+    size = np.repeat(full_scale, 3)
+    std = np.where(np.eye(AXES, dtype=bool), gain_std, cross_talk_std * size[:, None] / size)
+    com = np.zeros(3) if limb.com is None else np.asarray(limb.com)
+    response = np.asarray(np.linalg.pinv(C), dtype=np.float64)
+    # m c = m times c: a mass that is off moves it along c.
+    root = np.zeros((STATIC, STATIC))
+    root[:, 0] = limb.mass_std * np.concatenate([[1.0], com])
+    root[1:, 1:] = limb.mass * (limb.com_std if limb.com is not None else 1.0) * np.eye(3)
+    covariance = np.zeros((SHARED, SHARED))
+    covariance[:GAINS, :GAINS] = np.diag(np.maximum(std, 1e-9).ravel() ** 2)
+    covariance[GAINS:, GAINS:] = root @ root.T
+    return ExcitationPrior(
+        response,
+        _checked_covariance(response, noise_force, noise_torque),
+        Limb(limb.mass, limb.mass * com),
+        covariance,
+        _checked_covariance(response, offset_force, offset_torque),
+    )
+
+
+def _checked_covariance(response: Matrix, force: float, torque: float) -> Matrix:
+    check_value("force", force, positive=True)
+    check_value("torque", torque, positive=True)
+    return offset_covariance(response, force, torque)
+
+
+class _Design:
+    """Rows of all candidates by (D, m, m c, an offset for each mass)."""
+
+    def __init__(
+        self,
+        prior: ExcitationPrior,
+        gravity: Matrix,
+        masses: list[MassCandidate],
+        goal: slice,
+        samples: int,
+        block: int,
+    ) -> None:
+        self._prior, self._masses = prior, masses
+        k = len(prior.response)
+        self._size = size = SHARED + k * len(masses)
+        limb = np.concatenate([[prior.limb.mass], prior.limb.mass_com])
+        self._rows = []
+        for index, mass in enumerate(masses):
+            check_value("mass", mass.mass, positive=False)
+            added = inertial_parameters(float(mass.mass), np.asarray(mass.com, dtype=np.float64), False)
+            sensor = LinearSensor(prior.response, prior.noise, limb + added)
+            rows = np.zeros((len(gravity), k, size))
+            rows[..., :SHARED] = sensor.rows(gravity)
+            first = SHARED + k * index
+            rows[..., first : first + k] = sensor.whitening
+            self._rows.append(rows)
+        self._goal = goal
+        self._variance = np.full(k, 1.0 / samples)
+        self._identity = np.eye(size)
+        self._spread = _spread(gravity, block)
+
+    def start(self) -> Matrix:
+        """P before anything is read."""
+        k = len(self._prior.response)
+        P = np.zeros((self._size, self._size))
+        P[:SHARED, :SHARED] = self._prior.covariance
+        for index, mass in enumerate(self._masses):
+            own = slice(SHARED + k * index, SHARED + k * (index + 1))
+            P[own, own] = self._prior.new_offset if mass.offset_covariance is None else mass.offset_covariance
+        return P
+
+    def gains(self, P: Matrix, mass: int) -> NDArray[np.float64]:
+        """I(q; y) of each orientation with a mass in nats, shape (N,)."""
+        q = self._goal
+        known = np.linalg.solve(P[q, q], P[q])
+        rows = self._rows[mass]
+        return np.asarray(0.5 * (self._volume(rows, P) - self._volume(rows, P - P[:, q] @ known)))
+
+    def after(self, P: Matrix, orientation: int, mass: int) -> Matrix:
+        """P once a pose has been read."""
+        rows = self._rows[mass][orientation]
+        nothing = np.zeros(self._size)
+        step = kalman_step(
+            nothing, P, rows, np.zeros(len(rows)), self._variance, nothing + 1.0, self._identity, np.inf
+        )
+        return np.asarray(step.covariance)
+
+    def block(self, P: Matrix, mass: int, size: int) -> list[PlannedPose]:
+        """Choose poses with one mass, exchanged from a greedy and from an even start; the better of both."""
+        greedy: list[int] = []
+        reached = P
+        for _ in range(size):
+            greedy.append(int(np.argmax(self.gains(reached, mass))))
+            reached = self.after(reached, greedy[-1], mass)
+        starts = [greedy] if size == 1 else [greedy, self._spread[:size]]
+        blocks = [self._told(P, mass, self._exchanged(P, mass, start)) for start in starts]
+        return max(blocks, key=lambda poses: sum(pose.gain for pose in poses))
+
+    def _exchanged(self, P: Matrix, mass: int, start: list[int]) -> list[int]:
+        """Exchange each pose in turn for the best beside the others, until none changes."""
+        chosen = start.copy()
+        for _ in range(_SWEEPS if len(chosen) > 1 else 0):
+            before = chosen.copy()
+            for place in range(len(chosen)):
+                beside = P
+                for other in chosen[:place] + chosen[place + 1 :]:
+                    beside = self.after(beside, other, mass)
+                chosen[place] = int(np.argmax(self.gains(beside, mass)))
+            if chosen == before:
+                break
+        return chosen
+
+    def _told(self, P: Matrix, mass: int, chosen: list[int]) -> list[PlannedPose]:
+        poses = []
+        for orientation in chosen:
+            poses.append(PlannedPose(orientation, mass, float(self.gains(P, mass)[orientation])))
+            P = self.after(P, orientation, mass)
+        return poses
+
+    def _volume(self, rows: Matrix, P: Matrix) -> NDArray[np.float64]:
+        V = rows @ P @ rows.mT + np.diag(self._variance)
+        return np.asarray(np.linalg.slogdet(V)[1])
+
+
+def _spread(gravity: Matrix, count: int) -> list[int]:
+    """Orientations as far as can be from each other: each the farthest from those before it."""
+    chosen = [int(np.argmax(np.linalg.norm(gravity - gravity.mean(axis=0), axis=1)))]
+    while len(chosen) < count:
+        apart = np.linalg.norm(gravity[:, None] - gravity[chosen], axis=2).min(axis=1)
+        chosen.append(int(np.argmax(apart)))
+    return chosen

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.in_situ.model import AXES, GAINS, STATIC
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["InSituFit", "Limb"]
+__all__ = ["InSituFit", "Limb", "error_covariance", "refuse_refused"]
+
+Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +124,28 @@ class InSituFit:
             warmer = np.asarray(temperature, dtype=np.float64) - self.temperature_reference
             zero = zero + warmer[..., None] * self.temperature_coefficient
         return np.asarray((np.asarray(raw, dtype=np.float64) - zero) @ self.matrix.T)
+
+
+def error_covariance(fit: InSituFit) -> Matrix:
+    r"""Covariance of (offset, D row by row, m, m c) by a fit, shape (k + 40, k + 40).
+
+    From that of the matrix: :math:`C' = (1 + D)^{-1} C` gives :math:`D = -\delta C A`.
+    """
+    channels = len(fit.offset)
+    first = AXES * channels
+    turn = np.zeros((channels + GAINS + STATIC, first + channels + STATIC))
+    turn[:channels, first : first + channels] = np.eye(channels)
+    turn[channels : channels + GAINS, :first] = -np.kron(np.eye(AXES), fit.response.T)
+    turn[channels + GAINS :, first + channels :] = np.eye(STATIC)
+    return np.asarray(turn @ fit.covariance @ turn.T)
+
+
+def refuse_refused(fit: InSituFit, what: str) -> None:
+    """Refuse to begin from a fit that has no numbers.
+
+    Raises:
+        ValueError: If the fit was refused.
+    """
+    if fit.result is FitResult.REFUSED:
+        reason = str(fit.refusals[0]) if fit.refusals else ""
+        raise ValueError(f"{what} needs a calibration, and this fit was refused. {reason}".rstrip())

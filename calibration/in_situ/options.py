@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["InSituOptions", "KnownLimb"]
+from surefoot.calibration._setup import check_not_negative, check_positive
+
+__all__ = ["InSituOptions", "InSituTrackerConfig", "KnownLimb"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,5 +90,81 @@ class InSituOptions:
         stds = self.factory_std
         if stds is not None and (len(stds) != 6 or not all(value > 0.0 for value in stds)):
             raise ValueError(f"'factory_std' must hold six positive shares, one an axis, got {stds!r}.")
+        if self.code_range is not None and not self.code_range[0] < self.code_range[1]:
+            raise ValueError(f"'code_range' must be (lowest, highest), got {self.code_range!r}.")
+
+
+LEARN = ("offset", "axes", "matrix")
+"""What a tracker can estimate: the offset alone, with one relative factor an axis, with all of D."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InSituTrackerConfig:
+    """Options of the tracker; the defaults are those of strain gauges in a leg."""
+
+    learn: str = "offset"
+    """What is estimated: ``"offset"`` alone, ``"axes"`` with a relative factor for each axis, or
+    ``"matrix"`` with all 36 relative errors of the response. The rest is considered."""
+
+    walk_force: float = 0.1 / 60.0**0.5
+    """Random walk of the offset as the matrix shows it, in N/sqrt(s): 0.1 N per square root of a minute."""
+
+    walk_torque: float = 0.002 / 60.0**0.5
+    """The same for torques in N m/sqrt(s)."""
+
+    walk_gain: float = 5e-4 / 60.0**0.5
+    """Random walk of each axis's relative gain in 1/sqrt(s)."""
+
+    since_fit_force: float = 0.5
+    """How far the offset may have moved along each axis since the calibration, in N: zeros jump from one
+    power-up to the next, on some sensors by hundreds."""
+
+    since_fit_torque: float = 0.01
+    """The same for torques in N m."""
+
+    lag: float | None = None
+    """Standard deviation of what hysteresis adds to an axis, as a share of half the load's size; None takes
+    the shares that the fit found, or none."""
+
+    lag_angle: float = 0.5
+    """Angle in rad by which gravity turns before hysteresis has forgotten."""
+
+    added_mass: float = 0.0
+    """Mass in kg that hangs on the limb, known, such as a shoe."""
+
+    added_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Its centre of mass in the sensor's frame in m."""
+
+    gate: float = 3.0
+    """Standard deviations beyond which a row pulls no harder."""
+
+    reject: float = 5.0
+    """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if what
+    it adds is also beyond ``touch``."""
+
+    touch: float = 0.05
+    """Share of the limb's weight, and of the weight's largest torque, below which an innovation is taken for
+    an error of the sensor, however unlikely: it pulls at the gate."""
+
+    code_range: tuple[float, float] | None = None
+    """Lowest and highest count of the converter; a reading with a channel there is not learnt from."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that have no meaning."""
+        if self.learn not in LEARN:
+            raise ValueError(f"'learn' must be one of {LEARN}, got {self.learn!r}.")
+        check_positive(self, "lag_angle", "gate", "reject")
+        check_not_negative(
+            self,
+            "walk_force",
+            "walk_torque",
+            "walk_gain",
+            "since_fit_force",
+            "since_fit_torque",
+            "added_mass",
+            "touch",
+        )
+        if self.lag is not None:
+            check_not_negative(self, "lag")
         if self.code_range is not None and not self.code_range[0] < self.code_range[1]:
             raise ValueError(f"'code_range' must be (lowest, highest), got {self.code_range!r}.")

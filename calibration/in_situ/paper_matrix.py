@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 

@@ -23,133 +23,20 @@ in (:mod:`surefoot.calibration.moment.kalman`, the step of the walking estimator
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike
 
-from surefoot.calibration._setup import check_not_negative, check_positive
 from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.options import InSituTrackerConfig
+from surefoot.calibration.in_situ.stream import InSituEstimate, InSituStream
 
-__all__ = [
-    "InSituEstimate",
-    "InSituMethod",
-    "InSituTracker",
-    "InSituTrackerConfig",
-    "in_situ_tracker",
-]
+__all__ = ["InSituMethod", "InSituTracker", "in_situ_tracker"]
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
-
-LEARN = ("offset", "axes", "matrix")
-"""What a tracker can estimate: the offset alone, with one relative factor an axis, with all of D."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class InSituTrackerConfig:
-    """Options of the tracker; the defaults are those of strain gauges in a leg."""
-
-    learn: str = "offset"
-    """What is estimated: ``"offset"`` alone, ``"axes"`` with a relative factor for each axis, or
-    ``"matrix"`` with all 36 relative errors of the response. The rest is considered."""
-
-    walk_force: float = 0.1 / 60.0**0.5
-    """Random walk of the offset as the matrix shows it, in N/sqrt(s): 0.1 N per square root of a minute."""
-
-    walk_torque: float = 0.002 / 60.0**0.5
-    """The same for torques in N m/sqrt(s)."""
-
-    walk_gain: float = 5e-4 / 60.0**0.5
-    """Random walk of each axis's relative gain in 1/sqrt(s)."""
-
-    since_fit_force: float = 0.5
-    """How far the offset may have moved along each axis since the calibration, in N: zeros jump from one
-    power-up to the next, on some sensors by hundreds."""
-
-    since_fit_torque: float = 0.01
-    """The same for torques in N m."""
-
-    lag: float | None = None
-    """Standard deviation of what hysteresis adds to an axis, as a share of half the load's size; None takes
-    the shares that the fit found, or none."""
-
-    lag_angle: float = 0.5
-    """Angle in rad by which gravity turns before hysteresis has forgotten."""
-
-    added_mass: float = 0.0
-    """Mass in kg that hangs on the limb, known, such as a shoe."""
-
-    added_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Its centre of mass in the sensor's frame in m."""
-
-    gate: float = 3.0
-    """Standard deviations beyond which a row pulls no harder."""
-
-    reject: float = 5.0
-    """Standard deviations of a whole reading (Mahalanobis) beyond which something touches the limb, if what
-    it adds is also beyond ``touch``."""
-
-    touch: float = 0.05
-    """Share of the limb's weight, and of the weight's largest torque, below which an innovation is taken for
-    an error of the sensor, however unlikely: it pulls at the gate."""
-
-    code_range: tuple[float, float] | None = None
-    """Lowest and highest count of the converter; a reading with a channel there is not learnt from."""
-
-    def __post_init__(self) -> None:
-        """Refuse values that have no meaning."""
-        if self.learn not in LEARN:
-            raise ValueError(f"'learn' must be one of {LEARN}, got {self.learn!r}.")
-        check_positive(self, "lag_angle", "gate", "reject")
-        check_not_negative(
-            self,
-            "walk_force",
-            "walk_torque",
-            "walk_gain",
-            "since_fit_force",
-            "since_fit_torque",
-            "added_mass",
-            "touch",
-        )
-        if self.lag is not None:
-            check_not_negative(self, "lag")
-        if self.code_range is not None and not self.code_range[0] < self.code_range[1]:
-            raise ValueError(f"'code_range' must be (lowest, highest), got {self.code_range!r}.")
-
-
-class InSituEstimate(NamedTuple):
-    """One reading by what is known now; any leading batch dimensions ``...``; k channels. Always finite.
-
-    Attributes:
-        wrench: What the limb exerts on the robot, at and in the sensor's frame in N and N m, shape (..., 6).
-        wrench_std: Its standard deviation by the calibration, without the sample's noise, shape (..., 6).
-        offset: o in counts, shape (..., k).
-        offset_std: Its standard deviation, shape (..., k).
-        gain: 1 + D, shape (..., 6, 6): the response is now A (1 + D).
-        gain_std: Standard deviation of its entries, also of those not estimated, shape (..., 6, 6).
-        covariance: Of (offset, D row by row), shape (..., k + 36, k + 36).
-        nis: Normalised innovation squared of this sample, shape (...), NaN where nothing was learnt.
-        nis_rows: Its degrees of freedom, shape (...).
-        learnt: Whether the sample was learnt from (bool), shape (...).
-        flags: Bits of :class:`~surefoot.calibration.estimate.Flag`, shape (..., k): MISSING, OUT_OF_RANGE
-            and SATURATED of a channel; REFERENCE (gravity or motion is not finite or not physical), GAP (no
-            time has passed, or no number), REJECTED (a touch) and SINGULAR of all.
-    """
-
-    wrench: Array
-    wrench_std: Array
-    offset: Array
-    offset_std: Array
-    gain: Array
-    gain_std: Array
-    covariance: Array
-    nis: Array
-    nis_rows: Array
-    learnt: Array
-    flags: Array
 
 
 class InSituMethod(NamedTuple):
@@ -175,8 +62,6 @@ def in_situ_tracker(fit: InSituFit, config: InSituTrackerConfig | None = None) -
     Raises:
         ValueError: If the fit was refused, or its limb is not known well enough to say what it weighs.
     """
-    from surefoot.calibration.in_situ._stream import InSituStream
-
     stream = InSituStream(fit, config or InSituTrackerConfig())
     return InSituMethod(stream.init, stream.update)
 
@@ -193,8 +78,6 @@ class InSituTracker:
     """
 
     def __init__(self, fit: InSituFit, **options: Any) -> None:
-        from surefoot.calibration.in_situ._stream import InSituStream
-
         self.config = InSituTrackerConfig(**options)
         self._stream = InSituStream(fit, self.config)
         self._state: Any = None

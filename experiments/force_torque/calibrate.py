@@ -8,9 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.options import KnownLimb
+from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
 from surefoot.experiments.force_torque.icub import write_icub_matrix

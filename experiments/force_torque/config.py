@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.imu.accelerometer import AccelerometerModel
-from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.imu import AccelerometerModel
+from surefoot.calibration.in_situ import InSituOptions
 from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.logs.table import LogError
 

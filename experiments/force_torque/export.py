@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 import surefoot
-from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import write_text

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.imu.accelerometer import AccelerometerModel, calibrate_accelerometer
-from surefoot.calibration.imu.motion import gravity_from_imu
-from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
+from surefoot.calibration.in_situ import InSituSet
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque.checks import check_channels, check_times, check_values, contiguous
 from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, read_config

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import Limb
+from surefoot.calibration.in_situ import InSituSet, Limb
 
 __all__ = [
     "AddedMassEstimate",

@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.paper_offset import estimate_offset
+from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.force_torque.score import (
     AddedMassEstimate,

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb
 
 __all__ = ["cramer_rao", "normalised_error", "offset_bounds"]
 

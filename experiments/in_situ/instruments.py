@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.imu.accelerometer import calibrate_accelerometer
-from surefoot.calibration.imu.motion import gravity_from_imu
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import Limb
+from surefoot.calibration.imu import calibrate_accelerometer, gravity_from_imu
+from surefoot.calibration.in_situ import InSituSet, Limb
 from surefoot.envs.leg_rig.recording import RigRecording
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 from surefoot.sensors.devices.strain_gauges import (

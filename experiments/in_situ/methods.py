@@ -7,11 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import InSituFit, Limb
-from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset, savitzky_golay
+from surefoot.calibration.imu import savitzky_golay
+from surefoot.calibration.in_situ import (
+    InSituFit,
+    InSituOptions,
+    InSituSet,
+    Limb,
+    calibrate_in_situ,
+    estimate_matrix,
+    estimate_offset,
+)
 from surefoot.experiments.force_torque.score import added_mass, offset_of_set, semi_axes
 from surefoot.experiments.in_situ.instruments import SensorTruth
 

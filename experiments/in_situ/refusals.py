@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ.instruments import (

@@ -4,8 +4,7 @@ import numpy as np
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.paper_offset import estimate_offset
+from surefoot.calibration.in_situ import InSituSet, estimate_offset
 
 NOISE = np.array([0.1, 0.1, 0.1, 0.0025, 0.0025, 0.0025])
 """White noise in N and N m."""

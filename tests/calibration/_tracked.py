@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from _in_situ import LEG_MATRIX, OFFSET_WRENCH, SENSORS
 
-from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ import InSituFit, Limb
 from surefoot.calibration.results import FitResult, FitStats
 
 RESPONSE = np.linalg.inv(LEG_MATRIX)

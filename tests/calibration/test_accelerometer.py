@@ -9,13 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.imu.accelerometer import (
-    _algebraic_start,
-    _distances,
-    _slopes,
-    calibrate_accelerometer,
-)
-from surefoot.calibration.in_situ.paper_offset import estimate_offset
+from surefoot.calibration.imu import calibrate_accelerometer
+from surefoot.calibration.imu.accelerometer import _algebraic_start, _distances, _slopes
+from surefoot.calibration.in_situ import estimate_offset
 from surefoot.calibration.results import CalibrationRefused, FitResult
 from surefoot.experiments import real_recordings
 

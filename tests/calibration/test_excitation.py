@@ -7,17 +7,18 @@ import pytest
 from _in_situ import ADDED_COM_LEG, ADDED_MASS, LEG_MATRIX, SENSORS, wrench_of_gravity
 from _tracked import NOISE_ROOT, OFFSET, RESPONSE, make_fit
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.excitation import (
-    GOALS,
+from surefoot.calibration.in_situ import (
     ExcitationPrior,
+    InSituOptions,
+    InSituSet,
+    KnownLimb,
     MassCandidate,
+    calibrate_in_situ,
     plan_excitation,
     prior_from_factory,
     prior_from_fit,
 )
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ.excitation import GOALS
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 MASSES = [MassCandidate(m, com) for m, com in zip(ADDED_MASS, ADDED_COM_LEG, strict=True)]

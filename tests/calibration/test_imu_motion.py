@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.imu.motion import gravity_from_imu
+from surefoot.calibration.imu import gravity_from_imu
 
 DT, N = 0.01, 400
 TIME = np.arange(N) * DT

@@ -9,9 +9,7 @@ from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 

@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
+from surefoot.calibration.in_situ import estimate_matrix, estimate_offset
 from surefoot.calibration.results import FitResult
 from surefoot.experiments import real_recordings
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from _in_situ import ADDED_MASS, SENSORS, make_set, offsets_of, paper_sets, swept_gravity, with_arrays
 
-from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
+from surefoot.calibration.in_situ import estimate_matrix, estimate_offset
 
 # Uncertainty
 

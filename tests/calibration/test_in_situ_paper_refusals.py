@@ -15,8 +15,7 @@ from _in_situ import (
     with_arrays,
 )
 
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.paper import estimate_matrix, estimate_offset
+from surefoot.calibration.in_situ import InSituSet, estimate_matrix, estimate_offset
 from surefoot.calibration.results import CalibrationRefused
 
 

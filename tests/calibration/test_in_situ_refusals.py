@@ -8,9 +8,7 @@ import pytest
 from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, moving_sets, paper_sets, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 MATRIX, MASS, COM, _ = SENSORS["leg"]

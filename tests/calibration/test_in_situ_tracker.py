@@ -16,8 +16,7 @@ from _tracked import (
 )
 
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.in_situ.fit import Limb
-from surefoot.calibration.in_situ.tracker import InSituTracker, InSituTrackerConfig, in_situ_tracker
+from surefoot.calibration.in_situ import InSituTracker, InSituTrackerConfig, Limb, in_situ_tracker
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 DOWN = np.array([0.0, 0.0, 9.81])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.force_torque.export import (
     offset_wrench,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import CalibrationRefused
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
+from surefoot.calibration.in_situ import calibrate_in_situ
 
 LOOSE, TIGHT = "in situ, mass known to 1 %", "mass to 1 %, place to 0.3 mm"
 DATA = Path(os.environ.get("SUREFOOT_DATA") or "nowhere")

@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import Limb
+from surefoot.calibration.in_situ import InSituSet, Limb
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.force_torque.score import (
     added_mass,

@@ -6,10 +6,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
-from surefoot.calibration.in_situ.dataset import InSituSet
-from surefoot.calibration.in_situ.fit import Limb
-from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ import cases, methods
 from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds

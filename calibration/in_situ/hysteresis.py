@@ -21,12 +21,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ._compress import compress
-from surefoot.calibration.in_situ._covariance import whitening
-from surefoot.calibration.in_situ._model import signals
-from surefoot.calibration.in_situ._solve import Problem, Solution, loop_shares, solve, transforms
-from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.compress import compress
+from surefoot.calibration.in_situ.covariance import whitening
+from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.model import signals
 from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, solve, transforms
 
 __all__ = ["lag_signals", "with_hysteresis"]
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from surefoot.calibration._vectors import skew
-from surefoot.calibration.in_situ._compress import CompressedSet
-from surefoot.calibration.in_situ._model import STATIC
-from surefoot.calibration.in_situ._solve import Problem, Solution, loop_shares, of_unit_length, transforms
+from surefoot.calibration.in_situ.compress import CompressedSet
+from surefoot.calibration.in_situ.model import STATIC
+from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, of_unit_length, transforms
 
 __all__ = [
     "fit_covariance",

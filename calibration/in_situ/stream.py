@@ -1,10 +1,10 @@
 """How the in-situ tracker runs over a stream; private.
 
 Its theory and options are in :mod:`surefoot.calibration.in_situ.tracker`, its rows in
-:mod:`surefoot.calibration.in_situ._linear`.
+:mod:`surefoot.calibration.in_situ.model`.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
@@ -12,25 +12,22 @@ from array_api_compat import device as device_of
 from surefoot.calibration._arrays import check_tail, constant_like
 from surefoot.calibration._constants import Constants, namespace_of
 from surefoot.calibration.estimate import Flag
-from surefoot.calibration.in_situ._linear import (
+from surefoot.calibration.in_situ.fit import InSituFit, error_covariance, refuse_refused
+from surefoot.calibration.in_situ.model import (
     AXES,
     GAINS,
+    PAIRS,
+    STATIC,
     LinearSensor,
-    error_covariance,
+    inertial_parameters,
     offset_covariance,
-    refuse_refused,
+    sensitivity,
 )
-from surefoot.calibration.in_situ._model import PAIRS, STATIC, inertial_parameters, sensitivity
-from surefoot.calibration.in_situ._reading import flags_of, signals_of
-from surefoot.calibration.in_situ.fit import InSituFit
-from surefoot.calibration.in_situ.tracker import InSituEstimate
+from surefoot.calibration.in_situ.options import InSituTrackerConfig
 from surefoot.calibration.moment.kalman import kalman_step
 from surefoot.calibration.reference import GRAVITY
 
-if TYPE_CHECKING:
-    from surefoot.calibration.in_situ.tracker import InSituTrackerConfig
-
-__all__ = ["InSituState", "InSituStream"]
+__all__ = ["InSituEstimate", "InSituState", "InSituStream"]
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -40,6 +37,38 @@ _STEP = 0.1
 
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
+
+
+class InSituEstimate(NamedTuple):
+    """One reading by what is known now; any leading batch dimensions ``...``; k channels. Always finite.
+
+    Attributes:
+        wrench: What the limb exerts on the robot, at and in the sensor's frame in N and N m, shape (..., 6).
+        wrench_std: Its standard deviation by the calibration, without the sample's noise, shape (..., 6).
+        offset: o in counts, shape (..., k).
+        offset_std: Its standard deviation, shape (..., k).
+        gain: 1 + D, shape (..., 6, 6): the response is now A (1 + D).
+        gain_std: Standard deviation of its entries, also of those not estimated, shape (..., 6, 6).
+        covariance: Of (offset, D row by row), shape (..., k + 36, k + 36).
+        nis: Normalised innovation squared of this sample, shape (...), NaN where nothing was learnt.
+        nis_rows: Its degrees of freedom, shape (...).
+        learnt: Whether the sample was learnt from (bool), shape (...).
+        flags: Bits of :class:`~surefoot.calibration.estimate.Flag`, shape (..., k): MISSING, OUT_OF_RANGE
+            and SATURATED of a channel; REFERENCE (gravity or motion is not finite or not physical), GAP (no
+            time has passed, or no number), REJECTED (a touch) and SINGULAR of all.
+    """
+
+    wrench: Array
+    wrench_std: Array
+    offset: Array
+    offset_std: Array
+    gain: Array
+    gain_std: Array
+    covariance: Array
+    nis: Array
+    nis_rows: Array
+    learnt: Array
+    flags: Array
 
 
 class InSituState(NamedTuple):
@@ -61,7 +90,7 @@ class InSituState(NamedTuple):
 class InSituStream:
     """The tracker for one calibration: ``init`` and ``update`` are pure functions that share constants."""
 
-    def __init__(self, fit: InSituFit, config: "InSituTrackerConfig") -> None:
+    def __init__(self, fit: InSituFit, config: InSituTrackerConfig) -> None:
         refuse_refused(fit, "The tracker")
         self.config = config
         self.channels = channels = len(fit.offset)
@@ -265,3 +294,97 @@ class InSituStream:
             learnt=nothing > 0.0,
             flags=flags,
         )
+
+
+_LIGHTEST, _HEAVIEST = 1.0, 100.0
+"""Size of g - a in m/s^2 below and above which it is not that of a limb."""
+
+_FASTEST = 1e3
+"""Angular velocity in rad/s that no limb reaches; its square, an acceleration in rad/s^2."""
+
+
+def signals_of(
+    raw: Array,
+    gravity: Array,
+    angular_velocity: Array | None,
+    angular_acceleration: Array | None,
+    *,
+    like: Array,
+    inertia: bool,
+) -> Array:
+    """Check the sample, and build u: gravity, and in motion what its turning adds.
+
+    Args:
+        raw: Counts, shape (..., k).
+        gravity: g - a in m/s^2, shape (..., 3).
+        angular_velocity: In rad/s, shape (..., 3), or None.
+        angular_acceleration: In rad/s^2, shape (..., 3), or None.
+        like: The counts before, which tell shape and dtype.
+        inertia: Whether the limb's inertia is known.
+
+    Returns:
+        u, shape (..., 3) without and (..., 12) with turning.
+
+    Raises:
+        ValueError: If a shape or dtype does not fit, or motion is given for a limb without inertia.
+    """
+    xp = namespace_of(raw)
+    *batch, channels = like.shape
+    given = {"raw": (raw, channels), "gravity": (gravity, 3)}
+    if (angular_velocity is None) != (angular_acceleration is None):
+        raise ValueError("Give 'angular_velocity' and 'angular_acceleration' together, or neither.")
+    if angular_velocity is not None and angular_acceleration is not None:
+        given["angular_velocity"] = (angular_velocity, 3)
+        given["angular_acceleration"] = (angular_acceleration, 3)
+    for name, (value, last) in given.items():
+        check_tail(value, (last,), name)
+        if tuple(value.shape) != (*batch, last) or value.dtype != like.dtype:
+            raise ValueError(
+                f"'{name}' must have shape {(*batch, last)} and dtype {like.dtype} like the first "
+                f"reading, got {tuple(value.shape)} and {value.dtype}."
+            )
+    if angular_velocity is None or angular_acceleration is None:
+        return gravity
+    if not inertia:
+        raise ValueError(
+            "This calibration does not know the limb's inertia: calibrate with the motion, or leave the "
+            "angular velocity out."
+        )
+    products = xp.stack([angular_velocity[..., i] * angular_velocity[..., j] for i, j in PAIRS], axis=-1)
+    return xp.concat([gravity, angular_acceleration, products], axis=-1)
+
+
+def flags_of(
+    raw: Array, signals: Array, dt: float, code_range: tuple[float, float] | None
+) -> tuple[Array, Array, Array, bool]:
+    """Tell what is wrong with a sample.
+
+    Args:
+        raw: Counts, shape (..., k).
+        signals: u, shape (..., 3) or (..., 12).
+        dt: Time since the last sample in s.
+        code_range: Lowest and highest count of the converter, or None.
+
+    Returns:
+        Flags of the channels, shape (..., k); which readings are whole, and which signals physical, shape
+        (...); whether time has passed.
+    """
+    xp = namespace_of(raw)
+    missing = xp.isnan(raw)
+    endless = xp.isinf(raw)
+    saturated = xp.zeros_like(missing)
+    if code_range is not None:
+        saturated = ((raw <= code_range[0]) | (raw >= code_range[1])) & ~endless
+    g = xp.sqrt(xp.sum(signals[..., :3] ** 2, axis=-1))
+    turning = xp.all(xp.abs(signals[..., 3:]) < _FASTEST**2, axis=-1)
+    physical = (g >= _LIGHTEST) & (g <= _HEAVIEST) & turning
+    passed = bool(0.0 < dt < float("inf"))
+    flags = (
+        int(Flag.MISSING) * missing
+        + int(Flag.OUT_OF_RANGE) * endless
+        + int(Flag.SATURATED) * saturated
+        + int(Flag.REFERENCE) * (~physical)[..., None]
+    )
+    flags = xp.asarray(flags, dtype=xp.int64) + (0 if passed else int(Flag.GAP))
+    ready = physical & ~xp.any(missing | endless | saturated, axis=-1)
+    return flags, ready, physical, passed

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from _in_situ import swept_gravity
 
-from surefoot.calibration.in_situ.static import savitzky_golay, static_samples
+from surefoot.calibration.imu import savitzky_golay, static_samples
 
 DT = 0.01
 

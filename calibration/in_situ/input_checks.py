@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from surefoot.calibration.imu.gravity_spread import gravity_spread
-from surefoot.calibration.in_situ._compress import CompressedSet
-from surefoot.calibration.in_situ.dataset import InSituSet
+from surefoot.calibration.in_situ.compress import CompressedSet
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
