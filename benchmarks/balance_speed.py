@@ -26,7 +26,8 @@ from vector_speed import step as vector_step
 
 import surefoot  # noqa: F401
 from surefoot.envs.nao.env import SUBSTEPS
-from surefoot.experiments.policy.env import EXPECTED_LOADS, make_feed
+from surefoot.experiments.policy.tasks import EXPECTED_LOADS
+from surefoot.experiments.policy.view import make_task
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
 from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration
@@ -66,7 +67,7 @@ def stacks() -> dict[str, gym.Env[Any, Any]]:
         "FootSensors": sensed(),
         "SelfCalibration(none)": SelfCalibration(sensed(), "none"),
         "SelfCalibration(moment)": SelfCalibration(sensed(), "moment", **EXPECTED_LOADS),
-        "a policy's feed, moment": make_feed("moment", duration=120.0)[0],
+        "a policy's feed, moment": make_task("moment", duration=120.0)[0],
     }
 
 

@@ -3,36 +3,33 @@
     python benchmarks/sweep_speed.py              # three rounds, about five minutes
     python benchmarks/sweep_speed.py --rounds 1 --seeds 6 --duration 10
 
-Rounds are interleaved: in each the same cells are swept by one worker and by two, which begins changing from
-round to round. Workers are up before the clock starts, as they are for all but the first seconds of a sweep.
+Rounds are interleaved: in each the same episodes are swept by one worker and by two, and the order changes
+from round to round. Workers are up before the clock starts, as for all but the first seconds of a sweep.
 
 Times on the wall are worth something on a machine that does nothing else. What others do takes more from two
 workers than from one, so each round also says what the sweeps cost whatever the load: the processor time of
-the cells, and the share of the workers' time that went into cells (the rest is waiting for work and for the
-disk). Two cores of one's own make the sweep faster by
+the episodes, and the share of the workers' time that went into them (the rest is waiting for work). Two cores
+of one's own make the sweep faster by
 
-    2 (processor time by one worker / by two) (share of time in cells by two / by one).
+    2 (processor time by one worker / by two) (share of time in episodes by two / by one).
 """
 
 import argparse
 import os
-import tempfile
 import time
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from surefoot.experiments.sweep import Cell, SweepPlan, run_cell
-from surefoot.experiments.sweep.backends import workers
-from surefoot.experiments.sweep.run import rows_of
-from surefoot.experiments.sweep.store import SweepStore
+from surefoot.experiments.episodes import Episode, EpisodePlan
+from surefoot.experiments.episodes.episode import episode_row
+from surefoot.experiments.study.runner import runner
 
 
 class Swept(NamedTuple):
-    """A sweep: time from the first cell on in s, processor time in s, share of the time in cells, rows."""
+    """A sweep: time from the first episode on in s, processor time in s, share in episodes, rows."""
 
     seconds: float
     processor: float
@@ -40,29 +37,24 @@ class Swept(NamedTuple):
     rows: pd.DataFrame
 
 
-def timed_cell(cell: Cell) -> dict[str, Any]:
-    """Run a cell and add its processor time in s."""
+def timed_row(episode: Episode) -> dict[str, Any]:
+    """Run an episode and add its processor time in s."""
     began = time.process_time()
-    row = run_cell(cell)
+    row = episode_row(episode)
     return row | {"processor_time": time.process_time() - began}
 
 
-def sweep_once(plan: SweepPlan, jobs: int) -> Swept:
-    """Sweep a plan, journal and table included, by workers who are up already."""
-    with tempfile.TemporaryDirectory() as folder, workers("local", jobs) as crew:
-        list(rows_of(crew, timed_cell, list(plan.grid[:4])))
+def sweep_once(plan: EpisodePlan, jobs: int) -> Swept:
+    """Sweep a plan by workers who are up already."""
+    with runner(jobs, console=Console(quiet=True), backend="local") as crew:
+        work = [(timed_row, (episode,)) for episode in plan.episodes]
+        crew.do("warm up", work[:4])
         began = time.perf_counter()
-        with SweepStore(Path(folder)).opened(plan.fingerprint, plan.as_dict()) as store:
-            for row in rows_of(crew, timed_cell, list(plan.grid)):
-                store.add(row)
-        seconds, rows = time.perf_counter() - began, store.frame()
+        rows = pd.DataFrame(crew.do("sweep", work))
+        seconds = time.perf_counter() - began
     busy = float(rows["wall_time"].sum()) / (jobs * seconds)
-    return Swept(
-        seconds,
-        float(rows["processor_time"].sum()),
-        busy,
-        rows.drop(columns=["wall_time", "processor_time"]),
-    )
+    processor = float(rows["processor_time"].sum())
+    return Swept(seconds, processor, busy, rows.drop(columns=["wall_time", "processor_time"]))
 
 
 def main() -> None:
@@ -73,9 +65,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--duration", type=float, default=14.0, help="of an episode, in s")
     options = parser.parse_args()
-    plan = SweepPlan(seeds=tuple(range(options.seeds)), severities=(1.0,), duration=options.duration)
+    plan = EpisodePlan(seeds=tuple(range(options.seeds)), severities=(1.0,), duration=options.duration)
     console = Console(width=140)
-    console.print(f"{len(plan.grid)} cells of {options.duration:g} s on {os.cpu_count()} cores")
+    console.print(f"{len(plan.episodes)} episodes of {options.duration:g} s on {os.cpu_count()} cores")
     measured, free, tables = [], [], []
     for turn in range(options.rounds):
         swept = {jobs: sweep_once(plan, jobs) for jobs in ((1, 2) if turn % 2 == 0 else (2, 1))}
@@ -85,7 +77,7 @@ def main() -> None:
         free.append(2.0 * one.processor / two.processor * two.busy / one.busy)
         console.print(
             f"round {turn + 1}: {one.seconds:.1f} s by one, {two.seconds:.1f} s by two, ratio "
-            f"{measured[-1]:.2f}; processor {one.processor:.1f} and {two.processor:.1f} s, in cells "
+            f"{measured[-1]:.2f}; processor {one.processor:.1f} and {two.processor:.1f} s, in episodes "
             f"{100 * one.busy:.1f} and {100 * two.busy:.1f} %, on free cores {free[-1]:.2f}; "
             f"load {os.getloadavg()[0]:.1f}"
         )

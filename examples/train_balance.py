@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import surefoot
-from surefoot.experiments.policy.env import PolicyView
+from surefoot.experiments.policy.view import PolicyView
 
 TRAINING = {"stand_time": 0.25, "duration": 8.0, "payload_time": (0.1, 1.5), "push_interval": 8.0}
 

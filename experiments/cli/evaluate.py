@@ -1,6 +1,5 @@
 """``surefoot evaluate``: controllers on true, drifting and calibrated feet."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,7 +25,7 @@ def evaluate(
     feed: Annotated[
         list[str] | None,
         typer.Option(
-            help="true, none (drifting raw), bench, quasi-static, window or moment; again for more."
+            help="true, none (drifting raw), weights, tare, quasi-static, window or moment; again for more."
         ),
     ] = None,
     severity: Annotated[
@@ -54,11 +53,10 @@ def evaluate(
     jobs: Annotated[int, typer.Option(help="Processes that work at the same time.", min=1)] = 1,
 ) -> None:
     """Score controllers on true, drifting and calibrated feet, on the same episodes."""
-    from rich.progress import track
-
-    from surefoot.experiments.policy.evaluate import COP_INPUTS
-    from surefoot.experiments.policy.evaluation import Evaluation
-    from surefoot.experiments.policy.evaluation_folder import EvaluationFolder
+    from surefoot.experiments.episodes.episode import COP_INPUTS
+    from surefoot.experiments.episodes.evaluation import evaluation_plan
+    from surefoot.experiments.episodes.rows import in_order
+    from surefoot.experiments.episodes.run import run_plan
 
     if page_of:
         if given_too := [name for name in ctx.params if _was_given(ctx, name)]:
@@ -76,11 +74,9 @@ def evaluate(
     chosen = {name: value for name, value in given.items() if value}
     try:
         with one_line_errors(out, ROOM):
-            evaluation = Evaluation(seeds=seeds, first_seed=first_seed, task=task, **chosen)
-            with EvaluationFolder(out, evaluation).opened() as folder:
-                for _ in track(folder.run(jobs), "Episodes", folder.missing, console=console):
-                    pass
-            _report(folder.frame, out, folder.origins)
+            plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
+            results = run_plan(plan, out, jobs=jobs, retry_failed=True, console=console)
+            _report(in_order(results.rows, chosen.get("controllers", ())), out)
     except KeyboardInterrupt:
         kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
         typer.echo(f"Stopped.{kept}", err=True)
@@ -88,7 +84,7 @@ def evaluate(
 
 
 def _was_given(ctx: typer.Context, name: str) -> bool:
-    """Tell whether the command names something that is to be run."""
+    """Return whether the command names something that is to be run."""
     source = ctx.get_parameter_source(name)
     return name not in ("page_of", "out") and source is not None and source.name != "DEFAULT"
 
@@ -96,38 +92,28 @@ def _was_given(ctx: typer.Context, name: str) -> bool:
 def _page_of(named: list[str], out: Path | None) -> None:
     import pandas as pd
 
-    from surefoot.experiments.policy.episodes import read_episodes
-    from surefoot.experiments.policy.origin import Origin, merged, origins_of
-    from surefoot.experiments.policy.scores import controllers_of
+    from surefoot.experiments.episodes.rows import read_episodes
 
     if out is None:
         fail("--page-of needs a folder for the page; give one with --out.")
     with one_line_errors(out):
         # A path that holds a '=' is a path if it is there.
         parts = [("", "", text) if Path(text).exists() else text.rpartition("=") for text in named]
-        frames = []
-        known: dict[str, list[Origin]] = {}
-        for controller, _, path in parts:
-            frames.append(read_episodes(Path(path), controller))
-            found = origins_of(Path(path), controllers_of(frames[-1]), controller)
-            for name, origin in found.items():
-                known.setdefault(name, []).append(origin)
-        origins = {name: merged(name, of) for name, of in known.items()}
-        _report(pd.concat(frames, ignore_index=True), out, origins)
+        frames = [read_episodes(Path(path), controller) for controller, _, path in parts]
+        _report(pd.concat(frames, ignore_index=True), out)
 
 
-def _report(frame: Any, out: Path | None, origins: Mapping[str, Any]) -> None:
+def _report(frame: Any, out: Path | None) -> None:
     """Print the scores and, into a folder, write them, a page, and the card of a policy that they are of."""
-    from surefoot.experiments.policy.card import own_scores, write_card, write_scores
-    from surefoot.experiments.policy.page import EvaluationPage
-    from surefoot.experiments.policy.scores import score_table
+    from surefoot.experiments.episodes.evaluation_page import EvaluationPage
+    from surefoot.experiments.episodes.tables import score_table
+    from surefoot.experiments.policy.card import own_scores, write_card
     from surefoot.experiments.policy.train import POLICY
 
-    page = EvaluationPage(frame, origins)
+    page = EvaluationPage(frame)
     show([score_table(page.frame)])
     if out is None:
         return
-    write_scores(out, page.frame, origins)
     typer.echo(f"Page: {page.write(out)}")
     if (out / POLICY).is_file() and own_scores(out) is not None:
         typer.echo(f"Card: {write_card(out)}")

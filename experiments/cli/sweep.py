@@ -1,11 +1,11 @@
-"""``surefoot sweep`` and ``surefoot replay``: controllers over sensor faults, and single cells again."""
+"""``surefoot sweep`` and ``surefoot replay``: controllers over sensor faults, and single episodes again."""
 
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from surefoot.experiments.cli.console import fail, show
+from surefoot.experiments.cli.console import fail, one_line_errors, show
 
 __all__ = ["replay", "sweep"]
 
@@ -34,14 +34,14 @@ def sweep(
     out: Annotated[Path, typer.Option(help="Folder of the sweep; an interrupted one goes on.")] = Path(
         "out/sweep"
     ),
-    jobs: Annotated[int, typer.Option(help="Cells that are run at the same time here.", min=1)] = 2,
+    jobs: Annotated[int, typer.Option(help="Episodes that are run at the same time here.", min=1)] = 2,
     backend: Annotated[
         str, typer.Option(help="local, dask or ray; or here, in this very process.")
     ] = "local",
     address: Annotated[
         str | None, typer.Option(help="Of a running scheduler of dask or head of ray.")
     ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed cells again.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed episodes again.")] = False,
     any_version: Annotated[
         bool, typer.Option("--any-version", help="Go on with results of other versions.")
     ] = False,
@@ -49,10 +49,9 @@ def sweep(
     scenarios: Annotated[bool, typer.Option("--scenarios", help="List the scenarios, and end.")] = False,
 ) -> None:
     """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
-    from surefoot.experiments.sweep.page import SweepPage
-    from surefoot.experiments.sweep.plan import SweepPlan, plan_from_toml
-    from surefoot.experiments.sweep.run import run_sweep
-    from surefoot.experiments.sweep.store import SweepError
+    from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
+    from surefoot.experiments.episodes.run import run_plan
+    from surefoot.experiments.episodes.sweep_page import SweepPage
 
     if scenarios:
         _list_scenarios()
@@ -69,50 +68,45 @@ def sweep(
     if first_seed and not seeds:
         fail("--first-seed needs --seeds, how many.")
     try:
-        chosen = SweepPlan(**changes) if plan is None else plan_from_toml(plan, **changes)
-        results = run_sweep(
-            chosen,
-            out,
-            backend=backend,
-            jobs=jobs,
-            address=address,
-            retry_failed=retry_failed,
-            any_version=any_version,
-        )
-        page = SweepPage(results, films=films)
-        report = page.write()
+        with one_line_errors(out, "what is finished is kept."):
+            results = run_plan(
+                EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes),
+                out,
+                backend=backend,
+                jobs=jobs,
+                address=address,
+                retry_failed=retry_failed,
+                any_version=any_version,
+            )
+            page = SweepPage(results, films=films)
+            report = page.write()
     except KeyboardInterrupt:
         typer.echo(f"Stopped; what is finished is kept in '{out}', and the same command goes on.", err=True)
         raise typer.Exit(130) from None
-    except (ValueError, SweepError) as error:
-        fail(str(error))
-    except OSError as error:
-        fail(f"cannot write to '{out}': {error.strerror or error}; what is finished is kept.")
     show(page.tables)
     kept = len(results.rows) - results.computed
-    typer.echo(f"{results.computed} cells run, {kept} were there, {len(results.failed)} failed.")
+    typer.echo(f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed.")
     typer.echo(f"Report: {report}")
 
 
 def replay(
-    results: Annotated[Path, typer.Argument(help="A sweep's folder, or its results.parquet.")],
-    cell: Annotated[int, typer.Option(help="Number of the cell.", min=0)],
+    results: Annotated[
+        Path, typer.Argument(help="The folder of a sweep or an evaluation, or its episodes.parquet.")
+    ],
+    case: Annotated[int, typer.Option("--case", "--cell", help="Number of the episode.", min=0)],
     video: Annotated[Path | None, typer.Option(help="Film it into this .mp4 as well.")] = None,
 ) -> None:
-    """Run one cell of a sweep again, and say whether it comes out the same to the last digit."""
-    from surefoot.experiments.sweep.episode import OUTCOME
-    from surefoot.experiments.sweep.film import film_cell
-    from surefoot.experiments.sweep.replay import replay_cell
-    from surefoot.experiments.sweep.store import SweepError
+    """Run one episode again, and say whether it comes out the same to the last digit."""
+    from surefoot.experiments.episodes.episode import OUTCOME
+    from surefoot.experiments.episodes.film import film_episode
+    from surefoot.experiments.episodes.replay import replay_episode
 
     if video is not None and video.suffix != ".mp4":
         fail(f"'{video}' must end in .mp4.")
-    try:
-        replayed = replay_cell(results, cell)
+    with one_line_errors():
+        replayed = replay_episode(results, case)
         if video is not None:
-            typer.echo(f"Film: {film_cell(video, replayed.cell)}")
-    except (ValueError, SweepError, OSError) as error:
-        fail(str(error))
+            typer.echo(f"Film: {film_episode(video, replayed.episode)}")
     for name in (*OUTCOME, "error"):
         then, now = replayed.then[name], replayed.now[name]
         mark = f"  <- {then!r} then" if name in replayed.different else ""
@@ -126,7 +120,7 @@ def replay(
 
 
 def _list_scenarios() -> None:
-    from surefoot.experiments.sweep.scenarios import SCENARIOS, scenario_named
+    from surefoot.experiments.episodes.scenarios import SCENARIOS, scenario_named
 
     for name in SCENARIOS:
         try:

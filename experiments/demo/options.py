@@ -8,6 +8,8 @@ from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, check_study
 
 __all__ = ["DemoOptions"]
 
+_LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
+
 
 @dataclass(frozen=True)
 class DemoOptions:
@@ -36,7 +38,7 @@ class DemoOptions:
     settle: float = STAND_TIME + 10.0
     loop_duration: float = STAND_TIME + 20.0
     loops: Mapping[float, tuple[str, ...]] = field(
-        default_factory=lambda: {3.0: FEEDS, 1.0: ("none", "window")}
+        default_factory=lambda: {3.0: _LOOPED, 1.0: ("none", "window")}
     )
     factors: tuple[float, ...] = (0.2, 0.5, 1.0, 2.0, 5.0)
     sensitivity_seeds: int = 5
@@ -55,7 +57,7 @@ class DemoOptions:
             duration=STAND_TIME + 8.0,
             settle=STAND_TIME + 4.0,
             loop_duration=STAND_TIME + 4.0,
-            loops={3.0: FEEDS},
+            loops={3.0: _LOOPED},
             factors=(0.2, 1.0, 5.0),
             sensitivity_seeds=1,
             film_duration=STAND_TIME + 2.0,

@@ -2,7 +2,6 @@
 
 import json
 import shlex
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,90 +10,63 @@ import pandas as pd
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
 from surefoot.experiments.policy.controllers import controller_hash
-from surefoot.experiments.policy.env import input_names
 from surefoot.experiments.policy.options import TRAINING_SEEDS
-from surefoot.experiments.policy.origin import Origin
-from surefoot.experiments.policy.scores import controllers_of, score_table, seeds_text
 from surefoot.experiments.policy.tasks import TASKS, Task, task_in, task_named
 from surefoot.experiments.policy.train import CURVE, POLICY
-from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.experiments.policy.view import input_names
+from surefoot.experiments.study.figures import figure_at
+from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["draw_curve", "own_scores", "write_card", "write_scores"]
+__all__ = ["SCORES", "WHOSE", "draw_curve", "own_scores", "write_card"]
 
-FIGURE, CARD, EVALUATION = "curve.png", "card.md", "evaluation.csv"
+FIGURE, CARD, SCORES = "curve.png", "card.md", "evaluation.csv"
 
-_WHOSE = ("controller", "policy file", "task", "seeds")
+WHOSE = ("controller", "policy file", "task", "seeds")
 """Columns of the scores' file that say whose scores they are; a card has them of one policy."""
 
+_REWARD, _FALLS = "#0072B2", "#D55E00"
+"""Colours of a learning curve; those of Okabe and Ito (2008)."""
 
-def draw_curve(curve: pd.DataFrame, path: Path, most: float) -> Path:
+_LAST_UPDATES = 20
+"""Updates at the end of a training that a card sums up."""
+
+_SMOOTHED = 10
+"""Updates over which a learning curve is averaged."""
+
+
+def draw_curve(curve: Frame, path: Path, most: float) -> Path:
     """Draw how reward, of at most ``most`` a decision, and falls went while training."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({"axes.grid": True, "grid.alpha": 0.3, "font.size": 9}):
-        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+    thousands, smooth = curve["steps"] / 1e3, curve.rolling(_SMOOTHED, min_periods=1).mean()
+    with figure_at(path, 7.0, 3.0) as figure:
         left, right = figure.subplots(1, 2)
-        thousands = curve["steps"] / 1e3
-        left.plot(thousands, curve["reward_per_decision"], color="#0072B2", alpha=0.35, linewidth=1)
-        smooth = curve["reward_per_decision"].rolling(10, min_periods=1).mean()
-        left.plot(thousands, smooth, color="#0072B2")
+        left.plot(thousands, curve["reward_per_decision"], color=_REWARD, alpha=0.35, linewidth=1)
+        left.plot(thousands, smooth["reward_per_decision"], color=_REWARD)
         left.set(xlabel="decisions / 1000", ylabel=f"reward a decision (at most {most:g})")
-        falls = 100.0 * curve["fell"].rolling(10, min_periods=1).mean()
-        right.plot(thousands, falls, color="#D55E00")
+        right.plot(thousands, 100.0 * smooth["fell"], color=_FALLS)
         right.set(xlabel="decisions / 1000", ylabel="episodes that ended in a fall / %")
-        with atomic_path(path) as part:
-            figure.savefig(part, dpi=150, format="png")
     return path
 
 
-def write_scores(out: Path, frame: Frame, origins: Mapping[str, Origin]) -> Path:
-    """Write the scores of an evaluation into a folder, with whose they are.
-
-    Args:
-        out: The folder.
-        frame: Of :func:`~surefoot.experiments.policy.scores.episodes_frame`, of one task.
-        origins: What is known of the controllers.
-    """
-    parts = []
-    for name in controllers_of(frame):
-        own = frame[frame["controller"] == name]
-        scores = score_table(own).to_frame()
-        rows = own.groupby(["feed", "cop_input", "severity"], sort=False)["seed"]
-        whose = (
-            name,
-            origins.get(name, Origin()).file,
-            own["task"].iloc[0],
-            [seeds_text(s) for _, s in rows],
-        )
-        for place, (column, value) in enumerate(zip(_WHOSE, whose, strict=True)):
-            scores.insert(place, column, value)
-        parts.append(scores)
-    with atomic_path(out / EVALUATION) as path:
-        pd.concat(parts).to_csv(path, index=False)
-    return out / EVALUATION
-
-
 def own_scores(out: Path) -> Frame | None:
-    """Read the scores of the policy that lies in a folder.
+    """Return the scores of the policy that lies in a folder.
 
     Args:
         out: The folder.
 
     Returns:
-        What :func:`write_scores` wrote of a controller that is this very file, on the task that it was made
-        for; ``None`` if there is nothing of it: scores of an earlier policy, or of others, are not its own.
+        What an evaluation wrote of a controller that is this very file, on the task that it was made for;
+        ``None`` if there is nothing of it: scores of an earlier policy, or of others, are not its own.
 
     Raises:
         FileNotFoundError: If there is no policy.
     """
     task = _task_of(PolicyNetwork.load(out / POLICY))
     try:
-        scores: Frame = pd.read_csv(out / EVALUATION, dtype=str, keep_default_na=False)
+        scores: Frame = pd.read_csv(out / SCORES, dtype=str, keep_default_na=False)
     except (FileNotFoundError, ValueError):
         return None
-    if not set(_WHOSE) <= set(scores.columns):
+    if not set(WHOSE) <= set(scores.columns):
         return None
     own = scores[
         (scores["policy file"] == controller_hash(str(out / POLICY))) & (scores["task"] == task.name)
@@ -170,7 +142,7 @@ def _made(network: PolicyNetwork, task: Task) -> str:
 
 
 def _curve(curve: pd.DataFrame, most: float) -> str:
-    last = curve.tail(20)
+    last = curve.tail(_LAST_UPDATES)
     reward, fell = last["reward_per_decision"].mean(), 100 * last["fell"].mean()
     return f"""## Learning curve
 
@@ -186,7 +158,7 @@ def _scores(scores: Frame | None, out: Path, task: Task) -> str:
         asked = "" if task.name == next(iter(TASKS)) else f" --task {task.name}"
         command = f"surefoot evaluate {shlex.quote(str(out / POLICY))}{asked} --out {shlex.quote(str(out))}"
         return f"## Evaluation\n\nNone yet: `{command}` writes it here.\n"
-    shown = scores.drop(columns=list(_WHOSE))
+    shown = scores.drop(columns=list(WHOSE))
     lines = ["| " + " | ".join(shown.columns) + " |", "|" + "---|" * len(shown.columns)]
     lines += ["| " + " | ".join(map(str, row)) + " |" for row in shown.itertuples(index=False)]
     table = "\n".join(lines)

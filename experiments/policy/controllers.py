@@ -17,7 +17,6 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +26,13 @@ from numpy.typing import NDArray
 
 from surefoot.controllers import Stabiliser, zero_action
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.policy.shipped import shipped_policy
+from surefoot.experiments.policy.shipped import shipped_file, shipped_policy
 from surefoot.experiments.policy.tasks import TASKS, task_in
 
 __all__ = [
     "BUILT_IN",
     "Controller",
-    "check_task",
+    "check_fits",
     "controller_hash",
     "drawn_names",
     "labels",
@@ -59,18 +58,20 @@ _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomi
 _FILES = (".npz", ".zip")
 """Endings of files: a zip of Stable-Baselines3 is refused, with what to do, and not taken for a module."""
 
+_HASH_DIGITS = 16
+
 _LONGEST_DRAWN = 40
 """Characters of a name for which a figure has room."""
 
 
 def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = False) -> Controller:
-    """Make a controller ready for an episode.
+    """Return a controller for an environment.
 
     Args:
         name: As in the table above.
         env: What it will control, with all wrappers; ``state_layout`` is that of its ``unwrapped``.
         same_task: Whether to refuse a policy file that says it was made for another environment, see
-            :func:`check_task`. An evaluation does; a sweep, which puts a policy into circumstances that it
+            :func:`check_fits`. An evaluation does; a sweep, which puts a policy into circumstances that it
             was not made for, does not.
 
     Raises:
@@ -78,52 +79,47 @@ def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = Fals
             task.
     """
     bare: Any = env.unwrapped
-    state_layout = bare.state_layout
     if name in _BUILT_IN:
-        return _BUILT_IN[name](state_layout)
+        return _BUILT_IN[name](bare.state_layout)
     if name in _SHIPPED or name.endswith(_FILES):
         policy = _policy(name, _id_of(env))
-        if same_task:
-            check_task(policy, env, name)
-        policy.fits(env.observation_space, env.action_space)
+        check_fits(policy, env, name, same_task=same_task)
         return policy
     function = _imported(name)
     parameters = list(inspect.signature(function).parameters)
-    made: Any = function(state_layout) if parameters[:1] == ["state_layout"] else function
+    made: Any = function(bare.state_layout) if parameters[:1] == ["state_layout"] else function
     if not callable(made):
         raise ValueError(f"'{name}' returned {type(made).__name__}, which answers no observation.")
-    reset = getattr(made, "reset", None)
-    if callable(reset):
-        reset()
     controller: Controller = made
     return controller
 
 
-def check_task(policy: Any, env: gym.Env[Any, Any], name: str = "") -> None:
-    """Refuse a policy that was made for another task, whose observations may have the same sizes.
+def check_fits(policy: Any, env: gym.Env[Any, Any], name: str = "", *, same_task: bool = True) -> None:
+    """Raise ValueError if a policy was made for another robot, or for another task.
+
+    Observations of two tasks may have the same sizes, so that the notes of a policy's making decide. Policies
+    from elsewhere need not have such notes; without any nothing is refused.
 
     Args:
-        policy: What acts. Only a policy with notes of its making can be refused, and of these only one whose
-            notes name a task: policies from elsewhere need not.
+        policy: What acts.
         env: What it will control.
         name: What to call it, if it has a name.
-
-    Raises:
-        ValueError: If it was made for another environment; the message names both.
+        same_task: Whether the task counts.
     """
     notes = getattr(policy, "notes", None)
     made_for = notes.get("task") if isinstance(notes, Mapping) else None
     given = _id_of(env)
-    if not isinstance(made_for, str) or not given or made_for == given:
-        return
-    task = task_in(made_for)
-    way_out = "" if task is None else f"; evaluate it there, with --task {task.name}"
-    who = f"Policy '{name}'" if name else "The policy"
-    raise ValueError(f"{who} was made for '{made_for}', and this is '{given}'{way_out}.")
+    if same_task and isinstance(made_for, str) and given and made_for != given:
+        task = task_in(made_for)
+        way_out = "" if task is None else f"; evaluate it there, with --task {task.name}"
+        who = f"Policy '{name}'" if name else "The policy"
+        raise ValueError(f"{who} was made for '{made_for}', and this is '{given}'{way_out}.")
+    if hasattr(policy, "fits"):
+        policy.fits(env.observation_space, env.action_space)
 
 
 def controller_hash(name: str, env_id: str = "") -> str:
-    """Tell controllers of one name apart: 16 digits of a hash of the file behind it, or nothing.
+    """Return 16 digits of a hash of the file behind a controller, or nothing if there is none.
 
     Args:
         name: As in the table above.
@@ -136,19 +132,17 @@ def controller_hash(name: str, env_id: str = "") -> str:
     if name in _BUILT_IN:
         return ""
     if name in _SHIPPED:
-        folder = files("surefoot.experiments.policy").joinpath("files")
         tasks = [task.name for task in TASKS.values() if env_id in ("", task.env_id)]
-        found = (folder.joinpath(f"{task}-{_SHIPPED[name]}", "policy.npz") for task in tasks)
-        packed = b"".join(file.read_bytes() for file in found if file.is_file())
-        return sha256(packed).hexdigest()[:16]
+        found = (shipped_file(task, _SHIPPED[name]) for task in tasks)
+        return _digits(b"".join(file.read_bytes() for file in found if file.is_file()))
     if name.endswith(_FILES):
-        return sha256(_file(name).read_bytes()).hexdigest()[:16]
+        return _digits(_file(name).read_bytes())
     path = inspect.getsourcefile(inspect.unwrap(_imported(name)))
-    return sha256(Path(path).read_bytes()).hexdigest()[:16] if path and Path(path).is_file() else ""
+    return _digits(Path(path).read_bytes()) if path and Path(path).is_file() else ""
 
 
 def trained_on(name: str) -> str:
-    """Say what a policy was trained on.
+    """Return what a policy was trained on.
 
     Args:
         name: Of a controller.
@@ -166,12 +160,12 @@ def trained_on(name: str) -> str:
 
 
 def short_name(name: str) -> str:
-    """Name a controller where space is short: a file without its folder."""
+    """Return the name of a controller where space is short: a file's without its folder."""
     return Path(name).stem if name.endswith(_FILES) else name
 
 
 def labels(controllers: Sequence[str]) -> dict[str, str]:
-    """Name controllers briefly, and no two of them alike.
+    """Return a short name for each controller, no two of them alike.
 
     >>> labels(["a/one.npz", "a/two.npz", "b/two.npz"])
     {'a/one.npz': 'one', 'a/two.npz': 'a/two.npz', 'b/two.npz': 'b/two.npz'}
@@ -185,10 +179,10 @@ def labels(controllers: Sequence[str]) -> dict[str, str]:
 
 
 def drawn_names(controllers: Sequence[str]) -> dict[str, str]:
-    """Name controllers as a figure can write them, and no two of them alike.
+    """Return a name for each controller that a figure can write, no two of them alike.
 
-    A line has an end, so that of long names the last characters are left, and a number where these are the
-    same; and a dollar sign begins no formula.
+    A long name is cut to its last characters, with a number where these are the same; a dollar sign starts no
+    formula.
     """
     found: dict[str, str] = {}
     for name, brief in labels(controllers).items():
@@ -203,6 +197,10 @@ def drawn_names(controllers: Sequence[str]) -> dict[str, str]:
 def _cut(text: str, ending: str) -> str:
     room = _LONGEST_DRAWN - len(ending)
     return (text if len(text) <= room else f"…{text[1 - room :]}") + ending
+
+
+def _digits(content: bytes) -> str:
+    return sha256(content).hexdigest()[:_HASH_DIGITS]
 
 
 def _id_of(env: gym.Env[Any, Any]) -> str:
@@ -230,10 +228,10 @@ def _file(name: str) -> Path:
 def _imported(name: str) -> Callable[..., Any]:
     module, colon, attribute = name.partition(":")
     if not (colon and module and attribute):
+        available = ", ".join(map(repr, (*_BUILT_IN, *_SHIPPED)))
         raise ValueError(
-            f"There is no controller '{name}'. Available: {', '.join(map(repr, (*_BUILT_IN, *_SHIPPED)))}, a "
-            "policy file "
-            "'path.npz', or 'module:function'."
+            f"There is no controller '{name}'. Available: {available}, a policy file 'path.npz', or "
+            "'module:function'."
         )
     try:
         found: Any = import_module(module)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
-from surefoot.experiments.policy.env import PARTS, PolicyView, make_feed
+from surefoot.experiments.policy.view import PARTS, PolicyView, make_task
 
 __all__ = ["export_policy", "export_zip", "network_of"]
 
@@ -90,7 +90,7 @@ def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bo
         model = PPO.load(zip_path, device="cpu")
     except Exception as error:  # Whatever a damaged pickle raises.
         raise PolicyFileError(f"'{zip_path}' cannot be opened as a Stable-Baselines3 PPO: {error}") from error
-    env, _ = make_feed("true", task=task)
+    env, _ = make_task("true", task=task)
     try:
         return export_policy(model, PolicyView(env, task), path, {"from": zip_path.name})
     finally:

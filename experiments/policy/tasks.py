@@ -1,95 +1,84 @@
-"""What a policy can be trained for, and what differs from one task to the next: one table."""
+"""The tasks that a policy can be trained for, and what differs between them: one table."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ["TASKS", "Task", "task_in", "task_named"]
+from surefoot.experiments.walks.walkers import FEEDS
+
+__all__ = ["EXPECTED_LOADS", "TASKS", "Task", "calibration_of", "task_in", "task_named"]
+
+EXPECTED_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.08, "com_change": 0.015})
+"""Options of a calibration: which loads the robot is to expect, but not which one an episode has."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A task, and how a policy sees it and is trained for it."""
+    """A task, what a policy sees of it, and how it is trained.
+
+    Attributes:
+        name: Short name, for files and the command.
+        env_id: Id of the environment.
+        title: What a policy for it is called.
+        scales: Parts of the state that a policy sees besides the legs' joints, and the unit of each: a policy
+            sees the part divided by it.
+        training: Options of the environment while training: without the long stand that calibrators need, and
+            with fewer pushes, which change returns far more than anything that a policy tries.
+        most: Largest reward of one step.
+        limits: What a policy for it cannot do.
+        speed: Change of a posture per second at a full command: what a policy shakes its own feet with while
+            it explores.
+        memory: Time constant in s with which a posture returns.
+        hold: Steps for which an action holds: a policy decides at 20 Hz, about as fast as a body can follow.
+    """
 
     name: str
-    """Short name, for files and the command."""
-
     env_id: str
-    """The environment."""
-
     title: str
-    """What a policy for it is called."""
-
     scales: Mapping[str, float]
-    """Parts of the state that a policy looks at besides the legs' joints, and what counts as much of each, in
-    its own unit."""
-
     training: Mapping[str, Any]
-    """Options of the environment while training: without the long stand that calibrators need, and with fewer
-    pushes, by which returns differ far more than by anything that a policy tries out."""
-
     most: float
-    """What a step can pay at most."""
-
     limits: str
-    """What a policy for it cannot do."""
-
     speed: float = 1.5
-    """Change of a posture per second at a full command: what a policy shakes its own feet with while it tries
-    things out."""
-
     memory: float = 1.0
-    """Time constant in s with which a posture returns."""
-
     hold: int = 4
-    """Steps for which an action holds: a policy decides at 20 Hz, about as fast as a body can follow."""
 
 
-def _table() -> dict[str, Task]:
-    seen = {"tilt": 0.1, "gyroscope": 0.5, "cop_reference": 0.03, "com_reference_velocity": 0.05}
-    return {
-        task.name: task
-        for task in (
-            Task(
-                "balance",
-                "surefoot/NaoBalance-v0",
-                "A balance policy",
-                MappingProxyType(seen),
-                MappingProxyType(
-                    {"stand_time": 0.25, "duration": 8.0, "payload_time": (0.1, 1.5), "push_interval": 8.0}
-                ),
-                most=3.0,
-                limits="standing on both feet on flat ground, the loads and pushes of its task, and nothing\n"
-                "  else. It does not step, and a push that needs a step is a fall.",
-            ),
-            Task(
-                "walk",
-                "surefoot/NaoCarry-v0",
-                "A walking policy",
-                MappingProxyType({**seen, "com_reference": 0.03, "stance": 1.0, "phase": 1.0}),
-                MappingProxyType(
-                    {"stand_time": 0.5, "duration": 10.0, "payload_time": (0.5, 4.0), "push_interval": 10.0}
-                ),
-                most=6.0,
-                speed=0.5,
-                memory=2.0,
-                limits="walking ahead on flat ground, the loads and pushes of its task, and nothing\n"
-                "  else. Its feet go where the pattern puts them: a push that needs another step is a fall.",
-            ),
-        )
-    }
+_SEEN = {"tilt": 0.1, "gyroscope": 0.5, "cop_reference": 0.03, "com_reference_velocity": 0.05}
 
+_BALANCE = Task(
+    "balance",
+    "surefoot/NaoBalance-v0",
+    "A balance policy",
+    MappingProxyType(_SEEN),
+    MappingProxyType({"stand_time": 0.25, "duration": 8.0, "payload_time": (0.1, 1.5), "push_interval": 8.0}),
+    most=3.0,
+    limits="standing on both feet on flat ground, the loads and pushes of its task, and nothing\n"
+    "  else. It does not step, and a push that needs a step is a fall.",
+)
 
-TASKS: Mapping[str, Task] = MappingProxyType(_table())
+_WALK = Task(
+    "walk",
+    "surefoot/NaoCarry-v0",
+    "A walking policy",
+    MappingProxyType({**_SEEN, "com_reference": 0.03, "stance": 1.0, "phase": 1.0}),
+    MappingProxyType(
+        {"stand_time": 0.5, "duration": 10.0, "payload_time": (0.5, 4.0), "push_interval": 10.0}
+    ),
+    most=6.0,
+    speed=0.5,
+    memory=2.0,
+    limits="walking ahead on flat ground, the loads and pushes of its task, and nothing\n"
+    "  else. Its feet go where the pattern puts them: a push that needs another step is a fall.",
+)
+
+TASKS: Mapping[str, Task] = MappingProxyType({task.name: task for task in (_BALANCE, _WALK)})
 """All tasks by name; the first is the default."""
 
 
 def task_named(name: str) -> Task:
-    """Look a task up.
-
-    Args:
-        name: Its name.
+    """Return the task of a name.
 
     Raises:
         ValueError: If there is none of the name; the message lists what there is.
@@ -100,5 +89,13 @@ def task_named(name: str) -> Task:
 
 
 def task_in(env_id: Any) -> Task | None:
-    """Look up the task of an environment, by its id; ``None`` if there is none in it."""
+    """Return the task of an environment, by its id; ``None`` if there is none in it."""
     return next((task for task in TASKS.values() if task.env_id == env_id), None)
+
+
+def calibration_of(feed: str) -> dict[str, Any] | None:
+    """Return the options of a feed's calibration in a task; ``None`` for the true centre of pressure."""
+    options = FEEDS[feed]
+    if options is None:
+        return None
+    return {**options, **(EXPECTED_LOADS if feed == "moment" else {})}

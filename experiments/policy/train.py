@@ -17,10 +17,10 @@ import gymnasium as gym
 import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.policy.env import PolicyView, make_feed
 from surefoot.experiments.policy.export import network_of
 from surefoot.experiments.policy.options import REWARD_SCALE, TrainOptions
 from surefoot.experiments.policy.tasks import task_named
+from surefoot.experiments.policy.view import PolicyView, make_task
 from surefoot.experiments.study.files import atomic_path, locked, write_text
 
 __all__ = ["Trainer", "TrainingError", "forget"]
@@ -43,7 +43,7 @@ def training_env(severity: float, options: TrainOptions) -> gym.Env[Any, Any]:
     from stable_baselines3.common.monitor import Monitor
 
     feed = "true" if options.sensors == "true" else "none"
-    env, _ = make_feed(feed, severity=severity, task=options.task, **task_named(options.task).training)
+    env, _ = make_task(feed, severity=severity, task=options.task, **task_named(options.task).training)
     return Monitor(PolicyView(env, options.task, reward_scale=REWARD_SCALE))
 
 

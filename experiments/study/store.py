@@ -35,7 +35,7 @@ __all__ = ["JOURNAL", "PLAN", "Case", "Outcome", "Store", "StudyError"]
 JOURNAL, PLAN, CASES = "journal.jsonl", "study.json", "cases"
 
 
-class StudyError(Exception):
+class StudyError(ValueError):
     """A study cannot go on; the message says what to do. What was computed is kept."""
 
 

@@ -1,27 +1,67 @@
-"""One walker on feet of different kinds: the same robot, pattern and controller behind another wrapper.
+"""One robot on different feet: the same task, pattern and controller behind another wrapper.
 
-What is fed back as the centre of pressure is named by a *feed*: ``"true"``, ``"none"`` for drifting raw
-readings by the sensors' nominal map, or a calibration method.
+The source of the centre of pressure that a controller sees is its *feed*, see :data:`FEEDS`.
 """
 
+import warnings
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
+from gymnasium import spaces
 
-from surefoot.calibration.online import METHODS, method_name
+from surefoot.calibration._setup import OLD_NAMES
+from surefoot.calibration.online import METHODS
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-__all__ = ["FEEDS", "STAND_TIME", "TruthTap", "check_study", "make_walker"]
+__all__ = [
+    "FEEDS",
+    "STAND_TIME",
+    "TrueCop",
+    "TruthTap",
+    "check_study",
+    "feed_named",
+    "make_walker",
+    "on_feet",
+]
 
-FEEDS = ("true", "none", *(name for name in reversed(METHODS) if name != "none"))
-"""What the controller may be given for the centre of pressure."""
+FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
+    {
+        "true": None,
+        "none": {"method": "none"},
+        "weights": {"method": "none", "initial": "calibrated"},
+        **{name: {"method": name} for name in reversed(METHODS) if name != "none"},
+    }
+)
+"""Sources of a controller's centre of pressure, with the options of :class:`SelfCalibration` that make them:
+the truth; drifting readings by the sensors' nominal map; the same readings by the map that known weights gave
+just before the episode; and each calibration method."""
+
+OLD_FEEDS: Mapping[str, str] = MappingProxyType({"bench": "weights", **OLD_NAMES})
+"""Earlier names of feeds."""
 
 STAND_TIME = 4.0
 """Time in s that the robot stands before it walks: a standing start needs three, and the filters a while."""
+
+
+def feed_named(name: str) -> str:
+    """Return the name of a feed, which may be given by an earlier one.
+
+    Raises:
+        ValueError: If there is no such feed; the message lists what there is.
+    """
+    if name in OLD_FEEDS:
+        message = f"The feed '{name}' is called '{OLD_FEEDS[name]}' now."
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return OLD_FEEDS[name]
+    if name not in FEEDS:
+        raise ValueError(f"There is no feed '{name}'. Available: {', '.join(map(repr, FEEDS))}.")
+    return name
 
 
 def check_study(study: Any, *counts: str) -> None:
@@ -64,6 +104,71 @@ class TruthTap(gym.Wrapper[Any, Any, Any, Any]):
         return self.seen, float(reward), terminated, truncated, info
 
 
+class TrueCop(gym.Wrapper[Any, Any, Any, Any]):
+    """Show the true centre of pressure beside what sensors say of joints and tilt: for training and bounds.
+
+    Args:
+        env: FootSensors around a tap.
+        tap: Sees the truth beneath its sensors.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], tap: TruthTap) -> None:
+        super().__init__(env)
+        self._tap = tap
+        shown, truth = env.observation_space, tap.observation_space
+        assert isinstance(shown, spaces.Dict)
+        assert isinstance(truth, spaces.Dict)
+        self._keys = ("foot_force", "cop_foot", "cop", "cop_valid")
+        self.observation_space = spaces.Dict(dict(shown.spaces) | {key: truth[key] for key in self._keys})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Reset, and show the truth."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._with_truth(observation), info
+
+    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Step, and show the truth."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._with_truth(observation), float(reward), terminated, truncated, info
+
+    def _with_truth(self, observation: dict[str, Any]) -> dict[str, Any]:
+        return observation | {key: self._tap.seen[key] for key in self._keys}
+
+
+def on_feet(
+    bare: gym.Env[Any, Any],
+    calibration: Mapping[str, Any] | None,
+    cells: str | LoadCells = HX711_LOAD_CELLS,
+    sensors: Mapping[str, Any] | None = MappingProxyType({}),
+) -> tuple[gym.Env[Any, Any], TruthTap]:
+    """Return an environment behind sensors and a calibration: the one way in which studies make theirs.
+
+    Args:
+        bare: The environment, which knows only truth.
+        calibration: Options of :class:`SelfCalibration`; ``None`` shows the true centre of pressure.
+        cells: The load cells.
+        sensors: Further options of :class:`FootSensors`; ``None`` for no sensors at all, where joints and
+            tilt are true as well.
+
+    Returns:
+        The environment to step, and the tap that sees the truth beneath its sensors.
+
+    Raises:
+        ValueError: If an option is refused, or there is a calibration and nothing to calibrate.
+    """
+    tap = TruthTap(bare)
+    if sensors is None:
+        if calibration is not None:
+            raise ValueError(
+                "Without sensors there is nothing to calibrate; give 'sensors' or no 'calibration'."
+            )
+        return tap, tap
+    worn = FootSensors(tap, cells, **sensors)
+    return (TrueCop(worn, tap) if calibration is None else SelfCalibration(worn, **calibration)), tap
+
+
 def make_walker(
     feed: str,
     *,
@@ -73,7 +178,7 @@ def make_walker(
     render_mode: str | None = None,
     **env_options: Any,
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Put a walker on feet of a kind.
+    """Return a walker on the feet of a feed; on true feet joints and tilt are true as well.
 
     Args:
         feed: One of :data:`FEEDS`.
@@ -89,9 +194,7 @@ def make_walker(
     Raises:
         ValueError: If there is no such feed, or the environment refuses an option.
     """
-    feed = method_name(feed)
-    if feed not in FEEDS:
-        raise ValueError(f"There is no feed '{feed}'. Available: {', '.join(map(repr, FEEDS))}.")
+    calibration = FEEDS[feed_named(feed)]
     # The walk is cut off before the pattern stops: what is scored is standing first and then walking.
     bare = gym.make(
         "surefoot/NaoWalk-v0",
@@ -103,7 +206,4 @@ def make_walker(
         render_mode=render_mode,
         **env_options,
     )
-    tap = TruthTap(bare)
-    if feed == "true":
-        return tap, tap
-    return SelfCalibration(FootSensors(tap, cells), feed), tap
+    return on_feet(bare, calibration, cells, None if calibration is None else {})

@@ -7,12 +7,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.experiments.episodes.episode import failed_row
 from surefoot.experiments.logs.format import Log, LogTruth
-from surefoot.experiments.policy import evaluate, evaluation
 
 SAMPLES = 60
 MASS = 5.3
@@ -82,14 +83,18 @@ def invented(monkeypatch):
     """Episodes that take no time, and a note of each that was run."""
     ran = []
 
-    def run(controller, feeds, numbers, severities, *, cop_inputs, task, jobs, done):
-        for cell in evaluate.episode_cells(feeds, numbers, severities, cop_inputs):
-            if cell not in done:
-                ran.append((controller, *cell))
-                feed, seed, severity, cop_input = cell
-                total = MEANS[feed] + np.sin(seed + len(feed)) + (1000.0 if controller == "zero" else 0.0)
-                yield evaluate.EpisodeResult(feed, cop_input, severity, seed, total, False, 18.0, 0.0, 0.0,
-                                             controller, task)  # fmt: skip
+    def row(episode, controller=None):
+        ran.append(episode)
+        total = MEANS[episode.feed] + np.sin(episode.seed + len(episode.feed))
+        total += 1000.0 if episode.controller == "zero" else 0.0
+        return failed_row(episode, "") | {"return": total, "time": 18.0, "cop_error": 0.0, "tracking": 0.0}
 
-    monkeypatch.setattr(evaluation, "run_episodes", run)
+    monkeypatch.setattr("surefoot.experiments.episodes.episode.episode_row", row)
+    monkeypatch.setattr("surefoot.experiments.episodes.run.check_episode", lambda episode: None)
     return ran
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures that are not drawn: only the words of a page count."""
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(b"<svg/>"))

@@ -11,21 +11,16 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from surefoot.controllers import PolicyFileError, PolicyNetwork, zero_action
+from surefoot.controllers import PolicyFileError, PolicyNetwork
+from surefoot.experiments.episodes import run_episode
 from surefoot.experiments.policy.card import write_card
-from surefoot.experiments.policy.env import FEEDS, PARTS, PolicyView, input_names, make_feed
-from surefoot.experiments.policy.evaluate import COP_INPUTS, EpisodeResult, run_episode, run_episodes
 from surefoot.experiments.policy.export import export_zip, network_of
 from surefoot.experiments.policy.options import TRAINING_SEEDS, TrainOptions
-from surefoot.experiments.policy.scores import (
-    episodes_frame,
-    loss_won_back,
-    paired_difference,
-    score_table,
-    survival,
-)
-from surefoot.experiments.policy.shipped import SHIPPED, shipped_policy
+from surefoot.experiments.policy.shipped import shipped_policy
+from surefoot.experiments.policy.tasks import TASKS, task_named
 from surefoot.experiments.policy.train import Trainer, TrainingError, forget
+from surefoot.experiments.policy.view import PARTS, PolicyView, input_names, make_task
+from surefoot.experiments.walks.walkers import FEEDS
 
 pytest.importorskip("stable_baselines3")
 pytestmark = pytest.mark.filterwarnings("ignore:.*unconventional shape")
@@ -135,7 +130,7 @@ def test_the_file_and_stable_baselines_give_the_same_actions(trained, tmp_path):
     model, view = trained[1]._model, trained[1].view
     loaded = PolicyNetwork.load(trained[0] / "policy.npz")
     exact = network_of(model, view)
-    env, _ = make_feed("true", **SHORT)
+    env, _ = make_task("true", **SHORT)
     looking = PolicyView(env)
     observation, _ = env.reset(seed=2)
     largest = 0.0
@@ -154,7 +149,7 @@ def test_a_zip_is_opened_only_on_trust(tmp_path):
     import torch
     from stable_baselines3 import PPO
 
-    env = PolicyView(make_feed("true", **SHORT)[0])
+    env = PolicyView(make_task("true", **SHORT)[0])
     model = PPO("MlpPolicy", env, seed=0, device="cpu", policy_kwargs={"activation_fn": torch.nn.Tanh})
     model.save(str(tmp_path / "model"))
     with pytest.raises(PolicyFileError, match="--trusted"):
@@ -171,7 +166,7 @@ def test_a_zip_is_opened_only_on_trust(tmp_path):
 
 def test_the_view_and_the_network_act_alike(trained):
     model, network = trained[1]._model, network_of(trained[1]._model, trained[1].view)
-    first, second = (make_feed("true", **SHORT)[0] for _ in range(2))
+    first, second = (make_task("true", **SHORT)[0] for _ in range(2))
     view = PolicyView(first)
     seen, _ = view.reset(seed=5)
     observation, _ = second.reset(seed=5)
@@ -187,7 +182,7 @@ def test_the_view_and_the_network_act_alike(trained):
 def test_feeds_differ_by_nothing_but_the_feet():
     states, cops = {}, {}
     for feed in FEEDS:
-        env, tap = make_feed(feed, **SHORT)
+        env, tap = make_task(feed, **SHORT)
         env.reset(seed=7)
         for _ in range(20):
             observation, *_ = env.step(np.zeros(11))
@@ -198,94 +193,7 @@ def test_feeds_differ_by_nothing_but_the_feet():
         env.close()
     assert np.linalg.norm(cops["none"] - cops["true"]) > 1e-4
     with pytest.raises(ValueError, match="no feed 'raw'"):
-        make_feed("raw")
-
-
-def test_an_episode_is_scored_from_the_end_of_the_stand(trained):
-    result = run_episode(zero_action, "true", 3, **SHORT)
-    assert result.time == pytest.approx(0.5)
-    assert result.cop_error == 0.0
-    assert 40.0 < result.total <= 120.0
-    assert result == run_episode(zero_action, "true", 3, **SHORT)
-    drifting = run_episode(zero_action, "none", 3, 2.0, **SHORT)
-    # Nobody acts on what is felt, so that nothing but the feeling differs.
-    assert drifting.total == pytest.approx(result.total)
-    assert drifting.cop_error > 1e-3
-    with pytest.raises(ValueError, match="are training's"):
-        run_episode(zero_action, "true", TRAINING_SEEDS)
-    with pytest.raises(ValueError, match="'cop_input'"):
-        run_episode(zero_action, "true", 0, cop_input="upside down")
-    with pytest.raises(ValueError, match="was trained on 'state'"):
-        run_episode(_of_another_robot(trained[2]), "true", 0, **SHORT)
-
-
-def _of_another_robot(network):
-    class Other(PolicyNetwork):
-        """Says that it looks at more."""
-
-        def __init__(self):
-            self.parts = {"state": 99}
-
-    return Other()
-
-
-def test_what_is_done_to_the_input_reaches_the_policy_and_not_the_score():
-    given = {}
-    for cop_input in COP_INPUTS:
-        seen = []
-
-        def look(observation, seen=seen):
-            seen.append(observation["cop"].copy())
-            return zero_action(observation)
-
-        result = run_episode(look, "true", 3, cop_input=cop_input, **SHORT)
-        assert result.cop_error == 0.0
-        given[cop_input] = np.array(seen[-40:])
-    assert (given["frozen"] == given["frozen"][0]).all()
-    np.testing.assert_array_equal(given["frozen"][0], given["felt"][0])
-    assert not np.array_equal(given["swapped"], given["felt"])
-    assert not np.array_equal(given["shuffled"], given["swapped"])
-    np.testing.assert_array_equal(np.sort(given["shuffled"], axis=0), np.sort(given["swapped"], axis=0))
-
-
-def test_seeds_are_paired_and_cells_are_not_run_twice():
-    results = list(run_episodes(zero_action, ["true", "none"], [1, 2], [0.5, 1.0], **SHORT))
-    frame = episodes_frame(results)
-    assert len(frame) == 2 * (1 + 2)
-    table = score_table(frame)
-    assert [row[:2] for row in table.rows] == [("true", "–"), ("none", "0.5"), ("none", "1")]
-    assert survival(frame) == 1.0
-    assert paired_difference(frame, ("true", "felt"), ("none", "felt"), 1.0).mean == pytest.approx(0.0)
-
-
-def invented(feed, totals, cop_input="felt"):
-    return [
-        EpisodeResult(feed, cop_input, 1.0, seed, total, False, 1.0, 0.0, 0.0)
-        for seed, total in enumerate(totals)
-    ]
-
-
-def test_the_loss_won_back_is_the_share_of_the_means_and_its_interval_holds_it():
-    rng = np.random.default_rng(0)
-    base = rng.normal(100.0, 30.0, 60)
-    gap = rng.uniform(5.0, 15.0, 60)
-    frame = episodes_frame(
-        invented("true", base + gap) + invented("none", base) + invented("moment", base + 0.8 * gap)
-    )
-    won, low, high = loss_won_back(frame, "moment", 1.0)
-    assert won == pytest.approx(0.8)
-    assert (low, high) == pytest.approx((0.8, 0.8))
-    noisy = invented("window", base + 0.5 * gap + rng.normal(0.0, 3.0, 60))
-    won, low, high = loss_won_back(
-        episodes_frame([*noisy, *invented("true", base + gap), *invented("none", base)]), "window", 1.0
-    )
-    assert low < won < high
-    assert low < 0.5 < high
-    interval = paired_difference(frame, ("true", "felt"), ("none", "felt"), 1.0)
-    assert interval.mean == pytest.approx(gap.mean())
-    assert interval.half < 1.0
-    with pytest.raises(ValueError, match="No seed"):
-        loss_won_back(frame, "window", 1.0)
+        make_task("raw")
 
 
 def test_a_card_says_how_it_was_made(trained):
@@ -323,15 +231,6 @@ def test_seeds_of_training_are_no_seeds_of_evaluation_and_never_twice_the_same()
     assert TrainOptions(sensors="randomised").severities()[-1] == 2.0
 
 
-def test_what_is_shipped_fits_the_task():
-    for name in SHIPPED["balance"]:
-        policy = shipped_policy(name)
-        assert policy.notes["options"]["sensors"] == name
-        assert run_episode(policy, "true", 4, **SHORT).time == pytest.approx(0.5)
-    with pytest.raises(ValueError, match="no shipped policy 'best' for the task 'balance'"):
-        shipped_policy("best")
-
-
 def test_the_commands(trained, tmp_path):
     import typer
 
@@ -366,3 +265,62 @@ def test_the_example_wraps_trains_and_compares(monkeypatch):
     total = example.mean_return(None, env, [4])
     assert total == pytest.approx(example.mean_return(None, example.on_true_feet(**SHORT), [4]))
     assert len(path.read_text().splitlines()) < 100
+
+
+WALK = TrainOptions(task="walk", steps=16, environments=1, rollout=8, batch=8, epochs=1, every=2, hidden=8)
+WALKED = {"speeds": (0.04,), "stand_time": 0.5, "duration": 1.0, "payload_time": (0.1, 0.2)}
+
+
+def test_a_walking_policy_sees_the_gait_as_well():
+    env, tap = make_task("true", task="walk", **WALKED)
+    view = PolicyView(env, "walk")
+    env.reset(seed=1)
+    for _ in range(60):
+        observation, *_ = env.step(np.zeros(11))
+    seen, layout = view.seen(observation), env.unwrapped.state_layout
+    # Twelve joints, the parts of the state in their order, then the feet.
+    parts = np.concatenate(
+        [observation["state"][layout[name]] / scale for name, scale in TASKS["walk"].scales.items()]
+    )
+    np.testing.assert_allclose(seen[12:-7], parts, rtol=1e-5, atol=1e-6)
+    assert {"stance", "phase", "com_reference"} <= set(input_names(view.task))
+    assert not {"stance", "phase"} & set(input_names(TASKS["balance"]))
+    error = observation["cop"] - observation["state"][layout["cop_reference"]]
+    np.testing.assert_allclose(seen[[-6, -4]], 100.0 * error, rtol=1e-3, atol=1e-4)
+    np.testing.assert_array_equal(observation["cop"], tap.seen["cop"])
+    env.close()
+
+
+def test_a_training_says_which_task_it_is_for(tmp_path):
+    trainer = Trainer(tmp_path, WALK)
+    network = trainer.run()
+    trainer.close()
+    assert network.notes["task"] == TASKS["walk"].env_id
+    assert network.drive.speed == TASKS["walk"].speed
+    text = write_card(tmp_path).read_text()
+    assert "surefoot train --task walk --sensors true --seed 0 --steps 16" in text
+    assert text.startswith("# A walking policy for `surefoot/NaoCarry-v0`")
+    balance = dataclasses.replace(WALK, task="balance")
+    with pytest.raises(TrainingError, match=r"'task': \('walk', 'balance'\)"):
+        Trainer(tmp_path, balance)
+    assert run_episode(network, "true", 3, task="walk", **WALKED)["time"] == pytest.approx(0.5)
+    # A training older than the choice of a task was one for balance.
+    old = {name: value for name, value in balance.to_json().items() if name != "task"}
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "options.json").write_text(json.dumps(old))
+    Trainer(tmp_path / "old", balance).close()
+    with pytest.raises(TrainingError, match=r"'task': \('balance', 'walk'\)"):
+        Trainer(tmp_path / "old", WALK)
+
+
+def test_a_task_that_does_not_exist_is_refused():
+    for refused in (
+        lambda: task_named("run"),
+        lambda: TrainOptions(task="run"),
+        lambda: run_episode("zero", "true", 0, task="run"),
+        lambda: shipped_policy("true", "run"),
+    ):
+        with pytest.raises(ValueError, match=r"no task 'run'\. Available: 'balance', 'walk'"):
+            refused()
+    with pytest.raises(ValueError, match="no shipped policy 'best' for the task 'walk'"):
+        shipped_policy("best", "walk")

@@ -1,28 +1,34 @@
-"""Controllers held against each other: what is said follows from the episodes, and none of them is lost."""
+"""Pages of both presets: what is said follows from the episodes, and none of them is lost."""
 
+from dataclasses import replace
+from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 from rich.console import Console
+from typer.testing import CliRunner
 
-from surefoot.experiments.policy import figures
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.episodes import Episode, EpisodePlan, figures, run_plan, tables
+from surefoot.experiments.episodes.episode import VERSIONS, failed_row
+from surefoot.experiments.episodes.evaluation_page import EvaluationPage
+from surefoot.experiments.episodes.findings import controller_findings, target_table
+from surefoot.experiments.episodes.randomisation import BETTER, UNCLEAR, WORSE, Answer, answers, two_by_two
+from surefoot.experiments.episodes.rows import in_order
+from surefoot.experiments.episodes.scores import HalfFall, Run, difference, half_fall, won_back
+from surefoot.experiments.episodes.sweep_page import SweepPage
+from surefoot.experiments.episodes.tables import difference_table, outcome_table, score_table
 from surefoot.experiments.policy.controllers import drawn_names, labels
-from surefoot.experiments.policy.evaluate import EpisodeResult
-from surefoot.experiments.policy.findings import controller_findings, target_table
-from surefoot.experiments.policy.origin import Origin
-from surefoot.experiments.policy.page import EvaluationPage
-from surefoot.experiments.policy.randomisation import BETTER, UNCLEAR, WORSE, Answer, answers, two_by_two
-from surefoot.experiments.policy.scores import episodes_frame, score_table, won_back
-from surefoot.experiments.study.statistics import Interval
-from surefoot.experiments.study.tables import Table
-from surefoot.experiments.sweep import figures as sweep_figures
-from surefoot.experiments.sweep.tables import outcome_table
+from surefoot.experiments.study.statistics import Interval, fall_share, survival
+from surefoot.experiments.study.tables import Table, Verdict
+
+RUNNER = CliRunner()
 
 MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "moment": 97.0}
-TRAINED = {"clean": Origin("1", "true", "surefoot 9.9"), "wild": Origin("2", "randomised", "surefoot 9.9")}
+TRAINED = {"clean": "true", "wild": "randomised"}
 
 
 def episodes(controller="clean", means=MEANS, severities=(1.0, 2.0), fell=0, cop_inputs=(), seeds=20):
@@ -31,17 +37,32 @@ def episodes(controller="clean", means=MEANS, severities=(1.0, 2.0), fell=0, cop
     base, rows = rng.normal(0.0, 5.0, seeds), []
     for feed, mean in means.items():
         for severity in severities[:1] if feed == "true" else severities:
-            for cop_input in ("felt", *cop_inputs) if feed == "true" else ("felt",):
-                totals = mean + base + rng.normal(0.0, 0.5, seeds) - 40.0 * (cop_input != "felt")
+            for cop_input in ("given", *cop_inputs) if feed == "true" else ("given",):
+                totals = mean + base + rng.normal(0.0, 0.5, seeds) - 40.0 * (cop_input != "given")
                 for seed, total in enumerate(totals):
-                    ending = (seed < fell, 9.0 if seed < fell else 18.0)
-                    outcome = (total, *ending, 0.01, 0.02, controller)
-                    rows.append(EpisodeResult(feed, cop_input, severity, seed, *outcome))
+                    rows.append(row(feed, seed, total, controller, severity, cop_input, fell=seed < fell))
     return rows
 
 
+def row(
+    feed: str, seed: int, total: float, controller="clean", severity=1.0, cop_input="given", *, fell=False
+) -> dict[str, Any]:
+    """A row as an evaluation makes it."""
+    made_with = dict.fromkeys(VERSIONS, "9") | {"controller_hash": controller, "error": ""}
+    which = {"controller": controller, "feed": feed, "cop_input": cop_input, "scenario": "balance"}
+    which |= {"severity": 0.0 if feed == "true" else severity, "seed": seed}
+    outcome = {
+        "return": total,
+        "fell": fell,
+        "time": 9.0 if fell else 18.0,
+        "cop_error": 0.01,
+        "tracking": 0.02,
+    }
+    return which | outcome | made_with | {"trained": TRAINED.get(controller, "")}
+
+
 def frame_of(*parts):
-    return episodes_frame([result for part in parts for result in part])
+    return in_order(pd.DataFrame([result for part in parts for result in part]))
 
 
 def reached(frame, controller="clean", found=()):
@@ -55,23 +76,23 @@ def test_targets_are_met_or_not_by_the_numbers():
     bad = {"true": 100.0, "none": 98.5, "quasi-static": 99.6, "window": 99.5, "moment": 99.4}
     assert set(reached(frame_of(episodes(means=bad, fell=2))).values()) == {"no"}
     met = reached(frame_of(episodes(means=bad, fell=2)))
-    assert met["survives on true CoP"] == "no"
+    assert met["survives on true CoP (%)"] == "no"
     assert met["severity 1: return on drifting CoP below that on true CoP"] == "no"
-    assert met["severity 1: of the loss won back by moment"] == "no"
-    assert met["severity 1: moment less Han"] == "no"
-    assert reached(frame_of(episodes(fell=1)))["survives on true CoP"] == "yes"
+    assert met["severity 1: of the loss won back by moment (%)"] == "no"
+    assert met["severity 1: moment less quasi-static"] == "no"
+    assert reached(frame_of(episodes(fell=1)))["survives on true CoP (%)"] == "yes"
 
 
 def test_what_was_not_run_is_left_out(tmp_path):
     rows = reached(frame_of(episodes(means={"true": 100.0, "moment": 97.0})))
-    assert list(rows) == ["survives on true CoP"]
+    assert list(rows) == ["survives on true CoP (%)"]
     assert reached(frame_of(episodes(means={"none": 50.0, "window": 60.0}))) == {}
     page = EvaluationPage(frame_of(episodes(means={"none": 50.0}, severities=(1.0,))))
     assert [table.name for table in page.tables] == ["scores_0"]
     text = page.write(tmp_path).read_text(encoding="utf-8")
     assert "Feet against feet" not in text
     assert "domain randomisation" not in text
-    assert text.count("data:image/png;base64,") == 2
+    assert text.count("data:image/svg+xml;base64,") == 2
     only_true = EvaluationPage(frame_of(episodes("zero", {"true": 100.0})))
     assert "zero, true CoP: return" in only_true.write(tmp_path).read_text(encoding="utf-8")
     assert only_true.commands() == [
@@ -133,7 +154,7 @@ def test_a_loss_that_is_none_is_not_won_back():
     assert "no clear loss" in said[1]
     assert "nothing to win back" in said[1]
     # Exactly the same returns on all feet: no division by nothing.
-    same = frame.assign(total=100.0)
+    same = frame.assign(**{"return": 100.0})
     assert won_back(same, "window", 2.0) is None
     assert "moment wins 94." in controller_findings(frame_of(episodes()), "clean")[1]
 
@@ -144,13 +165,13 @@ def test_the_page_is_one_file_with_everything(tmp_path):
         episodes("wild", {"true": 95.0, "none": 70.0, "moment": 90.0}),
         episodes("zero", dict.fromkeys(MEANS, 60.0), fell=3),
     )
-    page = EvaluationPage(frame, TRAINED | {"zero": Origin(versions="surefoot 9.9")})
+    page = EvaluationPage(frame)
     text = page.write(tmp_path).read_text(encoding="utf-8")
-    assert text.count("data:image/png;base64,") == 5
+    assert text.count("data:image/svg+xml;base64,") == 5
     assert 'src="figures' not in text
     for words in (
         "randomisation is not enough",
-        "The episodes were made with surefoot 9.9.",
+        "The episodes were made with surefoot 9, python 9",
         "Every row is of the same seeds.",
         "over the episodes of these two trained policies",
         "are judged by the number itself",
@@ -158,13 +179,13 @@ def test_the_page_is_one_file_with_everything(tmp_path):
         "clean: trained on true feet",
         "3 of 20",
         "drifting less nobody",
-        "felt less shuffled",
+        "given less shuffled",
     ):
         assert words in text
     names = [table.name for table in page.tables]
     assert names == ["targets", "scores_0", "scores_1", "scores_2", "differences", "nobody", "inputs",
                      "randomisation", "randomisation_differences"]  # fmt: skip
-    assert sorted(path.stem for path in (tmp_path / "tables").iterdir()) == sorted(names)
+    assert sorted(path.stem for path in (tmp_path / "tables").glob("*.csv")) == sorted(names)
     assert "these are 16." in page.tables[names.index("differences")].note
     cells = pd.read_csv(tmp_path / "tables" / "randomisation.csv")
     assert list(cells["trained on"]) == ["true feet", "randomised feet"]
@@ -180,8 +201,9 @@ def test_the_page_is_one_file_with_everything(tmp_path):
 
 
 def test_hostile_names_are_only_names(tmp_path):
+    few = {"true": 100.0, "none": 50.0}
     hostile = "<script>alert(1)</script> $\\frac{"
-    frame = frame_of(episodes(hostile), episodes("a/same.npz"), episodes("b/same.npz"))
+    frame = frame_of(*(episodes(who, few, (1.0,), seeds=3) for who in (hostile, "a/same.npz", "b/same.npz")))
     page = EvaluationPage(frame)
     text = page.write(tmp_path).read_text(encoding="utf-8")
     assert "<script>" not in text
@@ -197,23 +219,17 @@ def test_a_page_of_what_does_not_belong_together_is_refused():
     with pytest.raises(
         ValueError, match=r"'clean', feed 'true', severity 0, seed 0 is there twice.*NAME=FILE"
     ):
-        EvaluationPage(pd.concat([frame, frame[frame["feed"] == "true"].assign(severity=2.0)]))
+        EvaluationPage(pd.concat([frame, frame[frame["feed"] == "true"]]))
     with pytest.raises(ValueError, match="tasks balance, walk cannot share a page"):
-        EvaluationPage(pd.concat([frame, frame.assign(task="walk")]))
+        EvaluationPage(pd.concat([frame, frame.assign(scenario="walk")]))
     with pytest.raises(ValueError, match="no episodes"):
         EvaluationPage(frame[:0])
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Figures that are not drawn: only the words of a page count."""
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(b"PNG"))
-
-
 def test_rows_of_other_seeds_are_not_called_paired(tmp_path, undrawn):
     clean, wild = episodes(), episodes("wild", {"true": 95.0, "none": 70.0, "moment": 90.0})
-    few = [result for result in wild if result.seed >= 12]
-    page = EvaluationPage(frame_of(clean, few), TRAINED)
+    few = [result for result in wild if result["seed"] >= 12]
+    page = EvaluationPage(frame_of(clean, few))
     text = page.write(tmp_path).read_text(encoding="utf-8")
     assert "Not all rows are of the same seeds" in text
     assert "Every row is of the same seeds" not in text
@@ -226,15 +242,15 @@ def test_rows_of_other_seeds_are_not_called_paired(tmp_path, undrawn):
     # The policy that was run on more seeds is shown on those that both have.
     cells = by_name["randomisation"].rows[0]
     own = page.frame[(page.frame["controller"] == "clean") & (page.frame["severity"] == 2.0)]
-    drifting = own[own["feed"] == "none"].set_index("seed")["total"]
+    drifting = own[own["feed"] == "none"].set_index("seed")["return"]
     assert float(cells[4].split(" ± ")[0]) == pytest.approx(drifting[12:].mean(), abs=0.01)
     assert drifting[12:].mean() != pytest.approx(drifting.mean(), abs=0.1)
     assert "8 at severity 1, 8 at severity 2" in by_name["randomisation"].note
-    apart = [result for result in episodes("wild", seeds=40) if result.seed >= 20]
+    apart = [result for result in episodes("wild", seeds=40) if result["seed"] >= 20]
     assert answers(frame_of(clean, apart), "clean", "wild") == []
     # Pairs share seeds, all four do not.
-    odd = [r for r in wild if r.feed != "moment" or r.seed < 5]
-    held = [r for r in clean if r.feed != "none" or r.seed >= 5]
+    odd = [r for r in wild if r["feed"] != "moment" or r["seed"] < 5]
+    held = [r for r in clean if r["feed"] != "none" or r["seed"] >= 5]
     assert answers(frame_of(held, odd), "clean", "wild") == []
     assert two_by_two(frame_of(clean, apart), "clean", "wild", []).rows[0] == ("true feet", "–")
 
@@ -245,13 +261,7 @@ def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
     noise = rng.normal(0.0, 1.0, (3, 30))
     cost = np.where(np.arange(30) < 15, 0.0, 100.0)
     totals = {"true": noise[0], "none": noise[1] - cost, "moment": noise[2][:15]}
-    frame = episodes_frame(
-        [
-            EpisodeResult(feed, "felt", 1.0, seed, total, False, 9.0, 0.0, 0.0, "clean")
-            for feed, of in totals.items()
-            for seed, total in enumerate(of)
-        ]
-    )
+    frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
     assert won_back(frame, "moment", 1.0) is None
 
 
@@ -267,17 +277,17 @@ def test_names_stay_apart_however_short_they_are_cut(tmp_path, monkeypatch, undr
     titles = []
     monkeypatch.setattr("matplotlib.axes.Axes.set_title", lambda axes, title: titles.append(title))
     frame = frame_of(*(episodes(name, severities=(1.0,), seeds=3) for name in controllers[:3]))
-    rows = frame.assign(**{"return": frame["total"], "scenario": "x", "cop_tracking": 0.0, "cell": 0})
-    sweep_figures.against_severity(tmp_path / "a.png", rows)
+    rows = frame.assign(scenario="x", case=0)
+    figures.against_severity(tmp_path / "a.png", rows)
     assert len(set(titles)) == 3
-    sweep_figures.survival_curves(tmp_path / "b.png", rows)
-    sweep_figures.heat_maps(tmp_path / "c.png", rows, {"x": "X"})
+    figures.survival_curves(tmp_path / "b.png", rows)
+    figures.heat_maps(tmp_path / "c.png", rows, {"x": "X"})
     assert len(set(titles)) == 3 + 3 + 3 * 5
     assert len({row[0] for row in outcome_table(rows, "x", "X").rows}) == 3
     titles.clear()
-    figures.returns(tmp_path / "d.png", frame)
+    figures.against_severity(tmp_path / "d.png", frame)
     figures.survival_curves(tmp_path / "e.png", frame)
-    figures.forest(tmp_path / "f.png", EvaluationPage(frame).differences)
+    figures.forest(tmp_path / "f.png", EvaluationPage(frame).compared[0][-1])
     assert {title.partition(",")[0] for title in titles} == {drawn[name] for name in controllers[:3]}
 
 
@@ -294,12 +304,9 @@ def test_brackets_and_colons_in_names_are_text_in_a_terminal():
 def test_only_what_runs_by_its_name_has_a_command(tmp_path, undrawn):
     frame = frame_of(episodes(), episodes("theirs"), episodes("zero"))
     frame = frame[(frame["controller"] != "zero") | ~frame["seed"].between(3, 9)]
-    known = {
-        "clean": Origin(versions="surefoot 1"),
-        "theirs": Origin(versions="surefoot 2", runs=False),
-        "zero": Origin(),
-    }
-    page = EvaluationPage(frame, known)
+    who = frame["controller"]
+    versions = who.map({"clean": "surefoot 1", "theirs": "surefoot 2", "zero": ""})
+    page = EvaluationPage(frame.assign(versions=versions, runs=who != "theirs"))
     commands = page.commands()
     assert [command.partition(" --task")[0] for command in commands] == [
         "surefoot evaluate clean",
@@ -323,6 +330,181 @@ def test_only_what_runs_by_its_name_has_a_command(tmp_path, undrawn):
 def test_targets_are_those_of_a_policy():
     still = EvaluationPage(frame_of(episodes("zero"), episodes("stabiliser")))
     assert "targets" not in [table.name for table in still.tables]
-    page = EvaluationPage(frame_of(episodes("zero"), episodes("wild"), episodes()), TRAINED)
+    page = EvaluationPage(frame_of(episodes("zero"), episodes("wild"), episodes()))
     assert page.targets.title == "Set out to reach, by clean"
     assert EvaluationPage(frame_of(episodes("zero"), episodes("mine"))).targets.title.endswith("by mine")
+
+
+SEVERITIES = np.array([0.0, 1.0, 2.0, 4.0])
+
+
+def fallen(threshold: Any, severities: Any = SEVERITIES) -> pd.DataFrame:
+    """Every seed falls from a severity of its own on."""
+    return pd.DataFrame(
+        [
+            {"seed": seed, "severity": severity, "fell": bool(severity >= limit)}
+            for seed, limit in enumerate(threshold)
+            for severity in severities
+        ]
+    )
+
+
+def test_the_band_holds_what_it_says() -> None:
+    rng, median = np.random.default_rng(5), 8.0
+    held = 0
+    for _ in range(400):
+        time = rng.exponential(median / np.log(2.0), 40)
+        curve = survival(np.minimum(time, 20.0), time < 20.0)
+        k = int(np.searchsorted(curve.time, median, side="right")) - 1
+        held += curve.low[k] <= 0.5 <= curve.high[k]
+    assert 0.92 <= held / 400 <= 0.98
+
+
+def test_half_fall_is_found_and_its_interval_too() -> None:
+    threshold = np.random.default_rng(1).normal(1.5, 0.5, 40)
+    found = half_fall(fallen(threshold, np.linspace(0.0, 3.0, 13)))
+    assert found is not None
+    assert found.severity == pytest.approx(np.median(threshold), abs=0.25)
+    assert found.low < found.severity < found.high < found.low + 1.0
+
+
+def test_half_fall_where_it_is_not_reached() -> None:
+    beyond = half_fall(fallen([9.0] * 10))
+    assert beyond is not None
+    assert (beyond.severity, beyond.words()) == (inf, "not reached up to 4")
+    below = half_fall(fallen([0.0] * 10))
+    assert below is not None
+    assert (below.severity, below.words()) == (-inf, "below 0")
+    near = half_fall(fallen([1.5] * 6 + [9.0] * 5))
+    assert near is not None
+    assert near.high == inf
+    assert near.words().endswith("to above 4)")
+    assert half_fall(fallen([1.0] * 5, [2.0])) is None
+
+
+def test_more_errors_may_fell_fewer() -> None:
+    rows = fallen([1.0] * 6 + [9.0] * 4)
+    rows.loc[(rows["severity"] == 2.0) & (rows["seed"] < 3), "fell"] = False
+    found = half_fall(rows)
+    assert found is not None
+    # 60 % at severity 1 and 30 % at 2 are pooled to 45 %; at 4 it is 60 %.
+    assert found.severity == pytest.approx(2.0 + 2.0 * 0.05 / 0.15)
+
+
+def test_shares_have_intervals() -> None:
+    assert fall_share([True] * 5).low > 0.5
+    assert fall_share([True] * 5).high == pytest.approx(1.0)
+    assert np.isnan(fall_share([]).share)
+    assert HalfFall(1.0, 1.0, 1.0, 0.0, 2.0).words() == "1"
+
+
+@pytest.fixture
+def swept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Episodes that take no time, and of which some fail."""
+
+    def made(episode: Episode) -> dict[str, Any]:
+        if episode.controller == "zero" and episode.seed == 2:
+            raise RuntimeError("no <gains>")
+        fell = episode.severity > 1.0 + 0.5 * episode.seed
+        outcome = {
+            "return": 50.0 - episode.severity,
+            "time": 12.0 - 2.0 * fell,
+            "fell": fell,
+            "cop_error": 0.01,
+        }
+        return failed_row(episode, "") | outcome | {"tracking": 0.02, "digest": "0"}
+
+    monkeypatch.setattr("surefoot.experiments.episodes.episode.episode_row", made)
+    monkeypatch.setattr("surefoot.experiments.episodes.run.check_episode", lambda episode: None)
+
+
+@pytest.mark.usefixtures("swept")
+def test_a_sweeps_page_is_one_file_with_everything(tmp_path: Path) -> None:
+    plan = EpisodePlan(scenarios=("stand",), severities=(1.0, 3.0), seeds=tuple(range(4)))
+    page = SweepPage(run_plan(plan, tmp_path))
+    text = page.write().read_text(encoding="utf-8")
+    assert text.count("data:image/svg+xml;base64,") == 3
+    assert 'src="figures' not in text
+    assert "5 episodes failed" in text
+    assert "RuntimeError: no &lt;gains&gt;" in text
+    assert page.half is not None
+    assert len(page.half.rows) == 4
+    outcomes = pd.read_csv(tmp_path / "tables" / "outcome_stand.csv")
+    fed = outcomes[(outcomes["controller"] == "stabiliser") & (outcomes["feed"] == "moment")]
+    assert list(fed["fell (%)"].str.split().str[0].astype(int)) == [0, 100]
+    assert list(fed["episodes"]) == [4, 4]
+    # Falls are bad whatever the word.
+    listed = tables.worst_table(page.worst)
+    assert {(row[7], row[7].good) for row in listed.rows} == {("yes", False)}
+
+
+@pytest.mark.usefixtures("swept")
+def test_a_study_in_which_all_fails_is_reported(tmp_path: Path) -> None:
+    plan = replace(EpisodePlan(), controllers=("zero",), seeds=(2,))
+    results = run_plan(plan, tmp_path)
+    assert "5 episodes failed" in SweepPage(results).write().read_text(encoding="utf-8")
+    with pytest.raises(
+        ValueError, match=r"no episodes to make a page of: all 5 failed, the first with .*no <gains>"
+    ):
+        EvaluationPage(results.rows)
+
+
+def test_the_worst_are_filmed_or_it_says_why(tmp_path: Path, undrawn: None) -> None:
+    plan = EpisodePlan(
+        ("stabiliser",), ("none",), ("stand",), (1.0, 2.0), seeds=(3,), duration=0.3, settle=0.1
+    )
+    page = SweepPage(run_plan(plan, tmp_path), films=1)
+    text = page.write().read_text(encoding="utf-8")
+    films = list((tmp_path / "films").glob("*.mp4")) if (tmp_path / "films").is_dir() else []
+    # Where nothing can be drawn there is a reason in its place.
+    assert (
+        ("data:video/mp4;base64," in text)
+        == bool(films)
+        != ("There is no film: nothing can be drawn" in text)
+    )
+    assert text.count("on film</h2>") == 1
+
+
+def test_the_command_sweeps_and_reports(tmp_path: Path, undrawn: None) -> None:
+    options = ["--controller", "zero", "--feed", "true", "--scenario", "stand", "--duration", "4.1",
+               "--seeds", "2", "--first-seed", "4", "--backend", "here", "--out", str(tmp_path)]  # fmt: skip
+    shown = RUNNER.invoke(app, ["sweep", *options])
+    assert shown.exit_code == 0, shown.output
+    assert "2 episodes run, 0 were there, 0 failed." in shown.stdout
+    assert (tmp_path / "index.html").is_file()
+    assert list(pd.read_parquet(tmp_path / "episodes.parquet")["seed"]) == [4, 5]
+    shown = RUNNER.invoke(app, ["sweep", *options])
+    assert "0 episodes run, 2 were there, 0 failed." in shown.stdout
+    assert "hard-pushes" in RUNNER.invoke(app, ["sweep", "--scenarios"]).stdout
+    refused = RUNNER.invoke(app, ["sweep", *options, "--backend", "slurm", "--out", str(tmp_path / "no")])
+    assert refused.exit_code == 2
+    assert "There is no backend 'slurm'. Available: 'local', 'dask', 'ray', 'here'." in refused.output
+
+
+def test_a_clear_loss_is_not_good_and_a_cost_is_no_merit() -> None:
+    rows = frame_of(episodes(means=MEANS | {"moment": 40.0}, severities=(1.0,)))
+    compared = EvaluationPage(rows).compared[0][-1]
+    cells = {row[1]: row[-1] for row in difference_table(compared, "differences", "Differences").rows}
+    assert isinstance(cells["moment less drifting"], Verdict)
+    assert (cells["moment less drifting"], cells["moment less drifting"].good) == ("yes", False)
+    assert cells["true less moment"] == "yes"
+    assert not isinstance(cells["true less moment"], Verdict)
+
+
+def test_the_loss_won_back_is_the_share_of_the_means_and_its_interval_holds_it() -> None:
+    rng = np.random.default_rng(0)
+    base, gap = rng.normal(100.0, 30.0, 60), rng.uniform(5.0, 15.0, 60)
+    noisy = base + 0.5 * gap + rng.normal(0.0, 3.0, 60)
+    totals = {"true": base + gap, "none": base, "moment": base + 0.8 * gap, "window": noisy}
+    frame = frame_of([row(feed, seed, total) for feed, of in totals.items() for seed, total in enumerate(of)])
+    assert won_back(frame, "moment", 1.0) == pytest.approx((0.8, 0.8, 0.8))
+    won, low, high = won_back(frame, "window", 1.0)
+    assert low < won < high
+    assert low < 0.5 < high
+    interval = difference(frame, Run("true"), Run("none"), 1.0)
+    assert interval.mean == pytest.approx(gap.mean())
+    assert interval.half < 1.0
+    assert won_back(frame, "tare", 1.0) is None
+    assert difference(frame, Run("true"), Run("tare")) is None
+    with pytest.raises(ValueError, match="was run more than once with the same seed"):
+        difference(pd.concat([frame, frame]), Run("true"), Run("none"))

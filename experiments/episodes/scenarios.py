@@ -1,4 +1,4 @@
-"""What a swept robot does and what happens to it, by name.
+"""What a robot does in an episode and what happens to it, by name.
 
 Most are the arena's (:mod:`surefoot.experiments.arena.scenarios`): the same walks, faults and errors of the
 robot about itself, here with the loop closed. A sweep may name others of its own, based on these.
@@ -13,32 +13,24 @@ from gymnasium.envs.registration import registry
 
 from surefoot.experiments.arena import scenarios
 from surefoot.experiments.arena.walks import INSTANT, Walk
-from surefoot.experiments.policy.env import EXPECTED_LOADS
+from surefoot.experiments.policy.tasks import EXPECTED_LOADS, task_named
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
-__all__ = ["SCENARIOS", "SWEEP_FEEDS", "SweepScenario", "scenario_named"]
-
-SWEEP_FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
-    {
-        "true": None,
-        "none": {"method": "none"},
-        "bench": {"method": "none", "initial": "calibrated"},
-        **{name: {"method": name} for name in FEEDS if name not in ("true", "none")},
-    }
-)
-"""What may be fed back as the centre of pressure, and how it is calibrated: the walkers' feeds, and drifting
-readings by the map that a bench found just before the episode."""
+__all__ = ["SCENARIOS", "LoopScenario", "scenario_named", "scenario_of_task"]
 
 _WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
 _BALANCE, _CARRY = "surefoot/NaoBalance-v0", "surefoot/NaoCarry-v0"
 
-_TWO_STEPS = 2.0
+_SHORTEST_WALK = 2.0
 """Shortest walk in s that a pattern is planned for."""
+
+_FAULT_AFTER = STAND_TIME + 10.0
+"""Time in s from which on a fault that a seed draws may come."""
 
 
 @dataclass(frozen=True)
-class SweepScenario:
-    """A task and its circumstances.
+class LoopScenario:
+    """A task and its circumstances, with the loop closed.
 
     Attributes:
         name: Short name, for files and the command.
@@ -47,8 +39,10 @@ class SweepScenario:
         options: Options of the environment.
         sensors: IMU, encoders and link, as options of :class:`~surefoot.wrappers.FootSensors`.
         beliefs: Errors of the robot about itself, as options of :class:`~surefoot.wrappers.SelfCalibration`.
-        methods: Options of single feeds' calibration: what a robot in this scenario is told.
+        methods: Further options of single feeds' calibrations, by feed.
         fault_of: Scenario of the arena that says which fault a seed draws, or ``None``.
+        of_task: Whether it is a policy's task, see :class:`~surefoot.experiments.episodes.episode.Episode`;
+            then joints and tilt are measured with their errors on true feet as well.
     """
 
     name: str
@@ -59,34 +53,52 @@ class SweepScenario:
     beliefs: Mapping[str, Any] = field(default_factory=dict)
     methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     fault_of: str | None = None
+    of_task: bool = False
 
-    def options_for(self, duration: float) -> dict[str, Any]:
-        """Complete the environment's options for an episode of some length in s.
+    def options_for(self, duration: float | None) -> dict[str, Any]:
+        """Return the environment's options for an episode of some length in s.
 
         A plan goes on beyond the episode's end: what is scored is standing first and then the task.
         """
         around: dict[str, dict[str, Any]] = {
-            _WALK: {"duration": max(duration, _TWO_STEPS) + 2 * STAND_TIME, "stand_time": STAND_TIME},
+            _WALK: {
+                "duration": max(duration or 0.0, _SHORTEST_WALK) + 2 * STAND_TIME,
+                "stand_time": STAND_TIME,
+            },
             _STAND: {"duration": None},
         }
         return around.get(self.environment, {}) | dict(self.options)
 
-    def calibration_for(self, feed: str) -> dict[str, Any]:
-        """Complete the options of the calibration for a feed; there are none for the true one."""
-        method = SWEEP_FEEDS[feed]
-        return {} if method is None else {**method, **self.beliefs, **self.methods.get(feed, {})}
+    def calibration_for(self, feed: str) -> dict[str, Any] | None:
+        """Return the options of a feed's calibration; ``None`` for the true one."""
+        method = FEEDS[feed]
+        return None if method is None else {**method, **self.beliefs, **self.methods.get(feed, {})}
 
-    def sensors_for(self, seed: int) -> dict[str, Any]:
-        """Complete the sensors' options by the fault that a seed draws, if any, within a stride of 14 s."""
-        drawn = dict(self.sensors)
+    def sensors_for(self, feed: str, severity: float, seed: int) -> dict[str, Any] | None:
+        """Return the sensors' options for a feed, with a seed's fault; ``None`` for no sensors at all."""
+        if FEEDS[feed] is None:
+            return {} if self.of_task else None
+        drawn = {"severity": severity, **self.sensors}
         if self.fault_of is not None:
-            faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, STAND_TIME + 10.0)
+            faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, _FAULT_AFTER)
             drawn["faults"] = [asdict(fault) for fault in faults]
         return {name: asdict(v) if is_dataclass(v) else v for name, v in drawn.items()}  # type: ignore[arg-type]
 
 
-def _from_arena(scenario: scenarios.Scenario, walk: Walk) -> SweepScenario:
-    return SweepScenario(
+def scenario_of_task(name: str) -> LoopScenario:
+    """Return the scenario in which policies for a task are evaluated.
+
+    Raises:
+        ValueError: If there is no such task.
+    """
+    task = task_named(name)
+    return LoopScenario(
+        task.name, task.name, task.env_id, methods={"moment": dict(EXPECTED_LOADS)}, of_task=True
+    )
+
+
+def _from_arena(scenario: scenarios.Scenario, walk: Walk) -> LoopScenario:
+    return LoopScenario(
         scenario.name,
         scenario.title,
         options={"speed": walk.speed, **walk.env},
@@ -96,8 +108,8 @@ def _from_arena(scenario: scenarios.Scenario, walk: Walk) -> SweepScenario:
     )
 
 
-def _table() -> dict[str, SweepScenario]:
-    """Take over what the arena walks on load cells; a clock's error has no place in a closed loop."""
+def _table() -> dict[str, LoopScenario]:
+    """Return what the arena walks on load cells, and more; a clock's error has no place in a closed loop."""
     walked = [
         _from_arena(scenario, scenario.walk)
         for scenario in scenarios.SCENARIOS.values()
@@ -105,41 +117,24 @@ def _table() -> dict[str, SweepScenario]:
         and scenario.condition == INSTANT.name
         and not (scenario.long or scenario.walk.clock_error)
     ]
+    hard = {"push_impulse": (1.0, 2.5), "push_interval": 3.0}
+    loads = {"moment": dict(EXPECTED_LOADS)}
     own = (
-        SweepScenario(
-            "hard-pushes",
-            "walking, pushed hard",
-            options={"speed": 0.04, "push_impulse": (1.0, 2.5), "push_interval": 3.0},
-        ),
-        SweepScenario("stand", "standing", _STAND),
-        SweepScenario(
-            "stand-pushes",
-            "standing, pushed",
-            _STAND,
-            {"push_impulse": (1.0, 2.5), "push_interval": 3.0},
-        ),
-        SweepScenario(
-            "balance",
-            "balance under a payload and pushes",
-            _BALANCE,
-            methods={"moment": dict(EXPECTED_LOADS)},
-        ),
-        SweepScenario(
-            "carry",
-            "walking under a payload and pushes",
-            _CARRY,
-            methods={"moment": dict(EXPECTED_LOADS)},
-        ),
+        LoopScenario("hard-pushes", "walking, pushed hard", options={"speed": 0.04, **hard}),
+        LoopScenario("stand", "standing", _STAND),
+        LoopScenario("stand-pushes", "standing, pushed", _STAND, hard),
+        LoopScenario("balance", "balance under a payload and pushes", _BALANCE, methods=loads),
+        LoopScenario("carry", "walking under a payload and pushes", _CARRY, methods=loads),
     )
     return {scenario.name: scenario for scenario in (*walked, *own)}
 
 
-SCENARIOS: Mapping[str, SweepScenario] = MappingProxyType(_table())
+SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
 """All scenarios by name, in the order of the report; :func:`scenario_named` knows which can be run here."""
 
 
-def scenario_named(name: str, others: Mapping[str, SweepScenario] = MappingProxyType({})) -> SweepScenario:
-    """Look a scenario up.
+def scenario_named(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
+    """Return the scenario of a name.
 
     Args:
         name: Its name.

@@ -1,11 +1,14 @@
-"""Figures of a sweep's report; colours mean feeds, as in all of surefoot's figures."""
+"""Figures of both presets; colours mean feeds, as in all of surefoot's figures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from surefoot.experiments.episodes.comparisons import Difference
+from surefoot.experiments.episodes.scores import controllers_of, severities_of
 from surefoot.experiments.policy.controllers import drawn_names
 from surefoot.experiments.study.figures import (
     figure_at,
@@ -14,12 +17,17 @@ from surefoot.experiments.study.figures import (
     legend_below,
     look_of,
     short_label,
+    show_values,
 )
-from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.statistics import fall_share, mean_interval, survival
 from surefoot.experiments.study.tables import Frame
-from surefoot.experiments.sweep.statistics import fall_share, survival
 
-__all__ = ["against_severity", "heat_maps", "survival_curves"]
+__all__ = ["against_severity", "forest", "heat_maps", "survival_curves"]
+
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#882255", "#56B4E9")
+"""Of severities; those of Okabe and Ito (2008), and one of Tol's."""
+
+_MARKERS = "osD^vP"
 
 
 def survival_curves(path: Path, rows: Frame) -> Path:
@@ -29,9 +37,9 @@ def survival_curves(path: Path, rows: Frame) -> Path:
         path: Where to save the figure.
         rows: Of one scenario. True feet, which have no severity, are in every panel.
     """
-    controllers = list(rows["controller"].unique())
+    controllers = controllers_of(rows)
     names = drawn_names(controllers)
-    severities = sorted(rows[rows["feed"] != "true"]["severity"].unique()) or [0.0]
+    severities = severities_of(rows) or [0.0]
     with figure_at(path, max(9.2, 2.9 * len(severities)), 2.5 * len(controllers) + 1.1) as figure:
         panels = grid_of(figure, len(controllers), len(severities), sharex=True, sharey=True)
         for line, controller in zip(panels, controllers, strict=True):
@@ -56,8 +64,9 @@ def against_severity(path: Path, rows: Frame) -> Path:
         path: Where to save the figure.
         rows: Of one scenario. True feet, which have no severity, are drawn across.
     """
-    controllers = list(rows["controller"].unique())
+    controllers = controllers_of(rows)
     names = drawn_names(controllers)
+    severities = severities_of(rows)
     with figure_at(path, 8.8, 2.7 * len(controllers) + 0.9) as figure:
         panels = grid_of(figure, len(controllers), 2, sharex=True, sharey="col")
         for line, controller in zip(panels, controllers, strict=True):
@@ -73,6 +82,8 @@ def against_severity(path: Path, rows: Frame) -> Path:
                 axes.set_title(names[controller])
         for axes in panels[-1]:
             axes.set_xlabel("severity")
+            if severities:
+                show_values(axes, severities)
         legend_below(figure, panels.ravel())
     return path
 
@@ -85,7 +96,7 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
         rows: Of all scenarios.
         titles: What to call each scenario, in order.
     """
-    controllers, feeds = list(rows["controller"].unique()), in_order(rows["feed"])
+    controllers, feeds = controllers_of(rows), in_order(rows["feed"])
     names = drawn_names(controllers)
     width, height = max(8.4, 2.1 * len(feeds) + 2.4), len(controllers) * (0.32 * len(titles) + 0.9) + 0.5
     with figure_at(path, width, height) as figure:
@@ -99,6 +110,56 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
             axes.set_xlabel("severity")
         image = panels[0, 0].images[0]
         figure.colorbar(image, ax=panels, label="share that fell", shrink=0.8)
+    return path
+
+
+def forest(path: Path, found: Sequence[Difference]) -> Path:
+    """Draw differences with their intervals, one under the other: a panel a controller.
+
+    Args:
+        path: Where to save the figure.
+        found: The differences.
+    """
+    controllers = list(dict.fromkeys(one.controller for one in found))
+    severities = sorted({one.severity for one in found if one.severity is not None})
+    series: list[tuple[str, str, float | None]] = []
+    if any(one.severity is None for one in found):
+        series = [("true feet", "#000000", None)]
+    series += [(f"severity {severity:g}", _COLOURS[i % 6], severity) for i, severity in enumerate(severities)]
+    rows = list(dict.fromkeys(one.what for one in found))
+    # Severities stand one under the other, so that they do not hide each other.
+    beside: dict[float | None, float] = {None: 0.0}
+    beside |= {severity: 0.22 * (i - 0.5 * (len(severities) - 1)) for i, severity in enumerate(severities)}
+    names = drawn_names(controllers)
+    columns = min(2, len(controllers))
+    lines = -(-len(controllers) // columns)
+    height = (0.16 + 0.2 * max(len(severities), 1)) * len(rows) + 1.2
+    with figure_at(path, 4.6 * columns + 1.4, height * lines) as figure:
+        panels = grid_of(figure, lines, columns, sharex=True, sharey=True)
+        for axes in panels.ravel()[len(controllers) :]:
+            axes.set_axis_off()
+        for axes, controller in zip(panels.ravel(), controllers, strict=False):
+            axes.axvline(0.0, color="#7f7f7f", linewidth=1.0)
+            for i, (label, colour, severity) in enumerate(series):
+                shown = [one for one in found if one.controller == controller and one.severity == severity]
+                axes.errorbar(
+                    [one.interval.mean for one in shown],
+                    [rows.index(one.what) + beside[severity] for one in shown],
+                    xerr=np.nan_to_num([one.interval.half for one in shown]),
+                    color=colour,
+                    linestyle="none",
+                    marker=_MARKERS[i % 6],
+                    markersize=5,
+                    capsize=2.5,
+                    label=label,
+                )
+            axes.set_yticks(range(len(rows)), rows)
+            axes.set_ylim(len(rows) - 0.5, -0.5)
+            axes.tick_params(labelbottom=True)
+            axes.set_title(names[controller])
+            axes.set_xlabel("difference of returns")
+        if severities:
+            legend_below(figure, panels.ravel())
     return path
 
 
@@ -129,10 +190,7 @@ def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
     style |= {"marker": look.marker, "markersize": 4.5, "capsize": 2, "linewidth": 1.2}
     line[0].errorbar(severities + beside, means, yerr=halves, label=look.label, **style)
     middle = np.array([share.share for share in shares])
-    reach = [
-        [share.share - share.low for share in shares],
-        [share.high - share.share for share in shares],
-    ]
+    reach = [[share.share - share.low for share in shares], [share.high - share.share for share in shares]]
     line[1].errorbar(severities + beside, middle, yerr=np.maximum(reach, 0.0), **style)
 
 

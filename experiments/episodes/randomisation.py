@@ -3,15 +3,18 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from surefoot.experiments.policy.comparison import CALIBRATED, difference, severities_of
-from surefoot.experiments.policy.scores import Run, controllers_of, paired_difference
+from surefoot.experiments.episodes.comparisons import CALIBRATED
+from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import Frame, Table, interval_text
 
 __all__ = ["BETTER", "UNCLEAR", "WORSE", "Answer", "answers", "gap_table", "trainings", "two_by_two"]
 
 BETTER, UNCLEAR, WORSE = "clearly better than", "not clearly different from", "clearly worse than"
-"""What both together may be, held against either alone, as far as an interval tells."""
+"""How both together compare with either alone, as far as an interval tells."""
+
+_FEEDS = {"none": "drifting", CALIBRATED: "calibrated"}
+"""The feet that randomisation and calibration are compared on, and what they are called."""
 
 
 class Answer(NamedTuple):
@@ -37,7 +40,7 @@ class Answer(NamedTuple):
 
     @property
     def both(self) -> str:
-        """What both together are, held against either alone, as far as the intervals tell."""
+        """How both together compare with either alone, as far as the intervals tell."""
         first, second = _verdict(self.on_calibration), _verdict(self.on_randomisation)
         if first == second:
             return f"{first} either alone"
@@ -45,7 +48,7 @@ class Answer(NamedTuple):
 
     @property
     def deciding(self) -> tuple[str, Interval]:
-        """What both together are held against, and the difference, that decides whether they are worse.
+        """Which of the two alone, and the difference to it, decides whether both together are worse.
 
         Worse than nothing is a difference whose interval ends below zero: the one that ends lowest.
         """
@@ -68,7 +71,7 @@ class Answer(NamedTuple):
         return "is not enough" if self.choice.mean > 0.0 else "is enough"
 
     def words(self) -> str:
-        """Say both with their numbers."""
+        """Return both answers with their numbers."""
         return (
             f"Severity {self.severity:g}, by these two policies: randomisation {self.enough}: calibration "
             f"alone returns {_more(self.choice)} than it. On drifting feet it returns "
@@ -80,10 +83,10 @@ class Answer(NamedTuple):
 
 
 def trainings(frame: Frame, trained: Mapping[str, str]) -> tuple[str, str] | None:
-    """Name the policy that was trained on true feet and the one of randomised sensors, if both were run.
+    """Return the policies that were trained on true feet and on randomised sensors, if both were run.
 
     Args:
-        frame: Of :func:`~surefoot.experiments.policy.scores.episodes_frame`.
+        frame: Rows of the study.
         trained: What each controller was trained on; of several of a kind the first counts.
     """
     ran = controllers_of(frame)
@@ -93,40 +96,38 @@ def trainings(frame: Frame, trained: Mapping[str, str]) -> tuple[str, str] | Non
 
 
 def answers(frame: Frame, clean: str, randomised: str) -> list[Answer]:
-    """Compare randomisation with calibration, at each severity at which all four were run.
+    """Return what randomisation and calibration are worth, at each severity at which all four were run.
 
     Args:
-        frame: Of :func:`~surefoot.experiments.policy.scores.episodes_frame`.
+        frame: Rows of the study.
         clean: The policy that was trained on true feet.
         randomised: The one that was trained on randomised sensors.
     """
-    found = []
-    drifting, calibrated = (
-        {who: Run(feed, "felt", who) for who in (clean, randomised)} for feed in ("none", CALIBRATED)
-    )
+    runs = {(feed, who): Run(feed, "given", who) for feed in _FEEDS for who in (clean, randomised)}
     pairs = (
-        (drifting[randomised], drifting[clean]),
-        (calibrated[clean], drifting[clean]),
-        (calibrated[clean], drifting[randomised]),
-        (calibrated[randomised], calibrated[clean]),
-        (calibrated[randomised], drifting[randomised]),
+        (runs["none", randomised], runs["none", clean]),
+        (runs[CALIBRATED, clean], runs["none", clean]),
+        (runs[CALIBRATED, clean], runs["none", randomised]),
+        (runs[CALIBRATED, randomised], runs[CALIBRATED, clean]),
+        (runs[CALIBRATED, randomised], runs["none", randomised]),
     )
+    found = []
     for severity in severities_of(frame):
-        felt = frame[(frame["cop_input"] == "felt") & (frame["severity"] == severity)]
+        part = frame[(frame["cop_input"] == "given") & (frame["severity"] == severity)]
         ran = [
-            set(felt[(felt["feed"] == feed) & (felt["controller"] == who)]["seed"])
-            for feed in ("none", CALIBRATED)
-            for who in (clean, randomised)
+            set(part[(part["feed"] == r.feed) & (part["controller"] == r.controller)]["seed"])
+            for r in runs.values()
         ]
-        if seeds := frozenset(int(seed) for seed in set.intersection(*ran)):
-            common = felt[felt["seed"].isin(seeds)]
-            gaps = [paired_difference(common, *pair, severity) for pair in pairs]
-            found.append(Answer(severity, seeds, *gaps))
+        seeds = frozenset(int(seed) for seed in set.intersection(*ran))
+        common = part[part["seed"].isin(seeds)]
+        gaps = [difference(common, *pair, severity) for pair in pairs]
+        if seeds:
+            found.append(Answer(severity, seeds, *(gap for gap in gaps if gap is not None)))
     return found
 
 
 def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer]) -> Table:
-    """Lay {trained clean, trained randomised} x {drifting, calibrated} out, beside the true feet.
+    """Return {trained clean, trained randomised} x {drifting, calibrated}, beside the true feet.
 
     Args:
         frame: As in :func:`answers`.
@@ -134,21 +135,20 @@ def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer
         randomised: Likewise.
         found: What :func:`answers` found.
     """
-    felt = frame[frame["cop_input"] == "felt"]
-    true = felt[felt["feed"] == "true"]
+    given = frame[frame["cop_input"] == "given"]
+    true = given[given["feed"] == "true"]
     on_true = set.intersection(*(set(true[true["controller"] == who]["seed"]) for who in (clean, randomised)))
-    cells = [(feed, answer) for answer in found for feed in ("none", CALIBRATED)]
+    cells = [("true", 0.0, on_true)]
+    cells += [(feed, answer.severity, set(answer.seeds)) for answer in found for feed in _FEEDS]
     rows = []
     for what, controller in (("true feet", clean), ("randomised feet", randomised)):
-        own = felt[felt["controller"] == controller]
-        row = [mean_interval(own[(own["feed"] == "true") & own["seed"].isin(on_true)]["total"])]
-        for feed, answer in cells:
-            cell = own[(own["feed"] == feed) & (own["severity"] == answer.severity)]
-            row.append(mean_interval(cell[cell["seed"].isin(answer.seeds)]["total"]))
-        rows.append((what, *(interval_text(cell, digits=4) for cell in row)))
-    headings = [
-        f"{'drifting' if feed == 'none' else 'calibrated'}, {answer.severity:g}" for feed, answer in cells
-    ]
+        own = given[given["controller"] == controller]
+        parts = [own[(own["feed"] == feed) & (own["severity"] == severity)] for feed, severity, _ in cells]
+        means = [
+            mean_interval(p[p["seed"].isin(cell[-1])]["return"]) for p, cell in zip(parts, cells, strict=True)
+        ]
+        rows.append((what, *(interval_text(mean, digits=4) for mean in means)))
+    headings = [f"{_FEEDS[feed]}, {severity:g}" for feed, severity, _ in cells[1:]]
     return Table(
         "randomisation",
         "Return by what the policy was trained on, and what it is given",
@@ -160,14 +160,7 @@ def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer
 
 
 def gap_table(frame: Frame, clean: str, randomised: str, found: Sequence[Answer]) -> Table:
-    """Lay out what differs between the cells of :func:`two_by_two`, paired by seed.
-
-    Args:
-        frame: As in :func:`answers`.
-        clean: Likewise.
-        randomised: Likewise.
-        found: What :func:`answers` found.
-    """
+    """Return what differs between the cells of :func:`two_by_two`, paired by seed; arguments as there."""
     names = {
         "randomisation": "randomised less clean, both drifting",
         "calibration": "calibrated less drifting, both clean",
@@ -178,7 +171,7 @@ def gap_table(frame: Frame, clean: str, randomised: str, found: Sequence[Answer]
     rows = [
         (words, *(interval_text(getattr(answer, name)) for answer in found)) for name, words in names.items()
     ]
-    price = difference(frame, Run("true", "felt", randomised), Run("true", "felt", clean), None)
+    price = difference(frame, Run("true", "given", randomised), Run("true", "given", clean))
     if price is not None:
         rows.append(("randomised less clean, both on true feet", *[interval_text(price)] * len(found)))
     return Table(

@@ -1,6 +1,7 @@
 """Sweeps on real processes: killed, crashed, and on clusters."""
 
 import importlib.util
+import json
 import os
 import signal
 import subprocess
@@ -11,8 +12,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from surefoot.experiments.sweep import SweepPlan, run_sweep
-from surefoot.experiments.sweep.store import JOURNAL, RESULTS
+from surefoot.experiments.episodes import EpisodePlan, run_plan
+from surefoot.experiments.episodes.rows import EPISODES
+from surefoot.experiments.study.store import JOURNAL
 
 TOYS = """
 import os, time
@@ -48,7 +50,8 @@ def command(folder: Path, controllers: str, *, seeds: int, backend: str) -> subp
     with (folder / "said.txt").open("wb") as said:
         return subprocess.Popen(
             [sys.executable, "-m", "surefoot", *arguments],
-            env=os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"},
+            env=os.environ
+            | {"PYTHONPATH": f"{folder}:{os.environ.get('PYTHONPATH', '')}", "OMP_NUM_THREADS": "1"},
             stdout=said,
             stderr=subprocess.STDOUT,
         )
@@ -61,51 +64,56 @@ def ended(process: subprocess.Popen[bytes], folder: Path) -> str:
     return said
 
 
-def test_a_killed_sweep_goes_on(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     controllers, journal = '["sweep_toys:slow"]', tmp_path / "out" / JOURNAL
     first = command(tmp_path, controllers, seeds=9, backend="local")
     while not (journal.is_file() and journal.read_bytes().count(b"\n") >= 3) and first.poll() is None:
         time.sleep(0.01)
     first.send_signal(signal.SIGKILL)
     assert first.wait() == -signal.SIGKILL, (tmp_path / "said.txt").read_text()
-    kept = pd.read_json(journal, lines=True, precise_float=True)
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    kept = pd.DataFrame([row for line in lines for row in line["tables"]["episodes"]])
     assert 3 <= len(kept) < 9
-    assert not (tmp_path / "out" / RESULTS).exists()
+    assert not (tmp_path / "out" / EPISODES).exists()
     # Those who worked for the killed one may take a moment to notice; they write nothing.
-    said = ended(command(tmp_path, controllers, seeds=9, backend="here"), tmp_path)
-    assert f"{9 - len(kept)} cells run, {len(kept)} were there, 0 failed." in said
-    rows = pd.read_parquet(tmp_path / "out" / RESULTS)
-    assert list(rows["cell"]) == list(range(9))
-    # How long a cell took never comes out twice alike: those that were there were not run again.
-    merged = kept.merge(rows, on="cell")
+    monkeypatch.syspath_prepend(tmp_path)
+    results = run_plan(plan_of("sweep_toys:slow", seeds=9), tmp_path / "out")
+    assert results.computed == 9 - len(kept)
+    rows = pd.read_parquet(tmp_path / "out" / EPISODES)
+    assert sorted(rows["case"]) == list(range(9))
+    # How long an episode took never comes out twice alike: those that were there were not run again.
+    merged = kept.merge(rows, on="case")
     assert len(merged) == len(kept)
     assert (merged["wall_time_x"] == merged["wall_time_y"]).all()
     assert (merged["digest_x"] == merged["digest_y"]).all()
 
 
+def plan_of(*controllers: str, seeds: int) -> EpisodePlan:
+    return EpisodePlan(
+        controllers, ("true",), ("stand",), (1.0,), tuple(range(seeds)), duration=0.6, settle=0.1
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", CLUSTERS)
-def test_a_worker_that_dies_costs_its_cell_alone(backend: str, tmp_path: Path) -> None:
+def test_a_worker_that_dies_costs_its_episode_alone(backend: str, tmp_path: Path) -> None:
     controllers = '["zero", "sweep_toys:dies", "stabiliser"]'
     ended(command(tmp_path, controllers, seeds=2, backend=backend), tmp_path)
-    rows = pd.read_parquet(tmp_path / "out" / RESULTS)
-    assert list(rows["cell"]) == list(range(6))
-    assert list(rows[rows["error"] != ""]["controller"]) == ["sweep_toys:dies"] * 2
-    assert rows[rows["error"] != ""]["error"].str.startswith("The worker that ran this cell died: ").all()
+    rows = pd.read_parquet(tmp_path / "out" / EPISODES)
+    assert sorted(rows["case"]) == list(range(6))
+    failed = rows[rows["error"] != ""]
+    assert list(failed["controller"]) == ["sweep_toys:dies"] * 2
+    assert failed["error"].str.startswith("The worker that ran this case died: ").all()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", CLUSTERS)
-def test_results_are_the_same_to_the_last_digit(
-    backend: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_results_are_the_same_to_the_last_digit(backend: str, tmp_path: Path) -> None:
     ended(command(tmp_path, '["zero", "stabiliser"]', seeds=3, backend=backend), tmp_path)
-    rows = pd.read_parquet(tmp_path / "out" / RESULTS)
-    plan = SweepPlan(
-        feeds=("true",), scenarios=("stand",), severities=(1.0,), seeds=(0, 1, 2), duration=0.6, settle=0.1
-    )
-    here = run_sweep(plan, tmp_path_factory.mktemp("here"), backend="here").rows
+    rows = pd.read_parquet(tmp_path / "out" / EPISODES).sort_values("case", ignore_index=True)
+    here = run_plan(plan_of("zero", "stabiliser", seeds=3)).rows
     assert not (rows["error"] != "").any()
     pd.testing.assert_frame_equal(
-        rows.drop(columns="wall_time"), here.drop(columns="wall_time"), check_exact=True
+        rows.drop(columns=["key", "wall_time"]), here.drop(columns="wall_time"), check_exact=True
     )

@@ -1,0 +1,25 @@
+"""One study of controllers: episodes on feeds, in scenarios, at severities, over seeds.
+
+``surefoot evaluate`` and ``surefoot sweep`` are two presets of it.
+"""
+
+from surefoot.experiments.episodes.episode import Episode
+from surefoot.experiments.episodes.evaluation import evaluation_plan, run_episode
+from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
+from surefoot.experiments.episodes.replay import Replayed, replay_episode
+from surefoot.experiments.episodes.run import EpisodeResults, run_plan
+from surefoot.experiments.episodes.scenarios import SCENARIOS, LoopScenario
+
+__all__ = [
+    "SCENARIOS",
+    "Episode",
+    "EpisodePlan",
+    "EpisodeResults",
+    "LoopScenario",
+    "Replayed",
+    "evaluation_plan",
+    "plan_from_toml",
+    "replay_episode",
+    "run_episode",
+    "run_plan",
+]

@@ -1,0 +1,327 @@
+"""One seeded episode, complete in itself, and one row about how it went."""
+
+import json
+import platform
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import version
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+import surefoot
+from surefoot.controllers import zero_action
+from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
+from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.walks.closed_loop import Moment, rms
+from surefoot.experiments.walks.walkers import TruthTap, on_feet
+
+__all__ = [
+    "COP_INPUTS",
+    "DONOR",
+    "OUTCOME",
+    "TABLE",
+    "TAKEN",
+    "VERSIONS",
+    "Episode",
+    "Step",
+    "check_episode",
+    "episode_row",
+    "episode_steps",
+    "failed_row",
+    "run_case",
+    "versions",
+]
+
+OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
+"""What a repetition must bring out again to the last digit."""
+
+VERSIONS = ("surefoot", "python", "numpy", "mujoco", "gymnasium", "code")
+"""With what a row was made."""
+
+COP_INPUTS = ("given", "frozen", "swapped", "shuffled")
+"""The centre of pressure that a controller sees: the feed's; the same, held at its value at the end of the
+quiet stand; another episode's at the same time; that of another episode at times in random order."""
+
+TAKEN = ("swapped", "shuffled")
+"""Those that take another episode's."""
+
+DONOR = 500_000
+"""What is added to an episode's seed to get that of the episode whose centre of pressure it takes."""
+
+TABLE = "episodes"
+"""Name of the table of a study's store that holds the rows."""
+
+_DIGEST_DIGITS = 32
+
+_Cop = tuple[NDArray[Any], NDArray[Any]]
+"""A centre of pressure and whether it is valid, as an observation shows them."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Everything that makes an episode.
+
+    Attributes:
+        number: Its place in the study.
+        controller: Name of the controller (:mod:`surefoot.experiments.policy.controllers`).
+        controller_hash: Of the file behind it, or nothing.
+        trained: What it was trained on, or nothing.
+        feed: One of :data:`surefoot.experiments.walks.walkers.FEEDS`.
+        cop_input: One of :data:`COP_INPUTS`.
+        scenario: Name of the scenario.
+        environment: Id of its environment.
+        options: Options of the environment.
+        cells: Name of the load cells' preset.
+        sensors: Further options of :class:`~surefoot.wrappers.FootSensors`; ``None`` for no sensors at all.
+        calibration: Options of :class:`~surefoot.wrappers.SelfCalibration`, ``method`` among them; ``None``
+            for the true centre of pressure.
+        severity: Factor of all errors of the load cells; 0 on true feet.
+        seed: Of the episode and of its sensors.
+        duration: Longest duration in s; ``None`` for the environment's own.
+        settle: The controller is asked from this time in s on, and before it the action is zero; ``None`` for
+            the environment's own quiet stand.
+        of_task: Whether it is an episode of a policy's task: then return and time count from the end of the
+            quiet stand on, and a policy that was made for another task is refused.
+    """
+
+    number: int
+    controller: str
+    controller_hash: str
+    trained: str
+    feed: str
+    cop_input: str
+    scenario: str
+    environment: str
+    options: Mapping[str, Any]
+    cells: str
+    sensors: Mapping[str, Any] | None
+    calibration: Mapping[str, Any] | None
+    severity: float
+    seed: int
+    duration: float | None
+    settle: float | None
+    of_task: bool
+
+    def to_json(self) -> str:
+        """Return it as one line of JSON."""
+        return json.dumps(asdict(self), sort_keys=True, default=dict)
+
+    @classmethod
+    def from_json(cls, text: str) -> "Episode":
+        """Return the episode that :meth:`to_json` wrote.
+
+        Raises:
+            ValueError: If it was written by an earlier version.
+        """
+        try:
+            return cls(**json.loads(text))
+        except TypeError as error:
+            raise ValueError(f"This episode was written by another version of surefoot ({error}).") from error
+
+
+@dataclass(frozen=True)
+class Step:
+    """An episode after one control step.
+
+    Attributes:
+        moment: What the robot felt and what was true.
+        action: What the controller answered to the observation before.
+        reward: What was paid for it.
+        asked: Whether the controller was asked, and not the quiet stand's zero action.
+    """
+
+    moment: Moment
+    action: Any
+    reward: float
+    asked: bool
+
+
+def episode_steps(episode: Episode, controller: Controller | None = None, **drawing: Any) -> Iterator[Step]:
+    """Run an episode, a control step at a time, until its end or the fall.
+
+    Args:
+        episode: Which one.
+        controller: Acts in place of the named one.
+        **drawing: Further options of the environment that change nothing but pictures.
+
+    Yields:
+        What happened.
+
+    Raises:
+        ValueError: If the controller's file is another one than the episode names, or something is refused.
+    """
+    change = _change(episode, controller)
+    env, tap, controller = _made(episode, controller, drawing)
+    bare: Any = env.unwrapped
+    settle = bare.stand_time if episode.settle is None else episode.settle
+    waiting, steps, done = round(settle / bare.dt), 0, False
+    try:
+        observation, _ = env.reset(seed=episode.seed)
+        while not done:
+            if steps == waiting and hasattr(controller, "reset"):
+                controller.reset()
+            asked = steps >= waiting
+            action = np.asarray(controller(change(observation)) if asked else zero_action(observation))
+            observation, reward, terminated, truncated, _ = env.step(action)
+            steps += 1
+            done = terminated or truncated
+            moment = Moment(steps * bare.dt, bare, observation, tap.seen, terminated)
+            yield Step(moment, action, float(reward), asked)
+    finally:
+        env.close()
+
+
+def check_episode(episode: Episode) -> None:
+    """Make everything that an episode needs, and run nothing.
+
+    Raises:
+        ValueError: If any of it is refused, naming scenario and controller.
+    """
+    try:
+        env, _, _ = _made(episode, None, {})
+    except Exception as error:
+        raise ValueError(
+            f"Scenario '{episode.scenario}' with controller '{episode.controller}' cannot be run: {error}"
+        ) from error
+    env.close()
+
+
+def episode_row(episode: Episode, controller: Controller | None = None) -> dict[str, Any]:
+    """Run an episode and return one row about it.
+
+    Args:
+        episode: Which one.
+        controller: Acts in place of the named one.
+
+    Returns:
+        What the episode is, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
+        (otherwise the time is censored), ``cop_error`` (rms distance between the centre of pressure fed back
+        and the true one, in m) and ``tracking`` (between the true one and its plan, in m), both while the
+        controller is asked, ``digest`` (a hash of all actions, rewards and centres of pressure),
+        ``wall_time`` in s, ``error`` (empty) and versions.
+    """
+    began = time.perf_counter()
+    total, counted, now, fell = 0.0, 0, 0.0, False
+    errors: list[float] = []
+    tracking: list[float] = []
+    digest = sha256()
+    for step in episode_steps(episode, controller):
+        moment, fell = step.moment, step.moment.fell
+        if step.asked or not episode.of_task:
+            total += step.reward
+            counted += 1
+            now = counted * moment.bare.dt
+        if step.asked:
+            errors.append(moment.cop_error)
+            tracking.append(moment.tracking)
+        digest.update(step.action.astype(np.float32).tobytes() + np.float64(step.reward).tobytes())
+        digest.update(moment.observation["cop"].tobytes() + moment.true_observation["cop"].tobytes())
+    outcome = {
+        "return": total,
+        "steps": counted,
+        "time": now,
+        "fell": bool(fell),
+        "cop_error": rms(errors),
+        "tracking": rms(tracking),
+        "digest": digest.hexdigest()[:_DIGEST_DIGITS],
+    }
+    return _row(episode, outcome, "", time.perf_counter() - began)
+
+
+def run_case(episode: Episode) -> dict[str, list[dict[str, Any]]]:
+    """Return the row of an episode as a case of a study."""
+    return {TABLE: [episode_row(episode)]}
+
+
+def failed_row(episode: Episode, error: str) -> dict[str, Any]:
+    """Return the row of an episode that could not be run through."""
+    nothing: dict[str, Any] = dict.fromkeys(OUTCOME, float("nan"))
+    return _row(episode, nothing | {"steps": 0, "fell": False, "digest": ""}, error, float("nan"))
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return with what this process computes; ``code`` is a hash of surefoot's own sources."""
+    packages = {name: version(name) for name in ("numpy", "mujoco", "gymnasium")}
+    code = source_hash(__name__)
+    found = {"surefoot": surefoot.__version__, "python": platform.python_version(), **packages, "code": code}
+    return {name: found[name] for name in VERSIONS}
+
+
+def _made(
+    episode: Episode, controller: Controller | None, drawing: Mapping[str, Any]
+) -> tuple[gym.Env[Any, Any], TruthTap, Controller]:
+    """Return an environment on its feet, the tap that sees its truth, and the controller."""
+    name = episode.controller
+    if controller is None and controller_hash(name, episode.environment) != episode.controller_hash:
+        raise ValueError(
+            f"The file behind the controller '{name}' is another one than the study began with; put the old "
+            "one back, or begin in another folder."
+        )
+    options: dict[str, Any] = {"disable_env_checker": True, **episode.options, **drawing}
+    if episode.duration is not None:
+        options["max_episode_steps"] = round(episode.duration / CONTROL_STEP)
+    bare = gym.make(episode.environment, **options)
+    env, tap = on_feet(bare, episode.calibration, episode.cells, episode.sensors)
+    if controller is None:
+        return env, tap, load_controller(name, env, same_task=episode.of_task)
+    check_fits(controller, env)
+    return env, tap, controller
+
+
+def _change(episode: Episode, controller: Controller | None) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """Return what is done to an observation before the controller sees it."""
+    held = _taken_from(episode, controller) if episode.cop_input in TAKEN else []
+    seen = 0
+
+    def change(observation: dict[str, Any]) -> dict[str, Any]:
+        nonlocal seen
+        if episode.cop_input == "given":
+            return observation
+        if not held:
+            held.append((observation["cop"], observation["cop_valid"]))
+        cop, valid = held[0 if episode.cop_input == "frozen" else seen % len(held)]
+        seen += 1
+        return observation | {"cop": cop, "cop_valid": valid}
+
+    return change
+
+
+def _taken_from(episode: Episode, controller: Controller | None) -> list[_Cop]:
+    """Return the centres of pressure of another episode."""
+    other = replace(episode, seed=episode.seed + DONOR, cop_input="given")
+    taken = [
+        (step.moment.observation["cop"], step.moment.observation["cop_valid"])
+        for step in episode_steps(other, controller)
+        if step.asked
+    ]
+    if episode.cop_input == "shuffled":
+        order = np.random.default_rng([DONOR, episode.seed]).permutation(len(taken))
+        taken = [taken[i] for i in order]
+    return taken
+
+
+def _row(episode: Episode, outcome: Mapping[str, Any], error: str, wall_time: float) -> dict[str, Any]:
+    return {
+        "case": episode.number,
+        "controller": episode.controller,
+        "controller_hash": episode.controller_hash,
+        "trained": episode.trained,
+        "feed": episode.feed,
+        "cop_input": episode.cop_input,
+        "scenario": episode.scenario,
+        "severity": episode.severity,
+        "seed": episode.seed,
+        **outcome,
+        "error": error,
+        "wall_time": wall_time,
+        **versions(),
+        "spec": episode.to_json(),
+    }

@@ -1,0 +1,100 @@
+"""The preset of ``surefoot evaluate``: policies at the task that they were trained for.
+
+Seeds are paired: the same seed gives the same command, payload, pushes, ground and sensors whatever is fed
+back. Scores begin when the quiet stand, in which nobody acts, is over.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+from surefoot.experiments.episodes.episode import COP_INPUTS, episode_row
+from surefoot.experiments.episodes.plan import EpisodePlan
+from surefoot.experiments.episodes.scenarios import scenario_of_task
+from surefoot.experiments.policy.controllers import Controller
+from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.walks.walkers import FEEDS, feed_named
+
+__all__ = ["EVALUATED", "evaluation_plan", "run_episode"]
+
+EVALUATED = ("true", "none", "weights", "quasi-static", "window", "moment")
+"""Feeds of an evaluation."""
+
+
+def evaluation_plan(
+    controllers: tuple[str, ...] = ("shipped",),
+    feeds: tuple[str, ...] = EVALUATED,
+    severities: tuple[float, ...] = (1.0,),
+    *,
+    seeds: int = 50,
+    first_seed: int = 20_000,
+    cop_inputs: tuple[str, ...] = COP_INPUTS[:1],
+    task: str = next(iter(TASKS)),
+) -> EpisodePlan:
+    """Return the plan of an evaluation; the order in which things are named makes no other one.
+
+    Args:
+        controllers: By name, see :mod:`surefoot.experiments.policy.controllers`.
+        feeds: What is fed back.
+        severities: Factors of the errors of the feet's sensors.
+        seeds: Episodes of each.
+        first_seed: Of the first of them.
+        cop_inputs: What controllers see of it on the true feet.
+        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
+
+    Raises:
+        ValueError: If a name does not exist or is given twice, or a number is out of its range.
+    """
+    for name, value, least in (("seeds", seeds, 1), ("first_seed", first_seed, 0)):
+        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
+    numbers = tuple(range(first_seed, first_seed + seeds))
+    own = {task: scenario_of_task(task)}
+    options: dict[str, Any] = {"duration": None, "settle": None, "cop_inputs": cop_inputs, "own": own}
+    ordered = sorted(map(feed_named, feeds), key=list(FEEDS).index)
+    return EpisodePlan(
+        tuple(sorted(controllers)),
+        tuple(ordered),
+        (task,),
+        tuple(sorted(severities, key=str)),
+        numbers,
+        **options,
+    )
+
+
+def run_episode(
+    controller: Controller | str,
+    feed: str,
+    seed: int,
+    severity: float = 1.0,
+    *,
+    cop_input: str = COP_INPUTS[0],
+    task: str = next(iter(TASKS)),
+    **env_options: Any,
+) -> dict[str, Any]:
+    """Run one episode of a task and return its row.
+
+    The row is that of :func:`~surefoot.experiments.episodes.episode.episode_row`.
+
+    Args:
+        controller: A name, a :class:`~surefoot.controllers.PolicyNetwork`, a stabiliser, or any function of
+            observations; if it has a ``reset``, it is called when the quiet stand is over.
+        feed: One of :data:`~surefoot.experiments.walks.walkers.FEEDS`.
+        seed: Of the episode and its sensors, none of training's.
+        severity: Factor of all errors of the feet's sensors.
+        cop_input: One of :data:`~surefoot.experiments.episodes.episode.COP_INPUTS`.
+        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
+        **env_options: Of the task's environment.
+
+    Raises:
+        ValueError: If a name does not exist, a seed is one of training's, or the controller does not fit or
+            was made for another task.
+    """
+    name = controller if isinstance(controller, str) else "zero"
+    plan = evaluation_plan(
+        (name,), (feed,), (severity,), seeds=1, first_seed=seed, cop_inputs=(cop_input,), task=task
+    )
+    (episode,) = plan.episodes
+    episode = replace(episode, cop_input=cop_input, options={**episode.options, **env_options})
+    if isinstance(controller, str):
+        return episode_row(episode)
+    return episode_row(replace(episode, controller=""), controller)

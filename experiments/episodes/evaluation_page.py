@@ -1,0 +1,280 @@
+"""An evaluation's page: what was compared, what came of it, and how to repeat it, in one file."""
+
+import shlex
+from pathlib import Path
+
+import pandas as pd
+
+from surefoot.experiments.episodes import figures
+from surefoot.experiments.episodes.comparisons import (
+    Difference,
+    differences,
+    input_differences,
+    nobody_differences,
+)
+from surefoot.experiments.episodes.findings import controller_findings, target_table
+from surefoot.experiments.episodes.randomisation import answers, gap_table, trainings, two_by_two
+from surefoot.experiments.episodes.rows import in_order, origins_of
+from surefoot.experiments.episodes.scores import (
+    controllers_of,
+    same_seeds,
+    seed_ranges,
+    seeds_text,
+    severities_of,
+)
+from surefoot.experiments.episodes.tables import difference_table, failure_table, score_table
+from surefoot.experiments.policy.card import SCORES, WHOSE
+from surefoot.experiments.policy.controllers import BUILT_IN, labels
+from surefoot.experiments.policy.tasks import task_named
+from surefoot.experiments.study.files import atomic_path
+from surefoot.experiments.study.page import ReportFigure, Section, flat, save_tables, write_page
+from surefoot.experiments.study.tables import Frame, Table
+
+__all__ = ["EvaluationPage"]
+
+_INTRODUCTION = """
+    Controllers on {env_id}. What they are given for the centre of pressure (CoP) differs, and nothing else:
+    the same seed is the same command, load, pushes, ground and sensors for all of them. Severity is a factor
+    of all errors of the feet's load cells; true feet have none, and are run once. Scores begin when the quiet
+    stand is over."""
+
+_FEEDS = """
+    What is fed back: 'true', the simulator's own; 'none', readings of drifting feet as they are; 'weights',
+    by the map that known weights gave just before the episode; 'quasi-static', Han's method; 'window', that
+    of the CoP paper; and 'moment'. What was not run is left out."""
+
+_AMOUNT = """
+    {episodes} episodes of {count} seeds ({seeds}). {paired} Intervals are 95 %: of means Student's t, of the
+    loss won back a bootstrap over seeds, of survival Greenwood's."""
+
+_PAIRED = "Every row is of the same seeds."
+
+_UNPAIRED = """
+    Not all rows are of the same seeds: differences are taken over those that both sides have, and say how
+    many there are; means beside each other are not of the same episodes."""
+
+_KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomised feet"}
+
+_LEARNT_NOTHING = {"stabiliser": ": feedback of the CoP, no learning", "zero": ": nobody acts"}
+
+_CAPTIONS = {
+    "returns": "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity.",
+    "survival": "Share on its feet over time since the quiet stand (Kaplan and Meier) with 95 % bands "
+    "(Greenwood, log-log).",
+    "forest": "Differences of returns between episodes of the same seed, with 95 % intervals. What crosses "
+    "the line at zero may be nothing.",
+}
+
+_RANDOMISATION = """
+    A policy that was trained on randomised sensors has learnt to live with their errors; a calibration makes
+    the errors smaller. Either can be had without the other. All intervals are over the episodes of these two
+    trained policies: how far another training of the same kind, by another seed, would come out from them is
+    in none."""
+
+_INPUTS = """
+    True feet, but the controller is given a CoP that is held (frozen), that of another episode (swapped), or
+    that of another episode in random order (shuffled). Who uses the CoP loses by it."""
+
+_NOBODY = """
+    Returns less those of the zero action, which leaves the robot to its pattern: who acts on wrong readings
+    may do worse than nobody."""
+
+_AGAIN = (
+    "An episode that is run again comes out the same to the last digit with the same versions on the same "
+    "kind of machine."
+)
+
+Compared = tuple[str, str, str, str, list[Difference]]
+"""Name and title of a table of differences, title and text of its section, and the differences."""
+
+
+class EvaluationPage:
+    """Tables and figures of an evaluation, and the page that holds them.
+
+    Args:
+        frame: Rows of the study; those of episodes that failed are listed by themselves.
+
+    Raises:
+        ValueError: If there are no episodes, or of several tasks, or one of them twice, or of a controller
+            that was another file in some of them.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        failed = frame["error"] != "" if "error" in frame else frame["feed"] == ""
+        self.failed = failure_table(frame[failed])
+        if failed.any() and failed.all():
+            raise ValueError(
+                f"There are no episodes to make a page of: all {len(frame)} failed, the first with "
+                f"'{frame['error'].iloc[0].splitlines()[-1]}'."
+            )
+        frame = frame[~failed]
+        _check(frame)
+        self.frame = in_order(frame)
+        self.task = task_named(str(frame["scenario"].iloc[0]))
+        self.controllers = controllers_of(self.frame)
+        self.labels = labels(self.controllers)
+        self.origins = origins_of(self.frame)
+        trained = {name: origin.trained for name, origin in self.origins.items()}
+        both = trainings(self.frame, trained)
+        found = [] if both is None else answers(self.frame, *both)
+        self.answers = tuple(answer.words() for answer in found)
+        self.randomisation: tuple[Table, ...] = ()
+        if both is not None and found:
+            self.randomisation = tuple(make(self.frame, *both, found) for make in (two_by_two, gap_table))
+        # What learnt nothing was set no target: of the policies, the one that was trained on true feet.
+        learnt = [name for name in self.controllers if name not in BUILT_IN]
+        clean = [name for name in learnt if trained[name] == "true"]
+        self.targets = target_table(self.frame, (clean or learnt)[0], found) if learnt else None
+        self.scores = tuple(
+            score_table(
+                self.frame[self.frame["controller"] == name],
+                f"scores_{number}",
+                self.labels[name] + _LEARNT_NOTHING.get(name, _KINDS.get(trained[name], "")),
+            )
+            for number, name in enumerate(self.controllers)
+        )
+        compared: tuple[Compared, ...] = (
+            (
+                "differences",
+                "Paired differences of returns",
+                "Feet against feet",
+                "",
+                differences(self.frame),
+            ),
+            (
+                "nobody",
+                "What acting is worth",
+                "Is acting worth it?",
+                _NOBODY,
+                nobody_differences(self.frame),
+            ),
+            ("inputs", "What another CoP costs", "Is the CoP used?", _INPUTS, input_differences(self.frame)),
+        )
+        self.compared = tuple(each for each in compared if each[-1])
+        self.differences = {
+            name: difference_table(of, name, title) for name, title, _, _, of in self.compared
+        }
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """All tables, in the order of the page."""
+        targets = (self.targets,) if self.targets is not None and self.targets.rows else ()
+        failed = () if self.failed is None else (self.failed,)
+        return (*targets, *self.scores, *self.differences.values(), *self.randomisation, *failed)
+
+    def write(self, folder: Path) -> Path:
+        """Draw the figures, save tables and scores as CSV, and write ``index.html``.
+
+        Args:
+            folder: Where; it is made.
+        """
+        save_tables(folder / "tables", self.tables)
+        with atomic_path(folder / SCORES) as part:
+            pd.concat(map(self._scores_of, self.controllers, self.scores)).to_csv(part, index=False)
+        title = f"surefoot evaluate: {self.task.name}"
+        return write_page(
+            folder / "index.html", title, self._introduction(), self._sections(folder / "figures")
+        )
+
+    def _scores_of(self, controller: str, scores: Table) -> Frame:
+        """Return a table of scores with whose they are, for the card of a policy."""
+        own = self.frame[self.frame["controller"] == controller]
+        runs = own.groupby(["feed", "cop_input", "severity"], sort=False)["seed"]
+        seeds = [seeds_text(of) for _, of in runs]
+        whose = dict(
+            zip(WHOSE, (controller, self.origins[controller].file, self.task.name, seeds), strict=True)
+        )
+        return pd.concat([pd.DataFrame(whose), scores.to_frame()], axis=1)
+
+    def _introduction(self) -> tuple[str, ...]:
+        seeds = self.frame["seed"]
+        amount = _AMOUNT.format(
+            episodes=len(self.frame),
+            count=seeds.nunique(),
+            seeds=seeds_text(seeds),
+            paired=_PAIRED if same_seeds(self.frame) else _UNPAIRED,
+        )
+        return flat(_INTRODUCTION.format(env_id=self.task.env_id)), flat(_FEEDS), flat(amount)
+
+    def _sections(self, drawn: Path) -> list[Section]:
+        said = [text for name in self.controllers for text in controller_findings(self.frame, name)]
+        targets = tuple(table for table in self.tables if table.name == "targets")
+        sections = [Section("summary", "In short", findings=(*said, *self.answers), tables=targets)]
+        if self.failed is not None:
+            sections.append(Section("failed", "Episodes that failed", tables=(self.failed,)))
+        sections.append(Section("scores", "Scores", tables=self.scores, figures=self._figures(drawn)))
+        for name, _, title, text, found in self.compared:
+            table, path = self.differences[name], figures.forest(drawn / f"{name}.svg", found)
+            figure = ReportFigure(path, table.title, _CAPTIONS["forest"])
+            paragraphs = (flat(text),) if text else ()
+            sections.append(Section(name, title, paragraphs, tables=(table,), figures=(figure,)))
+        if self.randomisation:
+            sections.append(
+                Section(
+                    "randomisation",
+                    "Is domain randomisation enough?",
+                    (flat(_RANDOMISATION),),
+                    findings=self.answers,
+                    tables=self.randomisation,
+                )
+            )
+        sections.append(self._repeat())
+        return sections
+
+    def _figures(self, drawn: Path) -> tuple[ReportFigure, ...]:
+        given = self.frame[self.frame["cop_input"] == "given"]
+        if not len(given):
+            return ()
+        returns = figures.against_severity(drawn / "returns.svg", given)
+        standing = figures.survival_curves(drawn / "survival.svg", given)
+        return (
+            ReportFigure(returns, "Return and falls", _CAPTIONS["returns"]),
+            ReportFigure(standing, "Survival", _CAPTIONS["survival"]),
+        )
+
+    def _repeat(self) -> Section:
+        text = [*self._versions(), _AGAIN]
+        if given := [self.labels[name] for name, origin in self.origins.items() if not origin.runs]:
+            text.append(f"No command runs {', '.join(given)}: the episodes were given as files.")
+        return Section("repeat", "Repeat it", (" ".join(text),), commands=tuple(self.commands()))
+
+    def _versions(self) -> list[str]:
+        """Return with what the episodes were made: once if all alike, else of each controller."""
+        versions = {name: origin.versions for name, origin in self.origins.items()}
+        if len(set(versions.values())) == 1:
+            return [f"The episodes were made with {each}." for each in set(versions.values()) if each]
+        return [
+            f"Those of {self.labels[name]} were made with {each or 'versions that nobody wrote down'}."
+            for name, each in versions.items()
+        ]
+
+    def commands(self) -> list[str]:
+        """Return the commands that run these episodes again: controllers that were run alike share one.
+
+        Who was given as a file of episodes, under a name of its own, cannot be run by it and is left out.
+        """
+        alike: dict[str, list[str]] = {}
+        for name in (name for name, origin in self.origins.items() if origin.runs):
+            own = self.frame[self.frame["controller"] == name]
+            options = [f"--task {self.task.name}"]
+            options += [f"--feed {feed}" for feed in dict.fromkeys(own["feed"])]
+            options += [f"--severity {severity:g}" for severity in severities_of(own) or [1.0]]
+            for first, last in seed_ranges(own["seed"]):
+                each = [*options, f"--seeds {last - first + 1} --first-seed {first}"]
+                each += ["--uses-cop"] * bool((own["cop_input"] != "given").any())
+                alike.setdefault(" ".join(each), []).append(shlex.quote(name))
+        return [f"surefoot evaluate {' '.join(names)} {options}" for options, names in alike.items()]
+
+
+def _check(frame: Frame) -> None:
+    if not len(frame):
+        raise ValueError("There are no episodes to make a page of.")
+    if len(tasks := sorted(set(frame["scenario"]))) > 1:
+        raise ValueError(f"Episodes of the tasks {', '.join(tasks)} cannot share a page; give those of one.")
+    twice = frame[frame.duplicated(["controller", "feed", "cop_input", "severity", "seed"])]
+    if len(twice):
+        row = twice.iloc[0]
+        raise ValueError(
+            f"Controller '{row['controller']}', feed '{row['feed']}', severity {row['severity']:g}, seed "
+            f"{row['seed']} is there twice; give controllers of different files different names, NAME=FILE."
+        )

@@ -1,0 +1,107 @@
+"""What an evaluation says in words and against its claims: nothing is written beforehand but the grammar."""
+
+from collections.abc import Iterator, Sequence
+
+from surefoot.experiments.episodes.comparisons import CALIBRATED
+from surefoot.experiments.episodes.randomisation import Answer
+from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
+from surefoot.experiments.policy.controllers import labels
+from surefoot.experiments.study.claims import Claim, at_least, claim_table
+from surefoot.experiments.study.page import flat
+from surefoot.experiments.study.statistics import Interval, mean_interval
+from surefoot.experiments.study.tables import Frame, Table, interval_text
+
+__all__ = ["controller_findings", "target_table"]
+
+_NOTE = """
+    Survival and the share of the loss that is won back are judged by the number itself, wherever its interval
+    ends; all else by 95 % intervals. An interval leaves out what is true in one of twenty cases: among many
+    differences, some are clear, and some targets met or missed, by chance. Of what both together are compared
+    with, the one is shown that decides."""
+
+
+def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] = ()) -> Table:
+    """Return what was set out to be reached by a policy, and what came of it.
+
+    Args:
+        frame: Rows of the study.
+        controller: The policy.
+        randomisation: What randomisation is worth, which is a claim as well.
+    """
+    own = frame[frame["controller"] == controller]
+    claims = [*_claims(own)]
+    for answer in randomisation:
+        alone, gap = answer.deciding
+        what = f"severity {answer.severity:g}: randomised and calibrated, less either alone"
+        measured = f"{interval_text(gap)} (less {alone})"
+        claims.append(Claim(what, "not clearly below 0", measured, not answer.worse))
+    used = difference(own, Run("true"), Run("true", "shuffled"))
+    if used is not None:
+        claims.append(_clearly("true CoP given less shuffled", used))
+    title = f"Set out to reach, by {labels(controllers_of(frame))[controller]}"
+    return claim_table(claims, title, flat(_NOTE))
+
+
+def _claims(own: Frame) -> Iterator[Claim]:
+    """Return the claims about the feet of one policy."""
+    given = own[own["cop_input"] == "given"]
+    true = given[given["feed"] == "true"]
+    if len(true):
+        share = 100.0 * float(1.0 - true["fell"].mean())
+        yield at_least("survives on true CoP (%)", share, 95.0, f"{share:.3g}")
+    for severity in severities_of(own):
+        at = f"severity {severity:g}: "
+        drifting = mean_interval(given[(given["feed"] == "none") & (given["severity"] == severity)]["return"])
+        on_true = mean_interval(true["return"])
+        if drifting.n and on_true.n:
+            measured = f"{interval_text(drifting, digits=4)} and {interval_text(on_true, digits=4)}"
+            apart = drifting.mean + drifting.half < on_true.mean - on_true.half
+            yield Claim(
+                f"{at}return on drifting CoP below that on true CoP", "intervals apart", measured, apart
+            )
+        won = won_back(own, CALIBRATED, severity)
+        if won is not None:
+            measured = "{:.1f} ({:.1f} to {:.1f})".format(*(100 * part for part in won))
+            yield at_least(f"{at}of the loss won back by moment (%)", 100.0 * won[0], 90.0, measured)
+        for other in ("window", "quasi-static"):
+            gap = difference(own, Run(CALIBRATED), Run(other), severity)
+            if gap is not None:
+                yield _clearly(f"{at}moment less {other}", gap)
+
+
+def _clearly(what: str, gap: Interval) -> Claim:
+    return Claim(what, "> 0, clearly", interval_text(gap), gap.apart and gap.mean > 0.0)
+
+
+def controller_findings(frame: Frame, controller: str) -> tuple[str, ...]:
+    """Return sentences on what a controller loses on drifting feet and gets back on calibrated ones.
+
+    Args:
+        frame: Rows of the study.
+        controller: Whose.
+    """
+    name = labels(controllers_of(frame))[controller]
+    own = frame[(frame["controller"] == controller) & (frame["cop_input"] == "given")]
+    found = []
+    true = own[own["feed"] == "true"]
+    if len(true):
+        mean = interval_text(mean_interval(true["return"]), digits=4)
+        found.append(f"{name}, true CoP: return {mean}, {int(true['fell'].sum())} of {len(true)} fall.")
+    for severity in severities_of(own):
+        loss = difference(own, Run("true"), Run("none"), severity)
+        if loss is None:
+            continue
+        text = f"{name}, severity {severity:g}: drifting feet cost {interval_text(loss)}"
+        if not (loss.apart and loss.mean > 0.0):
+            found.append(f"{text}, which is no clear loss, so that there is nothing to win back.")
+            continue
+        falls = own[(own["feed"] == "none") & (own["severity"] == severity)]["fell"]
+        text += f" and {int(falls.sum())} of {len(falls)} fall"
+        shares = {feed: won_back(own, feed, severity) for feed in dict.fromkeys(own["feed"])}
+        won = [
+            "{} wins {:.1f} % of it back ({:.0f} to {:.0f})".format(feed, *(100 * x for x in share))
+            for feed, share in shares.items()
+            if share is not None
+        ]
+        found.append("; ".join([text, *won]) + ".")
+    return tuple(found)

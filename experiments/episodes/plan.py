@@ -1,0 +1,224 @@
+"""What a study of controllers does: a grid of controllers, feeds, scenarios, severities and seeds."""
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from itertools import product
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode
+from surefoot.experiments.episodes.scenarios import LoopScenario, scenario_named
+from surefoot.experiments.policy.controllers import controller_hash, trained_on
+from surefoot.experiments.policy.options import TRAINING_SEEDS
+from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, feed_named
+from surefoot.sensors import LoadCells
+from surefoot.sensors.presets import resolve
+
+__all__ = ["EpisodePlan", "plan_from_toml"]
+
+_AXES = ("controllers", "feeds", "scenarios", "severities", "seeds", "cop_inputs")
+_OWN_KEYS = ("based_on", "title", "environment", "options", "sensors", "beliefs", "methods")
+_NOT_IN_FILES = ("own", "cop_inputs")
+
+
+@dataclass(frozen=True)
+class EpisodePlan:
+    """A grid; every combination is one episode.
+
+    True feet have no errors to scale: feed ``"true"`` is run once a seed, at severity 0. It alone is run with
+    other inputs than what is fed back.
+
+    Attributes:
+        controllers: Names of controllers (:mod:`surefoot.experiments.policy.controllers`).
+        feeds: Of :data:`~surefoot.experiments.walks.walkers.FEEDS`.
+        scenarios: Names of scenarios.
+        severities: Factors of all errors of the load cells.
+        seeds: Of the episodes.
+        duration: Longest duration of an episode in s, standing included; ``None`` for the environment's own.
+        settle: The controller is asked from this time in s on: calibrators need a quiet stand; ``None`` for
+            the environment's own.
+        cells: Name of the load cells' preset.
+        cop_inputs: Of :data:`~surefoot.experiments.episodes.episode.COP_INPUTS`.
+        own: Scenarios besides the table's, by name.
+
+    Raises:
+        ValueError: If an axis is empty or says something twice, or something in it does not exist.
+    """
+
+    controllers: tuple[str, ...] = ("zero", "stabiliser")
+    feeds: tuple[str, ...] = ("true", "none", "moment")
+    scenarios: tuple[str, ...] = ("speed-0.04",)
+    severities: tuple[float, ...] = (1.0, 3.0)
+    seeds: tuple[int, ...] = tuple(range(10))
+    duration: float | None = STAND_TIME + 20.0
+    settle: float | None = STAND_TIME
+    cells: str = "hx711-load-cells"
+    cop_inputs: tuple[str, ...] = COP_INPUTS[:1]
+    own: Mapping[str, LoopScenario] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError at what cannot be done, before anything is."""
+        object.__setattr__(self, "feeds", tuple(map(feed_named, self.feeds)))
+        for name in _AXES:
+            _check_axis(name, getattr(self, name))
+        for severity in self.severities:
+            if not (isinstance(severity, int | float) and isfinite(severity) and severity >= 0.0):
+                raise ValueError(f"A severity must be finite and not negative, got {severity!r}.")
+        for seed in self.seeds:
+            if not isinstance(seed, int) or seed < 0:
+                raise ValueError(f"A seed must be a whole number and not negative, got {seed!r}.")
+        settle = 0.0 if self.settle is None else self.settle
+        if self.duration is not None and not 0.0 <= settle < self.duration < float("inf"):
+            raise ValueError(
+                f"'settle' must be at least 0 s and less than 'duration', got {settle:g} s and "
+                f"{self.duration:g} s."
+            )
+        resolve(self.cells, LoadCells)
+        of_task = [scenario_named(name, self.own).of_task for name in self.scenarios]
+        if unknown := [name for name in self.cop_inputs if name not in COP_INPUTS]:
+            raise ValueError(f"'cop_inputs' must be of {COP_INPUTS}, got {unknown[0]!r}.")
+        if any(of_task):
+            check_seeds(min(self.seeds), max(self.seeds), self.cop_inputs)
+        for name in self.controllers:
+            controller_hash(name)
+
+    @cached_property
+    def episodes(self) -> tuple[Episode, ...]:
+        """All episodes, numbered from 0 in the order of the axes; seeds vary fastest."""
+        return tuple(self._episodes())
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Hashes of the files behind the controllers."""
+        return {episode.controller: episode.controller_hash for episode in self.episodes}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the plan as plain data."""
+        data: dict[str, Any] = json.loads(json.dumps(asdict(self), default=dict))
+        return data | {"files": self.files}
+
+    def title_of(self, scenario: str) -> str:
+        """Return what to call a scenario."""
+        return scenario_named(scenario, self.own).title
+
+    def _episodes(self) -> Iterator[Episode]:
+        number = 0
+        for controller, feed, name in product(self.controllers, self.feeds, self.scenarios):
+            scenario, on_true = scenario_named(name, self.own), FEEDS[feed] is None
+            hashed, trained = controller_hash(controller, scenario.environment), trained_on(controller)
+            for severity, cop_input, seed in product(
+                (0.0,) if on_true else self.severities,
+                self.cop_inputs if on_true else COP_INPUTS[:1],
+                self.seeds,
+            ):
+                made = Episode(
+                    number=number,
+                    controller=controller,
+                    controller_hash=hashed,
+                    trained=trained,
+                    feed=feed,
+                    cop_input=cop_input,
+                    scenario=name,
+                    environment=scenario.environment,
+                    options=scenario.options_for(self.duration),
+                    cells=self.cells,
+                    sensors=scenario.sensors_for(feed, severity, seed),
+                    calibration=scenario.calibration_for(feed),
+                    severity=severity,
+                    seed=seed,
+                    duration=self.duration,
+                    settle=self.settle,
+                    of_task=scenario.of_task,
+                )
+                # What is read back from the results must be what was run: tuples are lists from here on.
+                yield Episode.from_json(made.to_json())
+                number += 1
+
+
+def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1]) -> None:
+    """Raise ValueError if seeds reach those of training, also those of episodes whose input is taken.
+
+    Args:
+        first: The smallest.
+        last: The largest.
+        cop_inputs: Of :data:`~surefoot.experiments.episodes.episode.COP_INPUTS`.
+    """
+    taken = [name for name in cop_inputs if name in TAKEN]
+    end = TRAINING_SEEDS - (DONOR if taken else 0)
+    if not 0 <= first <= last < end:
+        why = f", and '{taken[0]}' takes an episode {DONOR} further on" if taken else ""
+        given = str(first) if first == last else f"{first} to {last}"
+        raise ValueError(
+            f"'seed' must lie in 0 to {end - 1}, got {given}: seeds from {TRAINING_SEEDS} on are "
+            f"training's{why}."
+        )
+
+
+def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
+    """Return a plan from a file.
+
+    Args:
+        path: The file; docs/sweep.md describes it.
+        **changes: Attributes of :class:`EpisodePlan` to put in the place of the file's.
+
+    Raises:
+        ValueError: If the file is none, or says what there is not.
+    """
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ValueError(f"{path}: no such file.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not TOML: {error}.") from error
+    known = [f.name for f in fields(EpisodePlan) if f.name not in _NOT_IN_FILES]
+    _known_keys(f"{path}", given, (*known, "first_seed", "scenario"))
+    own = {name: _own_scenario(path, name, table) for name, table in given.pop("scenario", {}).items()}
+    first = given.pop("first_seed", 0)
+    seeds = given.pop("seeds", 10)
+    try:
+        options: dict[str, Any] = {
+            **{name: tuple(value) if name in _AXES else value for name, value in given.items()},
+            "seeds": tuple(range(first, first + seeds)) if isinstance(seeds, int) else tuple(map(int, seeds)),
+        }
+        if "severities" in options:
+            options["severities"] = tuple(map(float, options["severities"]))
+        for name in ("duration", "settle"):
+            if name in options:
+                options[name] = float(options[name])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}; axes are lists, 'seeds' a list or how many.") from error
+    return EpisodePlan(**{**options, **changes, "own": own})
+
+
+def _own_scenario(path: Path, name: str, table: Any) -> LoopScenario:
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{path}: [scenario.{name}] must be a table.")
+    _known_keys(f"{path}, [scenario.{name}]", table, _OWN_KEYS)
+    base = scenario_named(table["based_on"]) if "based_on" in table else LoopScenario(name, name)
+    return replace(
+        base,
+        name=name,
+        title=table.get("title", name),
+        environment=table.get("environment", base.environment),
+        options={**base.options, **table.get("options", {})},
+        sensors={**base.sensors, **table.get("sensors", {})},
+        beliefs={**base.beliefs, **table.get("beliefs", {})},
+        methods={**base.methods, **{feed_named(of): given for of, given in table.get("methods", {}).items()}},
+    )
+
+
+def _known_keys(where: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
+    if unknown := [key for key in given if key not in known]:
+        raise ValueError(f"{where}: there is no key '{unknown[0]}'. Available: {', '.join(known)}.")
+
+
+def _check_axis(name: str, values: Sequence[Any]) -> None:
+    if not values:
+        raise ValueError(f"'{name}' is empty, so that there is nothing to run; name at least one.")
+    twice = [value for i, value in enumerate(values) if value in values[:i]]
+    if twice:
+        raise ValueError(f"'{name}' holds {twice[0]!r} twice: the same episodes would be run again.")

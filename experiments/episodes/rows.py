@@ -1,0 +1,207 @@
+"""Rows of episodes from the disk: read whole, or refused with what is wrong.
+
+Each row says by itself what the episode was and with what it was made: a policy's file may be another one by
+the time a page is made of its episodes, so that nothing is read from it then.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from surefoot.experiments.episodes.episode import COP_INPUTS, TABLE, VERSIONS
+from surefoot.experiments.episodes.scores import controllers_of
+from surefoot.experiments.policy.controllers import trained_on
+from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.study.store import PLAN, Store
+from surefoot.experiments.study.tables import Column, Frame
+from surefoot.experiments.walks.walkers import FEEDS, OLD_FEEDS
+
+__all__ = ["EPISODES", "Origin", "in_order", "origins_of", "read_episodes", "read_rows"]
+
+EPISODES = f"{TABLE}.parquet"
+
+_UNNAMED = "policy"
+"""What a controller is called that nobody named."""
+
+_OLD_COLUMNS = {"total": "return", "task": "scenario", "cop_tracking": "tracking", "cell": "case"}
+"""Earlier names of columns."""
+
+_NAMES = ("controller", "feed", "cop_input", "scenario")
+_NUMBERS = ("severity", "seed", "return", "fell", "time", "cop_error", "tracking")
+_MAY_LACK = ("cop_error", "tracking")
+"""Errors of a centre of pressure that was never felt are none."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What is known of a controller whose episodes are there.
+
+    Attributes:
+        file: Hash of the file behind it when it was run, see
+            :func:`~surefoot.experiments.policy.controllers.controller_hash`; nothing if there is none, or
+            nobody wrote it down.
+        trained: What it was trained on, see :func:`~surefoot.experiments.policy.controllers.trained_on`.
+        versions: With what it was run.
+        runs: Whether it runs under its name: other names were made up for a file of episodes.
+    """
+
+    file: str = ""
+    trained: str = ""
+    versions: str = ""
+    runs: bool = True
+
+
+def read_rows(path: Path) -> Frame:
+    """Return the rows of a study, those of one that is under way too.
+
+    Args:
+        path: Its folder, or its table alone.
+
+    Raises:
+        ValueError: If there are none, or the file is no table.
+    """
+    if (path / PLAN).is_file():
+        store = Store(path)
+        store.read()
+        frame = store.rows(TABLE)
+        if not len(frame):
+            raise ValueError(f"'{path}' holds no episodes yet; the command that writes some goes on there.")
+        return frame
+    path = path / EPISODES if path.is_dir() else path
+    if not path.is_file():
+        raise ValueError(
+            f"There is no file of episodes '{path}'; 'surefoot evaluate' and 'surefoot sweep' write one."
+        )
+    try:
+        return pd.read_parquet(path)
+    except Exception as error:  # Whatever a damaged file raises.
+        raise ValueError(f"'{path}' is no table of Parquet, or is damaged: {error}.") from error
+
+
+def read_episodes(path: Path, controller: str = "") -> Frame:
+    """Return the checked episodes of an evaluation, in order; those that failed are left out.
+
+    Args:
+        path: An ``episodes.parquet``, or its folder. Files of earlier versions are read.
+        controller: Who acted, in place of what the file says; the oldest files say nothing.
+
+    Raises:
+        ValueError: If there are none, or the file is damaged or holds something else, naming the column.
+    """
+    frame = read_rows(path)
+    frame = frame.rename(columns={old: new for old, new in _OLD_COLUMNS.items() if new not in frame})
+    if "error" in frame:
+        frame = frame[frame["error"] == ""]
+    absent = {"controller": _UNNAMED, "scenario": next(iter(TASKS))}
+    frame = frame.assign(**{name: value for name, value in absent.items() if name not in frame})
+    if missing := [name for name in (*_NAMES, *_NUMBERS) if name not in frame]:
+        raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
+    names = {name: _names(path, frame[name]) for name in _NAMES}
+    names["controller"] = names["controller"].replace("", _UNNAMED)
+    names["feed"] = names["feed"].replace(dict(OLD_FEEDS))
+    names["cop_input"] = names["cop_input"].replace("felt", "given")
+    frame = frame.assign(**names, **{name: _numbers(path, frame[name]) for name in _NUMBERS})
+    for name, known in (("feed", list(FEEDS)), ("cop_input", list(COP_INPUTS)), ("scenario", list(TASKS))):
+        if unknown := sorted(set(frame[name]) - set(known)):
+            raise ValueError(f"'{path}' holds the {name} '{unknown[0]}'. Known: {', '.join(known)}.")
+    held = controllers_of(frame)
+    if controller and len(held) > 1:
+        raise ValueError(
+            f"'{path}' holds episodes of {', '.join(held)}, which cannot all be called '{controller}'; give "
+            "the file without a name."
+        )
+    frame = _with_origin(frame.assign(severity=frame["severity"].where(frame["feed"] != "true", 0.0)))
+    return in_order(frame.assign(controller=controller, runs=False) if controller else frame)
+
+
+def in_order(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
+    """Return episodes sorted: controllers as they come or are named, feeds from the true one on, ..."""
+    ranks = {
+        "controller": list(dict.fromkeys((*controllers, *frame["controller"]))),
+        "feed": list(FEEDS),
+        "cop_input": list(COP_INPUTS),
+    }
+
+    def rank(column: Column) -> Column:
+        order = ranks.get(str(column.name))
+        return column if order is None else column.map(order.index)
+
+    keys = ["controller", "feed", "cop_input", "severity", "seed"]
+    return frame.sort_values(keys, key=rank, ignore_index=True)
+
+
+def origins_of(frame: Frame) -> dict[str, Origin]:
+    """Return what is known of the controllers of some episodes.
+
+    Raises:
+        ValueError: If one was another file in some of them.
+    """
+    return {name: _origin(name, frame[frame["controller"] == name]) for name in controllers_of(frame)}
+
+
+def _origin(controller: str, own: Frame) -> Origin:
+    if "runs" not in own:
+        own = _with_origin(own)
+    files, trained = set(own["controller_hash"]), set(own["trained"])
+    if len(files - {""}) > 1:
+        raise ValueError(
+            f"'{controller}' is not the same file everywhere: it was changed between one evaluation and the "
+            "next; give controllers of different files different names, NAME=FILE."
+        )
+    return Origin(
+        files.pop() if len(files) == 1 else "",
+        trained.pop() if len(trained) == 1 else "",
+        "; ".join(dict.fromkeys(versions for versions in own["versions"] if versions)),
+        bool(own["runs"].all()),
+    )
+
+
+def _with_origin(frame: Frame) -> Frame:
+    """Return rows with the columns ``controller_hash``, ``trained``, ``versions`` and ``runs``."""
+    made = pd.Series("", index=frame.index)
+    if set(VERSIONS) <= set(frame):
+        made = frame[list(VERSIONS)].apply(lambda row: ", ".join(f"{k} {v}" for k, v in row.items()), axis=1)
+    absent = {
+        "controller_hash": "",
+        # Only a name that is no file says by itself what it was trained on.
+        "trained": frame["controller"].map(lambda name: "" if Path(name).suffix else trained_on(name)),
+    }
+    return frame.assign(
+        **{name: value for name, value in absent.items() if name not in frame},
+        versions=made,
+        runs=frame["controller"] != _UNNAMED,
+    )
+
+
+def _names(path: Path, column: Column) -> Column:
+    if wrong := [value for value in column if not isinstance(value, str)]:
+        raise ValueError(
+            f"'{path}' is no table of episodes: its column '{column.name}' holds {wrong[0]!r} and not a name."
+        )
+    return pd.Series(column.tolist(), index=column.index, name=column.name)
+
+
+def _numbers(path: Path, column: Column) -> Column:
+    """Return one column of numbers as the type that a fresh one has, or raise ValueError."""
+    name = str(column.name)
+    if not pd.api.types.is_numeric_dtype(column):
+        raise ValueError(f"'{path}' is no table of episodes: its column '{name}' holds no numbers.")
+    values = column.to_numpy(dtype=np.float64, na_value=np.nan)
+    rules = {"seed": "a whole number from 0", "fell": "true or false", "return": "a finite number"}
+    fine = np.isfinite(values)
+    if name in _MAY_LACK:
+        fine |= np.isnan(values)
+    if name != "return":
+        fine &= ~(values < 0.0)
+    if name == "seed":
+        fine &= values == np.floor(values)
+    if name == "fell":
+        fine &= np.isin(values, (0.0, 1.0))
+    if not fine.all():
+        rule = rules.get(name, "a finite number and not negative")
+        raise ValueError(f"'{path}' holds {values[~fine][0]:g} in its column '{name}', which must be {rule}.")
+    kinds = {"seed": np.int64, "fell": np.bool_}
+    return pd.Series(values.astype(kinds.get(name, np.float64)), index=column.index, name=name)

@@ -1,0 +1,126 @@
+"""The study itself: run the episodes of a plan that are not there yet."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from rich.console import Console
+
+from surefoot.experiments.episodes.episode import (
+    TABLE,
+    Episode,
+    check_episode,
+    failed_row,
+    run_case,
+    versions,
+)
+from surefoot.experiments.episodes.plan import EpisodePlan
+from surefoot.experiments.study.runner import runner
+from surefoot.experiments.study.store import PLAN, Case, Store
+from surefoot.experiments.study.tables import Frame
+
+__all__ = ["EpisodeResults", "case_of", "run_plan"]
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeResults:
+    """What a study found.
+
+    Attributes:
+        plan: What was run.
+        folder: Where it lies; a temporary one is gone by now.
+        rows: One row an episode, see :func:`~surefoot.experiments.episodes.episode.episode_row`.
+        computed: How many of them this run added; the others were there already.
+    """
+
+    plan: EpisodePlan
+    folder: Path
+    rows: Frame
+    computed: int
+
+    @property
+    def failed(self) -> Frame:
+        """The rows of episodes that could not be run through."""
+        return self.rows[self.rows["error"] != ""]
+
+    @property
+    def finished(self) -> Frame:
+        """The rows of all others."""
+        return self.rows[self.rows["error"] == ""]
+
+
+def run_plan(
+    plan: EpisodePlan,
+    folder: Path | None = None,
+    *,
+    backend: str = "",
+    jobs: int = 1,
+    address: str | None = None,
+    retry_failed: bool = False,
+    any_version: bool = False,
+    console: Console | None = None,
+) -> EpisodeResults:
+    """Run every episode of a plan that has no row yet, seed by seed.
+
+    Args:
+        plan: What to run.
+        folder: Where the results lie; that of an interrupted study is taken up again. ``None`` keeps nothing.
+        backend: One of :data:`~surefoot.experiments.study.backends.BACKENDS`; by default one job works in
+            this process, and more in processes of their own.
+        jobs: How many episodes are run at the same time on this machine.
+        address: Of a cluster that is running.
+        retry_failed: Whether episodes that failed before are run again.
+        any_version: Whether to go on with rows of other versions of the software.
+        console: Where progress is shown; the terminal's error output by default.
+
+    Raises:
+        ValueError: If there is no such backend, or it is not installed, or a scenario or a controller is
+            refused before anything is run.
+        StudyError: If the folder cannot be used, the disk is full, or a worker runs other software.
+    """
+    with ExitStack() as stack:
+        if folder is None:
+            folder = Path(stack.enter_context(TemporaryDirectory()))
+        # Seed by seed: what is there of a study that was stopped is paired.
+        cases = [case_of(episode) for episode in sorted(plan.episodes, key=lambda episode: episode.seed)]
+        store = Store(folder)
+        if (folder / PLAN).is_file():
+            store.read()
+            # What is whole is not run again, whatever made it.
+            kept = (store.holds(case, retry_failed=retry_failed, any_version=True) for case in cases)
+            any_version |= all(kept)
+        options = {"retry_failed": retry_failed, "any_version": any_version}
+        stack.enter_context(store.opened(plan.as_dict(), versions(), any_version=any_version))
+        missing = [case for case in cases if not store.holds(case, **options)]
+        computed = 0
+        if missing:
+            _try_out([case.arguments[0] for case in missing])
+            crew = stack.enter_context(runner(jobs, console=console, backend=backend, address=address))
+            computed = crew.run("Episodes", cases, store, failed=_failed, count={"fell": _fell}, **options)
+        rows = store.rows(TABLE, cases)
+        return EpisodeResults(plan, folder, rows.sort_values("case", ignore_index=True), computed)
+
+
+def case_of(episode: Episode) -> Case:
+    """Return an episode as a case of a study."""
+    return Case(f"episode {episode.number}", run_case, (episode,), depends=episode.to_json())
+
+
+def _failed(case: Case, error: str) -> dict[str, list[dict[str, Any]]]:
+    return {TABLE: [failed_row(case.arguments[0], error)]}
+
+
+def _fell(outcome: Any) -> bool:
+    return any(row["fell"] for row in outcome.tables.get(TABLE, ()))
+
+
+def _try_out(episodes: list[Episode]) -> None:
+    """Raise ValueError at a scenario or a controller that cannot even be made: here, and not one by one."""
+    hardest = sorted(episodes, key=lambda episode: episode.severity)
+    # The last of a kind stays: of each scenario and of each controller the episode with the worst feet.
+    kinds = {(name, getattr(e, name)): e for e in hardest for name in ("scenario", "controller")}
+    tried = {episode.number: episode for episode in kinds.values()}
+    for number in sorted(tried):
+        check_episode(tried[number])

@@ -1,0 +1,232 @@
+"""What the rows of a study say: paired differences, losses won back, the severity at which half fall.
+
+A difference is *clear* if its 95 % interval leaves zero out.
+
+**The share of a loss that is won back** is that of means over the seeds that the calibration, drifting and
+true feet have in common; its interval is a bootstrap over these seeds.
+
+**The severity at which half fall** is where the share of falls crosses one half, linearly between the
+severities that were run, once it is made not to decrease (isotonic regression); its 95 % interval is that of
+2,000 resamples of the seeds, which are paired over severities. An end of it may lie beyond what was run.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from surefoot.experiments.study.statistics import Interval, mean_interval
+from surefoot.experiments.study.tables import Column, Frame
+
+__all__ = [
+    "HalfFall",
+    "Run",
+    "controllers_of",
+    "difference",
+    "half_fall",
+    "same_seeds",
+    "seed_ranges",
+    "seeds_text",
+    "severities_of",
+    "won_back",
+]
+
+_SHARE_RESAMPLES = 4000
+"""Bootstrap samples of the seeds behind a share that is won back."""
+
+_CROSSING_RESAMPLES = 2000
+"""Resamples of the seeds behind the severity at which half fall."""
+
+_STREAM = 0x5EED
+"""Seed of these resamples."""
+
+
+class Run(NamedTuple):
+    """Episodes that differ by nothing but severity and seed.
+
+    Attributes:
+        feed: What was fed back.
+        cop_input: What the controller saw of it.
+        controller: Who acted; ``None`` where there is but one.
+    """
+
+    feed: str
+    cop_input: str = "given"
+    controller: str | None = None
+
+
+def controllers_of(frame: Frame) -> list[str]:
+    """Return each controller once, as they come."""
+    return list(dict.fromkeys(frame["controller"]))
+
+
+def severities_of(frame: Frame) -> list[float]:
+    """Return all severities at which feet other than the true ones were run."""
+    return [float(severity) for severity in sorted(frame[frame["feed"] != "true"]["severity"].unique())]
+
+
+def seed_ranges(seeds: Iterable[int]) -> list[tuple[int, int]]:
+    """Return first and last of each row of seeds that follow each other.
+
+    >>> seed_ranges([7, 3, 1, 2])
+    [(1, 3), (7, 7)]
+    """
+    found: list[tuple[int, int]] = []
+    for seed in sorted({int(seed) for seed in seeds}):
+        if found and seed == found[-1][1] + 1:
+            found[-1] = (found[-1][0], seed)
+        else:
+            found.append((seed, seed))
+    return found
+
+
+def seeds_text(seeds: Iterable[int]) -> str:
+    """Return seeds in words.
+
+    >>> seeds_text([7, 3, 1, 2])
+    '1 to 3, 7'
+    """
+    return ", ".join(
+        str(first) if first == last else f"{first} to {last}" for first, last in seed_ranges(seeds)
+    )
+
+
+def same_seeds(frame: Frame) -> bool:
+    """Return whether all runs are of the same seeds."""
+    seeds = frame.groupby(["controller", "feed", "cop_input", "severity"], sort=False)["seed"]
+    return len({frozenset(of) for _, of in seeds}) <= 1
+
+
+def difference(frame: Frame, first: Run, second: Run, severity: float | None = None) -> Interval | None:
+    """Return the difference of two runs' returns over the seeds of both, first less second.
+
+    Args:
+        frame: Rows of the study.
+        first: One run.
+        second: The other.
+        severity: Of the sensors; the true feet have none.
+
+    Returns:
+        The mean with its 95 % interval, or ``None`` if no seed is in both.
+
+    Raises:
+        ValueError: If one of them was run more than once with the same seed.
+    """
+    a, b = (_returns(frame, run, severity) for run in (first, second))
+    both = a.index.intersection(b.index)
+    return None if both.empty else mean_interval(a[both].to_numpy() - b[both].to_numpy())
+
+
+def won_back(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
+    """Return which share of the return lost to drifting feet a calibration wins back.
+
+    Args:
+        frame: Rows of one controller.
+        feed: What was fed back.
+        severity: Of the sensors.
+
+    Returns:
+        The share, and the ends of its 95 % interval; ``None`` if it is no calibration, was not run on the
+        same seeds as true and drifting feet, or these differ by nothing clear.
+    """
+    if feed in ("true", "none"):
+        return None
+    runs = [_returns(frame, Run(name), severity) for name in (feed, "none", "true")]
+    common = runs[0].index.intersection(runs[1].index).intersection(runs[2].index)
+    own, drifting, true = (run[common].to_numpy() for run in runs)
+    loss = mean_interval(true - drifting)
+    if not (loss.apart and loss.mean > 0.0):
+        return None
+    draws = np.random.default_rng(0).integers(len(own), size=(_SHARE_RESAMPLES, len(own)))
+    won: NDArray[np.float64] = (own - drifting)[draws].mean(axis=1) / (true - drifting)[draws].mean(axis=1)
+    low, high = np.quantile(won, [0.025, 0.975])
+    return float((own - drifting).mean() / (true - drifting).mean()), float(low), float(high)
+
+
+def _returns(frame: Frame, run: Run, severity: float | None) -> Column:
+    wanted = (frame["feed"] == run.feed) & (frame["cop_input"] == run.cop_input)
+    if run.controller is not None:
+        wanted &= frame["controller"] == run.controller
+    # The true feet know no severity: they are run once.
+    if severity is not None and run.feed != "true":
+        wanted &= frame["severity"] == severity
+    found = frame[wanted].set_index("seed")["return"].sort_index()
+    if not found.index.is_unique:
+        raise ValueError(
+            f"Feed '{run.feed}' was run more than once with the same seed; name a severity and a controller."
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class HalfFall:
+    """The severity at which half the episodes end in a fall.
+
+    Attributes:
+        severity: It; infinite where it lies beyond all that were run, minus infinite where below.
+        low: Lower end of its 95 % interval, likewise.
+        high: Upper end, likewise.
+        lowest: Lowest severity that was run.
+        highest: Highest one.
+    """
+
+    severity: float
+    low: float
+    high: float
+    lowest: float
+    highest: float
+
+    def words(self) -> str:
+        """Return it as a cell of a table.
+
+        >>> HalfFall(float("inf"), 2.5, float("inf"), 0.0, 4.0).words()
+        'not reached up to 4 (2.5 to above 4)'
+        """
+        if np.isposinf(self.severity):
+            middle = f"not reached up to {self.highest:g}"
+        else:
+            middle = self._number(self.severity)
+        if self.low == self.high:
+            return middle
+        return f"{middle} ({self._number(self.low)} to {self._number(self.high)})"
+
+    def _number(self, value: float) -> str:
+        if np.isinf(value):
+            return f"above {self.highest:g}" if value > 0 else f"below {self.lowest:g}"
+        return f"{value:.3g}"
+
+
+def half_fall(rows: Frame) -> HalfFall | None:
+    """Return the severity at which half fall.
+
+    Args:
+        rows: Of one controller, feed and scenario: ``severity``, ``seed``, ``fell``.
+
+    Returns:
+        It, or ``None`` where fewer than two severities have been run on the same seeds.
+    """
+    table = rows.pivot_table(index="seed", columns="severity", values="fell", aggfunc="mean").dropna()
+    if table.shape[1] < 2 or not len(table):
+        return None
+    severities, fell = table.columns.to_numpy(dtype=np.float64), table.to_numpy(dtype=np.float64)
+    rng = np.random.default_rng(_STREAM)
+    draws = rng.integers(len(fell), size=(_CROSSING_RESAMPLES, len(fell)))
+    crossings = np.sort([_crossing(severities, fell[draw].mean(axis=0)) for draw in draws])
+    # Without interpolation: between a number and infinity lies none.
+    low, high = (crossings[int(part * _CROSSING_RESAMPLES) - k] for part, k in ((0.025, 0), (0.975, 1)))
+    ends = float(severities[0]), float(severities[-1])
+    return HalfFall(_crossing(severities, fell.mean(axis=0)), float(low), float(high), *ends)
+
+
+def _crossing(severities: NDArray[np.float64], share: NDArray[np.float64]) -> float:
+    rising: Any = share if (np.diff(share) >= 0.0).all() else optimize.isotonic_regression(share).x
+    if rising[-1] < 0.5:
+        return float("inf")
+    if rising[0] >= 0.5:
+        return float("-inf") if rising[0] > 0.5 else float(severities[0])
+    k = int(np.argmax(rising >= 0.5))
+    part = (0.5 - rising[k - 1]) / (rising[k] - rising[k - 1])
+    return float(severities[k - 1] + part * (severities[k] - severities[k - 1]))

@@ -1,0 +1,130 @@
+"""A sweep's page: what fell where, in one file."""
+
+import base64
+from pathlib import Path
+from typing import Any
+
+from surefoot.experiments.episodes import figures, tables
+from surefoot.experiments.episodes.episode import Episode
+from surefoot.experiments.episodes.film import LAST_SECONDS, film_episode
+from surefoot.experiments.episodes.run import EpisodeResults
+from surefoot.experiments.study.page import ReportFigure, Section, flat, save_tables, write_page
+from surefoot.experiments.study.tables import Frame, Table, plural
+
+__all__ = ["SweepPage"]
+
+_INTRODUCTION = """
+    Every episode is one case: a controller, what it is fed for the centre of pressure, a scenario, a severity
+    and a seed. Severity is a factor of all errors of the load cells "{cells}": 0 leaves none of them, 1 is
+    the device as it is. Seeds are paired: the same seed is the same ground, pushes, starting state and
+    sensors, scaled, for every controller and feed. True feet have no errors and so no severity."""
+
+_AMOUNT = """
+    {cases} of at most {duration:g} s; the controller is asked from {settle:g} s on, and before that the
+    robot stands by its pattern alone, which calibrators need. {failed} failed: left out of everything below
+    but the table of failures."""
+
+_REPEAT = """
+    episodes.parquet has one row a case, with all that makes it in the column 'spec' and the versions that
+    made it beside it. A case that is run again comes out the same to the last digit with the same versions on
+    the same kind of machine."""
+
+_CAPTIONS = {
+    "survival": "Share on its feet over time (Kaplan and Meier) with 95 % bands (Greenwood, log-log).",
+    "severity": "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity.",
+    "heat": "Share of episodes that end in a fall; what was not run is blank.",
+    "film": f"Its last {LAST_SECONDS:g} s; dots on the ground: the true centre of pressure (black) and the "
+    "one fed back.",
+}
+
+_LISTED = 5
+"""How many of the worst episodes are listed at least."""
+
+
+class SweepPage:
+    """Tables and figures of a sweep, and the page that holds them.
+
+    Args:
+        results: What the sweep found.
+        films: How many of the worst episodes are filmed; each takes about as long as the episode.
+    """
+
+    def __init__(self, results: EpisodeResults, *, films: int = 0) -> None:
+        self.results, self.folder, self.films = results, results.folder, films
+        self.rows = rows = results.finished
+        ran = set(rows["scenario"])
+        self.titles = {name: results.plan.title_of(name) for name in results.plan.scenarios if name in ran}
+        self.outcomes = {
+            name: tables.outcome_table(rows, name, f"{title[:1].upper()}{title[1:]}")
+            for name, title in self.titles.items()
+        }
+        self.half = tables.half_table(rows, self.titles)
+        self.failed = tables.failure_table(results.failed)
+        self.worst = _worst(rows, max(films, _LISTED))
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """All tables, in the order of the page."""
+        optional = (self.half, *self.outcomes.values(), self.failed)
+        return tuple(table for table in optional if table is not None)
+
+    def write(self) -> Path:
+        """Draw the figures, save the tables as CSV, film, and write ``index.html``."""
+        save_tables(self.folder / "tables", self.tables)
+        plan, failed = self.results.plan, len(self.results.failed)
+        amount = _AMOUNT.format(
+            cases=plural(len(self.results.rows), "case"),
+            duration=plan.duration,
+            settle=plan.settle,
+            failed=plural(failed, "case"),
+        )
+        sections = [self._summary(), *map(self._scenario, self.titles)] if self.titles else []
+        if self.failed is not None:
+            sections.append(Section("failed", "Cases that failed", tables=(self.failed,)))
+        if self.titles:
+            note = () if self.films else ("Films of them come with --films.",)
+            listed = (tables.worst_table(self.worst),)
+            sections.append(Section("worst", "The worst episodes", note, tables=listed))
+            sections += [self._film(row) for row in self.worst.head(self.films).to_dict("records")]
+        shown = self.worst if self.titles else self.results.rows
+        command = f"surefoot replay {self.folder} --case {int(shown['case'].iloc[0])}"
+        sections.append(Section("repeat", "Repeat any part", (flat(_REPEAT),), commands=(command,)))
+        introduction = (flat(_INTRODUCTION.format(cells=plan.cells)), flat(amount))
+        return write_page(self.folder / "index.html", "surefoot sweep", introduction, sections)
+
+    def _summary(self) -> Section:
+        path = figures.heat_maps(self._path("heat"), self.rows, self.titles)
+        shown = () if self.half is None else (self.half,)
+        drawn = (ReportFigure(path, "Falls", _CAPTIONS["heat"]),)
+        return Section("summary", "In short", tables=shown, figures=drawn)
+
+    def _scenario(self, name: str) -> Section:
+        part = self.rows[self.rows["scenario"] == name]
+        severity = figures.against_severity(self._path(f"severity_{name}"), part)
+        standing = figures.survival_curves(self._path(f"survival_{name}"), part)
+        drawn = (
+            ReportFigure(severity, "Return and falls", _CAPTIONS["severity"]),
+            ReportFigure(standing, "Survival", _CAPTIONS["survival"]),
+        )
+        table = self.outcomes[name]
+        return Section(name, table.title, tables=(table,), figures=drawn)
+
+    def _film(self, row: dict[str, Any]) -> Section:
+        episode = Episode.from_json(row["spec"])
+        anchor, title = f"film-{episode.number}", f"Case {episode.number} on film"
+        path = self.folder / "films" / f"case{episode.number}.mp4"
+        try:
+            film_episode(path, episode, until=row["time"])
+        except OSError as error:
+            return Section(anchor, title, (f"There is no film: {error}",))
+        film = "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+        return Section(anchor, title, video=film, video_caption=_CAPTIONS["film"])
+
+    def _path(self, name: str) -> Path:
+        return self.folder / "figures" / f"{name}.svg"
+
+
+def _worst(rows: Frame, count: int) -> Frame:
+    """Return the earliest falls, and then the lowest returns: those of different tasks cannot be compared."""
+    order = ["fell", "time", "return", "case"]
+    return rows.sort_values(order, ascending=[False, True, True, True]).head(count)

@@ -1,0 +1,427 @@
+"""Evaluations: no episode is lost, taken for another, or credited to the wrong policy."""
+
+import json
+import shutil
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from surefoot.controllers import PolicyNetwork, Stabiliser, zero_action
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.episodes import episode as episodes
+from surefoot.experiments.episodes import evaluation_plan, run_episode, run_plan
+from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, check_episode
+from surefoot.experiments.episodes.plan import EpisodePlan
+from surefoot.experiments.episodes.rows import Origin, in_order, origins_of, read_episodes
+from surefoot.experiments.episodes.scenarios import scenario_named
+from surefoot.experiments.episodes.scores import controllers_of
+from surefoot.experiments.episodes.tables import score_table
+from surefoot.experiments.policy.card import own_scores, write_card
+from surefoot.experiments.policy.controllers import controller_hash, load_controller, trained_on
+from surefoot.experiments.policy.options import TRAINING_SEEDS
+from surefoot.experiments.policy.shipped import SHIPPED, shipped_policy
+from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.policy.view import make_task
+from surefoot.experiments.study.store import StudyError
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*unconventional shape")
+
+RUNNER = CliRunner()
+SHORT = {"stand_time": 0.1, "duration": 0.6, "payload_time": (0.1, 0.2)}
+WALK = {"speeds": (0.04,), "stand_time": 0.5, "duration": 1.0, "payload_time": (0.1, 0.2)}
+BALANCE = str(files("surefoot.experiments.policy") / "files" / "balance-true" / "policy.npz")
+
+
+def invented_frame() -> pd.DataFrame:
+    rows = [
+        {"controller": "clean", "feed": feed, "cop_input": "given", "scenario": "balance", "seed": seed,
+         "severity": float(feed != "true"), "return": mean + seed, "fell": False, "time": 9.0,
+         "cop_error": 0.01, "tracking": 0.02}
+        for feed, mean in (("true", 100.0), ("none", 50.0))
+        for seed in range(4)
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_episodes_are_read_or_refused(tmp_path):
+    frame = invented_frame()
+    path = tmp_path / "episodes.parquet"
+    frame.drop(columns="controller").to_parquet(path)
+    assert set(read_episodes(path)["controller"]) == {"policy"}
+    assert set(read_episodes(tmp_path, "shipped")["controller"]) == {"shipped"}
+    frame.to_parquet(path)
+    assert read_episodes(path)[frame.columns].equals(frame)
+    for wrong, text in (
+        (frame.drop(columns="return"), "lacks the column 'return'"),
+        (frame.assign(feed="sand"), "holds the feed 'sand'. Known: true, none"),
+        (frame.assign(**{"return": "much"}), "'return' holds no numbers"),
+        (frame.assign(controller=7), "column 'controller' holds 7 and not a name"),
+        (frame.assign(feed=[None, *frame["feed"][1:]]), "column 'feed' holds (None|nan) and not a name"),
+        (frame.assign(**{"return": np.nan}), "holds nan in its column 'return', which must be a finite"),
+        (frame.assign(**{"return": -np.inf}), "holds -inf in its column 'return'"),
+        (frame.assign(seed=frame["seed"] + 0.5), "'seed', which must be a whole number from 0"),
+        (frame.assign(seed=-1), "'seed', which must be a whole number from 0"),
+        (frame.assign(time=-1.0), "'time', which must be a finite number and not negative"),
+        (frame.assign(severity=np.inf), "'severity', which must be a finite number and not negative"),
+        (frame.assign(fell=2), "'fell', which must be true or false"),
+        (frame.assign(tracking=np.inf), "'tracking', which must be a finite number and not negative"),
+    ):
+        wrong.to_parquet(path)
+        with pytest.raises(ValueError, match=text):
+            read_episodes(path)
+    frame.assign(tracking=np.nan, seed=frame["seed"].astype(float), fell=0).to_parquet(path)
+    assert read_episodes(path)[frame.columns].equals(frame.assign(tracking=np.nan))
+    frame.assign(controller=["", *frame["controller"][1:]]).to_parquet(path)
+    assert list(read_episodes(path)["controller"].unique()) == ["policy", "clean"]
+    with pytest.raises(ValueError, match="episodes of policy, clean, which cannot all be called 'mine'"):
+        read_episodes(path, "mine")
+    path.write_bytes(b"PAR1 and no more")
+    with pytest.raises(ValueError, match="no table of Parquet, or is damaged"):
+        read_episodes(path)
+    with pytest.raises(ValueError, match="There is no file of episodes"):
+        read_episodes(tmp_path / "nowhere")
+
+
+def test_episodes_of_earlier_versions_are_read_under_the_names_of_today(tmp_path):
+    frame = invented_frame().assign(feed=["true"] * 4 + ["bench", "surefoot", "none", "none"], severity=2.0)
+    old = frame.assign(cop_input="felt").rename(columns={"return": "total", "scenario": "task"})
+    old.to_parquet(tmp_path / "episodes.parquet")
+    read = read_episodes(tmp_path)
+    assert set(read["feed"]) == {"true", "none", "weights", "moment"}
+    assert set(read["cop_input"]) == {"given"}
+    assert set(read[read["feed"] == "true"]["severity"]) == {0.0}
+    assert read["return"].sum() == frame["return"].sum()
+    with pytest.raises(StudyError, match=r"holds results without a study\.json; give another folder"):
+        run_plan(evaluation_plan(("zero",)), tmp_path)
+    assert (tmp_path / "episodes.parquet").is_file()
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"feeds": ("sand",)}, "There is no feed 'sand'"),
+        ({"feeds": ("true", "true")}, "'feeds' holds 'true' twice"),
+        ({"controllers": ()}, "'controllers' is empty"),
+        ({"controllers": ("best",)}, "no controller 'best'. Available: 'zero', 'stabiliser', 'shipped'"),
+        ({"task": "dance"}, "There is no task 'dance'"),
+        ({"severities": (1.0, -1.0)}, "severity must be finite and not negative, got -1.0"),
+        ({"severities": ("1",)}, "severity must be finite and not negative, got '1'"),
+        ({"cop_inputs": ("given", "guessed")}, "'cop_inputs' must be of .*, got 'guessed'"),
+        ({"seeds": 2.5}, "'seeds' must be a whole number from 1 on, got 2.5"),
+        ({"seeds": 0}, "'seeds' must be a whole number from 1 on, got 0"),
+        ({"first_seed": -1}, "'first_seed' must be a whole number from 0 on, got -1"),
+        ({"first_seed": 999_999_999, "seeds": 2}, "seeds from 1000000000 on are training's"),
+        (
+            {"first_seed": TRAINING_SEEDS - DONOR - 1, "seeds": 2, "cop_inputs": ("given", "swapped")},
+            "'swapped' takes an episode 500000 further on",
+        ),
+        ({"task": "walk", "controllers": ("zero", BALANCE)}, "made for 'surefoot/NaoBalance-v0'"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_is(changes, text):
+    with pytest.raises(ValueError, match=text):
+        run_plan(evaluation_plan(**{"feeds": ("true", "none"), **changes}))
+
+
+def test_controllers_have_names(tmp_path):
+    env, _ = make_task("true", **SHORT)
+    assert isinstance(load_controller("stabiliser", env), Stabiliser)
+    for name, sensors in (("shipped", "true"), ("shipped-randomised", "randomised")):
+        policy = load_controller(name, env)
+        assert isinstance(policy, PolicyNetwork)
+        assert policy.notes["options"]["sensors"] == trained_on(name) == sensors
+    policy.save(tmp_path / "mine.npz")
+    layout = env.unwrapped.state_layout
+    env.close()
+    assert trained_on(str(tmp_path / "mine.npz")) == "randomised"
+    assert trained_on("zero") == trained_on(str(tmp_path / "gone.npz")) == ""
+    hashes = {
+        controller_hash(name, TASKS["balance"].env_id)
+        for name in ("zero", "shipped", "shipped-randomised", str(tmp_path / "mine.npz"))
+    }
+    # The same policy in another file is the same policy.
+    assert len(hashes) == 3
+    named = run_episode("stabiliser", "none", 3, **SHORT)
+    assert named["controller"] == "stabiliser"
+    given = run_episode(Stabiliser(layout), "none", 3, **SHORT)
+    assert (given["digest"], given["tracking"], given["controller"]) == (
+        named["digest"],
+        named["tracking"],
+        "",
+    )
+    assert run_episode("zero", "none", 3, **SHORT)["return"] != named["return"]
+
+
+def test_an_episode_is_scored_from_the_end_of_the_stand():
+    row = run_episode(zero_action, "true", 3, **SHORT)
+    assert row["time"] == pytest.approx(0.5)
+    assert row["cop_error"] == 0.0
+    assert 40.0 < row["return"] <= 120.0
+    assert row["digest"] == run_episode(zero_action, "true", 3, **SHORT)["digest"]
+    drifting = run_episode(zero_action, "none", 3, 2.0, **SHORT)
+    # Nobody acts on what is felt, so that nothing but the feeling differs.
+    assert drifting["return"] == pytest.approx(row["return"])
+    assert drifting["cop_error"] > 1e-3
+    with pytest.raises(ValueError, match="are training's"):
+        run_episode(zero_action, "true", TRAINING_SEEDS)
+    with pytest.raises(ValueError, match="'cop_input"):
+        run_episode(zero_action, "true", 0, cop_input="upside down")
+
+    class OfAnotherRobot(PolicyNetwork):
+        def __init__(self):
+            self.parts = {"state": 99}
+
+    with pytest.raises(ValueError, match="was trained on 'state'"):
+        run_episode(OfAnotherRobot(), "true", 0, **SHORT)
+
+
+@pytest.mark.parametrize("terminated", [True, False])
+def test_a_fall_within_the_quiet_stand_is_one_after_no_time(monkeypatch, terminated):
+    class Ends(gym.Wrapper):
+        """Ends with the third step."""
+
+        left = 3
+
+        def step(self, action):
+            observation, reward, _, _, info = self.env.step(action)
+            self.left -= 1
+            return observation, reward, terminated and not self.left, not (self.left or terminated), info
+
+    on_feet = episodes.on_feet
+
+    def make(*arguments):
+        env, tap = on_feet(*arguments)
+        return Ends(env), tap
+
+    monkeypatch.setattr(episodes, "on_feet", make)
+    row = run_episode(zero_action, "true", 3, **SHORT)
+    assert (row["fell"], row["time"], row["return"]) == (terminated, 0.0, 0.0)
+    assert np.isnan(row["tracking"])
+
+
+def test_what_is_done_to_the_input_reaches_the_policy_and_not_the_score():
+    given = {}
+    for cop_input in COP_INPUTS:
+        seen = []
+
+        def look(observation, seen=seen):
+            seen.append(observation["cop"].copy())
+            return zero_action(observation)
+
+        row = run_episode(look, "true", 3, cop_input=cop_input, **SHORT)
+        assert row["cop_error"] == 0.0
+        given[cop_input] = np.array(seen[-40:])
+    assert (given["frozen"] == given["frozen"][0]).all()
+    np.testing.assert_array_equal(given["frozen"][0], given["given"][0])
+    assert not np.array_equal(given["swapped"], given["given"])
+    assert not np.array_equal(given["shuffled"], given["swapped"])
+    np.testing.assert_array_equal(np.sort(given["shuffled"], axis=0), np.sort(given["swapped"], axis=0))
+
+
+def test_the_episode_that_is_taken_is_none_of_trainings():
+    with pytest.raises(ValueError, match="'shuffled' takes an episode 500000 further on"):
+        run_episode(zero_action, "true", TRAINING_SEEDS - DONOR, cop_input="shuffled", **SHORT)
+    last = run_episode(zero_action, "true", TRAINING_SEEDS - 1, cop_input="frozen", **SHORT)
+    assert last["time"] == pytest.approx(0.5)
+
+
+def test_a_shipped_policy_is_that_of_its_task_and_fits_it():
+    balance, walk = (controller_hash("shipped", TASKS[name].env_id) for name in ("balance", "walk"))
+    assert balance != walk
+    assert controller_hash("shipped") not in (balance, walk)
+    assert evaluation_plan(feeds=("true",)).files == {"shipped": balance}
+    for task, options in (("balance", SHORT), ("walk", WALK)):
+        for sensors in SHIPPED[task]:
+            policy = shipped_policy(sensors, task)
+            assert policy.notes["options"]["sensors"] == sensors
+            row = run_episode(policy, "true", 4, task=task, **options)
+            assert row["time"] == pytest.approx(options["duration"] - options["stand_time"])
+            assert not row["fell"]
+    with pytest.raises(ValueError, match="no shipped policy 'best' for the task 'balance'"):
+        shipped_policy("best")
+
+
+def test_a_policy_of_another_task_is_refused_though_it_fits(tmp_path):
+    balance, path = shipped_policy("true", "balance"), str(tmp_path / "mine.npz")
+    balance.save(path)
+    other = r"was made for 'surefoot/NaoBalance-v0', and this is 'surefoot/NaoCarry-v0'; .* --task balance"
+    with pytest.raises(ValueError, match=other):
+        run_episode(balance, "true", 3, task="walk", **WALK)
+    env, _ = make_task("true", task="walk", **WALK)
+    with pytest.raises(ValueError, match=f"Policy '{path}' {other}"):
+        load_controller(path, env, same_task=True)
+    # A sweep asks what a policy does where it was not made for.
+    assert isinstance(load_controller(path, env), PolicyNetwork)
+    check_episode(EpisodePlan((path,), ("true",), ("stand",), (1.0,), (0,)).episodes[0])
+    # Policies from elsewhere do not say what they were made for.
+    balance.notes = {"task": 7}
+    balance.save(path)
+    assert isinstance(load_controller(path, env, same_task=True), PolicyNetwork)
+    env.close()
+    balance.notes = {}
+    assert run_episode(balance, "true", 3, task="walk", **WALK)["time"] > 0.0
+
+
+def test_a_sweep_knows_the_tasks():
+    scenario = scenario_named("carry")
+    assert scenario.environment == TASKS["walk"].env_id
+    assert scenario.calibration_for("moment")["mass_change"] > 0.0
+    assert "mass_change" not in scenario.calibration_for("window")
+
+
+def test_seeds_are_paired_and_nothing_is_run_twice(invented):
+    plan = evaluation_plan(("zero",), ("true", "none"), (0.5, 1.0), seeds=2)
+    rows = in_order(run_plan(plan).rows)
+    assert len(rows) == len(invented) == 2 * (1 + 2)
+    assert [row[:2] for row in score_table(rows).rows] == [("true", "–"), ("none", "0.5"), ("none", "1")]
+
+
+def test_the_order_of_what_is_compared_makes_no_other_evaluation(tmp_path, invented):
+    first = evaluation_plan(("zero", "stabiliser"), ("true", "none"), (1.0, 2.0), seeds=2)
+    run_plan(first, tmp_path)
+    turned = evaluation_plan(("stabiliser", "zero"), ("none", "true"), (2.0, 1.0), seeds=2)
+    results = run_plan(turned, tmp_path)
+    assert results.computed == 0
+    assert len(invented) == 12
+    assert controllers_of(in_order(results.rows, ("zero", "stabiliser"))) == ["zero", "stabiliser"]
+    with pytest.raises(StudyError, match=r"controllers \['stabiliser', 'zero'\] and not \['zero'\].*; seeds"):
+        run_plan(evaluation_plan(("zero",), ("true", "none"), (1.0, 2.0), seeds=3), tmp_path)
+
+
+def test_the_command_compares_and_makes_a_page(tmp_path, invented, undrawn):
+    out = tmp_path / "out"
+    arguments = ["evaluate", "zero", "shipped", "--feed", "true", "--feed", "none", "--feed", "moment",
+                 "--seeds", "3", "--out", str(out)]  # fmt: skip
+    answer = RUNNER.invoke(app, arguments)
+    assert answer.exit_code == 0, answer.output
+    assert len(invented) == 18
+    assert list(pd.read_csv(out / "evaluation.csv")["controller"].unique()) == ["zero", "shipped"]
+    (out / "index.html").unlink()
+    assert RUNNER.invoke(app, arguments).exit_code == 0
+    assert (out / "index.html").is_file()
+    assert len(invented) == 18
+    answer = RUNNER.invoke(app, [*arguments, "--severity", "2"])
+    assert answer.exit_code == 2
+    assert "severities [1.0] and not [2.0]" in answer.output
+    page = tmp_path / "page"
+    answer = RUNNER.invoke(app, ["evaluate", "--page-of", f"shipped={out}", "--out", str(page)])
+    assert answer.exit_code == 2
+    assert "episodes of shipped, zero, which cannot all be called 'shipped'" in answer.output
+    answer = RUNNER.invoke(app, ["evaluate", *["--page-of", str(out)] * 2, "--out", str(page)])
+    assert answer.exit_code == 2
+    assert "is there twice; give controllers of different files different names" in answer.output
+    answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out), "--out", str(page)])
+    assert answer.exit_code == 0, answer.output
+    assert "shipped: trained on true feet" in (page / "index.html").read_text(encoding="utf-8")
+    answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out)])
+    assert "--page-of needs a folder" in answer.output
+    for option in (["zero"], ["--seeds", "50"], ["--feed", "true"], ["--uses-cop"], ["--task", "balance"]):
+        answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out), "--out", str(page), *option])
+        assert answer.exit_code == 2
+        name = "controllers" if option == ["zero"] else option[0]
+        assert f"--page-of runs nothing, and {name} says what to run" in answer.output
+    assert RUNNER.invoke(app, ["evaluate", "zero", "--feed", "true", "--seeds", "1"]).exit_code == 0
+
+
+@pytest.fixture
+def mine(tmp_path):
+    """A folder with a policy."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    shutil.copy(BALANCE, folder / "policy.npz")
+    return folder
+
+
+def scored(*arguments):
+    answer = RUNNER.invoke(app, ["evaluate", *arguments, "--feed", "true", "--seeds", "3"])
+    assert answer.exit_code == 0, answer.output
+    return answer.output
+
+
+def test_a_card_takes_the_scores_of_its_own_policy_alone(mine, invented, undrawn):
+    for others in (["zero"], ["shipped-randomised"]):
+        assert "Card" not in scored(*others, "--out", str(mine))
+        assert not (mine / "card.md").exists()
+        assert "None yet" in write_card(mine).read_text()
+        for path in mine.iterdir():
+            if path.is_file() and path.suffix not in (".npz", ".csv"):
+                path.unlink()
+    hint = f"`surefoot evaluate {mine / 'policy.npz'} --out {mine}` writes it here"
+    assert hint in write_card(mine).read_text()
+    output = scored("zero", str(mine / "policy.npz"), "--out", str(mine))
+    assert "Card" in output
+    text = (mine / "card.md").read_text(encoding="utf-8")
+    own = 100.0 + np.mean([np.sin(seed + 4) for seed in (20_000, 20_001, 20_002)])
+    assert f"| true | – | {own:.2f} ±" in text
+    assert "1100" not in text
+    assert "policy file" not in text
+    assert "the episodes of the seeds 20000 to 20002, the same for all rows" in text
+    # What an earlier policy left is none of a later one's.
+    shipped_policy("randomised").save(mine / "policy.npz")
+    assert "None yet" in write_card(mine).read_text()
+    for scores in (b"CoP fed back,return\ntrue,12\n", b"\xff\x00,"):
+        (mine / "evaluation.csv").write_bytes(scores)
+        assert "None yet" in write_card(mine).read_text()
+
+
+def test_what_is_shipped_has_the_scores_of_its_own_episodes():
+    for task, kinds in SHIPPED.items():
+        for sensors in kinds:
+            folder = Path(str(files("surefoot.experiments.policy") / "files" / f"{task}-{sensors}"))
+            own = own_scores(folder)
+            assert own is not None
+            assert set(own["task"]) == {task}
+            table = score_table(read_episodes(folder)).to_frame()
+            pd.testing.assert_frame_equal(own[table.columns].astype(object), table.astype(object))
+
+
+def test_a_page_says_what_a_policy_was_when_it_was_run(tmp_path, mine, invented, undrawn):
+    out, policy = tmp_path / "out", str(mine / "policy.npz")
+    scored(policy, "--out", str(out))
+    before = controller_hash(policy)
+    assert before == controller_hash("shipped", TASKS["balance"].env_id)
+    shipped_policy("randomised").save(policy)
+    known = origins_of(read_episodes(out))[policy]
+    assert (known.file, known.trained, known.runs) == (before, "true", True)
+    assert known.versions.startswith("surefoot ")
+    assert origins_of(read_episodes(out, "mine")) == {"mine": replace(known, runs=False)}
+    answer = RUNNER.invoke(app, ["evaluate", policy, "--feed", "true", "--seeds", "3", "--out", str(out)])
+    assert "holds another study: files" in answer.output.replace("\n", " ")
+    other = tmp_path / "other"
+    answer = RUNNER.invoke(app, ["evaluate", policy, "--feed", "none", "--seeds", "3", "--out", str(other)])
+    assert answer.exit_code == 0
+    both = ["evaluate", "--page-of", str(out), "--page-of", str(other), "--out", str(tmp_path / "page")]
+    assert "is not the same file everywhere" in RUNNER.invoke(app, both).output
+    # Of a file of an older version nothing is known but what the name says.
+    read_episodes(out)[list(invented_frame().columns)].to_parquet(tmp_path / "old.parquet")
+    assert origins_of(read_episodes(tmp_path / "old.parquet")) == {policy: Origin()}
+    assert origins_of(read_episodes(tmp_path / "old.parquet", "shipped"))["shipped"].trained == ""
+
+
+def test_a_policy_that_is_changed_while_it_is_evaluated_is_not_mixed_with_another(mine, monkeypatch):
+    policy = str(mine / "policy.npz")
+    whole = Path(policy).read_bytes()
+    ran, row = [], episodes.episode_row
+
+    def changes(episode):
+        if ran:
+            shipped_policy("randomised").save(policy)
+        ran.append(episode)
+        return row(replace(episode, options={**episode.options, **SHORT}))
+
+    monkeypatch.setattr(episodes, "episode_row", changes)
+    results = run_plan(evaluation_plan((policy,), ("true",), seeds=3), mine)
+    assert len(results.finished) == 1
+    assert results.failed["error"].str.contains("is another one than the study began with; put the old").all()
+    Path(policy).write_bytes(whole)
+    monkeypatch.setattr(
+        episodes, "episode_row", lambda one: row(replace(one, options={**one.options, **SHORT}))
+    )
+    assert run_plan(evaluation_plan((policy,), ("true",), seeds=3), mine, retry_failed=True).computed == 2
+    assert json.loads((mine / "study.json").read_text())["plan"]["controllers"] == [policy]
