@@ -72,6 +72,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     ``joint_velocity``, ``tilt`` and ``gyroscope`` become those of the newest packet of telemetry that has
     arrived; other environments' states are left as they are. Truth stays in ``info["surefoot"]["truth"]``.
 
+    A calibrator around it uses the attributes below, :attr:`raw`, :attr:`telemetry`, :meth:`listen` and
+    :meth:`true_parameters`, and nothing else.
+
     Sensors have a random stream of their own, seeded from the seed of the reset, so that the environment's
     trajectory is the bare one's, and the same seed under other wrappers is the same episode. A reset with a
     seed draws fresh sensors: other scales, offsets, clocks and biases. A reset without one keeps them, and

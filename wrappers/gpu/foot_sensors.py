@@ -24,8 +24,6 @@ from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, restored, saved_leaves
 
-__all__ = ["FootSensorsModule"]
-
 
 class FootSensorsModule(BatchModule):
     """Read the feet of N robots through load cells or six-axis sensors.

@@ -28,8 +28,6 @@ from torch import Tensor
 from surefoot.wrappers.gpu.batch import BatchModule, RobotIds
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 
-__all__ = ["modifier_class", "noise_model_class", "observation_term_class"]
-
 Feet = FootSensorsModule | Callable[[int, str], FootSensorsModule]
 """A module, or what makes one of the number of robots and the device when the manager asks for it."""
 

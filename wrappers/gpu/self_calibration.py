@@ -18,8 +18,6 @@ from surefoot.calibration._setup import method_name, setup_from_options
 from surefoot.calibration.select import put_back, select, update_frozen
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
 
-__all__ = ["SelfCalibrationModule"]
-
 
 class SelfCalibrationModule(BatchModule):
     """Calibrate the feet of N robots while they move.
