@@ -4,6 +4,8 @@
 * :func:`plan_excitation`: which posture or mass to take next.
 * :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
   Pucci and Nori, 2015).
+* :mod:`~surefoot.calibration.in_situ.validation` and :mod:`~surefoot.calibration.in_situ.bound`: how good a
+  calibrated sensor is, and how good one can be.
 """
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ

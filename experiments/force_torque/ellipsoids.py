@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from surefoot.experiments.force_torque.score import Ellipsoid, force_ellipsoid
+from surefoot.calibration.in_situ.validation import Ellipsoid, force_ellipsoid
 from surefoot.experiments.study.figures import Look, figure_at, legend_below
 
 __all__ = ["COUNTS", "FORCES", "Cloud", "Panel", "draw_ellipsoids"]

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
-from surefoot.experiments.force_torque.log import InSituLog
-from surefoot.experiments.force_torque.score import (
+from surefoot.calibration.in_situ.validation import (
     AddedMassEstimate,
     added_mass,
     expected_wrench,
@@ -17,6 +16,7 @@ from surefoot.experiments.force_torque.score import (
     motion_wrench,
     offset_of_set,
 )
+from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.study.tables import Table, number
 
 __all__ = [

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ import InSituOptions, calibrate_in_situ, estimate_matrix, estimate_offset
+from surefoot.calibration.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
-from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,
     moving_sets,

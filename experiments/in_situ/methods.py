@@ -17,7 +17,7 @@ from surefoot.calibration.in_situ import (
     estimate_matrix,
     estimate_offset,
 )
-from surefoot.experiments.force_torque.score import added_mass, offset_of_set, semi_axes
+from surefoot.calibration.in_situ.validation import added_mass, offset_of_set, semi_axes
 from surefoot.experiments.in_situ.instruments import SensorTruth
 
 __all__ = [

@@ -7,9 +7,9 @@ import pytest
 from rich.console import Console
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
+from surefoot.calibration.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ import cases, methods
-from surefoot.experiments.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.experiments.in_situ.cases import compare_with_bound, exact_errors, sweep_and_calibrate
 from surefoot.experiments.in_situ.claims import Limit, consistency, limits_of
 from surefoot.experiments.in_situ.instruments import (

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituSet, Limb
-from surefoot.envs.leg_rig.recording import record_rig
-from surefoot.experiments.force_torque.score import (
+from surefoot.calibration.in_situ.validation import (
     added_mass,
     expected_wrench,
     force_ellipsoid,
@@ -16,6 +15,7 @@ from surefoot.experiments.force_torque.score import (
     offset_of_set,
     semi_axes,
 )
+from surefoot.envs.leg_rig.recording import record_rig
 
 LIMB = Limb(4.7, 4.7 * np.array([0.012, 0.001, 0.19]))
 

@@ -12,14 +12,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb
+from surefoot.calibration._vectors import skew
+from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.model import STATIC
 
 __all__ = ["cramer_rao", "normalised_error", "offset_bounds"]
 
 Matrix = NDArray[np.float64]
-
-_LIMB = 4
-"""Unknowns of a limb at rest, (m, m c)."""
 
 
 def cramer_rao(sets: Sequence[InSituSet], response: Matrix, limb: Limb, noise: Matrix) -> Matrix:
@@ -38,7 +38,7 @@ def cramer_rao(sets: Sequence[InSituSet], response: Matrix, limb: Limb, noise: M
         ValueError: If the sets leave an unknown open.
     """
     k = len(response)
-    first = 6 * k + _LIMB
+    first = 6 * k + STATIC
     weight = np.linalg.inv(noise)
     information = np.zeros((first + len(sets) * k, first + len(sets) * k))
     for j, data in enumerate(sets):
@@ -71,7 +71,7 @@ def offset_bounds(bound: Matrix, response: Matrix, sets: int) -> Matrix:
     """
     k = len(response)
     C = np.linalg.pinv(response)
-    first = 6 * k + _LIMB
+    first = 6 * k + STATIC
     places = [slice(first + j * k, first + (j + 1) * k) for j in range(sets)]
     return np.array([C @ bound[place, place] @ C.T for place in places])
 
@@ -102,9 +102,8 @@ def normalised_error(fit: InSituFit, response: Matrix, offset: Matrix, limb: Lim
 
 
 def _gravity_map(mass: float, mass_com: NDArray[np.float64]) -> Matrix:
-    """M with w = M g (in-situ paper, Eqs. 3-5), shape (6, 3)."""
-    x, y, z = mass_com
-    return np.vstack([mass * np.eye(3), [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
+    """Return M with w = M g (in-situ paper, Eqs. 3-5), shape (6, 3)."""
+    return np.vstack([mass * np.eye(3), skew(mass_com)])
 
 
 def _units() -> list[tuple[float, NDArray[np.float64]]]:

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.in_situ import InSituSet, Limb
+from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.fit import Limb
 
 __all__ = [
     "AddedMassEstimate",
