@@ -40,7 +40,7 @@ LOADED = _NAMES[1:]
 """Loads that can be left out: without the bare one all masses are alike, and only a known base tells more."""
 
 _WIDE: Mapping[str, Any] = {
-    "misfit_tolerance": 1.0,
+    "residual_tolerance": 1.0,
     "mass_tolerance": 10.0,
     "scale_tolerance": 10.0,
     "axis_tolerance": 1e9,

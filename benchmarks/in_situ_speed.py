@@ -43,7 +43,7 @@ RATE = 100.0
 ACCELEROMETER_NOISE = 0.01
 """Standard deviation in m/s^2."""
 
-_WIDE: Mapping[str, Any] = {"misfit_tolerance": 0.5, "mass_tolerance": 0.5, "scale_tolerance": 0.5}
+_WIDE: Mapping[str, Any] = {"residual_tolerance": 0.5, "mass_tolerance": 0.5, "scale_tolerance": 0.5}
 """What is timed is the fit: short sets or one without hysteresis might be refused by the defaults."""
 
 

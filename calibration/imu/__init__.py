@@ -1,4 +1,4 @@
-"""What an IMU on a limb tells: its own errors, the limb's motion, and when the limb was at rest."""
+"""The IMU on a limb: its own errors, the limb's motion, and when the limb was at rest."""
 
 from surefoot.calibration.imu.accelerometer import (
     AccelerometerFit,

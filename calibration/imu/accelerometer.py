@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from surefoot.calibration._setup import check_value
-from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, refuse_narrow_gravity
+from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["AccelerometerFit", "AccelerometerModel", "calibrate_accelerometer"]
@@ -40,11 +40,38 @@ _UNKNOWNS = {"bias": 3, "bias-scale": 6, "full": 9}
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 """Where the unknowns of K stand: the diagonal, then K12, K13, K23."""
 
+_BIAS = slice(0, 3)
+"""Where b stands; the entries of K follow."""
+
 _TINY = 1e-12
-"""What a corrected reading of no size is taken for, so that it has a direction."""
+"""Size of a corrected reading at least, so that it has a direction."""
 
 _MOST_NOISE = 0.05
 """Spread of the readings about the ellipsoid, over gravity, above which the accelerometer was not at rest."""
+
+_ROUNDS, _SETTLED = 10, 0.01
+"""Rounds of the robust fit at most, and the relative change of the spread below which it ends."""
+
+_HUBER = 1.345
+"""Deviations beyond which samples pull no harder: 95 % efficient for normal noise (Huber, 1964)."""
+
+_MAD_TO_STD = 1.4826
+"""Standard deviations in a median absolute deviation of normal noise."""
+
+_LEAST_SPREAD = 1e-4
+"""Spread of the readings about the ellipsoid, over gravity, at least: data without noise have none."""
+
+_OUTLIER = 5.0
+"""Deviations beyond which a sample counts as moved."""
+
+_CONVERGED = 1e-15
+"""Relative change at which the last fit ends."""
+
+_FLAT = 0.05
+"""Least eigenvalue of a quadric of trace 3 at or below which it is no ellipsoid to start from."""
+
+_UNIT = (0.5, 2.0)
+"""Between these the median size of the readings must lie, over gravity."""
 
 _CURE = "Rest the accelerometer on further sides, such as all six of a cube and some between them."
 
@@ -71,7 +98,7 @@ class AccelerometerFit:
     gravity: float
 
     def correct(self, specific_force: ArrayLike) -> NDArray[np.float64]:
-        """Compute K (f - b) in the unit of gravity; at rest, g in the sensor's frame is its negative.
+        """Return K (f - b) in the unit of gravity; at rest, g in the sensor's frame is its negative.
 
         Args:
             specific_force: Readings, shape (..., 3).
@@ -90,7 +117,7 @@ def calibrate_accelerometer(
     minimum_spread: float = MINIMUM_SPREAD,
     tolerance: float = 1e-3,
 ) -> AccelerometerFit:
-    """Fit an accelerometer's bias, scale and skewness to readings at rest.
+    """Return an accelerometer's bias, scale and skewness by readings at rest.
 
     Args:
         specific_force: Readings at rest in many orientations, shape (n, 3), in about the unit of ``gravity``.
@@ -98,7 +125,7 @@ def calibrate_accelerometer(
             twice as many samples as unknowns.
         gravity: Size of gravity at the place in m/s^2, or 1.0 for readings in g.
         model: ``"bias"`` (3 unknowns), ``"bias-scale"`` (6) or ``"full"`` (9). Each needs orientations that
-            tell its unknowns; an unknown that is really there and not in the model goes into the others.
+            show its unknowns; an error that is really there and not in the model goes into the others.
         minimum_spread: Standard deviation of the readings along their least seen direction, over gravity's
             size, that is asked for.
         tolerance: Singular values at or below this share of the largest, with columns scaled to one length,
@@ -126,17 +153,17 @@ def calibrate_accelerometer(
     force = every[np.isfinite(every).all(axis=1)] / gravity
     dropped = len(every) - len(force)
     _check_samples(force, gravity, unknowns, dropped)
-    refuse_narrow_gravity(
+    check_gravity_spread(
         force - force.mean(axis=0), float(np.sqrt(len(force))), minimum_spread, "the bias across it", _CURE
     )
 
     start = _algebraic_start(force, unknowns)
     scale = _spread_of(_distances(start, force), unknowns)
-    for _ in range(10):
-        robust: dict[str, Any] = {"jac": _slopes, "loss": "huber", "f_scale": 1.345 * scale}
+    for _ in range(_ROUNDS):
+        robust: dict[str, Any] = {"jac": _slopes, "loss": "huber", "f_scale": _HUBER * scale}
         start = least_squares(_distances, start, args=(force,), **robust).x
         last, scale = scale, _spread_of(_distances(start, force), unknowns)
-        if abs(scale - last) <= 0.01 * last:
+        if abs(scale - last) <= _SETTLED * last:
             break
     if scale > _MOST_NOISE:
         raise CalibrationRefused(
@@ -146,11 +173,11 @@ def calibrate_accelerometer(
         )
     # Half of the samples lie within one deviation: of more than 2 p, enough are left for p unknowns. Of
     # fewer, none can be told to have moved.
-    still = np.abs(_distances(start, force)) <= 5.0 * scale
+    still = np.abs(_distances(start, force)) <= _OUTLIER * scale
     if len(force) <= 2 * unknowns:
         still[:] = True
     kept, gated = force[still], int(np.sum(~still))
-    plain: dict[str, Any] = {"jac": _slopes, "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+    plain: dict[str, Any] = {"jac": _slopes, "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
     solved = least_squares(_distances, start, args=(kept,), **plain)
     jacobian = _slopes(solved.x, kept)
     length = np.linalg.norm(jacobian, axis=0)
@@ -166,7 +193,7 @@ def calibrate_accelerometer(
     free = len(kept) - unknowns
     back = (right.T / singular) / length[:, None]
     # From readings in units of gravity to the caller's: b by g, while K keeps its size.
-    unit = np.where(np.arange(unknowns) < 3, gravity, 1.0)
+    unit = np.where(np.arange(unknowns) < _BIAS.stop, gravity, 1.0)
     return AccelerometerFit(
         bias=gravity * bias,
         matrix=K,
@@ -186,15 +213,15 @@ def calibrate_accelerometer(
 
 
 def _unpack(theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lay the unknowns out as b and K."""
+    """Return the unknowns as b and K."""
     K = np.eye(3)
-    known = len(theta) - 3
-    K[_ROWS[:known], _COLUMNS[:known]] = theta[3:]
-    return theta[:3], K
+    entries = theta[_BIAS.stop :]
+    K[_ROWS[: len(entries)], _COLUMNS[: len(entries)]] = entries
+    return theta[_BIAS], K
 
 
 def _distances(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of the readings from the ellipsoid to first order, (|K (f - b)| - 1) / |K'u|, shape (n,)."""
+    """Return the distances from the ellipsoid to first order, (|K (f - b)| - 1) / |K'u|, shape (n,)."""
     bias, K = _unpack(theta)
     corrected = (force - bias) @ K.T
     size = np.maximum(np.linalg.norm(corrected, axis=1), _TINY)
@@ -202,7 +229,7 @@ def _distances(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArra
 
 
 def _slopes(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Slopes of the distances by the unknowns, shape (n, p)."""
+    """Return the slopes of the distances by the unknowns, shape (n, p)."""
     bias, K = _unpack(theta)
     d = force - bias
     corrected = d @ K.T
@@ -211,8 +238,8 @@ def _slopes(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[n
     v = u @ K  # K'u, the slope of a = |K d| by the reading
     s = np.linalg.norm(v, axis=1, keepdims=True)
     q = v @ K.T
-    known = len(theta) - 3
-    i, j = _ROWS[:known], _COLUMNS[:known]
+    entries = len(theta) - _BIAS.stop
+    i, j = _ROWS[:entries], _COLUMNS[:entries]
     # For a change w of K d, a changes by u'w and s by (q'w - s^2 u'w) / (a s); K_ij turns v itself as well.
     of_a = np.hstack([-v, u[:, i] * d[:, j]])
     of_q = np.hstack([-q @ K, q[:, i] * d[:, j]])
@@ -222,18 +249,18 @@ def _slopes(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[n
 
 
 def _spread_of(residual: NDArray[np.float64], unknowns: int) -> float:
-    """Standard deviation of the residuals that the outliers do not move, at least 1e-4 of gravity."""
+    """Return the standard deviation of the residuals, which outliers do not move."""
     lost = np.sqrt(len(residual) / (len(residual) - unknowns))
-    return max(float(1.4826 * lost * np.median(np.abs(residual))), 1e-4)
+    return max(float(_MAD_TO_STD * lost * np.median(np.abs(residual))), _LEAST_SPREAD)
 
 
 def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.float64]:
-    """Fit the quadric's coefficients linearly; fall back on a sphere where it is no ellipsoid."""
+    """Return unknowns by a linear fit of a quadric, or of a sphere if that is no ellipsoid."""
     x, y, z = force.T
     square = np.sum(force**2, axis=1)
     # |f|^2 = 2 b'f + const: a sphere about b of any radius.
     sphere, *_ = np.linalg.lstsq(np.column_stack([2.0 * force, np.ones(len(force))]), square, rcond=None)
-    theta = np.concatenate([sphere[:3], np.eye(3)[_ROWS, _COLUMNS]])[:unknowns]
+    theta = np.concatenate([sphere[_BIAS], np.eye(3)[_ROWS, _COLUMNS]])[:unknowns]
     if unknowns == 3:
         return theta
     # f'Qf - 2 q'f + const = 0 with trace Q = 3; its terms beside |f|^2 are spread by what is no sphere.
@@ -247,7 +274,7 @@ def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.fl
     u, v, xy, xz, yz, _ = form
     Q = np.array([[1.0 + u, xy, xz], [xy, 1.0 + v, yz], [xz, yz, 1.0 - u - v]])
     linear, constant = solution[len(terms) : len(terms) + 3], solution[-1]
-    if np.linalg.eigvalsh(Q)[0] <= 0.05:
+    if np.linalg.eigvalsh(Q)[0] <= _FLAT:
         return theta
     centre = np.linalg.solve(Q, linear)
     # The mean of (f - centre)'Q (f - centre), by the normal equations: positive.
@@ -258,7 +285,7 @@ def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.fl
 
 
 def _check_samples(force: NDArray[np.float64], gravity: float, unknowns: int, dropped: int) -> None:
-    """Refuse too few samples, and readings in another unit."""
+    """Raise CalibrationRefused for too few samples, and for readings in another unit."""
     if len(force) <= unknowns:
         without = f" ({dropped} samples without a finite value left out)" if dropped else ""
         raise CalibrationRefused(
@@ -266,7 +293,7 @@ def _check_samples(force: NDArray[np.float64], gravity: float, unknowns: int, dr
             _CURE,
         )
     size = float(np.median(np.linalg.norm(force, axis=1)))
-    if not 0.5 <= size <= 2.0:
+    if not _UNIT[0] <= size <= _UNIT[1]:
         raise CalibrationRefused(
             f"The readings are {gravity * size:.3g} in size where gravity is {gravity:g}: they seem to be in "
             "another unit.",

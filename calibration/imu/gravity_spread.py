@@ -1,11 +1,11 @@
-"""Whether gravity was seen in enough directions; private."""
+"""How far gravity turned in the readings of an IMU."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["MINIMUM_SPREAD", "gravity_spread", "refuse_narrow_gravity"]
+__all__ = ["MINIMUM_SPREAD", "check_gravity_spread", "gravity_spread"]
 
 MINIMUM_SPREAD = 0.01
 """Standard deviation of gravity along its least seen direction over gravity's size, dimensionless.
@@ -22,7 +22,7 @@ _SEEN = (
 
 
 def gravity_spread(centred: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-    """Compute by how much of its size gravity spreads along its principal directions, the widest first, (3,).
+    """Return by how much of its size gravity spreads along its principal axes, the widest first, shape (3,).
 
     Args:
         centred: Gravity less its mean, shape (n, 3); any unit. Their triangular factor does as well.
@@ -34,10 +34,10 @@ def gravity_spread(centred: NDArray[np.float64], size: float) -> NDArray[np.floa
     return spread
 
 
-def refuse_narrow_gravity(
+def check_gravity_spread(
     centred: NDArray[np.float64], size: float, minimum: float, sought: str, cure: str
 ) -> None:
-    """Refuse vectors of gravity that do not spread in three dimensions.
+    """Raise CalibrationRefused if vectors of gravity do not spread in three dimensions.
 
     Args:
         centred: As for :func:`gravity_spread`.
@@ -54,6 +54,6 @@ def refuse_narrow_gravity(
     if rank < 3:
         raise CalibrationRefused(
             f"{_SEEN[rank]} (beside that it spread by {100.0 * spread[rank]:.2g} % of its size, and "
-            f"{100.0 * minimum:g} % are needed), so {sought} cannot be told.",
+            f"{100.0 * minimum:g} % are needed), so {sought} is not determined.",
             cure,
         )

@@ -23,7 +23,7 @@ __all__ = ["ImuMotion", "gravity_from_imu"]
 
 
 class ImuMotion(NamedTuple):
-    """What a limb's motion means to its sensor, in the sensor's frame at the sensor's origin.
+    """A limb's motion in the sensor's frame at the sensor's origin.
 
     Attributes:
         gravity: g - a in m/s^2, pointing down at rest, shape (n, 3).
@@ -46,7 +46,7 @@ def gravity_from_imu(
     window: int = 15,
     order: int = 3,
 ) -> ImuMotion:
-    """Carry an IMU's log to the sensor's origin.
+    """Return what an IMU's log means at the sensor's origin.
 
     Args:
         specific_force: What the accelerometer reads, calibrated, in the IMU's frame in m/s^2, shape (n, 3).

@@ -1,4 +1,4 @@
-"""Which samples of a log were at rest, and the filter before it (in-situ paper, II-B and IV).
+"""The samples of a log at rest, and the filter before them (in-situ paper, II-B and IV).
 
 The paper's model holds at rest. Its authors moved the limb slowly and filtered raw readings and accelerometer
 alike with a Savitzky-Golay filter of third order over 301 samples, 3 s at 100 Hz. The filter is zero-phase:
@@ -17,7 +17,7 @@ __all__ = ["savitzky_golay", "static_samples"]
 def savitzky_golay(
     signal: ArrayLike, window: int = 301, order: int = 3, *, derivative: int = 0, dt: float = 1.0
 ) -> NDArray[np.float64]:
-    """Smooth a log by local polynomials (in-situ paper, IV), or take its derivative.
+    """Return a log smoothed by local polynomials (in-situ paper, IV), or its derivative.
 
     Args:
         signal: Samples at a constant rate, shape (n, ...).
@@ -69,7 +69,7 @@ def static_samples(
     maximum_rate: float = 0.1,
     window: int = 31,
 ) -> NDArray[np.bool_]:
-    """Find the samples at which the limb was nearly at rest (in-situ paper, II-B, the main assumption).
+    """Return at which samples the limb was nearly at rest (in-situ paper, II-B, the main assumption).
 
     A sample counts as static if the size of the accelerometer's vector is close to its median, **and** if the
     limb turned slowly: by the gyroscope, or without one by the rate at which the filtered direction of

@@ -1,8 +1,9 @@
-r"""A set of thousands of samples as one small triangle; private.
+r"""A set of thousands of samples as one small triangle.
 
 The readings of a set follow :math:`r = A T u + \Gamma b(t) + e`: the response A to the wrench T u, an offset
-:math:`\Gamma b(t)` that drifts, and noise. One orthogonal
-triangularisation
+:math:`\Gamma b(t)` that drifts, and noise. The offset is a sum of the slowest cosines over the set's time,
+:math:`b_k(t) = \cos(\pi k t / T)`, the likeliest shapes of a random walk; faster ones would be taken for the
+limb's turning. One orthogonal triangularisation
 
 .. math::
     Q' [b \; u \; r] =
@@ -15,6 +16,7 @@ and :math:`R_{bb}, R_{bu}, R_{br}` give the offset afterwards. Nothing is square
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +30,30 @@ from surefoot.calibration.in_situ.options import InSituOptions
 __all__ = ["CompressedSet", "compress", "triangle"]
 
 Matrix = NDArray[np.float64]
+
+_GATE = 1e-9
+"""Probability that a sample of nothing but noise is left out."""
+
+_FLOOR = 1e-9
+"""Deviations below this share of a channel's spread are rounding, not noise."""
+
+_ROUNDS = 12
+"""Times that the weights are computed at most ..."""
+
+_SETTLED = 1e-3
+"""... until they change by less than this."""
+
+_MAD_TO_STD = 1.4826
+"""Standard deviations in a median absolute deviation of normal noise."""
+
+_ROWS = 2000
+"""Windows to whose means a set is reduced, if its limb turns slowly enough."""
+
+_WITHIN = 1e-3
+"""Share of the signals' spread that may be lost within windows."""
+
+_LEAST_DURATION = 8.0
+"""Time in s that a set must last for each cosine of its offset."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,28 +121,15 @@ class CompressedSet:
         return np.asarray(np.linalg.lstsq(self.uu, self.ur, rcond=None)[0].T)
 
     def leverage(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute R_bb'^-1 b, shape (d,), at a time: what an offset there takes from the rows.
-
-        Args:
-            at: b at that time, shape (d,).
-        """
+        """Return R_bb'^-1 b, shape (d,): what an offset at a time takes from the rows; ``at`` is b then."""
         return np.asarray(solve_triangular(self.bb, at, trans=1))
 
     def lever(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute the signals, shape (s,), by which an error of the response moves the offset at a time.
-
-        Args:
-            at: b at that time, shape (d,).
-        """
+        """Return the signals, shape (s,), by which an error of the response moves the offset at a time."""
         return np.asarray(self.bu.T @ self.leverage(at))
 
     def offset(self, predicted: Matrix, at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute the offset at a time, shape (k,).
-
-        Args:
-            predicted: A T, shape (k, s).
-            at: b at that time, shape (d,).
-        """
+        """Return the offset at a time, shape (k,), by A T, shape (k, s)."""
         return np.asarray(at @ solve_triangular(self.bb, self.br - self.bu @ predicted.T))
 
 
@@ -130,13 +143,13 @@ def compress(
     channel_lags: Sequence[Matrix] | None = None,
     like: Sequence["CompressedSet"] | None = None,
 ) -> tuple[CompressedSet, ...]:
-    """Triangularise sets, without the samples that are missing or disagree with all others.
+    """Return sets as triangles, without the samples that are missing or disagree with all others.
 
     Args:
         sets: The sets.
-        options: Whether to reject, and how offsets may drift.
-        moving: Whether the signals of a moving limb are to be used.
-        temperature: Whether the temperature is to be one more signal.
+        options: Whether to leave samples out, and how offsets may drift.
+        moving: Whether to use the signals of a moving limb.
+        temperature: Whether the temperature is one more signal.
         lags: Signals of the hysteresis of loads, shape (n, 6) each, or none.
         channel_lags: Those of the hysteresis of channels, shape (n, k) each, or none.
         like: The same sets, compressed before: the same samples take part, in the same windows.
@@ -168,8 +181,8 @@ def _triangularise(
     drift: int,
     width: int | None,
 ) -> CompressedSet:
-    mean = averages(u, data.raw, used, width)
-    basis, middle, end = offset_basis(data, mean.index, drift)
+    mean = _averages(u, data.raw, used, width)
+    basis, middle, end = _offset_basis(data, mean.place, drift)
     weighted = mean.weight[:, None] * np.concatenate([basis, mean.signals, mean.raw], axis=1)
     R = triangle(weighted)
     d = basis.shape[1]
@@ -192,78 +205,51 @@ def _triangularise(
         end=end,
         score=centred @ np.linalg.pinv(uu),
         residual=residual - centred @ slope,
-        index=mean.index,
+        index=mean.place,
         width=mean.width,
     )
 
 
 def _rejected(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples off a linear response and an offset that may bend a little over the set, shape (n,)."""
+    """Return which samples are off a linear response and an offset that may bend a little, shape (n,)."""
     rejected = np.zeros_like(whole)
     if not whole.any():
         return rejected
     varies = np.ptp(u[whole], axis=0) > 0.0
     span = np.linspace(-1.0, 1.0, len(u))
-    columns = np.column_stack([np.ones(len(u)), span, span**2, _standardised(u[:, varies], whole)])[whole]
+    u = u[:, varies]
+    standard = (u - u[whole].mean(axis=0)) / u[whole].std(axis=0)
+    columns = np.column_stack([np.ones(len(u)), span, span**2, standard])[whole]
     if len(columns) > 2 * columns.shape[1]:
-        rejected[whole] = outliers(columns, raw[whole])
+        rejected[whole] = _outliers(columns, raw[whole])
     return rejected
 
 
-def _standardised(u: Matrix, whole: NDArray[np.bool_]) -> Matrix:
-    return np.asarray((u - u[whole].mean(axis=0)) / u[whole].std(axis=0))
-
-
 def triangle(columns: Matrix) -> Matrix:
-    """Compute R of a QR decomposition with as many rows as columns, also when there are fewer samples."""
+    """Return R of a QR decomposition with as many rows as columns, also of fewer samples."""
     width = columns.shape[1]
     if len(columns) < width:
         columns = np.concatenate([columns, np.zeros((width - len(columns), width))])
     return np.asarray(np.linalg.qr(columns, mode="r"))
 
 
-_GATE = 1e-9
-"""Probability at which a sample of nothing but noise would be rejected."""
-
-_FLOOR = 1e-9
-"""Deviations below this share of a channel's spread are rounding, not noise."""
-
-_ROUNDS = 12
-
-_ROWS = 2000
-"""Means of windows that a set is reduced to, as far as it turns slowly enough."""
-
-_WITHIN = 1e-3
-"""Share of the signals' spread that may be lost within windows."""
-
-
-@dataclass(frozen=True, eq=False)
-class Averages:
-    """Means over windows of the samples that take part, m of them.
-
-    Attributes:
-        signals: Mean signals, shape (m, s).
-        raw: Mean readings, shape (m, k).
-        weight: Square roots of the numbers of samples, shape (m,).
-        index: Mean place of the samples in the set, shape (m,).
-        width: Samples of a window.
-    """
+class _Averages(NamedTuple):
+    """Means over windows of the samples that take part, m of them."""
 
     signals: Matrix
     raw: Matrix
     weight: NDArray[np.float64]
-    index: NDArray[np.float64]
+    """Square roots of the numbers of samples, shape (m,)."""
+    place: NDArray[np.float64]
+    """Mean place of the samples in the set, shape (m,)."""
     width: int
+    """Samples of a window."""
 
 
-def averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_], width: int | None) -> Averages:
-    """Average over windows in which the signals hardly change; the model is linear, so means follow it too.
+def _averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_], width: int | None) -> _Averages:
+    """Return means over windows in which the signals hardly change; the model is linear, so they follow it.
 
-    Args:
-        signals: Shape (n, s).
-        raw: Shape (n, k).
-        used: Which samples take part, shape (n,).
-        width: Samples of a window; as many as the signals allow if not given.
+    Without a width, windows are as wide as the signals allow.
     """
     place = np.flatnonzero(used)
     columns = np.concatenate([signals, raw], axis=1)
@@ -274,17 +260,17 @@ def averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_], width: int |
     mean = _means(columns, width)
     count = np.full(len(mean), width)
     count[-1] = len(place) - width * (len(mean) - 1)
-    return Averages(
+    return _Averages(
         signals=mean[:, :inputs],
         raw=mean[:, inputs:],
         weight=np.sqrt(count),
-        index=_means(place[:, None].astype(np.float64), width)[:, 0],
+        place=_means(place[:, None].astype(np.float64), width)[:, 0],
         width=width,
     )
 
 
 def _window(signals: Matrix) -> int:
-    """Longest window within which the signals hardly change."""
+    """Return the longest window within which the signals hardly change."""
     width = max(len(signals) // _ROWS, 1)
     total = np.var(signals, axis=0)
     moving = total > 0.0
@@ -296,22 +282,18 @@ def _window(signals: Matrix) -> int:
 
 
 def _means(columns: Matrix, width: int) -> Matrix:
-    """Means of windows of rows; the last window takes what is left over."""
+    """Return means of windows of rows; the last window takes what is left over."""
     windows = max(len(columns) // width, 1)
     whole = columns[: (windows - 1) * width].reshape(windows - 1, width, columns.shape[1])
     rest = columns[(windows - 1) * width :]
     return np.concatenate([whole.mean(axis=1), rest.mean(axis=0, keepdims=True)])
 
 
-def outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
-    """Find samples that disagree with all others, shape (n,).
+def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
+    """Return which samples disagree with all others, shape (n,).
 
     Least squares with Cauchy's weights finds what most samples agree on; what is left is held against its own
-    median. A clean set needs one look and no weights.
-
-    Args:
-        columns: What explains the readings, shape (n, c).
-        raw: Shape (n, k).
+    median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the readings.
     """
     floor = _FLOOR * np.std(raw, axis=0) + np.finfo(float).tiny
     weight = np.ones(len(columns))
@@ -320,35 +302,28 @@ def outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     for i in range(_ROUNDS):
         root = weight[:, None]
         residual = raw - columns @ np.linalg.solve(columns.T @ (root * columns), columns.T @ (root * raw))
-        deviation = np.maximum(1.4826 * np.median(np.abs(residual), axis=0), floor)
+        deviation = np.maximum(_MAD_TO_STD * np.median(np.abs(residual), axis=0), floor)
         distance = np.sum((residual / deviation) ** 2, axis=1)
         if i == 0 and not (distance > limit).any():
             break
         before, weight = weight, 1.0 / (1.0 + distance / raw.shape[1])
-        if np.max(np.abs(weight - before)) < 1e-3:
+        if np.max(np.abs(weight - before)) < _SETTLED:
             break
     return np.asarray(distance > limit)
 
 
-_SHORTEST = 8.0
-"""Half periods in s that a set must hold for each cosine."""
-
-
-def offset_basis(
+def _offset_basis(
     data: InSituSet, index: NDArray[np.float64], drift: int
 ) -> tuple[Matrix, NDArray[np.float64], NDArray[np.float64]]:
-    """Compute b, shape (m, d), and its values at the middle and the end of the set, (d,) each.
+    """Return b at places in the set, shape (m, d), and at the middle and the end of it, (d,) each.
 
-    Args:
-        data: The set.
-        index: Places in the set at which to compute it, shape (m,).
-        drift: Number of cosines; a set without times or a short one has fewer.
+    There are ``drift`` cosines at most, fewer in a short set and none without times.
     """
     share = np.zeros(len(index))
     modes = 0
     if data.time is not None and len(data.time) > 1:
         duration = data.time[-1] - data.time[0]
-        modes = min(drift, int(duration / _SHORTEST))
+        modes = min(drift, int(duration / _LEAST_DURATION))
         share = (np.interp(index, np.arange(len(data.time)), data.time) - data.time[0]) / duration
     places = np.concatenate([share, [0.5, 1.0]])
     basis = np.cos(np.pi * places[:, None] * np.arange(modes + 1))

@@ -1,4 +1,4 @@
-r"""How sure an in-situ calibration is; private.
+r"""The covariance of an in-situ calibration, and of its noise.
 
 The curvature of the fit, :math:`(J' J)^{-1}` in whitened readings, is the covariance if the noise is white.
 Hysteresis, drift and a limb that is not quite rigid are not, so it is raised by the largest of three ratios:
@@ -16,8 +16,16 @@ from scipy.stats import chi2
 
 from surefoot.calibration._vectors import skew
 from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.model import STATIC
-from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, of_unit_length, transforms
+from surefoot.calibration.in_situ.fit import FitColumns
+from surefoot.calibration.in_situ.model import AXES, DIRECT, STATIC
+from surefoot.calibration.in_situ.solve import (
+    ROUNDING,
+    Problem,
+    Solution,
+    loop_shares,
+    of_unit_length,
+    transforms,
+)
 
 __all__ = [
     "fit_covariance",
@@ -32,17 +40,23 @@ __all__ = [
 Matrix = NDArray[np.float64]
 
 _CHANCE = 0.01
-"""A ratio that white noise exceeds at least this often says nothing."""
+"""Probability of a ratio by white noise alone from which on it says nothing."""
 
 _STRETCHES = (10, 30, 100)
-"""Into how many stretches a set is cut to see how its noise hangs together."""
+"""Into how many stretches a set is cut to see how its noise hangs together ..."""
+
+_ROWS_EACH = 10
+"""... if that leaves so many rows in each."""
+
+_IN_USE = 0.5
+"""Length below which a column of the orthonormal signals is one that never varied."""
 
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
 
 
 def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
-    """Covariance of a sample's noise, pooled over the sets, nearer to diagonal the fewer they are, (k, k)."""
+    """Return the covariance of a sample's noise, shape (k, k); few samples bring it near to diagonal."""
     scatter = np.sum([part.rr.T @ part.rr for part in sets], axis=0)
     freedom = max(sum(part.freedom for part in sets), 1)
     S = scatter / freedom
@@ -53,17 +67,14 @@ def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
 
 
 def whitening(sets: Sequence[CompressedSet]) -> Matrix:
-    """Compute W of the pooled noise, shape (k, k): W Sigma W' = 1."""
+    """Return W of the pooled noise, shape (k, k): W Sigma W' = 1."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
 
 def inflation(problem: Problem, solution: Solution, freedom: int) -> float:
-    """By how much the covariance is to be raised; a ratio that chance explains counts as one.
+    """Return the factor on the covariance; a ratio that chance explains counts as one.
 
-    Args:
-        problem: What was solved.
-        solution: What came out.
-        freedom: Rows of the sets less unknowns.
+    ``freedom`` is the number of rows of the sets less that of unknowns.
     """
     sets = float(np.sum(solution.residual**2)) / max(freedom, 1)
     between = sets if _beyond_chance(sets, freedom) else 1.0
@@ -71,12 +82,7 @@ def inflation(problem: Problem, solution: Solution, freedom: int) -> float:
 
 
 def persistence(sets: Sequence[CompressedSet], whitening: Matrix) -> float:
-    """By how much noise that hangs together in time weighs more than white noise; 1 if chance explains it.
-
-    Args:
-        sets: Compressed.
-        whitening: W, shape (k, k).
-    """
+    """Return how many times more than white noise the noise weighs; 1 if chance explains it."""
     ratios = [_between_stretches(sets, whitening, stretches) for stretches in _STRETCHES]
     return max([1.0, *(ratio for ratio, terms in ratios if _beyond_chance(ratio, terms))])
 
@@ -86,12 +92,12 @@ def _beyond_chance(ratio: float, terms: int) -> bool:
 
 
 def _between_stretches(sets: Sequence[CompressedSet], whitening: Matrix, stretches: int) -> tuple[float, int]:
-    """Scatter of the scores of stretches of time over that of white noise, and its degrees of freedom."""
+    """Return the scatter of the scores of stretches over that of white noise, and its degrees of freedom."""
     scatter, expected, terms = 0.0, 0.0, 0
     for part in sets:
-        if part.rows < 10 * stretches:
+        if part.rows < _ROWS_EACH * stretches:
             continue
-        score = part.score[:, np.linalg.norm(part.score, axis=0) > 0.5]
+        score = part.score[:, np.linalg.norm(part.score, axis=0) > _IN_USE]
         white = part.residual @ whitening.T
         edges = np.linspace(0, part.rows, stretches + 1).astype(int)
         for first, last in pairwise(edges):
@@ -105,24 +111,25 @@ def _between_stretches(sets: Sequence[CompressedSet], whitening: Matrix, stretch
 
 
 def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
-    """C of least variance, (A' S^-1 A)^-1 A' S^-1, shape (6, k): C A = 1."""
+    """Return C of least variance, (A' S^-1 A)^-1 A' S^-1, shape (6, k): C A = 1."""
     weighted = np.linalg.solve(noise, response)
     return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
 
 
 def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: float) -> Matrix:
-    """Covariance of (C row by row, the last set's offset at its end, m, m c), shape (7 k + 4, 7 k + 4).
+    """Return the covariance of (C row by row, the last set's offset at its end, m, m c), (7 k + 4, 7 k + 4).
 
     Args:
-        problem: What was solved.
-        solution: What came out.
+        problem: The problem.
+        solution: Its solution.
         noise: Covariance of a sample, shape (k, k).
         factor: The inflation.
     """
     channels, inputs = solution.response.shape
+    columns = FitColumns.of(channels)
     unit, size = of_unit_length(solution.jacobian)
     _, singular, right = np.linalg.svd(unit, full_matrices=False)
-    root = right.T / np.maximum(singular, 1e-13 * singular[0]) / size[:, None]
+    root = right.T / np.maximum(singular, ROUNDING * singular[0]) / size[:, None]
     linear = channels * inputs
     # From W A to A, row by row.
     unwhiten = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs))
@@ -132,74 +139,75 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     covariance = root @ root.T
     last = problem.sets[-1]
     leverage = last.leverage(last.end)
-    first = 6 * channels
-    covariance[first : first + channels, first : first + channels] += noise * (leverage @ leverage)
+    covariance[columns.offset, columns.offset] += noise * (leverage @ leverage)
     covariance = factor * covariance
     if problem.hysteresis or problem.channel_lags:
-        covariance[: first + channels, : first + channels] += _slope_doubt(problem, solution, noise)
+        of_matrix, of_offset = _slope_doubt(problem, solution, noise)
+        covariance[columns.matrix, columns.matrix] += of_matrix
+        covariance[columns.offset, columns.offset] += of_offset
     return np.asarray(covariance)
 
 
 def with_rows(covariance: Matrix, rows: Matrix) -> Matrix:
-    """Put covariances of the matrix's rows, shape (6, k, k), in the place of those that a fit had."""
-    changed, k = covariance.copy(), rows.shape[1]
+    """Return a fit's covariance with others of the matrix's rows, shape (6, k, k), in their place."""
+    changed, columns = covariance.copy(), FitColumns.of(rows.shape[1])
     for axis, row in enumerate(rows):
-        place = slice(axis * k, (axis + 1) * k)
+        place = columns.row(axis)
         changed[place] = changed[:, place] = 0.0
         changed[place, place] = row
     return changed
 
 
-def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
-    """Covariance of (C, o) for want of one slope: an axis gives way by s more for a swing twice as large."""
-    A = solution.response[:, :6]
+def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[Matrix, Matrix]:
+    """Return covariances of C and o for want of one slope: an axis gives by s more for twice the swing."""
+    A = solution.A
     C = weighted_inverse(A, noise)
     channels = len(A)
-    doubt = np.zeros((7 * channels, 7 * channels))
     last = problem.sets[-1]
     lever = last.lever(last.end)
-    load = (transforms(problem, solution.limb, solution.rotation)[-1] @ lever)[:6]
+    load = (transforms(problem, solution)[-1] @ lever)[:AXES]
     shares = loop_shares(problem, solution)
     if problem.hysteresis:
-        changes = [share * np.outer(A[:, a], np.eye(6)[a]) for a, share in enumerate(shares)]
+        changes = [share * np.outer(A[:, a], np.eye(AXES)[a]) for a, share in enumerate(shares)]
     else:
         changes = [share * np.outer(np.eye(channels)[c], A[c]) for c, share in enumerate(shares)]
+    of_matrix, of_offset = np.zeros((C.size, C.size)), np.zeros((channels, channels))
     for dA in changes:
-        of_matrix = (C @ dA @ C).ravel()
-        doubt[: 6 * channels, : 6 * channels] += np.outer(of_matrix, of_matrix)
-        doubt[6 * channels :, 6 * channels :] += np.outer(dA @ load, dA @ load)
-    return doubt
+        dC = (C @ dA @ C).ravel()
+        of_matrix += np.outer(dC, dC)
+        of_offset += np.outer(dA @ load, dA @ load)
+    return of_matrix, of_offset
 
 
 def _derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
-    """d(C, o, m, m c) by d(A row by row, phi, rotation)."""
-    A, channels = solution.response[:, :6], len(solution.response)
-    inputs, outer = problem.inputs, problem.outer
+    """Return d(C, o, m, m c) by d(A row by row, phi, rotation)."""
+    A, channels = solution.A, len(solution.response)
+    inputs, columns = problem.inputs, FitColumns.of(channels)
+    of_phi = channels * inputs
+    of_rotation = of_phi + problem.parameters
     C = weighted_inverse(A, noise)
     weighted = np.linalg.solve(noise, A)
-    steep = np.linalg.solve(A.T @ weighted, np.eye(6))
+    steep = np.linalg.solve(A.T @ weighted, np.eye(AXES))
     beyond = np.linalg.solve(noise, np.eye(channels) - A @ C)
-    D = np.zeros((7 * channels + STATIC, channels * inputs + outer))
+    slopes = np.zeros((columns.limb.stop, of_phi + problem.outer))
     last = problem.sets[-1]
     lever = last.lever(last.end)
-    T = transforms(problem, solution.limb, solution.rotation)[-1]
-    first = 6 * channels
+    T = transforms(problem, solution)[-1]
     for i in range(channels):
         for a in range(inputs):
             column = i * inputs + a
-            if a < 6:
+            if a < AXES:
                 dC = -np.outer(C[:, i], C[a]) + np.outer(steep[:, a], beyond[i])
-                D[:first, column] = dC.ravel()
-            D[first + i, column] = -(T @ lever)[a]
+                slopes[columns.matrix, column] = dC.ravel()
+            slopes[columns.offset.start + i, column] = -(T @ lever)[a]
     signals = lever[: problem.basis.shape[2]].copy()
-    signals[:3] = solution.rotation @ signals[:3]
-    for p, d in enumerate(problem.basis):
-        D[first : first + channels, channels * inputs + p] = -A @ d @ signals
+    signals[DIRECT] = solution.rotation @ signals[DIRECT]
+    for p, of_parameter in enumerate(problem.basis):
+        slopes[columns.offset, of_phi + p] = -A @ of_parameter @ signals
     if problem.rotation:
-        M = np.einsum("p,pws->ws", solution.limb + problem.added[-1], problem.basis[..., :3])
+        M = np.einsum("p,pws->ws", solution.limb + problem.added[-1], problem.basis[..., DIRECT])
         for axis in range(3):
-            turned = skew(np.eye(3)[axis]) @ signals[:3]
-            D[first : first + channels, -3 + axis] = -A @ M @ turned
-    for p in range(STATIC):
-        D[first + channels + p, channels * inputs + p] = 1.0
-    return D
+            turned = skew(np.eye(3)[axis]) @ signals[DIRECT]
+            slopes[columns.offset, of_rotation + axis] = -A @ M @ turned
+    slopes[columns.limb, of_phi : of_phi + STATIC] = np.eye(STATIC)
+    return slopes

@@ -1,4 +1,4 @@
-"""What in-situ calibration starts from: a limb's readings and gravity, one set for each added mass.
+"""Sets of readings for in-situ calibration: counts, gravity and motion, one set for each added mass.
 
 Conventions of this part of the library:
 
@@ -55,7 +55,7 @@ class InSituSet:
     name: str = "set"
 
     def __post_init__(self) -> None:
-        """Convert and check."""
+        """Convert all arrays to float64, and raise ValueError if they do not belong together."""
         raw = np.asarray(self.raw, dtype=np.float64)
         if raw.ndim != 2 or raw.shape[1] < 6:
             raise ValueError(f"'{self.name}': 'raw' must have shape (n, k) with k >= 6, got {raw.shape}.")
@@ -86,7 +86,7 @@ class InSituSet:
 
     @property
     def moves(self) -> bool:
-        """Whether the motion of the limb was recorded, so that it need not be at rest."""
+        """Whether the limb's motion was recorded: it need not be at rest then."""
         return self.angular_velocity is not None
 
     def _convert(self, name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> None:
@@ -98,20 +98,16 @@ class InSituSet:
         object.__setattr__(self, name, array)
 
 
-_LEAST = 0.3
-"""Standard deviation in K that a temperature must have within sets to tell its effect."""
+_LEAST_WARMING = 0.3
+"""Standard deviation in K that a temperature must have within sets to show its effect."""
 
 
 def about_one_temperature(
     sets: tuple[InSituSet, ...],
 ) -> tuple[tuple[InSituSet, ...], float | None, tuple[str, ...]]:
-    """Take the mean off the temperatures, or leave them out where they tell nothing.
+    """Return sets with temperatures less their mean, the mean in their unit, and warnings.
 
-    Args:
-        sets: With temperatures or without.
-
-    Returns:
-        The sets, the mean, None if the temperature is left out, and warnings.
+    Temperatures that tell nothing are left out; the mean is None then.
     """
     given = [data.temperature for data in sets if data.temperature is not None]
     if not given:
@@ -121,15 +117,12 @@ def about_one_temperature(
         missing = ", ".join(f"'{data.name}'" for data in sets if data.temperature is None)
         return without, None, (f"{missing} has no temperature, so that of the others was left out.",)
     within = float(np.sqrt(np.mean([np.nanvar(one) for one in given])))
-    if within < _LEAST:
-        return (
-            without,
-            None,
-            (
-                f"The temperature varies by {within:.2g} K within sets, too little to tell its effect "
-                f"({_LEAST} K): it was left out.",
-            ),
+    if within < _LEAST_WARMING:
+        warning = (
+            f"The temperature varies by {within:.2g} K within sets, too little to show its effect "
+            f"({_LEAST_WARMING} K): it was left out."
         )
+        return without, None, (warning,)
     mean = float(np.nanmean(np.concatenate(given)))
     centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
     return tuple(centred), mean, ()

@@ -1,7 +1,7 @@
-r"""Choose which postures and masses to calibrate with: those whose readings tell most.
+r"""Plans of which postures and masses to calibrate with: those whose readings bring most information.
 
 A reading y of a pose, linear in the unknowns :math:`\theta` with covariance P
-(:mod:`surefoot.calibration.in_situ.model`; whitened rows H, n samples averaged), tells of quantities q
+(:mod:`surefoot.calibration.in_situ.model`; whitened rows H, n samples averaged), informs of quantities q
 among them (what ``goal`` names), by the mutual information of Gaussian variables,
 
 .. math:: I(q; y) = \tfrac12 \log\frac{\det P_{qq}}{\det P_{qq}^+}
@@ -9,13 +9,13 @@ among them (what ``goal`` names), by the mutual information of Gaussian variable
     \qquad P_{|q} = P - P_{\cdot q} P_{qq}^{-1} P_{q \cdot},
 
 in nats: by how much the logarithm of the volume of q's uncertainty shrinks. All other unknowns are nuisances
-and share the reading. Every mass that hangs brings an offset of its own, as zeros jump from set to set, so
-the first poses of a new mass tell little: masses are compared by what ``block`` poses with each would tell
+and share the reading. Every mass that hangs brings an offset of its own, as offsets jump from set to set, so
+the first poses of a new mass bring little: masses are compared by what ``block`` poses with each would bring
 together (greedy, then each pose exchanged for the best beside the others: Fedorov, 1972), and the best
 block is taken, P is updated by it (:mod:`surefoot.calibration.moment.kalman`), and so on.
 
-Covariances do not depend on what will be read but, as the model is bilinear, on where A and the limb are
-thought to be. From a factory matrix alone a plan is good, not optimal: fit what was read and plan again.
+Covariances do not depend on what will be read but, as the model is bilinear, on the assumed A and
+limb. From a factory matrix alone a plan is good, not optimal: fit what was read and plan again.
 """
 
 from collections.abc import Sequence
@@ -26,10 +26,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration._setup import check_value
-from surefoot.calibration.in_situ.fit import InSituFit, Limb, error_covariance, refuse_refused
+from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, Limb, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,
-    GAINS,
+    MASS,
+    MOMENT,
+    RELATIVE_ERRORS,
     STATIC,
     LinearSensor,
     inertial_parameters,
@@ -51,21 +53,29 @@ __all__ = [
 
 Matrix = NDArray[np.float64]
 
-SHARED = GAINS + STATIC
-"""Unknowns that all sets share: D and the limb."""
+_RESPONSE = slice(0, RELATIVE_ERRORS)
+_LIMB = slice(_RESPONSE.stop, _RESPONSE.stop + STATIC)
+_SHARED = slice(0, _LIMB.stop)
+"""Places of D, of the limb and of both, which all sets share; behind them stands an offset for each mass."""
 
 GOALS = {
-    "calibration": slice(0, SHARED),
-    "matrix": slice(0, GAINS),
-    "limb": slice(GAINS, SHARED),
-    "mass": slice(GAINS, GAINS + 1),
-    "offset": slice(SHARED, SHARED),
+    "calibration": _SHARED,
+    "matrix": _RESPONSE,
+    "limb": _LIMB,
+    "mass": slice(_LIMB.start + MASS, _LIMB.start + MASS + 1),
+    "offset": slice(_SHARED.stop, _SHARED.stop),
 }
-"""What a plan can be for: matrix and limb, the matrix, the limb, its mass alone, or the offset of the first
-mass that is given."""
+"""Goals of a plan: matrix and limb, the matrix, the limb, its mass alone, or the offset of the first mass
+(behind the others, as wide as the sensor has channels)."""
 
 _SWEEPS = 4
-"""How often the poses of a block are exchanged at most."""
+"""Times that the poses of a block are exchanged at most."""
+
+_LEAST_STD = 1e-9
+"""Relative error of an axis at least, so that covariances have inverses."""
+
+_ANYWHERE = 1.0
+"""Standard deviation in m of a centre of mass that is not given."""
 
 
 class MassCandidate(NamedTuple):
@@ -85,7 +95,7 @@ class MassCandidate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ExcitationPrior:
-    """What is known before a plan.
+    """A sensor and its limb as they are known before a plan.
 
     Attributes:
         response: A in counts per N and N m, shape (k, 6).
@@ -108,44 +118,44 @@ class PlannedPose(NamedTuple):
     Attributes:
         orientation: Index of the orientation.
         mass: Index of the mass.
-        gain: What it adds to what those before it tell of the goal, in nats.
+        information: What it adds on the goal to those before it, in nats.
     """
 
     orientation: int
     mass: int
-    gain: float
+    information: float
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitationPlan:
-    """What to read, and what that will tell.
+    """Readings to take, and the information that they will bring.
 
     Attributes:
         poses: In the order of choice, a block with one mass after the other.
-        mass_gain: What the best block with each mass would tell of the goal to begin with, in nats, (M,).
-        pose_gain: What each single reading would tell then, in nats, shape (N, M).
+        mass_information: On the goal by the best first block with each mass, in nats, shape (M,).
+        pose_information: By each single reading then, in nats, shape (N, M).
         before: Covariance of (D, m, m c) before, shape (40, 40).
         after: And after all poses.
-        total: What all poses tell of the goal together, in nats.
+        total: Information of all poses on the goal together, in nats.
     """
 
     poses: tuple[PlannedPose, ...]
-    mass_gain: NDArray[np.float64]
-    pose_gain: Matrix
+    mass_information: NDArray[np.float64]
+    pose_information: Matrix
     before: Matrix
     after: Matrix
     total: float
 
     @property
     def ranked_masses(self) -> NDArray[np.intp]:
-        """Indices of the masses, the most telling block first, shape (M,)."""
-        return np.argsort(-self.mass_gain, kind="stable")
+        """Indices of the masses, that of the best block first, shape (M,)."""
+        return np.argsort(-self.mass_information, kind="stable")
 
     @property
     def ranked_poses(self) -> NDArray[np.intp]:
-        """Pairs (orientation, mass), the most telling single reading first, shape (N M, 2)."""
-        order = np.argsort(-self.pose_gain, axis=None, kind="stable")
-        return np.stack(np.unravel_index(order, self.pose_gain.shape), axis=1)
+        """Pairs (orientation, mass), the best single reading first, shape (N M, 2)."""
+        order = np.argsort(-self.pose_information, axis=None, kind="stable")
+        return np.stack(np.unravel_index(order, self.pose_information.shape), axis=1)
 
 
 def plan_excitation(
@@ -158,7 +168,7 @@ def plan_excitation(
     block: int = 4,
     samples: int = 100,
 ) -> ExcitationPlan:
-    """Propose what to read next.
+    """Return what to read next.
 
     Args:
         prior: A calibration, or what :func:`prior_from_factory` makes of a maker's matrix.
@@ -166,8 +176,8 @@ def plan_excitation(
         masses: Masses that can be hung, M of them, each a set with an offset of its own.
         count: Readings to propose.
         goal: What they are for, a key of :data:`GOALS`.
-        block: Readings with one mass before masses are compared anew; fewer than four cannot tell a new
-            set's offset from its load.
+        block: Readings with one mass before masses are compared again; fewer than four do not separate a
+            new set's offset from its load.
         samples: Samples that are averaged in each pose.
 
     Returns:
@@ -196,37 +206,35 @@ def plan_excitation(
     if not candidates:
         raise ValueError("Give at least one mass; MassCandidate(0.0) is the bare limb.")
     known = prior if isinstance(prior, ExcitationPrior) else prior_from_fit(prior)
-    first_offset = slice(SHARED, SHARED + len(known.response))
-    wanted = first_offset if goal == "offset" else GOALS[goal]
+    wanted = _offset_of(0, len(known.response)) if goal == "offset" else GOALS[goal]
     design = _Design(known, g, candidates, wanted, samples, block)
     P = design.start()
-    pose_gain = np.stack([design.gains(P, mass) for mass in range(len(candidates))], axis=1)
-    mass_gain: NDArray[np.float64] | None = None
+    pose_information = np.stack([design.information(P, mass) for mass in range(len(candidates))], axis=1)
+    mass_information = np.zeros(0)
     poses: list[PlannedPose] = []
     while len(poses) < count:
         size = min(block, count - len(poses))
         blocks = [design.block(P, mass, size) for mass in range(len(candidates))]
-        told = np.array([sum(pose.gain for pose in chosen) for chosen in blocks])
-        mass_gain = told if mass_gain is None else mass_gain
-        chosen = blocks[int(np.argmax(told))]
+        brought = np.array([sum(pose.information for pose in chosen) for chosen in blocks])
+        mass_information = mass_information if poses else brought
+        chosen = blocks[int(np.argmax(brought))]
         for pose in chosen:
             P = design.after(P, pose.orientation, pose.mass)
         poses.extend(chosen)
-    assert mass_gain is not None
     return ExcitationPlan(
         poses=tuple(poses),
-        mass_gain=mass_gain,
-        pose_gain=pose_gain,
+        mass_information=mass_information,
+        pose_information=pose_information,
         before=known.covariance,
-        after=P[:SHARED, :SHARED],
-        total=sum(pose.gain for pose in poses),
+        after=P[_SHARED, _SHARED],
+        total=sum(pose.information for pose in poses),
     )
 
 
 def prior_from_fit(
     fit: InSituFit, *, offset_force: float = 300.0, offset_torque: float = 5.0
 ) -> ExcitationPrior:
-    """Take up where a calibration ended.
+    """Return what a calibration knows.
 
     Args:
         fit: The calibration, also one that leans on a factory matrix.
@@ -236,8 +244,10 @@ def prior_from_fit(
     Raises:
         ValueError: If the fit was refused or a deviation is not positive.
     """
-    refuse_refused(fit, "A plan")
-    shared = error_covariance(fit)[len(fit.offset) :, len(fit.offset) :]
+    check_calibrated(fit, "A plan")
+    columns = ErrorColumns.of(len(fit.offset))
+    all_but_offset = slice(columns.response.start, columns.limb.stop)
+    shared = error_covariance(fit)[all_but_offset, all_but_offset]
     new = _checked_covariance(fit.response, offset_force, offset_torque)
     return ExcitationPrior(fit.response, fit.noise, fit.limb, shared, new)
 
@@ -246,7 +256,7 @@ def prior_from_factory(
     matrix: ArrayLike,
     limb: KnownLimb,
     *,
-    gain_std: float = 0.2,
+    scale_std: float = 0.2,
     cross_talk_std: float = 0.03,
     full_scale: tuple[float, float] = (1500.0, 35.0),
     noise_force: float = 0.1,
@@ -254,13 +264,13 @@ def prior_from_factory(
     offset_force: float = 300.0,
     offset_torque: float = 5.0,
 ) -> ExcitationPrior:
-    """Begin from a maker's matrix and a guess of the limb, before any reading.
+    """Return what is known before any reading, from a maker's matrix and a guess of the limb.
 
     Args:
         matrix: C in N and N m per count, shape (6, k).
-        limb: What is thought of the limb; an unknown centre of mass counts as the sensor's origin.
-        gain_std: How far each axis may be off, relative.
-        cross_talk_std: What one axis may feel of another, in shares of the full scales.
+        limb: What is assumed of the limb; an unknown centre of mass counts as the sensor's origin.
+        scale_std: Standard deviation of each axis's scale, relative.
+        cross_talk_std: Standard deviation of what one axis shows of another, in shares of the full scales.
         full_scale: Largest force in N and torque in N m.
         noise_force: Standard deviation of a sample in N.
         noise_torque: The same for torques in N m.
@@ -273,21 +283,21 @@ def prior_from_factory(
     C = np.asarray(matrix, dtype=np.float64)
     if C.ndim != 2 or C.shape[0] != AXES or not np.isfinite(C).all() or np.linalg.matrix_rank(C) < AXES:
         raise ValueError(f"'matrix' must be finite, of rank 6 and of shape (6, k), got shape {C.shape}.")
-    given = {"gain_std": gain_std, "noise_force": noise_force, "noise_torque": noise_torque}
+    given = {"scale_std": scale_std, "noise_force": noise_force, "noise_torque": noise_torque}
     for name, value in given.items():
         check_value(name, value, positive=True)
     check_value("cross_talk_std", cross_talk_std, positive=False)
     size = np.repeat(full_scale, 3)
-    std = np.where(np.eye(AXES, dtype=bool), gain_std, cross_talk_std * size[:, None] / size)
+    std = np.where(np.eye(AXES, dtype=bool), scale_std, cross_talk_std * size[:, None] / size)
     com = np.zeros(3) if limb.com is None else np.asarray(limb.com)
     response = np.asarray(np.linalg.pinv(C), dtype=np.float64)
     # m c = m times c: a mass that is off moves it along c.
     root = np.zeros((STATIC, STATIC))
-    root[:, 0] = limb.mass_std * np.concatenate([[1.0], com])
-    root[1:, 1:] = limb.mass * (limb.com_std if limb.com is not None else 1.0) * np.eye(3)
-    covariance = np.zeros((SHARED, SHARED))
-    covariance[:GAINS, :GAINS] = np.diag(np.maximum(std, 1e-9).ravel() ** 2)
-    covariance[GAINS:, GAINS:] = root @ root.T
+    root[:, MASS] = limb.mass_std * np.concatenate([[1.0], com])
+    root[MOMENT, MOMENT] = limb.mass * (limb.com_std if limb.com is not None else _ANYWHERE) * np.eye(3)
+    covariance = np.zeros((_SHARED.stop, _SHARED.stop))
+    covariance[_RESPONSE, _RESPONSE] = np.diag(np.maximum(std, _LEAST_STD).ravel() ** 2)
+    covariance[_LIMB, _LIMB] = root @ root.T
     return ExcitationPrior(
         response,
         _checked_covariance(response, noise_force, noise_torque),
@@ -295,6 +305,11 @@ def prior_from_factory(
         covariance,
         _checked_covariance(response, offset_force, offset_torque),
     )
+
+
+def _offset_of(mass: int, channels: int) -> slice:
+    """Return the places of the offset while a mass hangs."""
+    return slice(_SHARED.stop + channels * mass, _SHARED.stop + channels * (mass + 1))
 
 
 def _checked_covariance(response: Matrix, force: float, torque: float) -> Matrix:
@@ -317,17 +332,17 @@ class _Design:
     ) -> None:
         self._prior, self._masses = prior, masses
         k = len(prior.response)
-        self._size = size = SHARED + k * len(masses)
-        limb = np.concatenate([[prior.limb.mass], prior.limb.mass_com])
+        self._offsets = [_offset_of(index, k) for index in range(len(masses))]
+        self._size = size = self._offsets[-1].stop
+        limb = prior.limb.parameters[:STATIC]
         self._rows = []
-        for index, mass in enumerate(masses):
+        for own, mass in zip(self._offsets, masses, strict=True):
             check_value("mass", mass.mass, positive=False)
             added = inertial_parameters(float(mass.mass), np.asarray(mass.com, dtype=np.float64), False)
             sensor = LinearSensor(prior.response, prior.noise, limb + added)
             rows = np.zeros((len(gravity), k, size))
-            rows[..., :SHARED] = sensor.rows(gravity)
-            first = SHARED + k * index
-            rows[..., first : first + k] = sensor.whitening
+            rows[..., _SHARED] = sensor.rows(gravity)
+            rows[..., own] = sensor.whitening
             self._rows.append(rows)
         self._goal = goal
         self._variance = np.full(k, 1.0 / samples)
@@ -335,24 +350,22 @@ class _Design:
         self._spread = _spread(gravity, block)
 
     def start(self) -> Matrix:
-        """P before anything is read."""
-        k = len(self._prior.response)
+        """Return P before anything is read."""
         P = np.zeros((self._size, self._size))
-        P[:SHARED, :SHARED] = self._prior.covariance
-        for index, mass in enumerate(self._masses):
-            own = slice(SHARED + k * index, SHARED + k * (index + 1))
+        P[_SHARED, _SHARED] = self._prior.covariance
+        for own, mass in zip(self._offsets, self._masses, strict=True):
             P[own, own] = self._prior.new_offset if mass.offset_covariance is None else mass.offset_covariance
         return P
 
-    def gains(self, P: Matrix, mass: int) -> NDArray[np.float64]:
-        """I(q; y) of each orientation with a mass in nats, shape (N,)."""
+    def information(self, P: Matrix, mass: int) -> NDArray[np.float64]:
+        """Return I(q; y) of each orientation with a mass in nats, shape (N,)."""
         q = self._goal
         known = np.linalg.solve(P[q, q], P[q])
         rows = self._rows[mass]
         return np.asarray(0.5 * (self._volume(rows, P) - self._volume(rows, P - P[:, q] @ known)))
 
     def after(self, P: Matrix, orientation: int, mass: int) -> Matrix:
-        """P once a pose has been read."""
+        """Return P once a pose has been read."""
         rows = self._rows[mass][orientation]
         nothing = np.zeros(self._size)
         step = kalman_step(
@@ -361,18 +374,18 @@ class _Design:
         return np.asarray(step.covariance)
 
     def block(self, P: Matrix, mass: int, size: int) -> list[PlannedPose]:
-        """Choose poses with one mass, exchanged from a greedy and from an even start; the better of both."""
+        """Return poses with one mass, exchanged from a greedy and from an even start; the better of both."""
         greedy: list[int] = []
         reached = P
         for _ in range(size):
-            greedy.append(int(np.argmax(self.gains(reached, mass))))
+            greedy.append(int(np.argmax(self.information(reached, mass))))
             reached = self.after(reached, greedy[-1], mass)
         starts = [greedy] if size == 1 else [greedy, self._spread[:size]]
-        blocks = [self._told(P, mass, self._exchanged(P, mass, start)) for start in starts]
-        return max(blocks, key=lambda poses: sum(pose.gain for pose in poses))
+        blocks = [self._ordered(P, mass, self._exchanged(P, mass, start)) for start in starts]
+        return max(blocks, key=lambda poses: sum(pose.information for pose in poses))
 
     def _exchanged(self, P: Matrix, mass: int, start: list[int]) -> list[int]:
-        """Exchange each pose in turn for the best beside the others, until none changes."""
+        """Return poses after each was exchanged for the best beside the others, until none changes."""
         chosen = start.copy()
         for _ in range(_SWEEPS if len(chosen) > 1 else 0):
             before = chosen.copy()
@@ -380,15 +393,15 @@ class _Design:
                 beside = P
                 for other in chosen[:place] + chosen[place + 1 :]:
                     beside = self.after(beside, other, mass)
-                chosen[place] = int(np.argmax(self.gains(beside, mass)))
+                chosen[place] = int(np.argmax(self.information(beside, mass)))
             if chosen == before:
                 break
         return chosen
 
-    def _told(self, P: Matrix, mass: int, chosen: list[int]) -> list[PlannedPose]:
+    def _ordered(self, P: Matrix, mass: int, chosen: list[int]) -> list[PlannedPose]:
         poses = []
         for orientation in chosen:
-            poses.append(PlannedPose(orientation, mass, float(self.gains(P, mass)[orientation])))
+            poses.append(PlannedPose(orientation, mass, float(self.information(P, mass)[orientation])))
             P = self.after(P, orientation, mass)
         return poses
 
@@ -398,7 +411,7 @@ class _Design:
 
 
 def _spread(gravity: Matrix, count: int) -> list[int]:
-    """Orientations as far as can be from each other: each the farthest from those before it."""
+    """Return orientations far from each other: each the farthest from those before it."""
     chosen = [int(np.argmax(np.linalg.norm(gravity - gravity.mean(axis=0), axis=1)))]
     while len(chosen) < count:
         apart = np.linalg.norm(gravity[:, None] - gravity[chosen], axis=2).min(axis=1)

@@ -1,4 +1,16 @@
-"""How far to trust a factory matrix, by what predicts readings that the fit did not see; private."""
+r"""Fits that lean on a factory matrix, as far as that predicts readings that they have not seen.
+
+Where the data determine all, each axis of the factory's response counts as known to a share that
+cross-validation chooses (:func:`choose_shares`). One limb without added masses moves the readings in three
+directions only, and any matrix that is right on these fits. Among them the factory's is the one to stay close
+to, but not along directions in which nothing but noise is seen. So each axis a has its row from
+
+.. math:: \min_{C_a} \; \sum_i (C_a (r_i - o) - w_{a,i})^2 + \lambda_a n |C_a - C_a^{factory}|^2,
+
+where w follows from gravity and the limb's inertial parameters, and :math:`\lambda_a` from what predicts
+stretches of time that it has not seen (regularisation as by Andrade Chavez et al., 2016, here with a weight
+an axis; :func:`leaning_matrix`).
+"""
 
 from dataclasses import replace
 
@@ -7,9 +19,10 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.compress import CompressedSet, triangle
 from surefoot.calibration.in_situ.covariance import persistence
+from surefoot.calibration.in_situ.model import AXES
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
 
-__all__ = ["choose_shares", "information", "leaning_matrix", "stacked", "stretches"]
+__all__ = ["choose_shares", "information", "leaning_matrix"]
 
 Matrix = NDArray[np.float64]
 
@@ -17,27 +30,26 @@ _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)
 """How far an axis may be from the factory's, as shares of its response, from free to fixed."""
 
 _STEPS = (0.1, 10.0)
-"""By what each axis's share is then tried to differ from the common one."""
+"""Factors on the common share that are then tried for each axis."""
 
-FOLDS = 5
+_WEIGHTS = 10.0 ** np.arange(-6.0, 3.0)
+"""Weights of a row to choose from, in units of the readings' mean square."""
+
+_FOLDS = 5
 """Stretches of time into which a set is cut."""
 
 
 def information(response: Matrix, whitening: Matrix, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """One over the variance of an entry of each column of W A, shape (6,)."""
+    """Return one over the variance of an entry of each column of W A, shape (6,), by shares of its size."""
     size = np.sqrt(np.mean((whitening @ response) ** 2, axis=0))
     return np.asarray(1.0 / (shares * size) ** 2)
 
 
 def choose_shares(problem: Problem, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross-validate how far each axis may be from the factory matrix, shape (6,).
+    """Return how far each axis may be from the factory matrix by cross-validation, shape (6,).
 
     Each fold is a stretch of time of all sets: without a whole set the others would lean more than all do
-    together. One share for all axes is found first, then each axis's in turn.
-
-    Args:
-        problem: With the factory matrix.
-        start: Outer unknowns to start from.
+    together. One share for all axes is found first, then each axis's in turn. ``start`` holds outer unknowns.
     """
     folds = _folds(problem)
     scores: dict[tuple[float, ...], float] = {}
@@ -47,32 +59,32 @@ def choose_shares(problem: Problem, start: NDArray[np.float64]) -> NDArray[np.fl
             scores[shares] = sum(_held_out(fold, shares, start) for fold in folds)
         return scores[shares]
 
-    common: list[tuple[float, ...]] = [(share,) * 6 for share in _SHARES]
+    common: list[tuple[float, ...]] = [(share,) * AXES for share in _SHARES]
     best = min(common, key=score)
-    for axis in range(6):
+    for axis in range(AXES):
         tried = [(*best[:axis], best[axis] * step, *best[axis + 1 :]) for step in _STEPS]
         best = min([best, *tried], key=score)
     return np.array(best)
 
 
 def _folds(problem: Problem) -> list[tuple[Problem, Problem]]:
-    """Pairs of (what is fitted, what is predicted)."""
-    pieces = [stretches(part) for part in problem.sets]
+    """Return pairs of what is fitted and what is predicted."""
+    pieces = [_stretches(part) for part in problem.sets]
     folds = []
-    for fold in range(FOLDS):
-        rest = tuple(stacked([part for i, part in enumerate(of) if i != fold]) for of in pieces)
+    for fold in range(_FOLDS):
+        rest = tuple(_stacked([part for i, part in enumerate(of) if i != fold]) for of in pieces)
         folds.append((replace(problem, sets=rest), replace(problem, sets=tuple(of[fold] for of in pieces))))
     return folds
 
 
-def stretches(part: CompressedSet) -> list[CompressedSet]:
-    """The set in stretches of time, about the offset of the whole."""
+def _stretches(part: CompressedSet) -> list[CompressedSet]:
+    """Return a set in stretches of time, about the offset of the whole."""
     columns = np.concatenate([part.score @ part.uu, part.score @ part.ur + part.residual], axis=1)
-    return [_triangle(part, piece) for piece in np.array_split(columns, FOLDS)]
+    return [_triangle(part, piece) for piece in np.array_split(columns, _FOLDS)]
 
 
-def stacked(parts: list[CompressedSet]) -> CompressedSet:
-    """Put stretches of a set together."""
+def _stacked(parts: list[CompressedSet]) -> CompressedSet:
+    """Return stretches of a set as one."""
     rows = [
         np.block([[part.uu, part.ur], [np.zeros((len(part.rr), len(part.uu))), part.rr]]) for part in parts
     ]
@@ -85,44 +97,32 @@ def _triangle(part: CompressedSet, columns: Matrix) -> CompressedSet:
 
 
 def _held_out(fold: tuple[Problem, Problem], shares: tuple[float, ...], start: NDArray[np.float64]) -> float:
-    """Sum of squares of the whitened readings that the fit of the others leaves."""
+    """Return the sum of squares of the whitened readings that the fit of the others leaves."""
     fitted, held_out = fold
     assert fitted.prior_response is not None
     weight = information(fitted.prior_response, fitted.whitening, np.array(shares))
     solution = solve(replace(fitted, prior_information=weight), [start])
     left = 0.0
-    T = transforms(held_out, solution.limb, solution.rotation)
-    for part, transform in zip(held_out.sets, T, strict=True):
+    for part, transform in zip(held_out.sets, transforms(held_out, solution), strict=True):
         row = (part.uu @ transform.T @ solution.response.T - part.ur) @ held_out.whitening.T
         left += float(np.sum(row**2))
     return left
 
 
-_WEIGHTS = 10.0 ** np.arange(-6.0, 3.0)
-"""To choose from, in units of the readings' mean square."""
-
-
 def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tuple[Matrix, Matrix]:
-    """Compute C, shape (6, k), and the covariance of each of its rows, shape (6, k, k).
+    """Return C, shape (6, k), and the covariance of each of its rows, shape (6, k, k).
 
-    Args:
-        problem: The sets.
-        solution: Whose limb and rotation are taken.
-        factory: The factory matrix, shape (6, k).
+    The limb and the rotation are the solution's; ``factory`` is the factory matrix, shape (6, k).
     """
-    rows = [
-        _rows(part, transform, solution.response[:, 6:])
-        for part, transform in zip(
-            problem.sets, transforms(problem, solution.limb, solution.rotation), strict=True
-        )
-    ]
+    T = transforms(problem, solution)
+    rows = [_rows(part, one, solution.direct) for part, one in zip(problem.sets, T, strict=True)]
     level = np.mean(np.concatenate([readings for readings, _ in rows]) ** 2)
     eye = np.eye(factory.shape[1])
-    error = np.zeros((FOLDS, len(_WEIGHTS), 6))
-    for fold in range(FOLDS):
+    error = np.zeros((_FOLDS, len(_WEIGHTS), AXES))
+    for fold in range(_FOLDS):
         fitted, held_out = [], []
         for readings, wrenches in rows:
-            out = np.arange(len(readings)) * FOLDS // len(readings) == fold
+            out = np.arange(len(readings)) * _FOLDS // len(readings) == fold
             # The offset is not known of a stretch that was not seen.
             X, Y = readings - readings[~out].mean(axis=0), wrenches - wrenches[~out].mean(axis=0)
             fitted.append((X[~out], Y[~out]))
@@ -143,10 +143,9 @@ def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tup
 
 
 def _cautious(error: NDArray[np.float64]) -> NDArray[np.int_]:
-    """Choose the heaviest weight within a standard error of the best (Breiman et al., 1984), shape (6,).
+    """Return the heaviest weight within a standard error of the best (Breiman et al., 1984), shape (6,).
 
-    Args:
-        error: Squares of what is left of the folds, shape (folds, weights, 6).
+    ``error`` holds squares of what is left of the folds, shape (folds, weights, 6).
     """
     mean = error.mean(axis=0)
     best = np.argmin(mean, axis=0)
@@ -156,14 +155,14 @@ def _cautious(error: NDArray[np.float64]) -> NDArray[np.int_]:
     return np.asarray(len(mean) - 1 - np.argmax(allowed[::-1], axis=0))
 
 
-def _rows(part: CompressedSet, transform: Matrix, temperature: Matrix) -> tuple[Matrix, Matrix]:
-    """Readings and wrenches about their offset, (m, k) and (m, 6)."""
+def _rows(part: CompressedSet, transform: Matrix, direct: Matrix) -> tuple[Matrix, Matrix]:
+    """Return readings and wrenches about their offset, (m, k) and (m, 6)."""
     signals = part.score @ part.uu
-    heat = signals @ transform[6:].T @ temperature.T
-    return part.score @ part.ur + part.residual - heat, signals @ transform[:6].T
+    other = signals @ transform[AXES:].T @ direct.T
+    return part.score @ part.ur + part.residual - other, signals @ transform[:AXES].T
 
 
 def _normal_equations(rows: list[tuple[Matrix, Matrix]], factory: Matrix) -> tuple[Matrix, Matrix]:
-    """Mean square of the readings, (k, k), and of the readings by what the factory matrix leaves, (k, 6)."""
+    """Return the readings' mean square, (k, k), and that by what the factory matrix leaves, (k, 6)."""
     X, Y = (np.concatenate(part) for part in zip(*rows, strict=True))
     return X.T @ X / len(X), X.T @ (Y - X @ factory.T) / len(X)

@@ -1,16 +1,53 @@
-"""What in-situ calibration hands back."""
+"""The result of in-situ calibration, and where its unknowns stand in its covariance."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.model import AXES, GAINS, STATIC
+from surefoot.calibration.in_situ.model import AXES, MASS, RELATIVE_ERRORS, STATIC, limb_parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["InSituFit", "Limb", "error_covariance", "refuse_refused"]
+__all__ = ["ErrorColumns", "FitColumns", "InSituFit", "Limb", "check_calibrated", "error_covariance"]
 
 Matrix = NDArray[np.float64]
+
+
+class FitColumns(NamedTuple):
+    """Places in a fit's covariance: C row by row, the last set's offset, the limb's m and m c."""
+
+    matrix: slice
+    offset: slice
+    limb: slice
+
+    @classmethod
+    def of(cls, channels: int) -> "FitColumns":
+        """Return the places for a sensor of k channels."""
+        offset = AXES * channels
+        limb = offset + channels
+        return cls(slice(0, offset), slice(offset, limb), slice(limb, limb + STATIC))
+
+    def row(self, axis: int) -> slice:
+        """Return the places of one row of C."""
+        channels = self.limb.start - self.offset.start
+        return slice(axis * channels, (axis + 1) * channels)
+
+
+class ErrorColumns(NamedTuple):
+    """Places of a calibration's errors: the offset's, D row by row, the limb's, and what hysteresis adds."""
+
+    offset: slice
+    response: slice
+    limb: slice
+    lag: slice
+
+    @classmethod
+    def of(cls, channels: int) -> "ErrorColumns":
+        """Return the places for a sensor of k channels."""
+        limb = channels + RELATIVE_ERRORS
+        lag = limb + STATIC
+        return cls(slice(0, channels), slice(channels, limb), slice(limb, lag), slice(lag, lag + AXES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +69,11 @@ class Limb:
     def com(self) -> NDArray[np.float64]:
         """Centre of mass in the sensor's frame in m, shape (3,)."""
         return np.asarray(self.mass_com / self.mass)
+
+    @property
+    def parameters(self) -> NDArray[np.float64]:
+        """Inertial parameters phi: (m, m c) and, if it is known, I, shape (4,) or (10,)."""
+        return limb_parameters(self.mass, self.mass_com, self.inertia)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,21 +128,27 @@ class InSituFit:
     channel_hysteresis: NDArray[np.float64] | None = None
 
     @property
+    def columns(self) -> FitColumns:
+        """Places of the unknowns in the covariance."""
+        return FitColumns.of(len(self.offset))
+
+    @property
     def matrix_std(self) -> NDArray[np.float64]:
         """Standard deviation of each entry of C in N and N m per count, shape (6, k)."""
-        deviations = np.sqrt(np.diag(self.covariance)[: self.matrix.size])
-        return np.asarray(deviations.reshape(self.matrix.shape))
+        return np.asarray(self._std(self.columns.matrix).reshape(self.matrix.shape))
 
     @property
     def offset_std(self) -> NDArray[np.float64]:
         """Standard deviation of the last set's offset in counts, shape (k,)."""
-        first = self.matrix.size
-        return np.asarray(np.sqrt(np.diag(self.covariance)[first : first + len(self.offset)]))
+        return self._std(self.columns.offset)
 
     @property
     def limb_mass_std(self) -> float:
         """Standard deviation of the limb's mass in kg."""
-        return float(np.sqrt(self.covariance[-4, -4]))
+        return float(self._std(self.columns.limb)[MASS])
+
+    def _std(self, place: slice) -> NDArray[np.float64]:
+        return np.asarray(np.sqrt(np.diag(self.covariance)[place]))
 
     def wrench(
         self,
@@ -108,7 +156,7 @@ class InSituFit:
         offset: NDArray[np.float64] | None = None,
         temperature: float | NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
-        """Compute w = C (r - o) in N and N m (in-situ paper, Eq. 2).
+        """Return w = C (r - o) in N and N m (in-situ paper, Eq. 2).
 
         Args:
             raw: Counts, shape (..., k).
@@ -119,33 +167,28 @@ class InSituFit:
         Returns:
             What the limb exerts on the robot, at and in the sensor's frame, shape (..., 6).
         """
-        zero = self.offset if offset is None else np.asarray(offset)
+        o = self.offset if offset is None else np.asarray(offset)
         if temperature is not None and self.temperature_coefficient is not None:
             warmer = np.asarray(temperature, dtype=np.float64) - self.temperature_reference
-            zero = zero + warmer[..., None] * self.temperature_coefficient
-        return np.asarray((np.asarray(raw, dtype=np.float64) - zero) @ self.matrix.T)
+            o = o + warmer[..., None] * self.temperature_coefficient
+        return np.asarray((np.asarray(raw, dtype=np.float64) - o) @ self.matrix.T)
 
 
 def error_covariance(fit: InSituFit) -> Matrix:
-    r"""Covariance of (offset, D row by row, m, m c) by a fit, shape (k + 40, k + 40).
+    r"""Return the covariance of (offset, D row by row, m, m c) by a fit, shape (k + 40, k + 40).
 
     From that of the matrix: :math:`C' = (1 + D)^{-1} C` gives :math:`D = -\delta C A`.
     """
-    channels = len(fit.offset)
-    first = AXES * channels
-    turn = np.zeros((channels + GAINS + STATIC, first + channels + STATIC))
-    turn[:channels, first : first + channels] = np.eye(channels)
-    turn[channels : channels + GAINS, :first] = -np.kron(np.eye(AXES), fit.response.T)
-    turn[channels + GAINS :, first + channels :] = np.eye(STATIC)
+    of, to = fit.columns, ErrorColumns.of(len(fit.offset))
+    turn = np.zeros((to.limb.stop, of.limb.stop))
+    turn[to.offset, of.offset] = np.eye(len(fit.offset))
+    turn[to.response, of.matrix] = -np.kron(np.eye(AXES), fit.response.T)
+    turn[to.limb, of.limb] = np.eye(STATIC)
     return np.asarray(turn @ fit.covariance @ turn.T)
 
 
-def refuse_refused(fit: InSituFit, what: str) -> None:
-    """Refuse to begin from a fit that has no numbers.
-
-    Raises:
-        ValueError: If the fit was refused.
-    """
+def check_calibrated(fit: InSituFit, what: str) -> None:
+    """Raise ValueError if a fit has no numbers since it was refused."""
     if fit.result is FitResult.REFUSED:
         reason = str(fit.refusals[0]) if fit.refusals else ""
         raise ValueError(f"{what} needs a calibration, and this fit was refused. {reason}".rstrip())

@@ -1,12 +1,12 @@
-r"""Hysteresis as signals of a linear fit; private.
+r"""Hysteresis as signals of a linear fit.
 
 The spring element of a sensor lags behind its load, as wide a loop over a large swing as over a small one in
 proportion (Prandtl and Ishlinskii): its reading is the load and a share s of
 
 .. math:: p(x) = \sum_i P_{r_i}(x) - \kappa x, \qquad r_i = X 2^{-i},
 
-with play operators P of half-width :math:`r_i` and the largest amplitude X of the data. The loop gives s
-away, and s tells the rest: such an element gives way by s more for each doubling of the swing, so that a
+with play operators P of half-width :math:`r_i` and the largest amplitude X of the data. The loop shows s,
+and the rest follows from s: such an element gives way by s more for each doubling of the swing, so that a
 small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
 too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x over the data;
 this only says at which swing the matrix holds, at that of the data.
@@ -20,11 +20,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.covariance import whitening
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.model import signals
+from surefoot.calibration.in_situ.model import AXES, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, solve, transforms
 
@@ -36,7 +37,7 @@ _PLAYS = 8
 """The smallest loop that is followed is 2^-8 of the largest swing."""
 
 _SHARE_STD = 0.05
-"""Expected size of the shares; of an axis that no load reaches the share stays at zero."""
+"""Expected size of the shares; that of an axis that no load reaches stays at zero."""
 
 _LEADS = 0.3
 """A share this far below zero, as a part of the largest, is no hysteresis."""
@@ -48,24 +49,17 @@ _ROWS_EACH = 10
 """Rows that a set must have on average for each input of the response: few rows show loops in any noise."""
 
 _ROUNDS = 2
-"""The loads whose loops these are come from the fit itself."""
+"""Fits, as the loads whose loops these are come from the fit itself."""
 
 
 def with_hysteresis(
     sets: Sequence[InSituSet], problem: Problem, solution: Solution, options: InSituOptions
 ) -> tuple[Problem, Solution] | None:
-    """Fit again with loops of loads or of channels, whichever the readings make likelier, if any.
+    """Return the problem with loops of loads or of channels, whichever is likelier, and its solution.
 
-    Args:
-        sets: In the order of time.
-        problem: The problem without hysteresis.
-        solution: Its solution.
-        options: As for the compression.
-
-    Returns:
-        The problem and its solution: with six more parameters, the shares s of the loads' axes, behind the
-        limb's; or with a signal for each channel that acts on the readings directly. None if loops explain
-        too little.
+    Loops of loads are six more parameters, the shares s of the axes, behind the limb's; loops of channels are
+    a signal for each channel that acts on the readings directly. None if loops explain too little. The
+    problem and the solution that are given have no loops.
     """
     if sum(part.rows for part in problem.sets) < _ROWS_EACH * problem.inputs * len(problem.sets):
         return None
@@ -82,7 +76,7 @@ def _lags(shares: NDArray[np.float64]) -> bool:
 
 
 def _criterion(problem: Problem, solution: Solution) -> float:
-    """Minus twice the logarithm of the likelihood, with Schwarz's penalty for what was free to fit (1978)."""
+    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
     rows = sum(part.rows for part in problem.sets)
     unwhiten = np.linalg.inv(problem.whitening).T
     left = solution.residual @ unwhiten
@@ -96,22 +90,24 @@ def _criterion(problem: Problem, solution: Solution) -> float:
 def _of_loads(
     sets: Sequence[InSituSet], plain: Problem, solution: Solution, options: InSituOptions
 ) -> tuple[Problem, Solution]:
-    limb_root = np.zeros((len(plain.limb_root) + 6, plain.parameters + 6))
-    limb_root[:-6, :-6], limb_root[-6:, -6:] = plain.limb_root, np.eye(6) / _SHARE_STD
-    basis = np.zeros((plain.parameters + 6, 6, plain.basis.shape[2] + 6))
-    basis[:-6, :, :-6], basis[-6:, :, -6:] = plain.basis, np.eye(6)[:, :, None] * np.eye(6)[:, None, :]
+    limb_root = block_diag(plain.limb_root, np.eye(AXES) / _SHARE_STD)
+    p, _, s = plain.basis.shape
+    basis = np.zeros((p + AXES, AXES, s + AXES))
+    basis[:p, :, :s] = plain.basis
+    # Each axis's lag, times its share, adds to the wrench along that axis.
+    basis[p:, :, s:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
     problem = plain
-    start = np.concatenate([solution.limb, np.zeros(6), solution.outer[plain.parameters :]])
+    start = np.concatenate([solution.limb, np.zeros(AXES), solution.outer[plain.parameters :]])
     for _ in range(_ROUNDS):
         lags = lag_signals(_loads(sets, problem, solution))
         parts = compress(sets, options, plain.moving, plain.temperature, lags=lags, like=plain.sets)
         problem = replace(
             plain,
             sets=parts,
-            added=np.pad(plain.added, ((0, 0), (0, 6))),
+            added=np.pad(plain.added, ((0, 0), (0, AXES))),
             whitening=whitening(parts),
             basis=basis,
-            limb=np.pad(plain.limb, (0, 6)),
+            limb=np.pad(plain.limb, (0, AXES)),
             limb_root=limb_root,
         )
         solution = solve(problem, [start])
@@ -125,7 +121,7 @@ def _of_channels(
     problem = plain
     for _ in range(_ROUNDS):
         loads = _loads(sets, problem, solution)
-        lags = lag_signals([load @ solution.response[:, :6].T for load in loads])
+        lags = lag_signals([load @ solution.A.T for load in loads])
         parts = compress(sets, options, plain.moving, plain.temperature, channel_lags=lags, like=plain.sets)
         channels = lags[0].shape[1]
         problem = replace(plain, sets=parts, channel_lags=channels, whitening=whitening(parts))
@@ -134,9 +130,9 @@ def _of_channels(
 
 
 def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> list[Matrix]:
-    """Wrenches that the limb and what was added exert, (n_j, 6) each; gaps keep the last one."""
+    """Return wrenches that the limb and what was added exert, (n_j, 6) each; the last one is held in gaps."""
     inputs = signals(sets[0], problem.moving).shape[1]
-    T = transforms(problem, solution.limb, solution.rotation)[:, :6, :inputs]
+    T = transforms(problem, solution)[:, :AXES, :inputs]
     loads = []
     for data, transform in zip(sets, T, strict=True):
         u = signals(data, problem.moving)
@@ -148,7 +144,7 @@ def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> l
 
 
 def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
-    """Sum the plays of each axis or channel, (n_j, a) each.
+    """Return the sums of the plays of each axis or channel, (n_j, a) each.
 
     Between turning points a play only follows, so that few samples of a slow sweep tell the rest.
     """
@@ -171,13 +167,13 @@ def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
 
 
 def lag_signals(wrenches: Sequence[Matrix]) -> list[Matrix]:
-    """Compute p of the loads of each set, axis by axis or channel by channel.
+    """Return p of the loads of each set, axis by axis or channel by channel.
 
     Args:
         wrenches: In the order of time, without gaps, shape (n_j, a) each.
 
     Returns:
-        p in the unit of the loads, shape (n_j, a) each, of no mean over a set: what is left is the offset's.
+        p in the unit of the loads, shape (n_j, a) each, of zero mean over a set: the mean is the offset's.
     """
     amplitude = np.max([np.ptp(wrench, axis=0) / 2.0 for wrench in wrenches], axis=0)
     slack = amplitude[:, None] * 0.5 ** np.arange(1, _PLAYS + 1)

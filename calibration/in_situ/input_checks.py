@@ -1,4 +1,4 @@
-"""Recordings that no calibration can come from; private."""
+"""Checks of recordings: what no calibration can come from."""
 
 from collections.abc import Sequence
 
@@ -18,8 +18,8 @@ __all__ = ["check_bending", "check_sets", "check_within"]
 _GRAVITY = (8.8, 10.8)
 """Between these the length of gravity must lie in m/s^2, with the bias that an accelerometer may have."""
 
-_SIZE = 0.01
-"""Share by which gravity's length may be off or spread without a word."""
+_LENGTH_OFF = 0.01
+"""Share by which gravity's length may be off or spread without a warning."""
 
 _TILT = 0.02
 """Gravity's direction must spread by this share of its length in all three directions."""
@@ -27,35 +27,34 @@ _TILT = 0.02
 _SATURATED = 0.002
 """Share of samples at an end of the converter that is taken for saturation."""
 
-_REJECTED = 0.05
-"""Share of samples that may disagree with all others ..."""
+_REJECTED, _REJECTED_MOVING = 0.05, 0.1
+"""Share of samples that may disagree with all others; the second where the limb moves, as the error of a
+differentiated gyroscope has long tails."""
 
-_REJECTED_MOVING = 0.1
-"""... and where the limb moves, as the error of a differentiated gyroscope has long tails."""
+_MOST_BENDS, _SOME_BENDS = 0.7, 0.2
+"""Share of the residual from which on bending explains it; the second after the fit, beside hysteresis."""
+
+_WORST = 2.0
+"""Rows that leave more than this multiple of the median are named."""
+
+_LEAST_SAMPLES = 4
+"""Whole samples that a set must have."""
 
 _CHANCE = 1e-4
 """Probability at which noise alone may seem to bend a limb."""
 
 _FEW = 30
-"""Rows below which nothing can be said of a limb that bends."""
+"""Rows below which bending does not show."""
 
-_BENDING_WITH_LOOPS = 0.35
-"""Share of the tolerated misfit that may go with gravity's squares while hysteresis may be part of it ..."""
-
-_BENDING = 0.1
-"""... and once it is not."""
+_BENDING, _BENDING_WITH_LOOPS = 0.1, 0.35
+"""Share of the tolerated residual that may go with gravity's squares; the second while hysteresis may be part
+of it."""
 
 
 def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool) -> tuple[str, ...]:
-    """Refuse readings that say nothing and gravity that shows too little.
+    """Return warnings, or raise CalibrationRefused for dead or saturated channels and for too little gravity.
 
-    Args:
-        sets: The sets.
-        options: Range of the converter.
-        leaning: Whether a factory matrix stands in for what gravity does not show.
-
-    Returns:
-        Warnings.
+    With ``leaning`` a factory matrix stands in for what gravity does not show.
     """
     factors, samples, lengths, warnings = [], 0, [], []
     for data in sets:
@@ -63,7 +62,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
         for one in (data.gravity, data.angular_velocity, data.angular_acceleration, data.temperature):
             if one is not None:
                 whole &= np.isfinite(one.reshape(len(whole), -1)).all(axis=1)
-        if np.sum(whole) < 4:
+        if np.sum(whole) < _LEAST_SAMPLES:
             raise CalibrationRefused(
                 f"'{data.name}': {np.sum(whole)} of {whole.size} samples are whole, and four are the least.",
                 "Check which columns hold no number, and record for longer.",
@@ -78,7 +77,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
                 "Give it in m/s^2 (1 g = 9.80665 m/s^2), and calibrate the accelerometer first.",
             )
         off = max(abs(lengths[-1] / GRAVITY - 1.0), float(np.std(sizes)) / GRAVITY)
-        if not data.moves and off > _SIZE:
+        if not data.moves and off > _LENGTH_OFF:
             warnings.append(
                 f"'{data.name}': gravity is {lengths[-1]:.2f} m/s^2 long and spreads by {np.std(sizes):.2f}; "
                 "calibrate the accelerometer first, or forces and offsets will be off by as much."
@@ -101,6 +100,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
 
 
 def _check_channels(data: InSituSet, options: InSituOptions) -> None:
+    """Raise CalibrationRefused if a channel is dead or saturated."""
     for channel, counts in enumerate(data.raw.T):
         counts = counts[np.isfinite(counts)]
         if len(counts) and np.ptp(counts) == 0.0:
@@ -116,14 +116,14 @@ def _check_channels(data: InSituSet, options: InSituOptions) -> None:
             raise CalibrationRefused(
                 f"'{data.name}': channel {channel} is saturated in {stuck:.1%} of the samples "
                 f"(at or beyond {low:g} or {high:g}).",
-                "Take the load off or set the hardware's zero anew: a clipped reading says nothing.",
+                "Take the load off or set the hardware's offset again: a clipped reading shows nothing.",
             )
 
 
 def check_within(
     sets: Sequence[InSituSet], parts: Sequence[CompressedSet], options: InSituOptions
 ) -> tuple[str, ...]:
-    """Refuse sets whose readings no rigid limb explains; say what was left out of the others."""
+    """Return which samples were left out, or raise CalibrationRefused if no rigid limb explains a set."""
     warnings = []
     for data, part in zip(sets, parts, strict=True):
         share = float(np.mean(part.rejected))
@@ -139,28 +139,24 @@ def check_within(
                 f"'{data.name}': {np.sum(part.rejected)} samples that disagree with all others were left out"
                 f"{_when(data, part.rejected)}."
             )
-        misfit = _misfit(data, part)
-        if misfit > options.misfit_tolerance:
+        left = _residual_share(data, part)
+        if left > options.residual_tolerance:
             bending = _bending(data, part)
-            raise _bends(data, bending) if bending > 0.7 * misfit else _unexplained(data, part, misfit)
+            raise _bends(data, bending) if bending > _MOST_BENDS * left else _unexplained(data, part, left)
     return tuple(warnings)
 
 
 def check_bending(
     sets: Sequence[InSituSet], parts: Sequence[CompressedSet], options: InSituOptions, loops: bool
 ) -> None:
-    """Refuse limbs that bend a little.
+    """Raise CalibrationRefused if a limb bends a little.
 
-    Args:
-        sets: The sets.
-        parts: Compressed.
-        options: What is tolerated.
-        loops: Whether hysteresis, which looks like it for a while, may still be in the readings.
+    With ``loops`` hysteresis, which looks like it for a while, may still be in the readings.
     """
-    limit = (_BENDING_WITH_LOOPS if loops else _BENDING) * options.misfit_tolerance
+    limit = (_BENDING_WITH_LOOPS if loops else _BENDING) * options.residual_tolerance
     for data, part in zip(sets, parts, strict=True):
         bending = _bending(data, part)
-        if bending > limit and bending > 0.2 * _misfit(data, part):
+        if bending > limit and bending > _SOME_BENDS * _residual_share(data, part):
             raise _bends(data, bending)
 
 
@@ -172,17 +168,21 @@ def _bends(data: InSituSet, share: float) -> CalibrationRefused:
     )
 
 
-def _misfit(data: InSituSet, part: CompressedSet) -> float:
-    """Share of the spread that gravity does not explain, without white noise where time tells it apart."""
-    spread = np.sum(part.ur**2) + np.sum(part.rr**2)
+def _residual_share(data: InSituSet, part: CompressedSet) -> float:
+    """Return the share of the spread that gravity does not explain, less white noise where time shows it."""
     left = float(np.sum(part.residual**2))
     if data.time is not None and part.rows > 1:
         left -= float(np.sum(np.diff(part.residual, axis=0) ** 2)) / 2.0
-    return float(np.sqrt(max(left, 0.0) / spread)) if spread > 0.0 else 0.0
+    return _share_of_spread(left, part)
+
+
+def _share_of_spread(square: float, part: CompressedSet) -> float:
+    spread = np.sum(part.ur**2) + np.sum(part.rr**2)
+    return float(np.sqrt(max(square, 0.0) / spread)) if spread > 0.0 else 0.0
 
 
 def _bending(data: InSituSet, part: CompressedSet) -> float:
-    """Share of the spread that goes with the squares of gravity's components, beyond what noise would."""
+    """Return the share of the spread that goes with gravity's squares, beyond what noise would."""
     if part.rows < _FEW:
         return 0.0
     g = data.gravity[part.index.astype(int)] / GRAVITY
@@ -194,16 +194,15 @@ def _bending(data: InSituSet, part: CompressedSet) -> float:
     terms, channels = squares.shape[1], part.residual.shape[1]
     by_chance = float(chi2.isf(_CHANCE, terms * channels)) / channels
     chance = left * by_chance / max(part.rows - basis.shape[1], 1)
-    spread = np.sum(part.ur**2) + np.sum(part.rr**2)
-    return float(np.sqrt(max(explained - chance, 0.0) / spread)) if spread > 0.0 else 0.0
+    return _share_of_spread(explained - chance, part)
 
 
-def _unexplained(data: InSituSet, part: CompressedSet, misfit: float) -> CalibrationRefused:
+def _unexplained(data: InSituSet, part: CompressedSet, share: float) -> CalibrationRefused:
     size = np.linalg.norm(part.residual / (np.std(part.residual, axis=0) + np.finfo(float).tiny), axis=1)
     worst = np.zeros_like(part.used)
-    worst[part.index.astype(int)[size > 2.0 * np.median(size)]] = True
+    worst[part.index.astype(int)[size > _WORST * np.median(size)]] = True
     return CalibrationRefused(
-        f"'{data.name}': {misfit:.1%} of the readings' spread follows gravity in no linear way"
+        f"'{data.name}': {share:.1%} of the readings' spread follows gravity in no linear way"
         f"{_when(data, worst)}.",
         "Something touched the limb, the motion was too fast or the sensor's hysteresis is large: record the "
         "set again, slowly and with the foot in the air.",
@@ -211,7 +210,7 @@ def _unexplained(data: InSituSet, part: CompressedSet, misfit: float) -> Calibra
 
 
 def _when(data: InSituSet, marked: NDArray[np.bool_]) -> str:
-    """Where most of the marked samples lie."""
+    """Return where most of the marked samples lie, in words."""
     if not marked.any():
         return ""
     first, last = np.quantile(np.flatnonzero(marked), [0.05, 0.95]).astype(int)

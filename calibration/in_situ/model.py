@@ -1,4 +1,4 @@
-r"""What hangs on the sensor, as a linear map of what the IMU saw; private.
+r"""What hangs on the sensor, as a linear map of what the IMU measured, and a sensor's small errors.
 
 With f = g - a at the sensor's origin, the angular velocity :math:`\omega` and acceleration
 :math:`\dot\omega` of the limb, all in the sensor's frame, Newton and Euler give the wrench that the limb
@@ -10,8 +10,17 @@ exerts through the sensor,
 
 which at rest is M(m, c) g (in-situ paper, Eqs. 3-5). It is linear in the signals
 :math:`u = (f, \dot\omega, \omega_i \omega_j)` and in the inertial parameters
-:math:`\varphi = (m, m c, I)`: :math:`w = T(\varphi) u` with :math:`T(\varphi) = \sum_p \varphi_p D_p`.
+:math:`\varphi = (m, m c, I)`: :math:`w = T(\varphi) u` with :math:`T(\varphi) = \sum_p \varphi_p T_p`.
 At rest the first three signals and the first four parameters are left.
+
+About a calibration (A, o) and a limb :math:`\varphi`, with relative errors D of the response,
+:math:`\delta o` of the offset and :math:`\delta\varphi` of the limb, a reading in the air is to first order
+
+.. math:: r = A (1 + D)\, T(\varphi + \delta\varphi)\, u + o + \delta o + e
+            \approx A w + o + A D w + A\, T(\delta\varphi)\, u + \delta o + e, \qquad w = T(\varphi)\, u.
+
+Readings are whitened by their noise, :math:`W \Sigma W' = 1`, so that rows are independent and of variance
+one (:class:`LinearSensor`). For k > 6 channels D moves A within the space that it spans.
 """
 
 from functools import cache
@@ -27,15 +36,22 @@ from surefoot.calibration.reference import GRAVITY
 
 __all__ = [
     "AXES",
-    "GAINS",
+    "DIRECT",
+    "ENOUGH_MASSES",
+    "MASS",
+    "MOMENT",
+    "MOVING",
     "PAIRS",
+    "RELATIVE_ERRORS",
     "STATIC",
     "LinearSensor",
+    "different_masses",
     "inertia_matrix",
     "inertial_parameters",
+    "limb_parameters",
     "offset_covariance",
-    "sensitivity",
     "signals",
+    "transform_basis",
 ]
 
 Array = Any
@@ -43,79 +59,105 @@ Array = Any
 
 Matrix = NDArray[np.float64]
 
-STATIC = 4
-"""Inertial parameters that show at rest: (m, m c)."""
+AXES = 6
+"""Components of a wrench."""
+
+RELATIVE_ERRORS = AXES * AXES
+"""Entries of D."""
+
+MASS, MOMENT, INERTIA = 0, slice(1, 4), slice(4, 10)
+"""Places of m, m c and I in the inertial parameters."""
+
+STATIC, MOVING = MOMENT.stop, INERTIA.stop
+"""Inertial parameters that show at rest, (m, m c), and in motion."""
+
+DIRECT, TURNING, PRODUCTS = slice(0, 3), slice(3, 6), slice(6, 12)
+"""Places of f, the angular acceleration and the products of angular velocities in the signals."""
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Order of the products of angular velocities, and of the inertia's entries."""
 
+ENOUGH_MASSES = 3
+"""Different added masses that a matrix needs (in-situ paper, Lemma 2)."""
+
+_NOISE_FLOOR = 1e-6
+"""Noise counts as at least this share of what the limb's weight does to a channel: a simulation may have
+none."""
+
 
 def signals(data: InSituSet, moving: bool) -> Matrix:
-    """Compute u of each sample, shape (n, 3) at rest and (n, 12) moving."""
+    """Return u of each sample, shape (n, 3) at rest and (n, 12) moving."""
     if not moving:
         return data.gravity
     rate, acceleration = data.angular_velocity, data.angular_acceleration
     if rate is None or acceleration is None:
-        return np.concatenate([data.gravity, np.zeros((len(data.gravity), 9))], axis=1)
+        still = np.zeros((len(data.gravity), PRODUCTS.stop - DIRECT.stop))
+        return np.concatenate([data.gravity, still], axis=1)
     products = np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=1)
     return np.concatenate([data.gravity, acceleration, products], axis=1)
 
 
 @cache
-def sensitivity(moving: bool) -> Matrix:
-    """D, shape (4, 6, 3) at rest and (10, 6, 12) moving: T = sum_p phi_p D_p."""
-    D = np.zeros((10, 6, 12))
-    D[0, :3, :3] = np.eye(3)
+def transform_basis(moving: bool) -> Matrix:
+    """Return T_p, shape (4, 6, 3) at rest and (10, 6, 12) moving: T = sum_p phi_p T_p."""
+    basis = np.zeros((MOVING, AXES, PRODUCTS.stop))
+    force, torque = slice(0, 3), slice(3, 6)
+    basis[MASS, force, DIRECT] = np.eye(3)
     for axis in range(3):
-        first_moment = np.eye(3)[axis]
-        D[1 + axis, 3:, :3] = skew(first_moment)
-        D[1 + axis, :3, 3:6] = skew(first_moment)
+        first_moment, of_moment = np.eye(3)[axis], basis[MOMENT][axis]
+        of_moment[torque, DIRECT] = skew(first_moment)
+        of_moment[force, TURNING] = skew(first_moment)
         # w x (w x c) = w (w . c) - c |w|^2
-        for signal, (i, j) in enumerate(PAIRS):
-            outer = np.zeros((3, 3))
-            outer[i, j] = outer[j, i] = 1.0
-            D[1 + axis, :3, 6 + signal] = -(outer @ first_moment - np.trace(outer) * first_moment)
-    for entry, (i, j) in enumerate(PAIRS):
-        inertia = np.zeros((3, 3))
-        inertia[i, j] = inertia[j, i] = 1.0
-        D[4 + entry, 3:, 3:6] = -inertia
+        for product, pair in enumerate(PAIRS):
+            outer = _symmetric(pair)
+            of_moment[force, PRODUCTS.start + product] = -(
+                outer @ first_moment - np.trace(outer) * first_moment
+            )
+    for of_entry, pair in zip(basis[INERTIA], PAIRS, strict=True):
+        inertia = _symmetric(pair)
+        of_entry[torque, TURNING] = -inertia
         # w x I w = sum of w_a w_b e_a x I e_b
-        for signal, (a, b) in enumerate(PAIRS):
+        for product, (a, b) in enumerate(PAIRS):
             turned = np.cross(np.eye(3)[a], inertia[:, b])
             if a != b:
                 turned = turned + np.cross(np.eye(3)[b], inertia[:, a])
-            D[4 + entry, 3:, 6 + signal] = -turned
-    D = D if moving else D[:STATIC, :, :3]
-    D.setflags(write=False)
-    return D
+            of_entry[torque, PRODUCTS.start + product] = -turned
+    basis = basis if moving else basis[:STATIC, :, DIRECT]
+    basis.setflags(write=False)
+    return basis
+
+
+def _symmetric(pair: tuple[int, int], value: float = 1.0) -> Matrix:
+    """Return a 3 x 3 matrix with one value at a place and at its mirror image."""
+    matrix = np.zeros((3, 3))
+    matrix[pair] = matrix[pair[::-1]] = value
+    return matrix
 
 
 def inertial_parameters(mass: float, com: NDArray[np.float64], moving: bool) -> NDArray[np.float64]:
-    """Compute phi of a compact body: (m, m c), and moving its inertia about the origin, (4,) or (10,)."""
-    static = np.concatenate([[mass], mass * com])
-    if not moving:
-        return static
-    inertia = mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return np.concatenate([static, [inertia[i, j] for i, j in PAIRS]])
+    """Return phi of a compact body: (m, m c), and moving its inertia about the origin, (4,) or (10,)."""
+    inertia = mass * (com @ com * np.eye(3) - np.outer(com, com)) if moving else None
+    return limb_parameters(mass, mass * com, inertia)
+
+
+def limb_parameters(
+    mass: float, moment: NDArray[np.float64], inertia: Matrix | None = None
+) -> NDArray[np.float64]:
+    """Return phi of (m, m c) and, if it is given, I, shape (4,) or (10,)."""
+    entries = [] if inertia is None else [inertia[pair] for pair in PAIRS]
+    return np.concatenate([[mass], moment, entries])
+
+
+def different_masses(added: Matrix) -> int:
+    """Return how many of the added bodies differ in mass or first moment, by (m, m c), shape (J, 4)."""
+    return len(np.unique(np.round(added, 9), axis=0))
 
 
 def inertia_matrix(parameters: NDArray[np.float64]) -> Matrix:
-    """Build I of phi's last six entries, shape (3, 3)."""
-    inertia = np.zeros((3, 3))
-    for value, (i, j) in zip(parameters[STATIC:], PAIRS, strict=True):
-        inertia[i, j] = inertia[j, i] = value
-    return inertia
-
-
-AXES = 6
-"""Components of a wrench."""
-
-GAINS = AXES * AXES
-"""Entries of D."""
-
-_NOISE_FLOOR = 1e-6
-"""Noise counts as at least this share of what the limb's weight does to a channel: a simulation may have
-none."""
+    """Return I of phi, shape (10,), as a matrix of shape (3, 3)."""
+    return np.asarray(
+        sum(_symmetric(pair, value) for pair, value in zip(PAIRS, parameters[INERTIA], strict=True))
+    )
 
 
 class LinearSensor:
@@ -135,7 +177,7 @@ class LinearSensor:
     def __init__(self, response: Matrix, noise: Matrix, parameters: NDArray[np.float64]) -> None:
         self.response = response
         self.inertia = len(parameters) > STATIC
-        weight = np.einsum("p,pws->ws", parameters[:STATIC], sensitivity(False)) * GRAVITY
+        weight = np.einsum("p,pws->ws", parameters[:STATIC], transform_basis(False)) * GRAVITY
         floor = _NOISE_FLOOR * np.linalg.norm(response @ weight, axis=1)
         self.whitening = np.linalg.inv(np.linalg.cholesky(noise + np.diag(floor**2)))
         self._maps = [
@@ -144,31 +186,32 @@ class LinearSensor:
                 np.moveaxis(basis[:STATIC], 0, 1).copy(),
                 self.whitening @ response,
             )
-            for basis in (sensitivity(False), sensitivity(True))[: 1 + self.inertia]
+            for basis in (transform_basis(False), transform_basis(True))[: 1 + self.inertia]
         ]
 
     def wrench(self, signals: Array) -> Array:
-        """Compute w = T u, shape (..., 6), from u, (..., 3) at rest and (..., 12) moving."""
+        """Return w = T u, shape (..., 6), from u, (..., 3) at rest and (..., 12) moving."""
         transform, _, _ = self._constants(signals)
         return (transform @ signals[..., None])[..., 0]
 
     def rows(self, signals: Array) -> Array:
-        """Build whitened rows by (D, m, m c), shape (..., k, 40)."""
+        """Return whitened rows by (D, m, m c), shape (..., k, 40)."""
         xp = namespace_of(signals)
         _, basis, whitened = self._constants(signals)
         w = self.wrench(signals)
-        gains = whitened[..., :, None] * w[..., None, None, :]
-        gains = xp.reshape(gains, (*w.shape[:-1], whitened.shape[0], GAINS))
+        relative = whitened[..., :, None] * w[..., None, None, :]
+        relative = xp.reshape(relative, (*w.shape[:-1], whitened.shape[0], RELATIVE_ERRORS))
         # (6, 4, s) by u: what a kilogram and a kilogram metre add to the wrench.
         limb = (basis @ signals[..., None, :, None])[..., 0]
-        return xp.concat([gains, whitened @ limb], axis=-1)
+        return xp.concat([relative, whitened @ limb], axis=-1)
 
     def _constants(self, signals: Array) -> tuple[Array, ...]:
-        return self._maps[int(signals.shape[-1] > 3)].like(signals)
+        moving = signals.shape[-1] > DIRECT.stop
+        return self._maps[int(moving)].like(signals)
 
 
 def offset_covariance(response: Matrix, force: float, torque: float) -> Matrix:
-    """Covariance in counts^2 of an offset that shows as a force and a torque on each axis, shape (k, k).
+    """Return the covariance in counts^2 of an offset that shows as a force and a torque, shape (k, k).
 
     Args:
         response: A in counts per N and N m, shape (k, 6).

@@ -1,6 +1,7 @@
-"""How an in-situ calibration is to be made."""
+"""Options of in-situ calibration and of its tracker, and what may be known of the limb."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +10,19 @@ from surefoot.calibration._setup import check_not_negative, check_positive
 
 __all__ = ["InSituOptions", "InSituTrackerConfig", "KnownLimb"]
 
+MOST_DRIFT = 8
+"""Most cosines along which an offset may drift: more would follow the limb's turning."""
+
+LEARN = ("offset", "axes", "matrix")
+"""What a tracker can estimate: the offset alone, with one relative factor for each axis, with all of D."""
+
+_MINUTE = 60.0
+"""In s."""
+
 
 @dataclass(frozen=True, eq=False)
 class KnownLimb:
-    """What is known of the limb beforehand, such as from a model of the robot or a pair of scales.
+    """What is known of the limb beforehand, such as from a model of the robot or from scales.
 
     Attributes:
         mass: m in kg.
@@ -30,28 +40,25 @@ class KnownLimb:
     com_std: float = 0.005
 
     def __post_init__(self) -> None:
-        """Check."""
-        for name in ("mass", "mass_std", "com_std"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"KnownLimb: '{name}' must be positive and finite, got {value!r}.")
+        """Raise ValueError if a value is not positive and finite."""
+        check_positive(self, "mass", "mass_std", "com_std")
         if self.com is not None:
             com = np.asarray(self.com, dtype=np.float64)
             if com.shape != (3,) or not np.all(np.isfinite(com)):
-                raise ValueError(f"KnownLimb: 'com' must be three finite numbers in m, got {self.com!r}.")
+                raise ValueError(f"'com' must be three finite numbers in m, got {self.com!r}.")
             object.__setattr__(self, "com", com)
 
 
 @dataclass(frozen=True)
 class InSituOptions:
-    """How an in-situ calibration is to be made."""
+    """Options of :func:`~surefoot.calibration.in_situ.calibrate_in_situ`."""
 
     drift: int = 1
     """Number of cosines over a set's time along which its offset may drift; 0 for none. Sets without times
     have none, and each cosine takes 8 s of a set."""
 
     robust: bool = True
-    """Whether samples that disagree with all others are weighted down (Tukey's biweight)."""
+    """Whether samples that disagree with all others are left out."""
 
     hysteresis: bool = True
     """Whether the sensor's hysteresis is part of the fit where sets have times and show it beyond chance."""
@@ -62,16 +69,16 @@ class InSituOptions:
 
     estimate_rotation: bool = False
     """Whether the rotation from the accelerometer's frame to the sensor's is unknown (in-situ paper, remark
-    of II-B). It shows through added masses at places known in the sensor's frame; limb at rest only."""
+    of II-B). Added masses at places known in the sensor's frame show it; limb at rest only."""
 
     code_range: tuple[float, float] | None = None
     """Lowest and highest count of the converter; channels that stay there are saturated."""
 
-    misfit_tolerance: float = 0.03
+    residual_tolerance: float = 0.03
     """Share of a set's spread that may be left unexplained before the set is refused."""
 
     mass_tolerance: float = 0.05
-    """Share of the largest added mass, or of its reach, by which readings may contradict what was added."""
+    """Share of the largest added mass, or of its lever, by which readings may contradict what was added."""
 
     scale_tolerance: float = 0.1
     """Standard deviation of the limb's mass, as a share of it, beyond which the scale counts as unknown."""
@@ -80,43 +87,35 @@ class InSituOptions:
     """Standard deviation of an axis, as a share of its load, beyond which it counts as unseen."""
 
     def __post_init__(self) -> None:
-        """Check."""
-        for name in ("misfit_tolerance", "mass_tolerance", "scale_tolerance", "axis_tolerance"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(f"'{name}' must be positive and finite, got {value!r}.")
-        if self.drift not in range(9):
-            raise ValueError(f"'drift' must be a whole number from 0 to 8, got {self.drift!r}.")
+        """Raise ValueError if a value has no meaning."""
+        check_positive(self, "residual_tolerance", "mass_tolerance", "scale_tolerance", "axis_tolerance")
+        if self.drift not in range(MOST_DRIFT + 1):
+            raise ValueError(f"'drift' must be a whole number from 0 to {MOST_DRIFT}, got {self.drift!r}.")
         stds = self.factory_std
         if stds is not None and (len(stds) != 6 or not all(value > 0.0 for value in stds)):
             raise ValueError(f"'factory_std' must hold six positive shares, one an axis, got {stds!r}.")
-        if self.code_range is not None and not self.code_range[0] < self.code_range[1]:
-            raise ValueError(f"'code_range' must be (lowest, highest), got {self.code_range!r}.")
-
-
-LEARN = ("offset", "axes", "matrix")
-"""What a tracker can estimate: the offset alone, with one relative factor an axis, with all of D."""
+        _check_code_range(self)
 
 
 @dataclass(frozen=True, kw_only=True)
 class InSituTrackerConfig:
-    """Options of the tracker; the defaults are those of strain gauges in a leg."""
+    """Options of :class:`~surefoot.calibration.in_situ.InSituTracker`, for strain gauges in a leg."""
 
     learn: str = "offset"
     """What is estimated: ``"offset"`` alone, ``"axes"`` with a relative factor for each axis, or
     ``"matrix"`` with all 36 relative errors of the response. The rest is considered."""
 
-    walk_force: float = 0.1 / 60.0**0.5
+    drift_force: float = 0.1 / _MINUTE**0.5
     """Random walk of the offset as the matrix shows it, in N/sqrt(s): 0.1 N per square root of a minute."""
 
-    walk_torque: float = 0.002 / 60.0**0.5
+    drift_torque: float = 0.002 / _MINUTE**0.5
     """The same for torques in N m/sqrt(s)."""
 
-    walk_gain: float = 5e-4 / 60.0**0.5
-    """Random walk of each axis's relative gain in 1/sqrt(s)."""
+    drift_scale: float = 5e-4 / _MINUTE**0.5
+    """Random walk of each axis's relative scale in 1/sqrt(s)."""
 
     since_fit_force: float = 0.5
-    """How far the offset may have moved along each axis since the calibration, in N: zeros jump from one
+    """How far the offset may have moved along each axis since the calibration, in N: offsets jump from one
     power-up to the next, on some sensors by hundreds."""
 
     since_fit_torque: float = 0.01
@@ -150,21 +149,18 @@ class InSituTrackerConfig:
     """Lowest and highest count of the converter; a reading with a channel there is not learnt from."""
 
     def __post_init__(self) -> None:
-        """Refuse values that have no meaning."""
+        """Raise ValueError if a value has no meaning."""
         if self.learn not in LEARN:
             raise ValueError(f"'learn' must be one of {LEARN}, got {self.learn!r}.")
         check_positive(self, "lag_angle", "gate", "reject")
-        check_not_negative(
-            self,
-            "walk_force",
-            "walk_torque",
-            "walk_gain",
-            "since_fit_force",
-            "since_fit_torque",
-            "added_mass",
-            "touch",
-        )
+        drifts = ("drift_force", "drift_torque", "drift_scale", "since_fit_force", "since_fit_torque")
+        check_not_negative(self, *drifts, "added_mass", "touch")
         if self.lag is not None:
             check_not_negative(self, "lag")
-        if self.code_range is not None and not self.code_range[0] < self.code_range[1]:
-            raise ValueError(f"'code_range' must be (lowest, highest), got {self.code_range!r}.")
+        _check_code_range(self)
+
+
+def _check_code_range(options: Any) -> None:
+    span = options.code_range
+    if span is not None and not span[0] < span[1]:
+        raise ValueError(f"'code_range' must be (lowest, highest), got {span!r}.")

@@ -32,12 +32,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import Limb
+from surefoot.calibration.in_situ.model import ENOUGH_MASSES, different_masses, inertial_parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["PaperMatrixFit", "estimate_matrix"]
+
+Matrix = NDArray[np.float64]
+
+_SAME_MASS = 1e-9
+"""Added masses that differ by less, in kg, are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +62,16 @@ class PaperMatrixFit:
         stats: Of Eq. 21 over all sets, with 40 unknowns; the residual adds N and N m up as the paper does.
     """
 
-    matrix: NDArray[np.float64]
+    matrix: Matrix
     limb: Limb
-    covariance: NDArray[np.float64]
+    covariance: Matrix
     residual_force: float
     residual_torque: float
     result: FitResult
     stats: FitStats
 
-    def wrench(self, raw: ArrayLike, offset: ArrayLike) -> NDArray[np.float64]:
-        """Compute w = C (r - o) in N and N m (in-situ paper, Eq. 2).
+    def wrench(self, raw: ArrayLike, offset: ArrayLike) -> Matrix:
+        """Return w = C (r - o) in N and N m (in-situ paper, Eq. 2).
 
         Args:
             raw: Counts, shape (..., k).
@@ -79,7 +86,7 @@ class PaperMatrixFit:
 def estimate_matrix(
     sets: Sequence[InSituSet], offsets: ArrayLike, *, tolerance: float = 1e-4, noise_margin: float = 5.0
 ) -> PaperMatrixFit:
-    """Estimate a sensor's matrix from sets with known added masses (in-situ paper, Eqs. 18-25).
+    """Return a sensor's matrix from sets with known added masses (in-situ paper, Eqs. 18-25).
 
     Args:
         sets: Samples at rest; those that are not finite are left out.
@@ -96,10 +103,10 @@ def estimate_matrix(
         ValueError: If the shapes do not belong together.
         CalibrationRefused: If a set has no finite sample, or the sets leave some unknown undetermined.
     """
-    zeros = _check_sets(sets, offsets)
-    _refuse_few_masses(sets)
+    every_offset = _checked_offsets(sets, offsets)
+    _check_masses(sets)
     channels = sets[0].channels
-    compressed = [_compress(one, zero) for one, zero in zip(sets, zeros, strict=True)]
+    compressed = [_compress(one, offset) for one, offset in zip(sets, every_offset, strict=True)]
     samples = sum(count for _, count in compressed)
     factors = [factor for factor, _ in compressed]
     directions = _signal_directions(factors, channels)
@@ -124,12 +131,13 @@ def estimate_matrix(
             "Hang a heavier mass beside that line, and turn the limb about two axes in every set.",
         )
 
-    matrix = np.vstack([block.solution[: 3 * p].reshape(3, p) @ directions.T for block in (force, torque)])
+    of_matrix, of_limb = slice(0, 3 * p), slice(3 * p, None)
+    matrix = np.vstack([half.solution[of_matrix].reshape(3, p) @ directions.T for half in (force, torque)])
     to_matrix = np.asarray(np.kron(np.eye(3), directions), dtype=np.float64)
     square = force.square + torque.square
     return PaperMatrixFit(
         matrix=matrix,
-        limb=Limb(mass=float(force.solution[-1]), mass_com=torque.solution[-3:]),
+        limb=Limb(mass=float(force.solution[of_limb].item()), mass_com=torque.solution[of_limb]),
         covariance=_join(force.covariance, torque.covariance, to_matrix),
         residual_force=float(np.sqrt(force.square / (3 * samples))),
         residual_torque=float(np.sqrt(torque.square / (3 * samples))),
@@ -150,15 +158,15 @@ def estimate_matrix(
 class _Solved:
     """One half of Eq. 21: its unknowns, how sure they are, and what is left."""
 
-    solution: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    solution: Matrix
+    covariance: Matrix
     square: float
     rank: int
     condition: float
 
 
-def _compress(one: InSituSet, offset: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Reduce a set to the triangular factor of its rows [g, r - o], shape (3 + k, 3 + k) at most."""
+def _compress(one: InSituSet, offset: Matrix) -> tuple[Matrix, int]:
+    """Return the triangular factor of a set's rows [g, r - o], (3 + k, 3 + k) at most, and their number."""
     rows = np.column_stack([one.gravity, one.raw - offset])
     rows = rows[np.isfinite(rows).all(axis=1)]
     if len(rows) == 0:
@@ -169,8 +177,8 @@ def _compress(one: InSituSet, offset: NDArray[np.float64]) -> tuple[NDArray[np.f
     return np.asarray(np.linalg.qr(rows, mode="r")), len(rows)
 
 
-def _signal_directions(factors: Sequence[NDArray[np.float64]], channels: int) -> NDArray[np.float64]:
-    """Find the six directions of the readings that gravity explains most of, shape (k, 6)."""
+def _signal_directions(factors: Sequence[Matrix], channels: int) -> Matrix:
+    """Return the six directions of the readings that gravity explains most of, shape (k, 6)."""
     if channels == 6:
         return np.eye(6)
     # The first three rows of a factor are the readings' regression on gravity.
@@ -179,9 +187,9 @@ def _signal_directions(factors: Sequence[NDArray[np.float64]], channels: int) ->
 
 
 def _stack(
-    sets: Sequence[InSituSet], factors: Sequence[NDArray[np.float64]], rows: int | None
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Lay out Eq. 21 for the forces and for the torques: regressors and targets of each."""
+    sets: Sequence[InSituSet], factors: Sequence[Matrix], rows: int | None
+) -> list[tuple[Matrix, Matrix]]:
+    """Return regressors and targets of Eq. 21, for the forces and for the torques."""
     force, torque = [], []
     for one, factor in zip(sets, factors, strict=True):
         g, r = factor[:rows, :3], factor[:rows, 3:]
@@ -205,14 +213,14 @@ def _stack(
 
 
 def _solve(
-    regressors: NDArray[np.float64],
-    target: NDArray[np.float64],
-    signal: NDArray[np.float64],
+    regressors: Matrix,
+    target: Matrix,
+    signal: Matrix,
     tolerance: float,
-    noise: NDArray[np.float64],
+    noise: Matrix,
     rows: int,
 ) -> _Solved:
-    """Solve one half in the sense of least squares, and find its rank from what gravity explains."""
+    """Return the least-squares solution of one half, with its rank from what gravity explains."""
     length = np.linalg.norm(regressors, axis=0)
     length[length == 0.0] = 1.0
     singular = np.linalg.svd(signal / length, compute_uv=False)
@@ -230,43 +238,38 @@ def _solve(
     return _Solved(solution, variance * back @ back.T, square, rank, float(full[0] / full[-1]))
 
 
-def _join(
-    force: NDArray[np.float64], torque: NDArray[np.float64], to_matrix: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Order the covariances of (C_force, m) and (C_torque, m c) as (C, m, m c)."""
+def _join(force: Matrix, torque: Matrix, to_matrix: Matrix) -> Matrix:
+    """Return the covariances of (C_force, m) and (C_torque, m c) in the order (C, m, m c)."""
     p, entries = to_matrix.shape[1], to_matrix.shape[0]
     carry = np.zeros((2 * entries + 4, 2 * p + 4))
     carry[:entries, :p] = to_matrix
     carry[2 * entries, p] = 1.0
     carry[entries : 2 * entries, p + 1 : 2 * p + 1] = to_matrix
     carry[2 * entries + 1 :, 2 * p + 1 :] = np.eye(3)
-    both = np.zeros((2 * p + 4, 2 * p + 4))
-    both[: p + 1, : p + 1] = force
-    both[p + 1 :, p + 1 :] = torque
-    return np.asarray(carry @ both @ carry.T)
+    return np.asarray(carry @ block_diag(force, torque) @ carry.T)
 
 
-def _refuse_few_masses(sets: Sequence[InSituSet]) -> None:
-    """Refuse sets that cannot determine all unknowns, however good they are (Lemma 2)."""
+def _check_masses(sets: Sequence[InSituSet]) -> None:
+    """Raise CalibrationRefused if no such sets can determine all unknowns (Lemma 2)."""
     masses = np.array([one.added_mass for one in sets])
-    moments = np.column_stack([masses, masses[:, None] * np.array([one.added_com for one in sets])])
-    different = len(np.unique(np.round(moments, 9), axis=0))
-    if different < 3:
+    added = [inertial_parameters(one.added_mass, one.added_com, moving=False) for one in sets]
+    different = different_masses(np.array(added))
+    if different < ENOUGH_MASSES:
         count = "one added mass" if different == 1 else "two different added masses"
         raise CalibrationRefused(
-            f"The sets hold {count}, and three are needed (Lemma 2), so that the matrix cannot be told.",
+            f"The sets hold {count}, and three are needed (Lemma 2) to determine the matrix.",
             "Add sets with other masses at other places; one without any added mass counts as well.",
         )
-    if np.ptp(masses) <= 1e-9:
+    if np.ptp(masses) <= _SAME_MASS:
         raise CalibrationRefused(
-            f"All {len(sets)} sets bear the same added mass of {masses[0]:g} kg, so that nothing tells how "
+            f"All {len(sets)} sets bear the same added mass of {masses[0]:g} kg, so that nothing shows how "
             "heavy the limb itself is.",
             "Add a set with another mass, such as none.",
         )
 
 
-def _check_sets(sets: Sequence[InSituSet], offsets: ArrayLike) -> NDArray[np.float64]:
-    """Refuse sets that do not belong to one sensor; returns the offsets, shape (J, k)."""
+def _checked_offsets(sets: Sequence[InSituSet], offsets: ArrayLike) -> Matrix:
+    """Return the offsets, shape (J, k), or raise ValueError if sets and offsets are not of one sensor."""
     if len(sets) == 0:
         raise ValueError("'sets' must hold at least one set, got none.")
     channels = sets[0].channels
@@ -276,11 +279,11 @@ def _check_sets(sets: Sequence[InSituSet], offsets: ArrayLike) -> NDArray[np.flo
                 f"'{one.name}' has {one.channels} channels, but '{sets[0].name}' has {channels}: all sets "
                 "must be of one sensor."
             )
-    zeros = np.asarray(offsets, dtype=np.float64)
-    if zeros.shape not in ((channels,), (len(sets), channels)):
+    every = np.asarray(offsets, dtype=np.float64)
+    if every.shape not in ((channels,), (len(sets), channels)):
         raise ValueError(
-            f"'offsets' must have shape ({channels},) or ({len(sets)}, {channels}), got {zeros.shape}."
+            f"'offsets' must have shape ({channels},) or ({len(sets)}, {channels}), got {every.shape}."
         )
-    if not np.isfinite(zeros).all():
-        raise ValueError(f"'offsets' must be finite, got {zeros}.")
-    return np.broadcast_to(zeros, (len(sets), channels))
+    if not np.isfinite(every).all():
+        raise ValueError(f"'offsets' must be finite, got {every}.")
+    return np.broadcast_to(every, (len(sets), channels))

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, refuse_narrow_gravity
+from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["OffsetFit", "estimate_offset"]
@@ -70,7 +70,7 @@ class OffsetFit:
         return self.affine_residual <= _EXACT or bool(self.affine_to_noise <= 3.0)
 
     def coordinates(self, raw: ArrayLike) -> NDArray[np.float64]:
-        """Project readings into the three-space, U1' (r - r_mean) (in-situ paper, Eq. 13, left; Fig. 5).
+        """Return readings in the three-space, U1' (r - r_mean) (in-situ paper, Eq. 13, left; Fig. 5).
 
         Args:
             raw: Counts, shape (..., k).
@@ -88,7 +88,7 @@ def estimate_offset(
     noise: ArrayLike | None = None,
     minimum_spread: float = MINIMUM_SPREAD,
 ) -> OffsetFit:
-    """Estimate a sensor's offset from readings at rest in many orientations (in-situ paper, Eqs. 9-17).
+    """Return a sensor's offset from readings at rest in many orientations (in-situ paper, Eqs. 9-17).
 
     Args:
         raw: Counts, shape (n, k) with k >= 3. Samples that are not finite are left out.
@@ -123,7 +123,7 @@ def estimate_offset(
     r_mean, g_mean = r.mean(axis=0), g.mean(axis=0)  # (9)
     factor = np.asarray(np.linalg.qr(np.column_stack([g - g_mean, r - r_mean]), mode="r"))
     g_factor, r_factor = factor[:, :3], factor[:, 3:]
-    refuse_narrow_gravity(
+    check_gravity_spread(
         g_factor,
         float(np.linalg.norm(g)),
         minimum_spread,
@@ -174,7 +174,7 @@ def estimate_offset(
 def _to_noise(
     outside: float, within: float, free: int, basis: NDArray[np.float64], noise: ArrayLike | None
 ) -> float:
-    """Compare what leaves the three-space with the noise, per direction (Lemma 1)."""
+    """Return what leaves the three-space as a multiple of the noise, per direction (Lemma 1)."""
     channels = len(basis)
     if free == 0 or channels == 3:
         return np.nan

@@ -1,4 +1,4 @@
-r"""The measurement-space fit: least squares on noisy readings, not on noisy regressors; private.
+r"""The measurement-space fit: least squares on noisy readings, not on noisy regressors.
 
 In-situ paper, Eqs. 18-25, regress gravity on the noisy readings, :math:`C r = M g`, and so shrink C. Here the
 noise is where it is,
@@ -12,6 +12,7 @@ outer unknowns are searched (variable projection: Golub and Pereyra, 1973; Jacob
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,18 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration._vectors import skew
 from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.model import STATIC, sensitivity
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    DIRECT,
+    ENOUGH_MASSES,
+    MASS,
+    MOVING,
+    STATIC,
+    transform_basis,
+)
 
 __all__ = [
+    "ROUNDING",
     "Problem",
     "Solution",
     "expand",
@@ -37,26 +47,42 @@ __all__ = [
 ]
 
 Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
 
-_SEARCHES = 3
-"""Starts from which to search."""
+ROUNDING = 1e-13
+"""Singular values at or below this share of the largest are rounding."""
 
-_TURNED_SEARCHES = 36
-"""The same where the rotation is unknown."""
+_SEARCHES, _TURNED_SEARCHES = 3, 36
+"""Starts from which to search; the second where the rotation is unknown."""
 
 _AS_GOOD = 10.0
 """Minima that cost this much more than the lowest are none."""
 
+_CONVERGED, _EVALUATIONS = 1e-14, 60
+"""Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
+
+_LEAST_MASS = 1e-3
+"""Mass in kg by which unknowns are scaled at least."""
+
+_SMALL_ANGLE = 1e-4
+"""Angle in rad below which two terms of a series are exact."""
+
+_MULTIPLES, _TURNED_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0), (1.0, 10.0)
+"""Masses to try, in units of the largest added mass; the second where each is tried with many turns."""
+
+_PAPER_ROUNDING = 1e-10
+"""``ROUNDING`` where the paper's method gives a start."""
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is to be solved, in readings whitened by the noise, z = W r.
+    """A least-squares problem in readings whitened by the noise, z = W r.
 
     Attributes:
         sets: J of them, compressed.
         added: Inertial parameters of what was added, shape (J, p).
         whitening: W, shape (k, k): W Sigma W' = 1.
-        basis: D, shape (p, 6, s) for s signals: w = sum_p phi_p D_p u.
+        basis: T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u.
         moving: Whether the signals are those of a moving limb.
         temperature: Whether the temperature is a signal that acts on the readings directly.
         channel_lags: Number of such signals behind it, the lags of channels.
@@ -76,8 +102,8 @@ class Problem:
     channel_lags: int
     rotation: bool
     prior_response: Matrix | None
-    prior_information: NDArray[np.float64]
-    limb: NDArray[np.float64]
+    prior_information: Vector
+    limb: Vector
     limb_root: Matrix
 
     @property
@@ -86,24 +112,29 @@ class Problem:
         return len(self.limb)
 
     @property
+    def loops(self) -> slice:
+        """Places of the shares of the axes' hysteresis in the parameters, behind the limb's; or empty."""
+        return slice(MOVING if self.moving else STATIC, self.parameters)
+
+    @property
     def hysteresis(self) -> bool:
-        """Whether the last six parameters are the shares of the axes' hysteresis."""
-        return self.parameters > (10 if self.moving else 4)
+        """Whether the axes' hysteresis is part of the problem."""
+        return self.parameters > (MOVING if self.moving else STATIC)
 
     @property
     def inputs(self) -> int:
         """Columns of the response: six, and one more for each signal that acts on the readings directly."""
-        return 6 + self.temperature + self.channel_lags
+        return AXES + self.temperature + self.channel_lags
 
     @property
     def outer(self) -> int:
-        """Number of outer unknowns."""
+        """Number of outer unknowns: the parameters and, where it is unknown, the rotation vector."""
         return self.parameters + 3 * self.rotation
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What came out.
+    """A solution of a :class:`Problem`.
 
     Attributes:
         response: A, and the coefficients of what acts on the readings directly beside it, (k, inputs).
@@ -116,176 +147,200 @@ class Solution:
     """
 
     response: Matrix
-    limb: NDArray[np.float64]
+    limb: Vector
     rotation: Matrix
     jacobian: Matrix
     residual: NDArray[np.float64]
     cost: float
-    outer: NDArray[np.float64]
+    outer: Vector
+
+    @property
+    def A(self) -> Matrix:  # noqa: N802 - as in the equations
+        """The response to wrenches, in counts per N and N m, shape (k, 6)."""
+        return self.response[:, :AXES]
+
+    @property
+    def direct(self) -> Matrix:
+        """Coefficients of what acts on the readings directly, shape (k, inputs - 6)."""
+        return self.response[:, AXES:]
 
 
-def transforms(problem: Problem, limb: NDArray[np.float64], rotation: Matrix) -> NDArray[np.float64]:
-    """T of each set with its added mass, by the rotation, shape (J, inputs, s)."""
-    T = np.einsum("jp,pws->jws", limb + problem.added, problem.basis)
+class _Outer(NamedTuple):
+    """The outer unknowns in their parts."""
+
+    limb: Vector
+    vector: Vector
+    rotation: Matrix
+
+    @classmethod
+    def of(cls, problem: Problem, x: Vector) -> "_Outer":
+        limb, vector = x[: problem.parameters], x[problem.parameters :]
+        return cls(limb, vector, Rotation.from_rotvec(vector).as_matrix() if problem.rotation else np.eye(3))
+
+
+def transforms(problem: Problem, solution: Solution | _Outer) -> NDArray[np.float64]:
+    """Return T of each set with its added mass, by the rotation, shape (J, inputs, s)."""
+    T = np.einsum("jp,pws->jws", solution.limb + problem.added, problem.basis)
     if problem.rotation:
-        T[..., :3] = T[..., :3] @ rotation
-    if problem.inputs > 6:
-        T = np.stack([block_diag(part, np.eye(problem.inputs - 6)) for part in T])
+        T[..., DIRECT] = T[..., DIRECT] @ solution.rotation
+    if problem.inputs > AXES:
+        T = np.stack([block_diag(part, np.eye(problem.inputs - AXES)) for part in T])
     return np.asarray(T)
 
 
-def of_unit_length(columns: Matrix) -> tuple[Matrix, NDArray[np.float64]]:
-    """Divide columns by their lengths, which come along; a column of zeros by one."""
+def of_unit_length(columns: Matrix) -> tuple[Matrix, Vector]:
+    """Return columns over their lengths, and the lengths; one for a column of zeros."""
     size = np.linalg.norm(columns, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     return columns / size, size
 
 
-def loop_shares(problem: Problem, solution: Solution) -> NDArray[np.float64]:
-    """Shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops."""
+def loop_shares(problem: Problem, solution: Solution) -> Vector:
+    """Return the shares of each axis, shape (6,), or of each channel, shape (k,), of a fit with loops."""
     if problem.channel_lags:
         return np.diag(solution.response[:, -problem.channel_lags :])
-    return solution.limb[-6:]
+    return solution.limb[problem.loops]
 
 
-def solve(problem: Problem, starts: Sequence[NDArray[np.float64]]) -> Solution:
-    """Search the outer unknowns from each start and keep the best.
-
-    Args:
-        problem: The problem.
-        starts: Outer unknowns to start from, shape (p,) or (p + 3,) with the rotation vector.
-    """
+def solve(problem: Problem, starts: Sequence[Vector]) -> Solution:
+    """Return the best of the minima next to starts, shape (p,), or (p + 3,) with the rotation vector."""
     found = [_search(problem, start) for start in starts]
     return expand(problem, min(found, key=_rank_of)[1])
 
 
-def minima(problem: Problem, starts: Sequence[NDArray[np.float64]]) -> list[Solution]:
-    """Search from the most promising starts, and list what fits as well as the best, which comes first."""
-    costs = [float(np.sum(_outer_residual(problem, start) ** 2)) for start in starts]
+def minima(problem: Problem, starts: Sequence[Vector]) -> list[Solution]:
+    """Return what fits as well as the best of the minima next to promising starts; the best comes first."""
+    costs = [float(np.sum(_Residual(problem)(start) ** 2)) for start in starts]
     promising = np.argsort(costs)[: _TURNED_SEARCHES if problem.rotation else _SEARCHES]
     found = sorted((_search(problem, starts[i]) for i in promising), key=_rank_of)
     lowest = found[0][0]
     return [expand(problem, outer) for cost, outer in found if cost <= lowest + _AS_GOOD]
 
 
-def _rank_of(found: tuple[float, NDArray[np.float64]]) -> tuple[bool, float]:
+def _rank_of(found: tuple[float, Vector]) -> tuple[bool, float]:
     """Turned round, a response fits a limb of negative mass as well as the true one fits the limb."""
     cost, outer = found
-    return bool(outer[0] <= 0.0), cost
+    return bool(outer[MASS] <= 0.0), cost
 
 
-def _search(problem: Problem, start: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-    """Cost and outer unknowns at the minimum next to a start."""
-    mass = max(abs(float(start[0])), 1e-3)
+def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
+    """Return the cost and the outer unknowns at the minimum next to a start."""
+    mass = max(abs(float(start[MASS])), _LEAST_MASS)
     scale = np.concatenate([np.full(problem.parameters, mass), np.ones(3 * problem.rotation)])
+    residual = _Residual(problem)
     found = least_squares(
-        lambda x: _outer_residual(problem, x * scale),
+        lambda x: residual(x * scale),
         start / scale,
-        jac=lambda x: _outer_jacobian(problem, x * scale) * scale,
-        xtol=1e-14,
-        ftol=1e-14,
-        gtol=1e-14,
-        max_nfev=60,
+        jac=lambda x: residual.jacobian(x * scale) * scale,
+        max_nfev=_EVALUATIONS,
+        **dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED),
     )
     return float(found.cost), found.x * scale
 
 
-def _split(problem: Problem, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], Matrix]:
-    limb = x[: problem.parameters]
-    turn = np.eye(3) if not problem.rotation else Rotation.from_rotvec(x[-3:]).as_matrix()
-    return limb, turn
+class _Linear(NamedTuple):
+    """The inner problem X (W A)' = Y at outer unknowns: rows of the sets, then of the factory matrix."""
+
+    outer: _Outer
+    X: Matrix
+    Y: Matrix
+    response: Matrix
+    """(W A)' of least squares."""
+    left: Matrix
+    """An orthonormal basis of the columns of X."""
+
+    @classmethod
+    def at(cls, problem: Problem, x: Vector) -> "_Linear":
+        outer = _Outer.of(problem, x)
+        T = transforms(problem, outer)
+        X = np.concatenate([part.uu @ t.T for part, t in zip(problem.sets, T, strict=True)])
+        Y = np.concatenate([part.ur for part in problem.sets]) @ problem.whitening.T
+        if problem.prior_response is not None:
+            root = np.sqrt(problem.prior_information)
+            X = np.concatenate([X, np.eye(AXES, problem.inputs) * root[:, None]])
+            Y = np.concatenate([Y, root[:, None] * (problem.whitening @ problem.prior_response).T])
+        unit, size = of_unit_length(X)
+        left, singular, right = np.linalg.svd(unit, full_matrices=False)
+        kept = singular > ROUNDING * singular[0]
+        left = left[:, kept]
+        response = (right[kept].T / singular[kept]) @ (left.T @ Y) / size[:, None]
+        return cls(outer, X, Y, response, left)
 
 
-def _design(problem: Problem, x: NDArray[np.float64]) -> tuple[Matrix, Matrix]:
-    """X and Y of X (W A)' = Y: rows of all sets, then those of the factory matrix."""
-    limb, turn = _split(problem, x)
-    T = transforms(problem, limb, turn)
-    X = np.concatenate([part.uu @ t.T for part, t in zip(problem.sets, T, strict=True)])
-    Y = np.concatenate([part.ur for part in problem.sets]) @ problem.whitening.T
-    if problem.prior_response is not None:
-        root = np.sqrt(problem.prior_information)
-        X = np.concatenate([X, np.eye(6, problem.inputs) * root[:, None]])
-        Y = np.concatenate([Y, root[:, None] * (problem.whitening @ problem.prior_response).T])
-    return X, Y
+class _Residual:
+    """The rows by the outer unknowns, less what the best response explains, and their slopes."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._last: tuple[bytes, _Linear] | None = None
+
+    def _at(self, x: Vector) -> _Linear:
+        """Return the inner problem; a search asks for the residual and then for its slopes at one place."""
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, _Linear.at(self._problem, x)
+        return self._last[1]
+
+    def __call__(self, x: Vector) -> Vector:
+        inner, problem = self._at(x), self._problem
+        limb = problem.limb_root @ (inner.outer.limb - problem.limb)
+        return np.concatenate([(inner.left @ (inner.left.T @ inner.Y) - inner.Y).ravel(), limb])
+
+    def jacobian(self, x: Vector) -> Matrix:
+        """Return Kaufman's: what of dX A' the response could not undo."""
+        inner, problem = self._at(x), self._problem
+        axes = _left_jacobian(inner.outer.vector) if problem.rotation else np.eye(3)
+        columns = []
+        for dX in _design_derivatives(problem, inner.outer, axes, len(inner.X)):
+            moved = dX @ inner.response
+            columns.append((moved - inner.left @ (inner.left.T @ moved)).ravel())
+        known = np.pad(problem.limb_root, ((0, 0), (0, problem.outer - problem.parameters)))
+        return np.concatenate([np.stack(columns, axis=1), known])
 
 
-def _inner(X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix]:
-    """(W A)' of least squares, and an orthonormal basis of the columns of X."""
-    unit, size = of_unit_length(X)
-    left, singular, right = np.linalg.svd(unit, full_matrices=False)
-    kept = singular > 1e-13 * singular[0]
-    left = left[:, kept]
-    return (right[kept].T / singular[kept]) @ (left.T @ Y) / size[:, None], left
-
-
-def _outer_residual(problem: Problem, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    X, Y = _design(problem, x)
-    _, left = _inner(X, Y)
-    limb = problem.limb_root @ (x[: problem.parameters] - problem.limb)
-    return np.concatenate([(left @ (left.T @ Y) - Y).ravel(), limb])
-
-
-def _outer_jacobian(problem: Problem, x: NDArray[np.float64]) -> Matrix:
-    """Kaufman's: what of dX A' the response could not undo."""
-    X, Y = _design(problem, x)
-    response, left = _inner(X, Y)
-    limb, turn = _split(problem, x)
-    axes = _left_jacobian(x[-3:]) if problem.rotation else np.eye(3)
-    columns = []
-    for dX in _design_derivatives(problem, limb, turn, axes, len(X)):
-        moved = dX @ response
-        columns.append((moved - left @ (left.T @ moved)).ravel())
-    known = np.pad(problem.limb_root, ((0, 0), (0, problem.outer - problem.parameters)))
-    return np.concatenate([np.stack(columns, axis=1), known])
-
-
-def _design_derivatives(
-    problem: Problem, limb: NDArray[np.float64], turn: Matrix, axes: Matrix, rows: int
-) -> list[Matrix]:
-    """List dX by each inertial parameter and by turning further about each column of axes."""
-    D = problem.basis.copy()
-    D[..., :3] = D[..., :3] @ turn
-    steps = [np.broadcast_to(d, (len(problem.sets), *d.shape)) for d in D]
+def _design_derivatives(problem: Problem, outer: _Outer, axes: Matrix, rows: int) -> list[Matrix]:
+    """Return dX by each inertial parameter and by turning further about each column of axes."""
+    basis = problem.basis.copy()
+    basis[..., DIRECT] = basis[..., DIRECT] @ outer.rotation
+    steps = [np.broadcast_to(one, (len(problem.sets), *one.shape)) for one in basis]
     if problem.rotation:
-        gravity = np.einsum("jp,pws->jws", limb + problem.added, problem.basis[..., :3])
-        steps += [gravity @ (skew(axis) @ turn) for axis in axes.T]
+        gravity = np.einsum("jp,pws->jws", outer.limb + problem.added, problem.basis[..., DIRECT])
+        steps += [gravity @ (skew(axis) @ outer.rotation) for axis in axes.T]
     derivatives = []
     for step in steps:
         dX, first = np.zeros((rows, problem.inputs)), 0
         for part, d in zip(problem.sets, step, strict=True):
-            dX[first : first + len(part.uu), :6] = part.uu[:, : d.shape[1]] @ d.T
+            dX[first : first + len(part.uu), :AXES] = part.uu[:, : d.shape[1]] @ d.T
             first += len(part.uu)
         derivatives.append(dX)
     return derivatives
 
 
-def _left_jacobian(vector: NDArray[np.float64]) -> Matrix:
-    """Compute J: d exp([v + dv]x) = [J dv]x exp([v]x), shape (3, 3)."""
+def _left_jacobian(vector: Vector) -> Matrix:
+    """Return J: d exp([v + dv]x) = [J dv]x exp([v]x), shape (3, 3)."""
     angle = float(np.linalg.norm(vector))
     K = skew(vector)
-    if angle < 1e-4:
+    if angle < _SMALL_ANGLE:
         return np.asarray(np.eye(3) + K / 2.0 + K @ K / 6.0)
     return np.asarray(
         np.eye(3) + (1.0 - np.cos(angle)) / angle**2 * K + (angle - np.sin(angle)) / angle**3 * K @ K
     )
 
 
-def expand(problem: Problem, x: NDArray[np.float64]) -> Solution:
-    """Work everything out at given outer unknowns (phi_b, rotation vector)."""
-    limb, turn = _split(problem, x)
-    X, Y = _design(problem, x)
-    white, _ = _inner(X, Y)
+def expand(problem: Problem, x: Vector) -> Solution:
+    """Return all that follows from outer unknowns (phi_b, rotation vector)."""
+    outer, X, Y, white, _ = _Linear.at(problem, x)
     rows, channels = X @ white - Y, Y.shape[1]
     linear = np.einsum("ra,ij->rija", X, np.eye(channels)).reshape(rows.size, -1)
-    bilinear = [(dX @ white).ravel() for dX in _design_derivatives(problem, limb, turn, np.eye(3), len(X))]
+    bilinear = [(dX @ white).ravel() for dX in _design_derivatives(problem, outer, np.eye(3), len(X))]
     known = np.zeros((len(problem.limb_root), linear.shape[1] + problem.outer))
     known[:, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.limb_root
-    limb_rows = problem.limb_root @ (limb - problem.limb)
+    limb_rows = problem.limb_root @ (outer.limb - problem.limb)
     of_sets = sum(len(part.uu) for part in problem.sets)
     return Solution(
         response=np.asarray(np.linalg.solve(problem.whitening, white.T)),
-        limb=limb,
-        rotation=turn,
+        limb=outer.limb,
+        rotation=outer.rotation,
         jacobian=np.concatenate([np.column_stack([linear, *bilinear]), known]),
         residual=rows[:of_sets].reshape(len(problem.sets), -1, channels),
         cost=0.5 * float(np.sum(rows**2) + limb_rows @ limb_rows),
@@ -293,17 +348,8 @@ def expand(problem: Problem, x: NDArray[np.float64]) -> Solution:
     )
 
 
-_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-"""Masses to try, in units of the largest added mass."""
-
-_TURNED_MULTIPLES = (1.0, 10.0)
-"""The same where each is tried with all turns by right angles."""
-
-
-def starts(
-    problem: Problem, factory: Matrix | None, known: NDArray[np.float64] | None
-) -> list[NDArray[np.float64]]:
-    """List outer unknowns to start from, shape (p,), or (p + 3,) where the rotation is unknown.
+def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> list[Vector]:
+    """Return outer unknowns to start from, shape (p,), or (p + 3,) where the rotation is unknown.
 
     Args:
         problem: The problem.
@@ -313,14 +359,15 @@ def starts(
     found = [known] if known is not None else []
     if factory is not None and not problem.rotation:
         found.append(_by_matrix(problem, factory, np.eye(3)))
-    largest = float(np.max(problem.added[:, 0]))
+    largest = float(np.max(problem.added[:, MASS]))
     if largest > 0.0:
         # Few and noisy samples shrink the paper's mass, but not its first moment, and a search that begins at
         # such a mass can end in a wrong place.
-        first = _by_paper(problem) if len(problem.sets) >= 3 else _padded(problem, [largest, 0.0, 0.0, 0.0])
+        enough = len(problem.sets) >= ENOUGH_MASSES
+        first = _by_paper(problem) if enough else _padded(problem, [largest, 0.0, 0.0, 0.0])
         found.append(first)
         multiples = _TURNED_MULTIPLES if problem.rotation else _MULTIPLES
-        found += [np.concatenate([[multiple * largest], first[1:]]) for multiple in multiples]
+        found += [np.concatenate([[multiple * largest], first[MASS + 1 :]]) for multiple in multiples]
     found = [start for start in found if np.all(np.isfinite(start))]
     found = found or [_padded(problem, [1.0, 0.0, 0.0, 0.0])]
     if not problem.rotation:
@@ -335,10 +382,8 @@ def starts(
     return turned
 
 
-def hanging(
-    matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matrix | None = None
-) -> NDArray[np.float64]:
-    """Weigh all that hangs on the sensor in a set by a known matrix: (m, m c), shape (4,).
+def hanging(matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matrix | None = None) -> Vector:
+    """Return (m, m c) of all that hangs on the sensor in a set, shape (4,), by a known matrix.
 
     Args:
         matrix: C, shape (6, k).
@@ -346,36 +391,36 @@ def hanging(
         rotation: R_sensor_accelerometer.
         beside: Response to the signals beside gravity, shape (k, s - 3), if it is known.
     """
-    response: Matrix = part.response[:, :3]
+    response: Matrix = part.response[:, DIRECT]
     if beside is not None:
-        left = part.ur - part.uu[:, 3:] @ beside.T
-        response = np.asarray(np.linalg.lstsq(part.uu[:, :3], left, rcond=None)[0].T)
+        left = part.ur - part.uu[:, DIRECT.stop :] @ beside.T
+        response = np.asarray(np.linalg.lstsq(part.uu[:, DIRECT], left, rcond=None)[0].T)
     measured = matrix @ response @ rotation.T
-    D = sensitivity(moving=False)
-    return np.asarray(np.linalg.lstsq(D.reshape(STATIC, -1).T, measured.ravel(), rcond=None)[0])
+    basis = transform_basis(moving=False)
+    return np.asarray(np.linalg.lstsq(basis.reshape(STATIC, -1).T, measured.ravel(), rcond=None)[0])
 
 
-def _by_matrix(problem: Problem, matrix: Matrix, rotation: Matrix) -> NDArray[np.float64]:
+def _by_matrix(problem: Problem, matrix: Matrix, rotation: Matrix) -> Vector:
     seen = [hanging(matrix, part, rotation) for part in problem.sets]
     return _padded(problem, np.mean(np.array(seen) - problem.added[:, :STATIC], axis=0))
 
 
-def _by_paper(problem: Problem) -> NDArray[np.float64]:
+def _by_paper(problem: Problem) -> Vector:
     """In-situ paper, Eqs. 18-24, on compressed rows, in which the noise is averaged: C r - T_b u = T_a u."""
-    D = problem.basis
-    count = D.shape[2]
+    basis = problem.basis
+    count = basis.shape[2]
     readings = [problem.whitening @ part.ur.T for part in problem.sets]
-    left = np.linalg.svd(np.concatenate(readings, axis=1))[0][:, :6]
+    left = np.linalg.svd(np.concatenate(readings, axis=1))[0][:, :AXES]
     rows, right = [], []
     for part, reading, added in zip(problem.sets, readings, problem.added, strict=True):
-        moved = D @ part.uu[:, :count].T
-        matrix = np.kron(np.eye(6), (left.T @ reading).T)
-        rows.append(np.hstack([matrix, -moved.reshape(len(D), -1).T]))
+        moved = basis @ part.uu[:, :count].T
+        matrix = np.kron(np.eye(AXES), (left.T @ reading).T)
+        rows.append(np.hstack([matrix, -moved.reshape(len(basis), -1).T]))
         right.append(np.einsum("p,pws->ws", added, moved).ravel())
     unit, size = of_unit_length(np.concatenate(rows))
-    solution = np.linalg.lstsq(unit, np.concatenate(right), rcond=1e-10)[0] / size
-    return np.asarray(solution[-len(D) :])
+    solution = np.linalg.lstsq(unit, np.concatenate(right), rcond=_PAPER_ROUNDING)[0] / size
+    return np.asarray(solution[-len(basis) :])
 
 
-def _padded(problem: Problem, static: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+def _padded(problem: Problem, static: Sequence[float] | Vector) -> Vector:
     return np.concatenate([np.asarray(static), np.zeros(problem.parameters - STATIC)])

@@ -1,25 +1,25 @@
-r"""Follow a calibrated six-axis sensor while its limb hangs in the air: offset, and gains where they show.
+r"""A calibrated sensor, followed while its limb hangs in the air: offset, and scales where they show.
 
-A calibration ages: zeros walk with heat and use, gains a little. Whenever nothing but its own weight hangs on
-the sensor, a reading in motion or at rest is (in-situ paper, Eqs. 2 and 5, with errors written out)
+A calibration ages: offsets drift with heat and use, scales a little. Whenever nothing but its own weight
+hangs on the sensor, a reading in motion or at rest is (in-situ paper, Eqs. 2 and 5, with errors written out)
 
 .. math:: r = A\,[(1 + D)\, w + h] + o(t) + e, \qquad w = T(\varphi)\, u,
 
-and linear in what may have changed: the offset o, which walks; relative errors D of the response; errors of
+and linear in what may have changed: the offset o, a random walk; relative errors D of the response; errors of
 the limb's mass and first moment; and h, by which the sensor lags behind its load. A Kalman filter takes them
 in (:mod:`surefoot.calibration.moment.kalman`, the step of the walking estimator), from an
 :class:`~surefoot.calibration.in_situ.fit.InSituFit` with its covariance as the prior.
 
-* **What one hanging limb cannot tell is considered, not estimated** (Schmidt, 1966): the limb always, and of
-  D all that ``learn`` does not name. Their uncertainty enters every gain, so the claimed deviations hold.
-  (If the limb were estimated along, it would take hysteresis in.)
-* **Observability first.** A limb that does not turn cannot tell gains from offset, and the covariance knows
-  that. Hysteresis h changes with the way the load has turned and not with time: while the limb stands still
-  it cannot be told from the offset either, however many samples say the same.
+* **What one hanging limb does not determine is considered, not estimated** (Schmidt, 1966): the limb always,
+  and of D all that ``learn`` does not name. Their uncertainty enters every gain of the filter, so that
+  the reported deviations hold. (If the limb were estimated along, it would take hysteresis in.)
+* **Observability first.** A limb that does not turn does not separate scales from offset, and the covariance
+  knows that. Hysteresis h changes with the way the load has turned and not with time: while the limb stands
+  still nothing separates it from the offset either, however many samples repeat the same.
 * **Touch.** With ``in_air=False``, or where a reading is off beyond all chance, something else than the
-  limb's weight acts: nothing is learnt, and the walk's variance grows. A zero that has leapt far looks alike:
-  :meth:`InSituTracker.doubt` tells the tracker that it may have.
-* Heat that moves the zero is followed through the walk.
+  limb's weight acts: nothing is learnt, and the variance of the drift grows. An offset that has leapt far
+  looks alike: :meth:`InSituTracker.doubt` allows for that.
+* Heat that moves the offset is followed through the drift.
 """
 
 from collections.abc import Callable
@@ -53,21 +53,21 @@ class InSituMethod(NamedTuple):
 
 
 def in_situ_tracker(fit: InSituFit, config: InSituTrackerConfig | None = None) -> InSituMethod:
-    """Build a tracker as a pair of pure functions.
+    """Return a tracker as a pair of pure functions.
 
     Args:
         fit: The calibration to begin from.
         config: Options.
 
     Raises:
-        ValueError: If the fit was refused, or its limb is not known well enough to say what it weighs.
+        ValueError: If the fit was refused.
     """
     stream = InSituStream(fit, config or InSituTrackerConfig())
     return InSituMethod(stream.init, stream.update)
 
 
 class InSituTracker:
-    """Follow one sensor, or a batch: a thin object that carries the state of :func:`in_situ_tracker` along.
+    """A tracker of one sensor, or of a batch, with the state of :func:`in_situ_tracker` inside.
 
     Args:
         fit: The calibration to begin from.
@@ -84,7 +84,7 @@ class InSituTracker:
 
     @property
     def state(self) -> Any:
-        """The state, a value to keep (:func:`~surefoot.calibration.state.save_state`) and to put back.
+        """The state, a value to save (:func:`~surefoot.calibration.state.save_state`) and to set later.
 
         ``None`` before the first sample.
         """
@@ -103,7 +103,7 @@ class InSituTracker:
         angular_acceleration: ArrayLike | Array | None = None,
         in_air: bool | Array = True,
     ) -> InSituEstimate:
-        """Take in one sample.
+        """Return the estimate after one more sample.
 
         Args:
             raw: Counts, shape (..., k); NaN where none arrived.
@@ -130,21 +130,21 @@ class InSituTracker:
         return estimate
 
     def doubt(self, force: float, torque: float) -> None:
-        """Allow that the zero has leapt, after an overload or a power-up.
+        """Allow for a leap of the offset, after an overload or a power-up.
 
         Args:
             force: Standard deviation of the leap along each axis in N.
             torque: The same for torques in N m.
 
         Raises:
-            RuntimeError: If no sample came yet: then say so by ``since_fit_force`` and ``since_fit_torque``.
+            RuntimeError: If no sample came yet: ``since_fit_force`` and ``since_fit_torque`` are for that.
         """
         if self._state is None:
             raise RuntimeError("There is nothing to doubt before the first update().")
         self._state = self._stream.doubt(self._state, force, torque)
 
     def reset(self) -> None:
-        """Forget everything since the calibration."""
+        """Go back to the calibration."""
         self._state = None
 
 

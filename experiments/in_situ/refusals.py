@@ -28,7 +28,9 @@ Sets = Sequence[InSituSet]
 SENSOR = "leg"
 """Whose sensor they are tried on: the knee and the floor matter to it most."""
 
-UNCHECKED = InSituOptions(misfit_tolerance=1e9, mass_tolerance=1e9, scale_tolerance=1e9, axis_tolerance=1e300)
+UNCHECKED = InSituOptions(
+    residual_tolerance=1e9, mass_tolerance=1e9, scale_tolerance=1e9, axis_tolerance=1e300
+)
 """Options under which a fit answers as much as it can."""
 
 

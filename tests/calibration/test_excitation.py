@@ -80,7 +80,7 @@ def test_gains_are_the_fall_of_the_goals_uncertainty(prior, goal):
     plan = plan_excitation(prior, gravity, masses, count=5, goal=goal, samples=10)
     total = 0.0
     for taken, pose in enumerate(plan.poses):
-        total += pose.gain
+        total += pose.information
         poses = [(p.orientation, p.mass) for p in plan.poses[: taken + 1]]
         assert total == pytest.approx(
             brute_information(prior, poses, gravity, masses, goal, 10), rel=1e-5, abs=1e-5
@@ -88,7 +88,7 @@ def test_gains_are_the_fall_of_the_goals_uncertainty(prior, goal):
     assert plan.total == pytest.approx(total)
     for orientation, mass in ((0, 0), (4, 1)):
         wanted = brute_information(prior, [(orientation, mass)], gravity, masses, goal, 10)
-        assert plan.pose_gain[orientation, mass] == pytest.approx(wanted, rel=1e-4, abs=1e-5)
+        assert plan.pose_information[orientation, mass] == pytest.approx(wanted, rel=1e-4, abs=1e-5)
 
 
 @pytest.mark.parametrize("goal", ["calibration", "mass", "offset"])
@@ -154,7 +154,7 @@ def test_planned_poses_leave_smaller_errors_than_random_or_raster_ones(prior):
         factory_std=(0.2,) * 6,
         scale_tolerance=5.0,
         mass_tolerance=5.0,
-        misfit_tolerance=1.0,
+        residual_tolerance=1.0,
     )
     squares = {"planned": [], "random": [], "raster": []}
     for seed in range(16):
@@ -194,20 +194,20 @@ def test_a_third_mass_is_proposed_when_two_were_seen(prior):
     assert [pose.mass for pose in plan.poses] == [2] * 4
     assert plan.ranked_masses[0] == 2
     # Lemma 2: what the two left open is worth far more than another look at them.
-    assert plan.mass_gain[2] > 5.0 * plan.mass_gain[:2].max()
+    assert plan.mass_information[2] > 5.0 * plan.mass_information[:2].max()
     complete = after(seen, gravity, MASSES, [(o, 2) for o in corners])
     again = plan_excitation(complete, gravity, MASSES[:3], count=4, goal="matrix")
-    assert again.mass_gain[2] < 0.5 * plan.mass_gain[2]
+    assert again.mass_information[2] < 0.5 * plan.mass_information[2]
 
 
 def test_a_reading_with_a_new_mass_and_an_unknown_offset_tells_little(prior):
     gravity = grid(3)
     known = MassCandidate(*MASSES[1][:2], offset_covariance=NOISE_ROOT @ NOISE_ROOT.T)
     plan = plan_excitation(prior, gravity, [MASSES[1], known], count=1, block=1)
-    assert (plan.pose_gain[:, 1] > 10.0 * plan.pose_gain[:, 0]).all()
+    assert (plan.pose_information[:, 1] > 10.0 * plan.pose_information[:, 0]).all()
     assert plan.poses[0].mass == 1
     np.testing.assert_array_equal(
-        plan.ranked_poses[0], np.unravel_index(np.argmax(plan.pose_gain), plan.pose_gain.shape)
+        plan.ranked_poses[0], np.unravel_index(np.argmax(plan.pose_information), plan.pose_information.shape)
     )
 
 
@@ -244,8 +244,8 @@ def test_what_has_no_meaning_is_refused(prior):
         plan_excitation(prior, gravity, [MassCandidate(-1.0)])
     with pytest.raises(ValueError, match="rank 6"):
         prior_from_factory(np.zeros((6, 6)), KnownLimb(5.0, 0.5))
-    with pytest.raises(ValueError, match="'gain_std' must be positive"):
-        prior_from_factory(LEG_MATRIX, KnownLimb(5.0, 0.5), gain_std=0.0)
+    with pytest.raises(ValueError, match="'scale_std' must be positive"):
+        prior_from_factory(LEG_MATRIX, KnownLimb(5.0, 0.5), scale_std=0.0)
     refused = make_fit(result=FitResult.REFUSED, refusals=(CalibrationRefused("Too few.", "More."),))
     with pytest.raises(ValueError, match="this fit was refused"):
         plan_excitation(refused, gravity)

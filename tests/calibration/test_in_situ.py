@@ -209,7 +209,7 @@ def test_a_drifting_offset_does_not_hurt():
     )
     drifting = [replace(one, raw=one.raw + ramp) for one in sets]
     fit = calibrate_in_situ(drifting)
-    plain = calibrate_in_situ(drifting, options=InSituOptions(drift=0, misfit_tolerance=0.2))
+    plain = calibrate_in_situ(drifting, options=InSituOptions(drift=0, residual_tolerance=0.2))
     steady = calibrate_in_situ(sets)
     assert np.linalg.norm(fit.matrix - steady.matrix) < 0.2 * np.linalg.norm(plain.matrix - steady.matrix)
     # The last set's offset is that at its end.

@@ -42,7 +42,8 @@ def test_gravity_that_turns_too_little_is_refused(gravity, seen):
     with pytest.raises(CalibrationRefused, match=seen) as refusal:
         estimate_offset(raw, noisy)
     assert (
-        "% of its size, and 1 % are needed), so the offset across it cannot be told." in refusal.value.reason
+        "% of its size, and 1 % are needed), so the offset across it is not determined."
+        in refusal.value.reason
     )
     assert refusal.value.cure == "Turn the limb about two axes: tilt it sideways as well as back and forth."
 
@@ -73,7 +74,7 @@ def test_fewer_than_three_masses_are_refused_however_often_they_come(picked, cou
     with pytest.raises(CalibrationRefused) as refusal:
         estimate_matrix([sets[i] for i in picked] * copies, offset)
     assert str(refusal.value) == (
-        f"The sets hold {count}, and three are needed (Lemma 2), so that the matrix cannot be told. Add sets "
+        f"The sets hold {count}, and three are needed (Lemma 2) to determine the matrix. Add sets "
         "with other masses at other places; one without any added mass counts as well."
     )
 

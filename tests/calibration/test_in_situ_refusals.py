@@ -103,17 +103,17 @@ REFUSALS = {
     "two orientations": (two_orientations, "Gravity was seen to turn along one line only"),
     "one mass": (
         lambda s: s[:1],
-        "Different added masses: 1, and three are needed to tell a matrix (Lemma 2)",
+        "Different added masses: 1, and three are needed to determine a matrix (Lemma 2)",
     ),
     "two masses": (lambda s: [*s[:2], s[1]], "Different added masses: 2, and three are needed"),
     "no set without": (lambda s: s[1:], "The 3 different added masses determine 36 of 40 unknowns"),
     "a limb that bends": (bending, "of the readings' spread goes with gravity's squares: the limb bends"),
     "a bump": (bumped, "'data set 1': 10% of the samples disagree with all others, most of them between 20."),
-    "a mass that is not as said": (
+    "a mass that is not as given": (
         heavier,
         "The added mass of 'data set 3' contradicts the other sets: 0.620 kg",
     ),
-    "a place that is not as said": (misplaced, "The added mass of 'data set 4' contradicts the other sets"),
+    "a place that is not as given": (misplaced, "The added mass of 'data set 4' contradicts the other sets"),
     "a dead channel": (dead, "'data set 2': channel 3 reads 12 throughout."),
     "a clipped channel": (clipped, "'data set 1': channel 4 is saturated in 10"),
     "no sample": (empty, "'data set 1': 3 of 600 samples are whole, and four are the least."),
@@ -124,16 +124,16 @@ REFUSALS = {
 }
 
 
-@pytest.mark.parametrize(("make", "said"), REFUSALS.values(), ids=REFUSALS.keys())
-def test_refuses_with_the_reason_and_the_cure(make, said):
+@pytest.mark.parametrize(("make", "message"), REFUSALS.values(), ids=REFUSALS.keys())
+def test_refuses_with_the_reason_and_the_cure(make, message):
     made = make(leg_sets())
     sets, options = made if isinstance(made, tuple) else (made, None)
-    with pytest.raises(CalibrationRefused, match=re.escape(said)) as raised:
+    with pytest.raises(CalibrationRefused, match=re.escape(message)) as raised:
         calibrate_in_situ(sets, options=options)
     assert raised.value.cure.endswith(".")
     fit = calibrate_in_situ(sets, options=options, refuse=False)
     assert fit.result is FitResult.REFUSED
-    assert said in str(fit.refusals[0])
+    assert message in str(fit.refusals[0])
     for value in (fit.matrix, fit.offset, fit.covariance, fit.limb.mass):
         assert np.isnan(value).all()
 
@@ -155,12 +155,12 @@ def test_takes_the_same_sets_unhurt():
 def test_one_corrupt_entry_of_the_factory_matrix_is_named(row, column, factor):
     corrupt = MATRIX.copy()
     corrupt[row, column] *= factor
-    said = re.escape(
+    message = re.escape(
         f"Entry [{row}, {column}] of the factory matrix, {corrupt[row, column]:.4g}, contradicts"
     )
-    with pytest.raises(CalibrationRefused, match=said):
+    with pytest.raises(CalibrationRefused, match=message):
         calibrate_in_situ(leg_sets(), factory_matrix=corrupt)
-    with pytest.raises(CalibrationRefused, match=said):
+    with pytest.raises(CalibrationRefused, match=message):
         calibrate_in_situ(leg_sets()[:1], factory_matrix=corrupt, limb=KnownLimb(MASS, 0.02, COM, 0.002))
 
 
@@ -208,10 +208,10 @@ ARGUMENTS = {
 }
 
 
-@pytest.mark.parametrize(("make", "said"), ARGUMENTS.values(), ids=ARGUMENTS.keys())
-def test_bad_arguments(make, said):
+@pytest.mark.parametrize(("make", "message"), ARGUMENTS.values(), ids=ARGUMENTS.keys())
+def test_bad_arguments(make, message):
     sets, options = make(leg_sets())
-    with pytest.raises(ValueError, match=re.escape(said)):
+    with pytest.raises(ValueError, match=re.escape(message)):
         calibrate_in_situ(sets, **options)
 
 
@@ -228,31 +228,31 @@ SETS = {
 }
 
 
-@pytest.mark.parametrize(("change", "said"), SETS.values(), ids=SETS.keys())
-def test_bad_sets(change, said):
+@pytest.mark.parametrize(("change", "message"), SETS.values(), ids=SETS.keys())
+def test_bad_sets(change, message):
     good = {"raw": np.ones((5, 6)), "gravity": np.ones((5, 3)), "name": "one"}
-    with pytest.raises(ValueError, match=re.escape(said)):
+    with pytest.raises(ValueError, match=re.escape(message)):
         InSituSet(**(good | change))
 
 
 OPTIONS = {
     "drift": ({"drift": 9}, "'drift' must be a whole number from 0 to 8, got 9."),
-    "tolerance": ({"misfit_tolerance": 0.0}, "'misfit_tolerance' must be positive and finite, got 0.0."),
+    "tolerance": ({"residual_tolerance": 0.0}, "'residual_tolerance' must be positive and finite, got 0.0."),
     "shares": ({"factory_std": (0.1, 0.1)}, "'factory_std' must hold six positive shares, one an axis"),
     "range": ({"code_range": (5.0, 5.0)}, "'code_range' must be (lowest, highest), got (5.0, 5.0)."),
 }
 
 
-@pytest.mark.parametrize(("change", "said"), OPTIONS.values(), ids=OPTIONS.keys())
-def test_bad_options(change, said):
-    with pytest.raises(ValueError, match=re.escape(said)):
+@pytest.mark.parametrize(("change", "message"), OPTIONS.values(), ids=OPTIONS.keys())
+def test_bad_options(change, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
         InSituOptions(**change)
 
 
 def test_a_known_limb_is_checked():
-    with pytest.raises(ValueError, match="KnownLimb: 'mass_std' must be positive and finite, got 0"):
+    with pytest.raises(ValueError, match="'mass_std' must be positive and finite, got 0"):
         KnownLimb(1.0, 0)
-    with pytest.raises(ValueError, match="KnownLimb: 'com' must be three finite numbers in m"):
+    with pytest.raises(ValueError, match="'com' must be three finite numbers in m"):
         KnownLimb(1.0, 0.1, com=np.ones(2))
 
 
@@ -296,18 +296,18 @@ def test_masses_are_checked_while_the_limb_moves(spoil):
 def test_a_temperature_that_stays_is_left_out():
     plain = calibrate_in_situ(leg_sets())
     fit = calibrate_in_situ([replace(one, temperature=np.full(600, 25.0)) for one in leg_sets()])
-    assert "too little to tell its effect" in fit.warnings[0]
+    assert "too little to show its effect" in fit.warnings[0]
     np.testing.assert_allclose(fit.offset, plain.offset)
     some = [replace(one, temperature=np.linspace(20, 30, 600)) for one in leg_sets()[:3]]
     fit = calibrate_in_situ([*some, leg_sets()[3]])
     assert "'data set 4' has no temperature" in fit.warnings[0]
 
 
-def test_a_limb_that_is_not_as_said_is_told():
+def test_a_limb_that_is_not_as_given_is_reported():
     sound = calibrate_in_situ(leg_sets(), limb=KnownLimb(MASS, 0.05))
     assert not any("deviations apart" in warning for warning in sound.warnings)
     fit = calibrate_in_situ(leg_sets(), limb=KnownLimb(1.2 * MASS, 0.01))
-    assert any("5.880 kg were said" in warning for warning in fit.warnings)
+    assert any("5.880 kg were given" in warning for warning in fit.warnings)
 
 
 def test_gravity_of_the_wrong_sign_contradicts_a_factory_matrix():
@@ -317,7 +317,7 @@ def test_gravity_of_the_wrong_sign_contradicts_a_factory_matrix():
             calibrate_in_situ(sets, factory_matrix=MATRIX, limb=limb)
 
 
-def test_an_uncalibrated_accelerometer_is_told():
+def test_an_uncalibrated_accelerometer_is_reported():
     biased = [replace(one, gravity=np.add(one.gravity, [0.0, 0.0, 0.3])) for one in leg_sets()]
     assert "calibrate the accelerometer first" in calibrate_in_situ(biased).warnings[0]
 

@@ -36,7 +36,7 @@ def walked(tracker, runs, steps, dt, seed, turn=True):
     rng = np.random.default_rng([41, seed])
     config = tracker.config
     truth = draw_truth(make_fit(), rng, runs, config.since_fit_force, config.since_fit_torque)
-    walk = RESPONSE * np.repeat([config.walk_force, config.walk_torque], 3) * dt**0.5
+    walk = RESPONSE * np.repeat([config.drift_force, config.drift_torque], 3) * dt**0.5
     gravity = swept_gravity(steps) if turn else np.tile(swept_gravity(steps)[7], (steps, 1))
     nis = []
     for g in gravity:
@@ -56,7 +56,7 @@ def test_offsets_are_off_by_as_much_as_is_claimed(learn):
     assert abs(nees.mean() / 6.0 - 1.0) < 4.0 * np.sqrt(2.0 / (6.0 * runs))
     assert abs(np.nanmean(nis) / 6.0 - 1.0) < 0.1
     D = np.linalg.solve(RESPONSE, truth.response) - np.eye(6)
-    z = (estimate.gain - np.eye(6) - D) / estimate.gain_std
+    z = (estimate.scale - np.eye(6) - D) / estimate.scale_std
     assert 0.9 < np.sqrt(np.mean(z**2)) < 1.1
     errors = [np.linalg.solve(RESPONSE, (o - truth.offset).T)[:3] for o in (OFFSET, estimate.offset)]
     assert np.mean(errors[1] ** 2) < 0.16 * np.mean(errors[0] ** 2)
@@ -65,7 +65,7 @@ def test_offsets_are_off_by_as_much_as_is_claimed(learn):
 def test_gains_are_found_where_the_limb_turns():
     truth, estimate, _ = walked(InSituTracker(make_fit(), learn="axes"), 200, 80, 1.0, seed=1)
     D = np.linalg.solve(RESPONSE, truth.response)
-    actual, found = (np.diagonal(part, axis1=1, axis2=2) for part in (D, estimate.gain))
+    actual, found = (np.diagonal(part, axis1=1, axis2=2) for part in (D, estimate.scale))
     start, left = np.std(actual - 1.0, axis=0), np.std(found - actual, axis=0)
     assert (left[:3] < 0.85 * start[:3]).all()
     assert (left < 1.1 * start).all()
@@ -76,7 +76,7 @@ def test_a_limb_that_does_not_turn_cannot_tell_gains_from_offset():
     for turn in (False, True):
         tracker = InSituTracker(make_fit(), learn="axes", since_fit_force=20.0, since_fit_torque=1.0)
         _, estimate, _ = walked(tracker, 1, 80, 1.0, seed=2, turn=turn)
-        stds[turn] = np.diagonal(estimate.gain_std[0])[:3] / 0.005
+        stds[turn] = np.diagonal(estimate.scale_std[0])[:3] / 0.005
     assert (stds[False] > 0.98).all()
     assert (stds[True] < 0.9).all()
 
@@ -88,7 +88,7 @@ def test_a_perfect_sensor_is_left_as_it_is(learn):
         estimate = tracker.update(RESPONSE @ weight_of(g) + OFFSET, g, 0.1)
         assert estimate.learnt
     np.testing.assert_allclose(estimate.offset, OFFSET, rtol=1e-11)
-    np.testing.assert_allclose(estimate.gain, np.eye(6), atol=1e-10)
+    np.testing.assert_allclose(estimate.scale, np.eye(6), atol=1e-10)
     np.testing.assert_allclose(estimate.wrench, weight_of(g), atol=1e-9)
 
 
@@ -120,7 +120,7 @@ def test_nothing_is_learnt_while_the_foot_stands():
     grown = np.linalg.inv(RESPONSE) @ (stands.covariance - first.covariance)[:6, :6]
     walk = np.diag(grown @ np.linalg.inv(RESPONSE).T)
     config = tracker.config
-    expected = np.repeat([config.walk_force, config.walk_torque], 3) ** 2 * 60.0
+    expected = np.repeat([config.drift_force, config.drift_torque], 3) ** 2 * 60.0
     np.testing.assert_allclose(walk, expected, rtol=1e-6)
     np.testing.assert_allclose(stands.wrench, pushed, atol=0.05)
     assert stands.flags.tolist() == [0] * 6
@@ -168,7 +168,7 @@ def test_a_bad_channel_changes_no_estimate(value, flag):
     assert during.flags.tolist() == [0, 0, flag, 0, 0, 0]
     assert not during.learnt
     np.testing.assert_array_equal(during.offset, before.offset)
-    np.testing.assert_array_equal(during.gain, before.gain)
+    np.testing.assert_array_equal(during.scale, before.scale)
     assert all(np.isfinite(part).all() for name, part in during._asdict().items() if name != "nis")
     if flag is not Flag.SATURATED:
         np.testing.assert_allclose(during.wrench, before.wrench, rtol=1e-12)
@@ -196,7 +196,7 @@ def test_standing_still_tells_no_more_than_hysteresis_lets_it():
     raw = RESPONSE @ WEIGHT + OFFSET
     stds = []
     for lag in (0.0, 0.02):
-        tracker = InSituTracker(make_fit(), lag=lag, walk_force=0.0, walk_torque=0.0)
+        tracker = InSituTracker(make_fit(), lag=lag, drift_force=0.0, drift_torque=0.0)
         for _ in range(200):
             estimate = tracker.update(raw, DOWN, 0.01)
         force = np.linalg.solve(RESPONSE, np.linalg.solve(RESPONSE, estimate.covariance[:6, :6]).T)
@@ -269,7 +269,7 @@ def test_torch_is_numpy():
 
 def test_a_batch_is_a_loop():
     together = stream(np.asarray, np.float64, (2, 3))
-    assert together[-1].gain.shape == (2, 3, 6, 6)
+    assert together[-1].scale.shape == (2, 3, 6, 6)
     assert together[-1].covariance.shape == (2, 3, 42, 42)
     rng_alone = stream(np.asarray, np.float64, ())
     assert rng_alone[-1].wrench.shape == (6,)
@@ -318,8 +318,8 @@ def test_a_state_can_be_put_back():
 def test_what_has_no_meaning_is_refused():
     with pytest.raises(ValueError, match="'learn' must be one of"):
         InSituTrackerConfig(learn="everything")
-    with pytest.raises(ValueError, match="'walk_force' must not be negative"):
-        InSituTrackerConfig(walk_force=-1.0)
+    with pytest.raises(ValueError, match="'drift_force' must not be negative"):
+        InSituTrackerConfig(drift_force=-1.0)
     with pytest.raises(ValueError, match="'lag' must not be negative"):
         InSituTrackerConfig(lag=-0.1)
     with pytest.raises(ValueError, match="lowest, highest"):
