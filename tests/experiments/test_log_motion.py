@@ -25,6 +25,13 @@ NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 MOTION = ("joint_", "accelerometer_", "gyroscope_")
 
 
+def refusal_of(path: Path) -> str:
+    """Return why a log is refused."""
+    with pytest.raises(LogError) as refused:
+        read_log(path)
+    return str(refused.value)
+
+
 def write_motion(log: Log, motion: pd.DataFrame, path: Path, description: dict[str, Any]) -> Path:
     """Write a log without its references; joints and IMU into a table of their own."""
     write_log(log, path)
@@ -151,9 +158,7 @@ def test_commanded_contacts_come_before_a_guess_and_those_of_the_log_before_them
     assert not log.reference.swing[:, 1].any()
     assert log.reference.stance[:, 1].all()
     commanded.drop(columns="command_right_contact").to_csv(path, index=False)
-    with pytest.raises(LogError) as refused:
-        read_log(path)
-    assert str(refused.value) == (
+    assert refusal_of(path) == (
         "walk.csv: column command_left_contact is there without command_right_contact; "
         "give contacts of both feet or none."
     )
@@ -334,11 +339,9 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
 def test_a_bad_description_of_motion_is_refused(log: Log, tmp_path: Path, case: str) -> None:
     change, message = BAD_MOTIONS[case]
     path = standing(tmp_path, log, **change)
-    with pytest.raises(LogError) as refused:
-        read_log(path)
     message = message.format(folder=tmp_path) if "{folder}" in message else message
     named = message.startswith(("walk.", str(tmp_path)))
-    assert str(refused.value) == (message if named else f"walk.csv: {message}")
+    assert refusal_of(path) == (message if named else f"walk.csv: {message}")
 
 
 def _scaled(prefix: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
@@ -400,9 +403,7 @@ def test_a_bad_table_of_motion_is_refused(log: Log, tmp_path: Path, case: str) -
     path = standing(tmp_path, log)
     table = path.with_suffix(".motion.csv")
     change(pd.read_csv(table)).to_csv(table, index=False)
-    with pytest.raises(LogError) as refused:
-        read_log(path)
-    assert str(refused.value) == f"walk.motion.csv: {message}"
+    assert refusal_of(path) == f"walk.motion.csv: {message}"
 
 
 def test_a_held_joint_needs_no_column(log: Log, tmp_path: Path) -> None:
@@ -429,9 +430,7 @@ def test_a_lag_beside_motion_is_refused(log: Log, tmp_path: Path) -> None:
     path = standing(tmp_path, log)
     side = path.with_suffix(".json")
     side.write_text(json.dumps(json.loads(side.read_text()) | {"lag_samples": 2}))
-    with pytest.raises(LogError) as refused:
-        read_log(path)
-    assert str(refused.value) == (
+    assert refusal_of(path) == (
         "walk.csv: the description's lag_samples is 2 beside motion, whose references are made for the very "
         "moment of each row; leave it out and give motion.delay_s in seconds."
     )
@@ -507,9 +506,7 @@ def test_a_drawing_that_is_no_robot_is_refused(log: Log, tmp_path: Path, case: s
     drawing, message = DRAWINGS[case]
     path = standing(tmp_path, log)
     (tmp_path / "robot.xml").write_text(drawing)
-    with pytest.raises(LogError) as refused:
-        read_log(path)
-    assert str(refused.value).startswith(f"walk.csv: {message}")
+    assert refusal_of(path).startswith(f"walk.csv: {message}")
 
 
 def test_junk_in_joints_and_imu_is_refused_or_not_known(log: Log, tmp_path: Path) -> None:
@@ -544,8 +541,6 @@ def test_a_plate_alone_has_no_joints(log: Log, tmp_path: Path) -> None:
     told = json.loads(side.read_text())
     one = {"scale_N_per_count": [1.0] * 4, "offset_N": [0.0] * 4}
     side.write_text(json.dumps(told | {"layout": told["layout"][:1], "nominal": one}))
-    with pytest.raises(LogError) as refused:
-        read_log(path)
-    assert str(refused.value) == (
+    assert refusal_of(path) == (
         "walk.csv: motion needs the layout of two feet, got 1; give the reference columns of a single plate."
     )
