@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentFilterConfig, OnlineSetup, Parameters, posterior_bound
-from surefoot.experiments.arena.pieces import LogBound
+from surefoot.experiments.arena.cases import LogBound
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walks.replay import starting_map
 

@@ -1,8 +1,6 @@
-"""Figures of the arena: errors of all scenarios at a glance, over time, and how sure methods are of them.
+"""Figures of the comparison: errors at a glance, errors over time, and how sure methods are of them."""
 
-Colours mean the same way to read the feet as in :mod:`surefoot.experiments.demo.figures`.
-"""
-
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
-from scipy import stats
 
 from surefoot.experiments.arena.scenarios import Scenario
+from surefoot.experiments.arena.tables import consistent
 from surefoot.experiments.study.figures import (
+    draw_curve,
     figure_at,
     grid_of,
     in_order,
@@ -24,13 +23,39 @@ from surefoot.experiments.study.figures import (
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["consistency", "detection", "error_curves", "overview"]
+__all__ = ["consistency", "detection", "draw_dot", "error_curves", "overview"]
 
 _PANELS = (
     ("cop", 1e3, "CoP rmse (mm)", 2.0),
     ("vgrf", 1.0, "vGRF rmse (N)", 0.4),
     ("cell", 1.0, "single cell rmse (N)", 0.4),
 )
+
+SMALLEST = 1e-9
+"""What is smaller than this is nothing, which a logarithmic axis cannot show."""
+
+
+def draw_dot(axes: Axes, values: Any, factor: float, at: float, name: str, *, upright: bool = False) -> None:
+    """Draw a mean with its 95 % interval on a logarithmic axis, in the look of a way to read the feet.
+
+    Args:
+        axes: Where.
+        values: One number a run.
+        factor: To multiply them with.
+        at: Place on the other axis.
+        name: The way to read the feet.
+        upright: Whether the values go upwards, in place of to the right.
+    """
+    interval, look = mean_interval(values), look_of(name)
+    if interval.n == 0 or not interval.mean > SMALLEST:
+        return
+    mean, half = factor * interval.mean, 0.0 if np.isnan(interval.half) else factor * interval.half
+    # On a logarithmic axis an interval that reaches below zero is cut off near the mean.
+    reach = [[min(half, 0.9 * mean)], [half]]
+    place: dict[str, Any] = (
+        {"x": at, "y": mean, "yerr": reach} if upright else {"x": mean, "y": at, "xerr": reach}
+    )
+    axes.errorbar(**place, color=look.colour, marker=look.marker, markersize=4.5, capsize=2.0, linewidth=1.2)
 
 
 def overview(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Path:
@@ -46,48 +71,41 @@ def overview(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Path
     with figure_at(path, 11.0, 1.6 + 0.42 * len(shown)) as figure:
         panels = grid_of(figure, 1, 3, sharey=True)[0]
         for axes, (metric, factor, label, target) in zip(panels, _PANELS, strict=True):
-            for i, scenario in enumerate(shown):
-                part = scores[scores["scenario"] == scenario.name]
-                for j, method in enumerate(methods):
-                    values = part[part["method"] == method][metric]
-                    _dot(axes, values, factor, i + 0.7 * ((j + 0.5) / len(methods) - 0.5), method)
+            for at, name, runs in _rows(scores, shown, methods, 0.7):
+                draw_dot(axes, runs[metric], factor, at, name)
             axes.axvline(target, color="black", linestyle="--", linewidth=0.8)
             _log_x(axes, label)
         _by_scenario(figure, panels[0], shown, methods)
     return path
 
 
-def error_curves(path: Path, errors: Frame, scenarios: tuple[Scenario, ...]) -> Path:
-    """Draw the running CoP error over time, median and quartiles over runs, one panel a scenario.
+def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> Path:
+    """Draw the running CoP error over time, median and quartiles over runs.
 
     Args:
         path: Where to save the figure.
-        errors: Rows ``scenario``, ``method``, ``seed``, ``time`` (s) and ``cop`` (m).
-        scenarios: What to draw.
+        panels: By title: rows ``method``, ``seed``, ``time`` (s) and ``cop`` (m).
+        columns: Most panels side by side.
     """
-    shown = [s for s in scenarios if (errors["scenario"] == s.name).any()]
-    columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    with figure_at(path, max(3.7 * columns + 0.4, 8.4), 2.5 * rows + 1.2) as figure:
-        panels = grid_of(figure, rows, columns, sharey=True)
-        for axes, scenario in zip(panels.flat, shown, strict=False):
-            part = errors[errors["scenario"] == scenario.name]
+    across = min(columns, len(panels))
+    down = -(-len(panels) // across)
+    with figure_at(path, max(3.7 * across + 0.4, 8.4), 2.5 * down + 1.2) as figure:
+        drawn = grid_of(figure, down, across, sharey=True)
+        for axes, (title, part) in zip(drawn.flat, panels.items(), strict=False):
             for method in in_order(part["method"]):
                 runs = part[part["method"] == method].groupby("time")["cop"]
                 low, middle, high = (1e3 * runs.quantile(q).clip(lower=1e-5) for q in (0.25, 0.5, 0.75))
-                look = look_of(method)
-                axes.plot(middle.index, middle, color=look.colour, linestyle=look.line, label=look.label)
-                axes.fill_between(middle.index, low, high, color=look.colour, alpha=0.15, linewidth=0)
-            axes.set_title(scenario.title)
+                draw_curve(axes, middle.index, middle, look_of(method), low, high)
+            axes.set_title(title)
             axes.set_ylim(bottom=0.3)
             logarithmic(axes)
-        for axes in panels.flat[len(shown) :]:
+        for axes in drawn.flat[len(panels) :]:
             axes.set_visible(False)
-        for axes in panels[-1]:
+        for axes in drawn[-1]:
             axes.set_xlabel("time (s)")
-        for axes in panels[:, 0]:
+        for axes in drawn[:, 0]:
             axes.set_ylabel("CoP rmse of 2 s (mm)")
-        legend_below(figure, panels[0, 0], columns=6 if columns == 3 else 4)
+        legend_below(figure, drawn[0, 0])
     return path
 
 
@@ -109,19 +127,11 @@ def consistency(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> P
     methods = in_order(claims["method"])
     with figure_at(path, 8.0, 1.6 + 0.36 * len(shown)) as figure:
         axes = grid_of(figure, 1, 1)[0, 0]
-        for i, scenario in enumerate(shown):
-            part = claims[claims["scenario"] == scenario.name]
-            for j, method in enumerate(methods):
-                runs = part[part["method"] == method]
-                if not len(runs):
-                    continue
-                degrees = float(runs["parameters"].sum())
-                low, high = (stats.chi2.ppf(q, degrees) / degrees for q in (0.025, 0.975))
-                at = i + 0.5 * ((j + 0.5) / len(methods) - 0.5)
-                axes.plot([low, high], [at, at], color="black", linewidth=5, alpha=0.25)
-                _dot(axes, runs["nees_end"], 1.0, at, method)
+        for at, name, runs in _rows(claims, shown, methods, 0.5):
+            axes.plot(consistent(runs), [at, at], color="black", linewidth=5, alpha=0.25)
+            draw_dot(axes, runs["nees_end"], 1.0, at, name)
         axes.axvline(1.0, color="black", linewidth=0.8)
-        _log_x(axes, "NEES of gains and zeros over its degrees of freedom")
+        _log_x(axes, "NEES of scales and offsets over its degrees of freedom")
         _by_scenario(figure, axes, shown, methods)
     return path
 
@@ -144,16 +154,29 @@ def detection(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Pat
     methods = in_order(found["method"])
     with figure_at(path, 8.0, 1.6 + 0.42 * len(shown)) as figure:
         axes = grid_of(figure, 1, 1)[0, 0]
-        for i, scenario in enumerate(shown):
-            part = found[found["scenario"] == scenario.name]
-            for j, method in enumerate(methods):
-                times = np.maximum(part[part["method"] == method]["found"], 0.01)
-                at = np.full(len(times), i + 0.7 * ((j + 0.5) / len(methods) - 0.5))
-                axes.plot(times, at, linestyle="none", alpha=0.5, markersize=4, **_mark(method))
+        for at, name, runs in _rows(found, shown, methods, 0.7):
+            times = np.maximum(runs["found"], 0.01)
+            axes.plot(
+                times, np.full(len(times), at), linestyle="none", alpha=0.5, markersize=4, **_mark(name)
+            )
         axes.axvline(1.0, color="black", linestyle="--", linewidth=0.8)
         _log_x(axes, "time until a fault is found (s)")
         _by_scenario(figure, axes, shown, methods)
     return path
+
+
+def _rows(
+    scores: Frame, shown: list[Scenario], methods: list[str], spread: float
+) -> list[tuple[float, str, Frame]]:
+    """Return the place, the method and the runs of every row: scenarios one apart, methods around them."""
+    rows = []
+    for i, scenario in enumerate(shown):
+        part = scores[scores["scenario"] == scenario.name]
+        for j, method in enumerate(methods):
+            runs = part[part["method"] == method]
+            if len(runs):
+                rows.append((i + spread * ((j + 0.5) / len(methods) - 0.5), method, runs))
+    return rows
 
 
 def _log_x(axes: Axes, label: str) -> None:
@@ -169,16 +192,6 @@ def _by_scenario(figure: Figure, axes: Axes, shown: list[Scenario], methods: lis
     for method in methods:
         axes.plot([], [], linestyle="none", label=look_of(method).label, **_mark(method))
     legend_below(figure, axes)
-
-
-def _dot(axes: Axes, values: Any, factor: float, at: float, method: str) -> None:
-    interval = mean_interval(values)
-    if interval.n == 0 or not interval.mean > 0.0:
-        return
-    mean, half = factor * interval.mean, 0.0 if np.isnan(interval.half) else factor * interval.half
-    # On a logarithmic axis an interval that reaches below zero is cut off near the mean.
-    reach = [[min(half, 0.9 * mean)], [half]]
-    axes.errorbar(mean, at, xerr=reach, markersize=4.5, capsize=1.5, linewidth=1.1, **_mark(method))
 
 
 def _mark(method: str) -> dict[str, Any]:

@@ -1,6 +1,4 @@
-"""What the arena's figures say, in sentences that are made of them."""
-
-from typing import NamedTuple
+"""What the numbers of the comparison say, in sentences that are made of them."""
 
 import numpy as np
 
@@ -8,7 +6,7 @@ from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.scenarios import PLAIN, Scenario
 from surefoot.experiments.study.figures import in_order, short_label
 from surefoot.experiments.study.statistics import mean_interval
-from surefoot.experiments.study.tables import Frame, number, with_interval
+from surefoot.experiments.study.tables import Frame, number, plural, with_interval
 
 __all__ = ["scenario_findings", "summary_findings"]
 
@@ -16,29 +14,8 @@ START = "none"
 """The method that leaves the readings as the starting map gives them."""
 
 
-class Metric(NamedTuple):
-    """What methods are ranked by.
-
-    Attributes:
-        column: Its name in the scores.
-        title: What to call it.
-        unit: What it is said in.
-        factor: That unit in one of the scores'.
-    """
-
-    column: str
-    title: str
-    unit: str
-    factor: float
-
-
-COP = Metric("cop", "CoP", "mm", 1e3)
-VGRF = Metric("vgrf", "vertical force", "N", 1.0)
-"""Where nothing stands or moments were not recorded, there is no centre of pressure."""
-
-
 def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> tuple[str, ...]:
-    """Say what a scenario shows.
+    """Return what a scenario shows.
 
     Args:
         scores: One row a run, of all scenarios.
@@ -48,11 +25,10 @@ def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> t
     part = scores[scores["scenario"] == scenario.name]
     if not len(part):
         return (f"No walk lasted long enough to be scored: {left_out} of {left_out} ended in a fall.",)
-    metric = COP if part["cop"].notna().any() else VGRF
-    errors = part.pivot(index="seed", columns="method", values=metric.column)
-    said = [_ranking(errors, metric)]
-    said += [_method(part, errors, m, metric) for m in in_order(errors) if m not in (TRUE_MAP, START)]
-    special = scenario.walk is not None and scenario.name != PLAIN and not scenario.faults
+    errors = part.pivot(index="seed", columns="method", values="cop")
+    said = [_ranking(errors)]
+    said += [_method(part, errors, m) for m in in_order(errors) if m not in (TRUE_MAP, START)]
+    special = scenario.name != PLAIN and not scenario.faults
     if special and (scores["scenario"] == PLAIN).any():
         said.append(_against_plain(scores, part))
     if scenario.faults:
@@ -67,7 +43,7 @@ def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> t
 
 
 def summary_findings(scores: Frame) -> tuple[str, ...]:
-    """Say for every method in how many scenarios it leads, and whether it ever did harm."""
+    """Return for every method in how many scenarios it leads, and whether it ever did harm."""
     healthy = scores[(scores["after"].isna()) & (scores["method"] != TRUE_MAP)]
     means = healthy.groupby(["scenario", "method"])["cop"].mean().unstack().dropna(how="all")
     best = means.idxmin(axis=1)
@@ -82,7 +58,7 @@ def summary_findings(scores: Frame) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _ranking(errors: Frame, metric: Metric) -> str:
+def _ranking(errors: Frame) -> str:
     """Say who is nearest to the truth, and whether that is clear of the next."""
     methods = [m for m in errors.columns if m != TRUE_MAP]
     ranked = sorted(methods, key=lambda m: float(errors[m].mean()))
@@ -90,34 +66,30 @@ def _ranking(errors: Frame, metric: Metric) -> str:
         return "Only the true map was run."
     best = ranked[0]
     text = (
-        f"Nearest to the truth is {short_label(best)} with {with_interval(errors[best], metric.factor)} "
-        f"{metric.unit} of {metric.title} error"
+        f"Nearest to the truth is {short_label(best)} with {with_interval(errors[best], 1e3)} mm of CoP error"
     )
     if TRUE_MAP in errors:
-        text += f" (true map {with_interval(errors[TRUE_MAP], metric.factor)} {metric.unit})"
+        text += f" (true map {with_interval(errors[TRUE_MAP], 1e3)} mm)"
     if len(ranked) > 1:
         gap = mean_interval(errors[ranked[1]] - errors[best])
-        lead = with_interval(errors[ranked[1]] - errors[best], metric.factor)
-        text += f"; {short_label(ranked[1])} is {lead} {metric.unit} further off"
+        lead = with_interval(errors[ranked[1]] - errors[best], 1e3)
+        text += f"; {short_label(ranked[1])} is {lead} mm further off"
         if not gap.mean > gap.half:
             text += ", which the interval does not tell from nothing"
     return text + "."
 
 
-def _method(part: Frame, errors: Frame, method: str, metric: Metric) -> str:
+def _method(part: Frame, errors: Frame, method: str) -> str:
     runs = part[part["method"] == method]
-    values = with_interval(errors[method], metric.factor)
-    text = f"{short_label(method)}: {metric.title} {values} {metric.unit}"
+    text = f"{short_label(method)}: CoP {with_interval(errors[method], 1e3)} mm"
     if START in errors:
         text += f", {_change(errors, method)}"
-    if metric is COP:
-        text += f"; vGRF {with_interval(runs['vgrf'])} N"
-    text += f"; cells {with_interval(runs['cell'])} N; {_harm(runs)}"
-    limits = runs[f"bound_{metric.column}"]
+    text += f"; vGRF {with_interval(runs['vgrf'])} N; cells {with_interval(runs['cell'])} N; {_harm(runs)}"
+    limits = runs["bound_cop"]
     if limits.notna().any():
-        text += f"; {number(float((runs[metric.column] / limits).mean()))} times the bound"
+        text += f"; {number(float((runs['cop'] / limits).mean()))} times the bound"
     if not runs["finite"].all():
-        text += f"; in {int((~runs['finite'].astype(bool)).sum())} runs a force was not finite"
+        text += f"; in {plural(int((~runs['finite'].astype(bool)).sum()), 'run')} a force was not finite"
     return text + "."
 
 
@@ -134,10 +106,7 @@ def _change(errors: Frame, method: str) -> str:
 
 def _harm(runs: Frame) -> str:
     worse, cells = int(runs["worse"].sum()), int(runs["worse_cell"].sum())
-    if not runs["end"].notna().any():
-        forces = int(runs["worse_vgrf"].sum())
-        text = f"{forces} of {len(runs)} runs end with a worse vertical force than the starting map's"
-    elif worse == 0:
+    if worse == 0:
         text = f"none of {len(runs)} runs ends with a worse CoP than it started with"
     else:
         verb = "ends" if worse == 1 else "end"

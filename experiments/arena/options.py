@@ -1,10 +1,12 @@
-"""How much the arena does."""
+"""How much a study of walks does."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
-from surefoot.calibration.online import METHODS, method_name
-from surefoot.experiments.walks.walkers import STAND_TIME, check_study
+from surefoot.calibration import METHODS
+from surefoot.experiments.walks.walkers import STAND_TIME
 
 __all__ = ["TRUE_MAP", "ArenaOptions"]
 
@@ -14,20 +16,29 @@ TRUE_MAP = "floor"
 
 @dataclass(frozen=True)
 class ArenaOptions:
-    """How much the arena does.
+    """How much a study of walks does.
 
     Attributes:
         out: Folder for everything that is made.
-        seeds: Number of walks of a scenario; the seeds are 0, 1, ...
-        scenarios: Names of scenarios; none for all.
+        seeds: Number of walks of a scenario, and of each closed loop; the seeds are 0, 1, ...
+        scenarios: Names of scenarios; none for all but those of the CoP paper.
         methods: Names of methods; none for all. The true map comes on top.
         jobs: Processes that work at the same time.
         duration: Length of a walk in s, the standing before it included.
         settle: Errors count from this time in s on.
         quick: Whether long scenarios are left out.
+        loops: What the controller is given in the closed loop, by how bad the cells are: 1 is the bad start,
+            3 three times as bad.
+        loop_duration: Length of a walk in the closed loop in s, standing included.
+        factors: What the window's weights are scaled by.
+        sensitivity_seeds: Walks on which each weight is scaled.
+        film_duration: Length of the filmed walk in s; 0 for no film.
+
+    Raises:
+        ValueError: If a number is out of its range, or there is no such method.
     """
 
-    out: Path = Path("out/arena")
+    out: Path = Path("out/compare-walking")
     seeds: int = 20
     scenarios: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
@@ -35,11 +46,22 @@ class ArenaOptions:
     duration: float = STAND_TIME + 30.0
     settle: float = STAND_TIME + 10.0
     quick: bool = False
+    loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)
+    loop_duration: float = STAND_TIME + 20.0
+    factors: tuple[float, ...] = ()
+    sensitivity_seeds: int = 5
+    film_duration: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be done."""
-        check_study(self, "seeds", "jobs")
-        object.__setattr__(self, "methods", tuple(map(method_name, self.methods)))
+        """Check the numbers and the names."""
+        for name in ("seeds", "jobs", "sensitivity_seeds"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
+        if not STAND_TIME < self.settle < self.duration:
+            raise ValueError(
+                f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
+                f"{self.duration:g} s, got {self.settle:g} s."
+            )
         unknown = [name for name in self.methods if name not in METHODS and name != TRUE_MAP]
         if unknown:
             available = ", ".join(map(repr, METHODS))
@@ -51,7 +73,7 @@ class ArenaOptions:
         return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or METHODS))))
 
     def quickly(self) -> "ArenaOptions":
-        """The same with two seeds and short walks, to see whether all works."""
+        """Return the same with two seeds and short walks, to see whether all works."""
         return replace(
             self,
             seeds=min(self.seeds, 2),
@@ -59,3 +81,7 @@ class ArenaOptions:
             settle=STAND_TIME + 6.0,
             quick=True,
         )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return them as plain data, for a file."""
+        return {name: str(v) if isinstance(v, Path) else v for name, v in vars(self).items()}

@@ -22,7 +22,7 @@ from surefoot.calibration import (
 )
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream, held
-from surefoot.experiments.walks.replay import LogBatch, batches_of
+from surefoot.experiments.walks.replay import LogBatch, batches_of, starting_map
 
 __all__ = ["Consistency", "Played", "play"]
 
@@ -88,7 +88,7 @@ def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]
         return [_true_map(stream) for stream in streams]
     logs = [stream.log for stream in streams]
     played: dict[int, Played] = {}
-    for batch in batches_of(logs, [log.nominal for log in logs]):
+    for batch in batches_of(logs, [starting_map(log) for log in logs]):
         members = batch.members
         played |= zip(
             members, _play_batch([streams[i] for i in members], batch, method, options), strict=True
@@ -98,7 +98,7 @@ def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]
 
 def _true_map(stream: Stream) -> Played:
     log, truth = stream.log, stream.truth
-    start = log.nominal
+    start = starting_map(log)
     undone = Parameters(truth.scale, truth.offset).relative_to(start)
     nothing = np.full(0, np.nan)
     return Played(
@@ -162,7 +162,7 @@ class _Watch:
         self._force: list[NDArray[np.float64]] = []
         self._nis = np.zeros(len(streams))
         self._rows = np.zeros(len(streams))
-        truths = [Parameters(s.truth.scale, s.truth.offset).relative_to(s.log.nominal) for s in streams]
+        truths = [Parameters(s.truth.scale, s.truth.offset).relative_to(starting_map(s.log)) for s in streams]
         # A channel that no longer tells its own force has no map that the estimate could be held against.
         self._healthy = np.array([not s.faults for s in streams])
         self._map = np.stack([np.hstack([t.scale, t.offset]) for t in truths], axis=1)

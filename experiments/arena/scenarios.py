@@ -13,14 +13,17 @@ from typing import Any
 import numpy as np
 
 from surefoot.experiments.arena.walks import CHIPS, INSTANT, Walk
-from surefoot.experiments.walks.record import Condition
+from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
 
-__all__ = ["PLAIN", "SCENARIOS", "Scenario", "scenarios_named"]
+__all__ = ["PAPER_SCENARIOS", "PLAIN", "SCENARIOS", "SPEEDS", "Scenario", "scenarios_named"]
 
 PLAIN = "speed-0.04"
 """The scenario without anything special, which others are held against."""
+
+SPEEDS = (0.02, 0.04, 0.1)
+"""Speeds of the CoP paper in m/s."""
 
 _FAULT_STREAM = 0xFA17
 
@@ -33,27 +36,27 @@ class Scenario:
         name: Short name, for files and the command.
         title: What to call it.
         answers: The question that it answers, and where that is asked.
-        walk: The walk, or ``None`` for a recording.
+        walk: The walk.
         condition: Name of the cells that read it.
-        recording: A key of :data:`~surefoot.experiments.arena.recordings.RECORDINGS`.
         faults: Faults of one channel, without channel and start, which are drawn.
         options: What every method must be told besides, by name.
         method_options: Options of single methods, by the method's name.
         most_seeds: Most walks, for long ones.
         long: Whether it takes minutes of walking, and so is no part of a quick run.
+        paper: Whether it is scored as the CoP paper scores, too.
     """
 
     name: str
     title: str
     answers: str
-    walk: Walk | None
+    walk: Walk
     condition: str = INSTANT.name
-    recording: str | None = None
     faults: tuple[Fault, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     method_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     most_seeds: int | None = None
     long: bool = False
+    paper: bool = False
 
     def seeds(self, seeds: int) -> range:
         """Number its walks, where ``seeds`` are asked for."""
@@ -107,8 +110,6 @@ _WARM = Condition(
 )
 _ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque())
 _BOTH = Condition("both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque())
-# Eight seconds are too short to wait for a standing start that does not come.
-_IMPATIENT = {name: {"standing_patience": 3.0} for name in ("window", "quasi-static")}
 _WIDE_ZEROS = {"moment": {"offset_std": 0.1}}
 """What is known of the six-axis sensors: zeros of some 5 N, a tenth of the weight."""
 
@@ -124,7 +125,7 @@ _TABLE = (
             "The paper's three speeds from the bad start (CoP paper, Tables 4-6).",
             _speed(speed),
         )
-        for speed in (0.02, 0.04, 0.1)
+        for speed in SPEEDS
     ),
     *(
         Scenario(
@@ -135,7 +136,7 @@ _TABLE = (
             _speed(speed),
             CHIPS.name,
         )
-        for speed in (0.02, 0.04, 0.1)
+        for speed in SPEEDS
     ),
     Scenario(
         "start-stop-turn",
@@ -254,60 +255,38 @@ _TABLE = (
     ),
 )
 
-_RECORDED = tuple(
-    Scenario(
-        f"recording-{name}",
-        title,
-        f"{answers} Gains are off by 10 % and offsets by 3 % of the weight, on top of what was recorded; "
-        "errors are held against the record itself.",
-        None,
-        recording=name,
-        options=_FOOT_LENGTH if name == "icub" else {},
-        method_options=_IMPATIENT if name == "pole" else {},
+PAPER_SCENARIOS = {
+    (condition.name, speed): Scenario(
+        f"{condition.name}-{speed:g}",
+        f"{speed:g} m/s, {condition.title}",
+        "The CoP paper's Tables 4 to 6: against its own baseline, and against the truth.",
+        Walk(f"both-{speed:g}", speed, conditions=CONDITIONS),
+        condition.name,
+        paper=True,
     )
-    for name, title, answers in (
-        (
-            "board",
-            "recorded: a person on a balance board",
-            "Quiet standing hardly excites the plate: weight and centre of pressure are told.",
-        ),
-        (
-            "pole",
-            "recorded: a pole rocked on a force plate",
-            "One corner carries some 90 % of the load, against rigid plate statics; the fixed tip is told "
-            "and scored against.",
-        ),
-        (
-            "empty-plate",
-            "recorded: an empty force plate",
-            "The zeros stand at a pure warp after unloading, which neither the total nor the centre of "
-            "pressure shows; scored against no load.",
-        ),
-        (
-            "icub",
-            "recorded: an iCub that sways on both feet",
-            "Vertical forces alone, without moments and with no foot ever in the air: the total is told.",
-        ),
-    )
-)
+    for speed in SPEEDS
+    for condition in CONDITIONS
+}
+"""Scenarios that are scored as the CoP paper scores as well, by condition and speed in m/s."""
 
-SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in (*_TABLE, *_RECORDED)})
-"""All scenarios by name, in the order of the report."""
+SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
+"""The scenarios of the comparison by name, in the order of the page."""
 
 
 def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
-    """Look scenarios up.
+    """Return scenarios by their names.
 
     Args:
-        names: Their names; none for all, or all that are short where it must go quickly.
-        quick: Whether it must.
+        names: Their names; none for those of :data:`SCENARIOS`.
+        quick: Whether long ones are left out of these.
 
     Raises:
         ValueError: If there is none of a name; the message lists what there is.
     """
-    unknown = [name for name in names if name not in SCENARIOS]
+    known = {**SCENARIOS, **{scenario.name: scenario for scenario in PAPER_SCENARIOS.values()}}
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise ValueError(f"There is no scenario '{unknown[0]}'. Available: {', '.join(SCENARIOS)}.")
+        raise ValueError(f"There is no scenario '{unknown[0]}'. Available: {', '.join(known)}.")
     if names:
-        return tuple(SCENARIOS[name] for name in dict.fromkeys(names))
+        return tuple(known[name] for name in dict.fromkeys(names))
     return tuple(scenario for scenario in SCENARIOS.values() if not (quick and scenario.long))

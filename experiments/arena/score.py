@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import FORCE_THRESHOLD, Flag, sole_wrenches
 from surefoot.experiments.arena.replay import Played
 from surefoot.experiments.arena.streams import Stream
+from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.score import cop_world
 
 __all__ = ["FAULT_FLAGS", "run_errors", "running_rmse", "score_run"]
@@ -153,7 +154,7 @@ def _converged(time: Floats, running: Floats, end: float, began: float) -> float
 def _parameter_errors(stream: Stream, played: Played) -> dict[str, float]:
     if stream.faults:
         return {"scale": float("nan"), "offset": float("nan")}
-    judged, start, truth = stream.judged, stream.log.nominal, stream.truth
+    judged, start, truth = stream.judged, starting_map(stream.log), stream.truth
     ratio = truth.scale / start.scale
     zero = truth.offset - ratio * start.offset
     # A channel without load: F0 = -zero / ratio.

@@ -10,6 +10,7 @@ from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.scenarios import Scenario
 from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
+from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
 
@@ -34,7 +35,7 @@ class Stream:
 
     Attributes:
         log: The log, with truth.
-        seed: Of the walk, or number of the draw of a recording.
+        seed: Of the walk.
         judged: Samples whose errors count, shape (N,).
         began: When the walk began, or anything moved, in s.
         faults: What befell its channels.
@@ -60,7 +61,7 @@ class Stream:
     @property
     def start(self) -> NDArray[np.float64]:
         """Forces in N by the map that methods start from, held where no reading arrived, shape (N, K)."""
-        return self.log.nominal.force(held(self.log.raw))  # type: ignore[no-any-return]
+        return starting_map(self.log).force(held(self.log.raw))  # type: ignore[no-any-return]
 
 
 def held(readings: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -81,8 +82,6 @@ def streams_of(scenario: Scenario, options: ArenaOptions) -> tuple[list[Stream],
     Returns:
         The streams, and how many walks are left out because the robot fell before it was worth a score.
     """
-    if scenario.walk is None:
-        raise ValueError(f"Scenario '{scenario.name}' is a recording and has no walks.")
     streams, left_out = [], 0
     for seed in scenario.seeds(options.seeds):
         paths = log_paths(scenario.walk, seed, options.duration, logs_folder(options))
@@ -113,7 +112,7 @@ def streams_of(scenario: Scenario, options: ArenaOptions) -> tuple[list[Stream],
 
 
 def logs_folder(options: ArenaOptions) -> Path:
-    """Name the folder that logs are kept in."""
+    """Return the folder that logs are kept in."""
     return options.out / "logs"
 
 
@@ -133,7 +132,6 @@ def cut_fall(log: Log) -> Log:
 
 
 def _cells_of(scenario: Scenario) -> LoadCells:
-    assert scenario.walk is not None
     known = {one.name: one.cells for one in scenario.walk.conditions}
     cells = known[scenario.condition]
     if cells is None:

@@ -7,7 +7,7 @@ import typer
 
 from surefoot.experiments.cli.console import Jobs, Out, fail, keep_old_name, one_line_errors, show
 
-__all__ = ["app", "full_study", "old_app"]
+__all__ = ["app", "old_app"]
 
 app = typer.Typer(help="Compare calibrators in simulation, and report.", no_args_is_help=True)
 
@@ -37,44 +37,27 @@ def walking(
     if full:
         if scenario or method:
             fail("--full has scenarios and methods of its own; leave out --scenario and --method.")
-        full_study(out, 10 if seeds is None else seeds, jobs, quick)
-        return
-    from surefoot.experiments.arena.bound import bound_of
-    from surefoot.experiments.arena.options import ArenaOptions
-    from surefoot.experiments.arena.page import ArenaPage
-    from surefoot.experiments.arena.run import run_arena
+        from surefoot.experiments.demo.page import run_demo
+        from surefoot.experiments.demo.presets import full_options, quick_options
 
-    with one_line_errors(out):
-        options = ArenaOptions(
-            out=out,
-            seeds=20 if seeds is None else seeds,
-            scenarios=tuple(scenario or ()),
-            methods=tuple(method or ()),
-            jobs=jobs,
-        )
-        out.mkdir(parents=True, exist_ok=True)
-        results = run_arena(options.quickly() if quick else options, bound=bound_of)
-    page = ArenaPage(results)
-    report = page.write()
-    parts = (page.targets, page.overview, page.timing, page.alarms, page.faults)
-    show(table for table in parts if table is not None)
-    typer.echo(f"Report: {report}")
+        with one_line_errors(out):
+            preset = full_options(out, 10 if seeds is None else seeds, jobs)
+            report = run_demo(quick_options(preset) if quick else preset)
+    else:
+        from surefoot.experiments.arena.options import ArenaOptions
+        from surefoot.experiments.arena.page import compare_walking
 
-
-def full_study(out: Path, seeds: int, jobs: int, quick: bool) -> None:
-    """Run the CoP paper's study and write its page."""
-    from surefoot.experiments.demo.options import DemoOptions
-    from surefoot.experiments.demo.page import DemoPage
-    from surefoot.experiments.demo.recordings_section import recordings_section
-    from surefoot.experiments.demo.run import run_demo
-
-    options = DemoOptions(out=out, seeds=seeds, jobs=jobs)
-    with one_line_errors(out):
-        out.mkdir(parents=True, exist_ok=True)
-    page = DemoPage(run_demo(options.quick() if quick else options), recordings_section(out))
-    report = page.write()
-    show(page.tables)
-    typer.echo(f"Report: {report}")
+        with one_line_errors(out):
+            options = ArenaOptions(
+                out=out,
+                seeds=20 if seeds is None else seeds,
+                scenarios=tuple(scenario or ()),
+                methods=tuple(method or ()),
+                jobs=jobs,
+            )
+            report = compare_walking(options.quickly() if quick else options)
+    show(report.tables)
+    typer.echo(f"Report: {report.page}")
 
 
 @app.command()
@@ -104,7 +87,7 @@ def weights(
     out: Annotated[Path | None, typer.Option(help="Folder for the tables as CSV.")] = None,
 ) -> None:
     """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
-    from surefoot.experiments.demo.tables import paper_table_2, table_2, table_3
+    from surefoot.experiments.demo.weights import paper_table_2, table_2, table_3
     from surefoot.experiments.study.files import atomic_path
     from surefoot.experiments.weights.weighing import run_weighing
 

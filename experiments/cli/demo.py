@@ -5,20 +5,26 @@ from typing import Annotated
 
 import typer
 
-from surefoot.experiments.cli.compare import full_study
-from surefoot.experiments.cli.console import Jobs, Out, fail
+from surefoot.experiments.cli.console import Jobs, Out, fail, one_line_errors, show
 
 __all__ = ["demo", "view"]
 
 
 def demo(
     out: Out = Path("out/demo"),
-    seeds: Annotated[int, typer.Option(help="Walks at each speed, and in each closed loop.", min=1)] = 10,
+    seeds: Annotated[int, typer.Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
     jobs: Jobs = 2,
-    quick: Annotated[bool, typer.Option("--quick", help="One speed, two seeds, short walks.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Two seeds and short walks.")] = False,
 ) -> None:
-    """Walk at three speeds, calibrate the same streams by every method, close the loop, and report."""
-    full_study(out, seeds, jobs, quick)
+    """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
+    from surefoot.experiments.demo.page import run_demo
+    from surefoot.experiments.demo.presets import demo_options, quick_options
+
+    with one_line_errors(out):
+        options = demo_options(out, seeds, jobs)
+        report = run_demo(quick_options(options) if quick else options)
+    show(report.tables)
+    typer.echo(f"Report: {report.page}")
 
 
 def view(

@@ -1,263 +1,328 @@
-"""The demo's page: what was done, tables, figures that say what to see, and how to repeat any of it."""
+"""The page of the demo and of the CoP paper's full study: first a film, a sentence, a figure and a table."""
 
-from datetime import UTC, datetime
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
+from rich.console import Console
 
 from surefoot.calibration import METHODS
-from surefoot.experiments.demo import figures, figures_summary, findings, tables
-from surefoot.experiments.demo.figures import Trace
-from surefoot.experiments.demo.paper_tables import WALKING_TABLES
-from surefoot.experiments.demo.run import DemoResults
-from surefoot.experiments.demo.text import CAPTIONS, TEXTS, say
-from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.page import ReportFigure, Section, write_page
-from surefoot.experiments.study.tables import Frame, Table
+from surefoot.experiments.arena.figures import error_curves
+from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
+from surefoot.experiments.arena.run import ArenaResults, run_arena
+from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS
+from surefoot.experiments.arena.streams import logs_folder
+from surefoot.experiments.arena.walks import log_paths
+from surefoot.experiments.demo import figures, findings, tables
+from surefoot.experiments.demo.claims import loop_claims, walking_claims, weight_claims
+from surefoot.experiments.demo.published import WALKING_TABLES
+from surefoot.experiments.demo.weights import paper_table_2, weights_section
+from surefoot.experiments.study.claims import claim_table
+from surefoot.experiments.study.page import (
+    Report,
+    ReportFigure,
+    Section,
+    failure_section,
+    flat,
+    save_tables,
+    write_page,
+)
+from surefoot.experiments.study.tables import Frame, plural
 from surefoot.experiments.walks.record import CONDITIONS
 from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.experiments.weights.weighing import run_weighing
 
-__all__ = ["DemoPage"]
+__all__ = ["run_demo", "write_demo_page"]
 
 PAPER, BAD = CONDITIONS
 PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}
-DRAWN = ("truth", "none", "quasi-static", "window", "moment")
 YARDSTICKS = (
     (PAPER, "baseline", f"{PAPER.title}, against the baseline"),
     (PAPER, "truth", f"{PAPER.title}, against the truth"),
     (BAD, "truth", f"{BAD.title}, against the truth"),
 )
 
+_TEXTS = {
+    "introduction": """
+        A NAO-class biped of 5.3 kg walks in MuJoCo on eight load cells, four under each foot, whose scales
+        and offsets are wrong and drift. Every walk was recorded once, and the same stream of readings went
+        through every calibration method: the moment filter, the sliding window of the CoP paper, the
+        quasi-static method (Han), a tare in swing, and none at all. The methods were given what a robot
+        knows (late and noisy encoders and IMU, and a model of itself whose mass and centre of mass are
+        off), never the truth; the truth is used here to score them.""",
+    "amount": """
+        {seeds} at each of {speeds}, walks of {duration:g} s of which the first {stand:g} s are standing;
+        errors count from {settle:g} s on. All intervals are 95 % intervals of the mean over seeds (Student
+        t).""",
+    "conditions": """
+        Two conditions. {paper}: the cells were calibrated from known weights before the walk and drift
+        mildly since (0.5 % in scale and 0.2 N in offset per square root of a minute); methods start from
+        that calibration. {bad}: never calibrated (scales off by 12 %, offsets by 1.5 N, one standard
+        deviation) and drifting by 2 % and 1 N per square root of a minute; methods start from the data
+        sheet.""",
+    "yardsticks": """
+        Two yardsticks. Against the baseline, as the paper scores: the calibration from known weights,
+        applied to the same readings, stands for the truth. In that scoring doing nothing is perfect by
+        construction where a method starts from these weights, and a method is charged for following the
+        drift. Against the truth: MuJoCo's cell forces at the moment at which the host reads.""",
+    "definitions": """
+        CoP is the centre of pressure of both feet in the world, sqrt(mean(ex² + ey²)), with the true poses
+        of the soles on both sides, wherever more than 5 N press on the ground; vGRF is the vertical force
+        of both feet together; a single cell is the error over all cells. The floor is the map that would
+        undo each cell's scale and offset at every moment: what it leaves comes from noise and from chips
+        that convert at times of their own, so that readings are up to 13 ms old, and no calibration of
+        scales and offsets can remove it. The reference is what the robot's motion asks for (Eqs. 9-11),
+        against the truth of the moment that it describes.""",
+    "loop": """
+        The stabiliser holds the centre of pressure in its observation against the planned one and moves
+        the ankles. It is the same controller every time and begins with the first step, after {stand:g} s
+        of standing; only the feet it feels differ. Severity 1 is the bad start (scales off by 12 %,
+        offsets by 1.5 N, drift 2 % and 1 N per square root of a minute), severity 3 three times that;
+        there are small pushes, and the ground's friction is drawn. What the walker tolerates depends on
+        the controller: it balances on its tilt as well.""",
+    "sensitivity": """
+        The paper scales each of the window's weights (Eq. 14) by 0.2 to 5 and reports that little changes.
+        So did we, on the same logs: w_F of the vertical force, w_P of the centre of pressure, w_S of the
+        parameters' smoothness.""",
+    "repeat": """
+        A row of any table is made of seeded walks. The logs hold everything that the tables were made of;
+        docs/log-format.md describes their columns. All single numbers are in tables/*.csv, and
+        results.json says how this was run. What is finished is kept, so that a run goes on where it
+        stopped.""",
+}
 
-class DemoPage:
-    """Tables and figures of one demo, and the page that holds them.
+_CAPTIONS = {
+    "overview": """
+        Mean errors with their 95 % intervals on logarithmic axes; bars without a marker are the numbers
+        that the paper prints. Left as the paper scores; the other two against the truth.""",
+    "errors_over_time": """
+        Error of the centre of pressure against the truth over the last 2 s; lines are medians and bands
+        quartiles over seeds. A curve that falls and stays down is a calibrator that converges; the dotted
+        floor is what the best map of each moment leaves.""",
+    "cop": """
+        Centre of pressure at {speed:g} m/s, seed 0: forward, to the left, and its distance to the truth on
+        a logarithmic axis. Black is MuJoCo's truth. The nearer a colour stays to black, and the lower it
+        lies in the last row, the better.""",
+    "vgrf": """
+        Vertical force at {speed:g} m/s, seed 0: both feet together above, the left foot alone below. A
+        foot in the air should read zero; where a colour does not, its offset is wrong.""",
+    "film": """
+        The same robot and seed twice (severity {severity:g}, {speed:g} m/s, seed {seed}): left on drifting
+        raw feet, right on feet that the moment filter calibrates. Below, the soles from above: the black
+        dot is the true centre of pressure, the coloured one that which the controller is given.""",
+    "closed_loop": """
+        Above, the share still walking; below, every single walk, a cross where it fell and a ring where it
+        reached the end.""",
+    "weights": "Errors against the factor on one weight; bands are 95 % intervals.",
+}
+
+
+def run_demo(options: ArenaOptions, console: Console | None = None) -> Report:
+    """Run the demo or the full study, and write its page.
 
     Args:
-        results: What the demo found.
-        recordings: The section on real recordings.
+        options: How much, see :mod:`surefoot.experiments.demo.presets`.
+        console: Where progress is shown; the terminal's error output by default.
+
+    Returns:
+        The page, and its tables.
+
+    Raises:
+        ValueError: If the study cannot be run, or nothing in it could be scored.
     """
+    return write_demo_page(run_arena(options, console=console))
 
-    def __init__(self, results: DemoResults, recordings: Section) -> None:
-        self.results = results
-        self.folder = results.options.out
-        options, bench = results.options, results.bench
-        conditions = [(PAPER.name, "the paper's"), (BAD.name, BAD.title)]
-        paper_2, coefficient = tables.paper_table_2()
-        self.targets = findings.target_table(
-            results.scores,
-            results.loop,
-            paper_condition=PAPER.name,
-            coefficient=coefficient,
-            bench=(bench.calibrated.cop, bench.calibrated.vgrf),
-            update_ms=results.update_ms,
-        )
-        self.bench = (paper_2, tables.table_2(bench), tables.table_3(bench))
-        self.walking = tuple(tables.walking_table(results.scores, v, conditions) for v in options.speeds)
-        self.loop = tables.loop_table(results.loop, options.loop_duration)
-        self.sensitivity = tuple(
-            tables.sensitivity_table(part, title) for title, part in self._sensitivity_parts()
-        )
-        self.recordings = recordings
 
-    @property
-    def tables(self) -> tuple[Table, ...]:
-        """All tables, in the order of the page."""
-        walked = (*self.walking, self.loop, *self.sensitivity, *self.recordings.tables)
-        return (self.targets, *self.bench, *walked)
+def write_demo_page(results: ArenaResults) -> Report:
+    """Draw the figures, save the tables as CSV, and write ``report.html``; return it with its tables."""
+    options = results.options
+    folder = options.out / "figures"
+    weighing, coefficient = run_weighing(), paper_table_2()[1]
+    slowest = results.timing.set_index("method")["slowest_us"]
+    claims = weight_claims(coefficient, weighing.calibrated.cop, weighing.calibrated.vgrf)
+    claims += walking_claims(results.yardsticks, PAPER.name, 1e-3 * float(slowest["window"]))
+    claims += loop_claims(results.loop) if len(results.loop) else []
+    targets = claim_table(claims, "Set out to reach")
+    sections = [
+        _walking_section(results, folder),
+        *((_loop_section(results, folder),) if len(results.loop) else ()),
+        weights_section(weighing, folder),
+        *((_sensitivity_section(results, folder),) if len(results.sensitivity) else ()),
+        *failure_section(results.failures),
+        _repeat_section(results),
+        Section("targets", "What was set out to reach", tables=(targets,)),
+    ]
+    lead = _lead(results, folder) if len(results.loop) else None
+    all_tables = [
+        table for section in ((lead,) if lead else ()) + tuple(sections) for table in section.tables
+    ]
+    save_tables(options.out / "tables", all_tables)
+    amount = _say(
+        _TEXTS["amount"],
+        seeds=plural(options.seeds, "seed"),
+        speeds=plural(len(results.speeds), "speed"),
+        duration=options.duration,
+        stand=STAND_TIME,
+        settle=options.settle,
+    )
+    introduction = (flat(_TEXTS["introduction"]), amount)
+    title = "Walking on feet that lie, and on calibrated ones"
+    page = write_page(options.out / "report.html", title, introduction, sections, lead=lead)
+    return Report(page, tuple(all_tables))
 
-    def write(self) -> Path:
-        """Draw the figures, save the tables as CSV, and write ``report.html``."""
-        for table in self.tables:
-            with atomic_path(self.folder / "tables" / f"{table.name}.csv") as part:
-                table.to_frame().to_csv(part, index=False)
-        options = self.results.options
-        made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {self.results.machine}."
-        amount = say(
-            TEXTS["amount"],
-            seeds=options.seeds,
-            speeds=len(options.speeds),
-            duration=options.duration,
-            stand=STAND_TIME,
-            settle=options.settle,
-        )
-        sections = (
-            Section("summary", "In short", (say(TEXTS["summary"]),), tables=(self.targets,)),
-            self._bench_section(),
-            self._walking_section(),
-            self._loop_section(),
-            self._sensitivity_section(),
-            self.recordings,
-            self._repeat_section(),
-        )
-        title = "surefoot demo: walking on load cells that lie"
-        introduction = (say(TEXTS["introduction"]), amount)
-        return write_page(self.folder / "report.html", title, introduction, sections, made=made)
 
-    def _path(self, name: str) -> Path:
-        return self.folder / "figures" / f"{name}.png"
+def _say(text: str, **values: Any) -> str:
+    return flat(text).format(**values)
 
-    def _figure(self, path: Path, name: str, caption: str, **values: Any) -> ReportFigure:
-        return ReportFigure(path, name, say(CAPTIONS[caption], **values))
 
-    def _bench_section(self) -> Section:
-        left, right = self.results.bench.held_out
-        pressed = np.isfinite(left.cop_initial).all(axis=1)
-        cop = figures.bench_cop(
-            self._path("figure07_bench_cop"),
-            left.hole[pressed],
-            left.cop_initial[pressed],
-            left.cop_calibrated[pressed],
-        )
-        vgrf = figures.bench_vgrf(
-            self._path("figure08_bench_vgrf"),
-            *(
-                np.concatenate([getattr(left, name), getattr(right, name)])
-                for name in ("load", "vgrf_initial", "vgrf_calibrated")
-            ),
-        )
-        return Section(
-            "bench",
-            "On the bench",
-            (say(TEXTS["bench"]),),
-            tables=self.bench,
-            figures=(
-                self._figure(cop, "Figure 7", "bench_cop"),
-                self._figure(vgrf, "Figure 8", "bench_vgrf"),
-            ),
-        )
+def _figure(path: Path, name: str, caption: str, **values: Any) -> ReportFigure:
+    return ReportFigure(path, name, _say(_CAPTIONS[caption], **values))
 
-    def _walking_section(self) -> Section:
-        results = self.results
-        said = list(findings.baseline_findings(results.scores, PAPER.name))
-        for condition in CONDITIONS:
-            said += findings.truth_findings(results.scores, condition.name, condition.title)
-        published = {
-            (method, speed): (errors.cop, errors.vgrf)
-            for speed, methods in WALKING_TABLES.items()
-            for method, errors in methods.items()
-        }
-        overview = figures_summary.rmse_overview(self._path("overview"), self._overview_rows(), published)
-        titles = {c.name: c.title for c in CONDITIONS}
-        panels = results.errors.assign(panel=[titles[name] for name in results.errors["condition"]])
-        walked = (panels["time"] > STAND_TIME) & panels["method"].isin(["floor", *METHODS])
-        shown = panels[walked]
-        over_time = figures_summary.error_over_time(self._path("errors_over_time"), shown)
-        drawn = [self._figure(overview, "All speeds at once", "overview")]
-        for speed in results.options.speeds:
-            drawn += self._speed_figures(speed)
-        drawn.append(self._figure(over_time, "Errors over time", "errors_over_time"))
-        return Section(
-            "walking",
-            "Calibrating while walking",
-            (
-                say(TEXTS["conditions"], paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
-                say(TEXTS["yardsticks"]),
-                say(TEXTS["definitions"]),
-            ),
-            findings=tuple(said),
-            tables=self.walking,
-            figures=tuple(drawn),
-        )
 
-    def _overview_rows(self) -> Frame:
-        scores = self.results.scores
-        scores = scores[scores["method"].isin(["floor", *METHODS])]
-        return pd.concat(
-            scores[(scores["condition"] == condition.name) & (scores["against"] == against)].assign(
-                panel=title, paper=against == "baseline"
-            )
-            for condition, against, title in YARDSTICKS
-        )
+def _lead(results: ArenaResults, folder: Path) -> Section:
+    """Return what a person sees first: the worst feet that were walked on."""
+    film, loop = results.film, results.loop
+    loop = loop[loop["severity"] == loop["severity"].max()]
+    # In the middle of the paper's speeds, if it was walked.
+    speed = results.speeds[len(results.speeds) // 2]
+    title = f"{BAD.title}, {speed:g} m/s"
+    curves = error_curves(folder / "lead.svg", {title: _errors(results, BAD.name, speed)})
+    paragraphs = [findings.lead_finding(loop)]
+    video: dict[str, Any] = {}
+    if film.path is None or results.filmed is None:
+        paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
+    else:
+        severity, at, seed = results.filmed
+        caption = _say(_CAPTIONS["film"], severity=severity, speed=at, seed=seed)
+        still = "" if film.still is None else film.still.name
+        video = {"video": film.path.name, "poster": still, "video_caption": caption}
+    own = results.yardsticks[results.yardsticks["speed"] == speed]
+    return Section(
+        "lead",
+        "What was done",
+        tuple(paragraphs),
+        tables=(tables.lead_table(own, loop[loop["speed"] == speed], BAD.name, f"In short: {speed:g} m/s"),),
+        figures=(_figure(curves, "How far off the CoP is", "errors_over_time"),),
+        **video,
+    )
 
-    def _speed_figures(self, speed: float) -> list[ReportFigure]:
-        traces = []
-        for condition in CONDITIONS:
-            outcomes = {o.name: o for o in self.results.outcomes[condition.name, speed]}
-            cop = {n: o.cop for n, o in outcomes.items() if o.cop is not None}
-            vgrf = {n: o.vgrf for n, o in outcomes.items() if o.vgrf is not None}
-            time = outcomes["truth"].time
-            assert time is not None
-            traces.append(Trace(condition.title, time, cop, vgrf))
-        # The last steps before the robot stops: whatever converges has converged.
-        end = float(traces[0].time[-1]) - 2.0
-        span = (max(end - 6.0, 0.0), end)
-        first, second = (f"Figure {number}" for number in PAPER_FIGURES.get(speed, ("CoP", "vGRF")))
-        tag = f"{speed:g}".replace(".", "_")
-        cop_figure = figures.cop_over_time(self._path(f"cop_{tag}"), traces, DRAWN, span)
-        vgrf_figure = figures.vgrf_over_time(self._path(f"vgrf_{tag}"), traces, DRAWN, span)
-        return [
-            self._figure(cop_figure, first, "cop", speed=speed),
-            self._figure(vgrf_figure, second, "vgrf", speed=speed),
-        ]
 
-    def _loop_section(self) -> Section:
-        results, film = self.results, self.results.film
-        horizon = results.options.loop_duration
-        drawn = []
-        for severity, runs in results.loop.groupby("severity", sort=False):
-            path = self._path(f"closed_loop_severity{severity:g}")
-            figures_summary.closed_loop_survival(path, runs, horizon)
-            drawn.append(self._figure(path, f"Who falls when, severity {severity:g}", "closed_loop"))
-        paragraphs = [say(TEXTS["loop"], stand=STAND_TIME)]
-        caption = ""
-        if film.path is None or results.filmed is None:
-            paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
-        else:
-            severity, speed, seed = results.filmed
-            caption = say(CAPTIONS["film"], severity=severity, speed=speed, seed=seed)
-        return Section(
-            "closed-loop",
-            "Closing the loop",
-            tuple(paragraphs),
-            findings=findings.loop_findings(results.loop, horizon),
-            tables=(self.loop,),
-            video="" if film.path is None else film.path.name,
-            poster="" if film.still is None else film.still.name,
-            video_caption=caption,
-            figures=tuple(drawn),
-        )
+def _errors(results: ArenaResults, condition: str, speed: float) -> Frame:
+    """Return the errors over time of one condition and speed, while it walks."""
+    errors = results.errors
+    name = PAPER_SCENARIOS[condition, speed].name
+    shown = (errors["scenario"] == name) & (errors["time"] > STAND_TIME)
+    return errors[shown & errors["method"].isin([TRUE_MAP, *METHODS])]
 
-    def _sensitivity_parts(self) -> list[tuple[str, Frame]]:
-        rows = self.results.sensitivity
-        return [
-            (title, rows[(rows["condition"] == condition.name) & (rows["against"] == against)])
-            for condition, against, title in (YARDSTICKS[0], YARDSTICKS[2])
-        ]
 
-    def _sensitivity_section(self) -> Section:
-        parts = self._sensitivity_parts()
-        curves = figures_summary.sensitivity_curves(
-            self._path("sensitivity"), pd.concat(part.assign(panel=title) for title, part in parts)
-        )
-        said = [
-            f"{title.capitalize()}: {sentence}"
-            for title, part in parts
-            for sentence in findings.sensitivity_findings(part)
-        ]
-        return Section(
-            "sensitivity",
-            "How much hangs on the weights",
-            (say(TEXTS["sensitivity"]),),
-            findings=tuple(said),
-            tables=self.sensitivity,
-            figures=(self._figure(curves, "Sensitivity", "weights"),),
-        )
+def _walking_section(results: ArenaResults, folder: Path) -> Section:
+    scores, conditions = results.yardsticks, [(PAPER.name, "the paper's"), (BAD.name, BAD.title)]
+    said = list(findings.baseline_findings(scores, PAPER.name))
+    for condition in CONDITIONS:
+        said += findings.truth_findings(scores, condition.name, condition.title)
+    published = {
+        (method, speed): (errors.cop, errors.vgrf)
+        for speed, methods in WALKING_TABLES.items()
+        for method, errors in methods.items()
+    }
+    shown = scores[scores["method"].isin([TRUE_MAP, *METHODS])]
+    rows = pd.concat(_of(shown, *yardstick) for yardstick in YARDSTICKS)
+    overview = figures.rmse_overview(folder / "overview.svg", rows, published)
+    drawn = [_figure(overview, "All speeds at once", "overview")]
+    for speed in results.speeds:
+        drawn += _speed_figures(results.traces, speed, folder)
+    panels = {
+        f"{condition.title}, {speed:g} m/s": _errors(results, condition.name, speed)
+        for condition in CONDITIONS
+        for speed in results.speeds
+    }
+    curves = error_curves(folder / "errors_over_time.svg", panels, max(len(results.speeds), 2))
+    drawn.append(_figure(curves, "Errors over time", "errors_over_time"))
+    return Section(
+        "walking",
+        "Calibrating while walking",
+        (
+            _say(_TEXTS["conditions"], paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
+            flat(_TEXTS["yardsticks"]),
+            flat(_TEXTS["definitions"]),
+        ),
+        tuple(said),
+        tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds),
+        figures=tuple(drawn),
+    )
 
-    def _repeat_section(self) -> Section:
-        options = self.results.options
-        took = ", ".join(f"{what} {seconds:.0f} s" for what, seconds in self.results.seconds.items())
-        speed, seed, severity = options.speeds[-1], options.seeds - 1, max(options.loops)
-        log = options.out / "logs" / f"{BAD.name}_{speed:g}_seed{seed}.parquet"
-        return Section(
-            "repeat",
-            "Repeat any single cell",
-            (say(TEXTS["repeat"]), f"This run took: {took}."),
-            commands=(
-                f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",
-                f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed} "
-                f"--duration {options.loop_duration:g} --video walk.mp4",
-                f"surefoot demo --seeds {options.seeds} --jobs {options.jobs} --out {options.out}",
-            ),
-        )
+
+def _of(scores: Frame, condition: Any, against: str, title: str) -> Frame:
+    """Return the scores of a condition and yardstick as a panel."""
+    part = scores[(scores["condition"] == condition.name) & (scores["against"] == against)]
+    return part.assign(panel=title, paper=against == "baseline")
+
+
+def _speed_figures(traces: Frame, speed: float, folder: Path) -> list[ReportFigure]:
+    shown: Mapping[str, Frame] = {
+        condition.title: traces[(traces["condition"] == condition.name) & (traces["speed"] == speed)]
+        for condition in CONDITIONS
+    }
+    first, second = (f"Figure {number}" for number in PAPER_FIGURES.get(speed, ("CoP", "vGRF")))
+    tag = f"{speed:g}".replace(".", "_")
+    return [
+        _figure(figures.cop_over_time(folder / f"cop_{tag}.svg", shown), first, "cop", speed=speed),
+        _figure(figures.vgrf_over_time(folder / f"vgrf_{tag}.svg", shown), second, "vgrf", speed=speed),
+    ]
+
+
+def _loop_section(results: ArenaResults, folder: Path) -> Section:
+    horizon, drawn = results.options.loop_duration, []
+    for severity, runs in results.loop.groupby("severity", sort=False):
+        path = folder / f"closed_loop_severity{severity:g}.svg"
+        figures.closed_loop_survival(path, runs, horizon)
+        drawn.append(_figure(path, f"Who falls when, severity {severity:g}", "closed_loop"))
+    return Section(
+        "closed-loop",
+        "Closing the loop",
+        (_say(_TEXTS["loop"], stand=STAND_TIME),),
+        findings.loop_findings(results.loop, horizon),
+        (tables.loop_table(results.loop, horizon),),
+        figures=tuple(drawn),
+    )
+
+
+def _sensitivity_section(results: ArenaResults, folder: Path) -> Section:
+    parts = {
+        yardstick[2]: _of(results.sensitivity, *yardstick) for yardstick in (YARDSTICKS[0], YARDSTICKS[2])
+    }
+    curves = figures.sensitivity_curves(folder / "sensitivity.svg", pd.concat(parts.values()))
+    said = [
+        f"{title.capitalize()}: {sentence}"
+        for title, part in parts.items()
+        for sentence in findings.sensitivity_findings(part)
+    ]
+    return Section(
+        "sensitivity",
+        "How much hangs on the window's weights",
+        (flat(_TEXTS["sensitivity"]),),
+        tuple(said),
+        tuple(tables.sensitivity_table(part, title) for title, part in parts.items()),
+        figures=(_figure(curves, "Sensitivity", "weights"),),
+    )
+
+
+def _repeat_section(results: ArenaResults) -> Section:
+    options = results.options
+    took = ", ".join(f"{what} {seconds:.0f} s" for what, seconds in results.seconds.items())
+    speed, seed = results.speeds[-1], options.seeds - 1
+    scenario = PAPER_SCENARIOS[BAD.name, speed]
+    log = log_paths(scenario.walk, seed, options.duration, logs_folder(options))[scenario.condition]
+    severity = max(options.loops, default=1.0)
+    return Section(
+        "repeat",
+        "Repeat any part",
+        (flat(_TEXTS["repeat"]), f"This run took: {took}."),
+        commands=(
+            f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",
+            f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed} "
+            f"--duration {options.loop_duration:g} --video walk.mp4",
+            f"surefoot compare walking --full --seeds 10 --jobs {options.jobs}",
+        ),
+    )

@@ -1,109 +1,56 @@
-"""The tables of the demo: the CoP paper's 2 to 6 with its figures beside ours, and those that it has not."""
+"""Tables of the CoP paper's study: its 4 to 6 with its numbers beside ours, closed loops, and its weights."""
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from surefoot.calibration.reference import GRAVITY
-from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.demo.paper_tables import TABLE_2, TABLE_3, WALKING_TABLES
+from surefoot.experiments.demo.published import WALKING_TABLES
 from surefoot.experiments.study.figures import in_order, look_of
-from surefoot.experiments.study.statistics import mean_interval
-from surefoot.experiments.study.tables import Column, Frame, Table, number, with_interval
-from surefoot.experiments.walks.score import survival_curve
-from surefoot.experiments.weights.weighing import WeighingReport
+from surefoot.experiments.study.statistics import mean_interval, survival
+from surefoot.experiments.study.tables import Column, Frame, Table, Verdict, number, plural, with_interval
 
-__all__ = ["loop_table", "paper_table_2", "sensitivity_table", "table_2", "table_3", "walking_table"]
+__all__ = ["lead_table", "loop_table", "sensitivity_table", "walking_table"]
 
 PAPER_TABLE_NUMBER = {0.02: "4", 0.04: "5", 0.1: "6"}
 
 
-def paper_table_2() -> tuple[Table, float]:
-    """Fit the counts that the paper prints, and compare with the coefficients that it prints.
+def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Table:
+    """Return what one wants to know first: how far off each way to read the feet is, and who falls.
 
-    Returns:
-        The table, and the largest relative difference of a coefficient.
+    Args:
+        yardsticks: As in :func:`walking_table`.
+        loop: As in :func:`loop_table`, of one severity.
+        condition: Name of the condition in ``yardsticks``.
+        title: Title of the table.
     """
-    fit = fit_channels(TABLE_2.code.T, TABLE_2.load, TABLE_2.channel_names).value
-    difference = np.maximum(np.abs(fit.scale / TABLE_2.scale - 1), np.abs(fit.offset / TABLE_2.offset - 1))
-    rows = tuple(
-        (
-            name.replace("/", " foot, ").replace("-", " "),
-            *(f"{code:,.0f}" for code in TABLE_2.code[i]),
-            f"{1e6 * fit.scale[i]:.8f}",
-            f"{1e6 * TABLE_2.scale[i]:.8f}",
-            f"{fit.offset[i]:.7f}",
-            f"{TABLE_2.offset[i]:.7f}",
-            f"{difference[i]:.1e}",
+    own = yardsticks[(yardsticks["condition"] == condition) & (yardsticks["against"] == "truth")]
+    raw = int(loop[loop["feed"] == "none"]["fell"].sum())
+    rows = []
+    for feed in in_order(loop["feed"]):
+        errors, walks = own[own["method"] == feed], loop[loop["feed"] == feed]
+        falls = int(walks["fell"].sum())
+        said = f"{falls} of {len(walks)}"
+        rows.append(
+            (
+                look_of(feed).label,
+                with_interval(errors["cop"], 1e3) if len(errors) else "0",
+                with_interval(errors["vgrf"]) if len(errors) else "0",
+                said if falls == raw else Verdict.of(falls < raw, said),
+            )
         )
-        for i, name in enumerate(TABLE_2.channel_names)
-    )
-    heads = tuple("no load" if load == 0 else f"{load:g} kg" for load in TABLE_2.load)
-    columns = ("cell", *heads, "c, ours", "c, paper", "d, ours", "d, paper", "largest difference")
+    columns = ("what reads the feet", "CoP off by (mm)", "vertical force off by (N)", "walks that fall")
     note = (
-        "Counts as printed in the paper; c in 1e-6 kg per count and d in kg by regression of load on count."
+        "Errors while walking at the bad start, rms from the settling time on. Falls: the controller is fed "
+        f"the CoP of cells that are {loop['severity'].iloc[0]:g} times as bad; green, fewer than on raw "
+        "readings."
     )
-    table = Table("table2_paper", "Table 2: the paper's counts, fitted again", columns, rows, note)
-    return table, float(difference.max())
-
-
-def table_2(report: WeighingReport) -> Table:
-    """Lay out the virtual bench as the paper's Table 2: codes under known loads, and lines."""
-    load = report.channel_load
-    shown = [int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0)]
-    shown = list(dict.fromkeys(shown))
-    value = report.channels.value
-    rows = tuple(
-        (
-            name.replace("/", " foot, ").replace("-", " "),
-            *(f"{report.channel_code[j, i]:,.0f}" for j in shown),
-            f"{1e6 * value.scale[i] / GRAVITY:.5f}",
-            f"{value.offset[i] / GRAVITY:.5f}",
-        )
-        for i, name in enumerate(report.channel_names)
-    )
-    heads = tuple("no load" if load[j] == 0 else f"{load[j]:g} kg" for j in shown)
-    note = (
-        f"Mean codes of one second each under {len(load)} weights from 1 g to 6 kg, of which some are shown; "
-        "c in 1e-6 kg per count, d in kg."
-    )
-    return Table("table2_bench", "The same of the virtual bench", ("cell", *heads, "c", "d"), rows, note)
-
-
-def table_3(report: WeighingReport) -> Table:
-    """Lay out the bench's errors on held-out holes as the paper's Table 3."""
-    initial, calibrated = report.initial, report.calibrated
-    paper = TABLE_3
-    rows = (
-        (
-            "CoP (mm)",
-            number(1e3 * initial.cop),
-            number(1e3 * calibrated.cop),
-            number(1e3 * paper["initial"].cop),
-            number(1e3 * paper["calibrated"].cop),
-        ),
-        (
-            "vGRF (N)",
-            number(initial.vgrf),
-            number(calibrated.vgrf),
-            number(paper["initial"].vgrf),
-            number(paper["calibrated"].vgrf),
-        ),
-    )
-    columns = ("rmse", "initial, ours", "calibrated, ours", "initial, paper", "calibrated, paper")
-    note = (
-        f"{calibrated.placements} placements with a centre of pressure and {calibrated.weighings} weighings "
-        "at holes that the fit never saw; the paper does not say how many of its were held out."
-    )
-    return Table("table3", "Table 3: the bench before and after calibration", columns, rows, note)
+    return Table("lead", title, columns, tuple(rows), note)
 
 
 def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, str]]) -> Table:
-    """Lay out one speed as the paper's Tables 4 to 6, with the truth beside the paper's baseline.
+    """Return one speed as the paper's Tables 4 to 6, with the truth beside the paper's baseline.
 
     Args:
-        scores: One row a walk, method and yardstick: ``condition``, ``speed``, ``method``, ``against``
-            (``"baseline"`` or ``"truth"``), ``cop`` (m), ``vgrf`` (N), ``cell`` (N).
+        scores: One row a walk, method and yardstick: ``condition``, ``speed``, ``seed``, ``method``,
+            ``against`` (``"baseline"`` or ``"truth"``), ``cop`` (m), ``vgrf`` (N), ``cell`` (N).
         speed: Walking speed in m/s.
         conditions: Their names in ``scores``, and what to call them.
     """
@@ -137,7 +84,7 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
     name = PAPER_TABLE_NUMBER.get(speed)
     title = f"Table {name}: {speed:g} m/s" if name else f"{speed:g} m/s"
     note = (
-        f"rmse, mean ± 95 % interval over {here['seed'].nunique()} seeds. "
+        f"rmse, mean ± 95 % interval over {plural(here['seed'].nunique(), 'seed')}. "
         "* By construction: these readings are the baseline."
     )
     return Table(f"walking_{speed:g}".replace(".", "_"), title, columns, tuple(rows), note)
@@ -150,21 +97,20 @@ def _against_baseline(values: Column, factor: float) -> str:
 
 
 def loop_table(runs: Frame, horizon: float) -> Table:
-    """Lay out the closed loop: who fell, and when.
+    """Return the closed loop: who fell, and when.
 
     Args:
         runs: One row a walk: ``severity``, ``speed``, ``seed``, ``feed``, ``fell``, ``time`` (s),
-        ``cop_error``
-            (m) of what was fed back against the truth, ``tracking`` (m) of the true centre of pressure
-            against its plan.
+            ``cop_error`` (m) of what was fed back against the truth, ``tracking`` (m) of the true centre of
+            pressure against its plan.
         horizon: End of a walk in s.
     """
     rows = []
     for (severity, speed), walks in runs.groupby(["severity", "speed"], sort=False):
         for feed in in_order(walks["feed"]):
             part = walks[walks["feed"] == feed]
-            time, share = survival_curve(part["time"], part["fell"])
-            halved = time[share <= 0.5]
+            curve = survival(part["time"], part["fell"])
+            halved = curve.time[curve.share <= 0.5]
             rows.append(
                 (
                     f"{severity:g}",
@@ -192,7 +138,7 @@ def loop_table(runs: Frame, horizon: float) -> Table:
 
 
 def sensitivity_table(runs: Frame, title: str) -> Table:
-    """Lay out how far the window's errors move with its weights.
+    """Return how far the window's errors move with its weights.
 
     Args:
         runs: Rows ``weight``, ``factor``, ``speed``, ``seed``, ``cop`` (m), ``vgrf`` (N).
@@ -206,15 +152,8 @@ def sensitivity_table(runs: Frame, title: str) -> Table:
             for metric, unit, factor in (("cop", "CoP (mm)", 1e3), ("vgrf", "vGRF (N)", 1.0)):
                 means = [factor * mean_interval(part[part["factor"] == f][metric]).mean for f in factors]
                 base = means[factors.index(1.0)] if 1.0 in factors else float("nan")
-                rows.append(
-                    (
-                        weight,
-                        f"{speed:g}",
-                        unit,
-                        *(number(mean) for mean in means),
-                        f"{100 * (min(means) / base - 1):+.0f} to {100 * (max(means) / base - 1):+.0f} %",
-                    )
-                )
+                change = f"{100 * (min(means) / base - 1):+.0f} to {100 * (max(means) / base - 1):+.0f} %"
+                rows.append((weight, f"{speed:g}", unit, *map(number, means), change))
     columns = ("weight", "speed (m/s)", "rmse", *(f"× {factor:g}" for factor in factors), "change")
     name = "sensitivity_" + title.partition(",")[0].replace(" ", "_").replace("'", "")
     return Table(name, f"The window's weights, each scaled alone: {title}", columns, tuple(rows))

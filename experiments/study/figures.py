@@ -138,7 +138,7 @@ def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6, 
 
 def draw_curve(
     axes: Axes,
-    x: Sequence[float],
+    x: Any,
     y: Any,
     look: Look,
     low: Any = None,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
+from typing import NamedTuple
 
 from jinja2 import Environment, StrictUndefined
 
@@ -18,7 +19,16 @@ from surefoot.experiments.study.runner import machine
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.tables import Table, Verdict, plural
 
-__all__ = ["MADE", "ReportFigure", "Section", "failure_section", "flat", "save_tables", "write_page"]
+__all__ = [
+    "MADE",
+    "Report",
+    "ReportFigure",
+    "Section",
+    "failure_section",
+    "flat",
+    "save_tables",
+    "write_page",
+]
 
 MADE = "made.json"
 """Beside a study's tables: its command, code and date."""
@@ -87,6 +97,18 @@ class Section:
     video_caption: str = ""
     figures: tuple[ReportFigure, ...] = ()
     commands: tuple[str, ...] = ()
+
+
+class Report(NamedTuple):
+    """What a study hands to a command.
+
+    Attributes:
+        page: The page.
+        tables: What the terminal shows.
+    """
+
+    page: Path
+    tables: tuple[Table, ...]
 
 
 def write_page(

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.progress import (
@@ -193,6 +194,12 @@ def machine() -> str:
 
 def _plain(tables: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
     return {
-        name: rows.to_dict("records") if isinstance(rows, pd.DataFrame) else [dict(row) for row in rows]
+        name: [
+            {
+                key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+                for key, value in row.items()
+            }
+            for row in (rows.to_dict("records") if isinstance(rows, pd.DataFrame) else rows)
+        ]
         for name, rows in tables.items()
     }

@@ -16,12 +16,12 @@ the same formula with other forces in the truth's place.
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 
-__all__ = ["Score", "cop_world", "score_forces", "survival_curve"]
+__all__ = ["Score", "cop_world", "score_forces"]
 
 
 @dataclass(frozen=True)
@@ -123,28 +123,6 @@ def score_forces(
         samples=int(counted.sum()),
         held=float(np.mean(lost[pressed])) if pressed.any() else float("nan"),
     )
-
-
-def survival_curve(time: ArrayLike, fell: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Estimate the share of walkers still on their feet (Kaplan and Meier, 1958).
-
-    Args:
-        time: When each walker fell or, still walking, was last seen, in s, shape (n,).
-        fell: Whether it fell, shape (n,).
-
-    Returns:
-        Times in s from 0 on, and the share that stands *from* each on, both of one length.
-
-    >>> survival_curve([2.0, 5.0, 9.0, 9.0], [True, True, False, False])
-    (array([0., 2., 5., 9.]), array([1.  , 0.75, 0.5 , 0.5 ]))
-    """
-    ends = np.asarray(time, dtype=np.float64)
-    events = np.asarray(fell, dtype=bool)
-    moments = np.unique(ends)
-    at_risk = np.array([(ends >= moment).sum() for moment in moments])
-    falls = np.array([(events & (ends == moment)).sum() for moment in moments])
-    share = np.cumprod(1.0 - falls / np.maximum(at_risk, 1))
-    return np.concatenate([[0.0], moments]), np.concatenate([[1.0], share])
 
 
 def _vgrf(

@@ -24,7 +24,6 @@ __all__ = [
     "STAND_TIME",
     "TrueCop",
     "TruthTap",
-    "check_study",
     "feed_named",
     "make_walker",
     "on_feet",
@@ -62,26 +61,6 @@ def feed_named(name: str) -> str:
     if name not in FEEDS:
         raise ValueError(f"There is no feed '{name}'. Available: {', '.join(map(repr, FEEDS))}.")
     return name
-
-
-def check_study(study: Any, *counts: str) -> None:
-    """Refuse a study of walks that cannot be done.
-
-    Args:
-        study: Its options, ``settle`` and ``duration`` in s among them.
-        counts: Names of those that count something.
-
-    Raises:
-        ValueError: If a count is below one, or errors count from no moment of the walk on.
-    """
-    for name in counts:
-        if getattr(study, name) < 1:
-            raise ValueError(f"'{name}' must be at least 1, got {getattr(study, name)}.")
-    if not STAND_TIME < study.settle < study.duration:
-        raise ValueError(
-            f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
-            f"{study.duration:g} s, got {study.settle:g} s."
-        )
 
 
 class TruthTap(gym.Wrapper[Any, Any, Any, Any]):

@@ -13,20 +13,17 @@ import pytest
 from typer.testing import CliRunner
 
 from surefoot.calibration import METHODS
-from surefoot.experiments.arena import pieces, walks
+from surefoot.experiments.arena import cases, walks
+from surefoot.experiments.arena.cases import LogBound
 from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
-from surefoot.experiments.arena.page import ArenaPage
-from surefoot.experiments.arena.pieces import LogBound
-from surefoot.experiments.arena.recordings import RECORDINGS, recording_streams
+from surefoot.experiments.arena.page import write_arena_page
 from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.run import ArenaResults, run_arena
 from surefoot.experiments.arena.scenarios import SCENARIOS, scenarios_named
-from surefoot.experiments.arena.score import score_run
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arena.walks import Walk, log_paths
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, read_log
-from surefoot.experiments.real_recordings import recordings_folder
 from surefoot.experiments.walks.record import record_walk
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import ForceTorque
@@ -76,7 +73,7 @@ def test_walks_are_shared_and_kept(results: ArenaResults, monkeypatch: pytest.Mo
     # Two seeds of two walks, each read by cells of two kinds.
     assert len(list(logs.iterdir())) == 8
     monkeypatch.setattr(walks, "record_walk", _must_not_run)
-    monkeypatch.setattr(pieces, "play", _must_not_run)
+    monkeypatch.setattr(cases, "play", _must_not_run)
     again = run_arena(results.options, bound=bound)
     pd.testing.assert_frame_equal(again.scores, results.scores)
     assert again.left_out == results.left_out
@@ -90,9 +87,9 @@ def test_a_new_method_leaves_old_scores_alone(
     results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     played: list[str] = []
-    original = pieces.play
+    original = cases.play
     monkeypatch.setattr(
-        pieces,
+        cases,
         "play",
         lambda streams, method, **more: played.append(method) or original(streams, method, **more),
     )
@@ -115,8 +112,7 @@ def test_another_option_is_another_file(tmp_path: Path) -> None:
 
 
 def test_the_page_holds_everything(results: ArenaResults) -> None:
-    page = ArenaPage(results).write()
-    text = page.read_text(encoding="utf-8")
+    text = write_arena_page(results).page.read_text(encoding="utf-8")
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
     for name in RUN:
         assert f'<section id="{name}">' in text
@@ -141,7 +137,6 @@ def test_the_command(results: ArenaResults, tmp_path: Path) -> None:
     unknown = runner.invoke(app, ["compare", "walking", "--method", "magic", "--out", str(tmp_path)])
     assert unknown.exit_code == 2
     assert "Method 'magic' does not exist." in unknown.output
-    # Without a subcommand it is still the bench.
     assert "Table 3" in runner.invoke(app, ["compare", "weights"]).stdout
 
 
@@ -159,9 +154,6 @@ def test_scenarios_are_the_ones_that_were_asked_for() -> None:
     assert not any(scenario.long for scenario in scenarios_named((), quick=True))
     assert {s.name for s in scenarios_named((), quick=False)} == set(SCENARIOS)
     for scenario in SCENARIOS.values():
-        if scenario.walk is None:
-            assert scenario.recording in RECORDINGS
-            continue
         assert scenario.condition in {condition.name for condition in scenario.walk.conditions}
         assert scenario.answers
     swapped = SCENARIOS["fault-swapped"]
@@ -198,7 +190,7 @@ def test_beliefs_and_sensors_are_altered(results: ArenaResults) -> None:
 
 @pytest.fixture(scope="module")
 def ankles() -> dict[str, Log]:
-    return record_walk(0.1, 1, STAND_TIME + 3.0, SCENARIOS["ankle-ft"].walk.conditions)  # type: ignore[union-attr]
+    return record_walk(0.1, 1, STAND_TIME + 3.0, SCENARIOS["ankle-ft"].walk.conditions)
 
 
 @pytest.mark.parametrize("name", ["ankle", "both"])
@@ -234,26 +226,24 @@ def test_an_ankle_tells_what_the_cells_tell(ankles: dict[str, Log]) -> None:
     np.testing.assert_array_equal(both.truth.force[:, ankles_of_both], ankle.truth.force)
 
 
-def test_recordings_are_skipped_where_they_are_not(
-    results: ArenaResults, monkeypatch: pytest.MonkeyPatch
+def test_what_fails_is_left_out_and_named(
+    results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv("SUREFOOT_DATA", raising=False)
-    both = dataclasses.replace(results.options, scenarios=("speed-0.1", "recording-pole"))
-    found = run_arena(both, bound=bound)
-    assert [scenario.name for scenario in found.skipped] == ["recording-pole"]
-    with pytest.raises(ValueError, match="set SUREFOOT_DATA"):
-        run_arena(dataclasses.replace(both, scenarios=("recording-pole",)))
+    original = cases.play
 
+    def play_or_fail(streams: Any, method: str, **more: Any) -> Any:
+        if method == "tare":
+            raise RuntimeError("no tare today")
+        return original(streams, method, **more)
 
-@pytest.mark.skipif(recordings_folder() is None, reason="SUREFOOT_DATA does not name a folder of recordings")
-@pytest.mark.parametrize("name", RECORDINGS)
-def test_what_is_put_onto_a_recording_can_be_undone(name: str) -> None:
-    first, second = recording_streams(name, range(2))
-    assert (first.log.raw != second.log.raw).any()
-    (floor,) = play([first], TRUE_MAP)
-    row = score_run(first, floor)
-    assert row["scale"] < 1e-12
-    assert row["offset"] < 1e-9
-    if name != "empty-plate":
-        assert row["cell"] < 1e-9
-        assert score_run(first, play([first], "none", foot_length=0.1)[0])["cell"] > 1.0
+    monkeypatch.setattr(cases, "play", play_or_fail)
+    folder = shutil.copytree(results.options.out, tmp_path / "arena")
+    shutil.rmtree(folder / "results")
+    found = run_arena(dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",)))
+    assert list(found.failures) == ["speed-0.1 tare"]
+    assert set(found.scores["method"]) == {TRUE_MAP, "none"}
+    assert "RuntimeError: no tare today" in write_arena_page(found).page.read_text(encoding="utf-8")
+    monkeypatch.setattr(cases, "streams_of", lambda *_: 1 / 0)
+    shutil.rmtree(folder / "results")
+    with pytest.raises(ValueError, match=r"No case could be scored\. The first, 'speed-0\.1 floor': "):
+        run_arena(found.options)

@@ -5,13 +5,15 @@ import pandas as pd
 import pytest
 
 from surefoot.experiments.demo import findings, tables
-from surefoot.experiments.study.tables import number, with_interval
+from surefoot.experiments.demo.claims import loop_claims, walking_claims, weight_claims
+from surefoot.experiments.demo.weights import paper_table_2
+from surefoot.experiments.study.tables import Verdict, number, with_interval
 
 SEEDS = range(5)
 
 
 def scores(window: float, against: str = "truth", spread: float = 0.1) -> pd.DataFrame:
-    """Raw feet 10 mm off, the window as told, and Han's 12 mm; all with a little spread over seeds."""
+    """Raw feet 10 mm off, the window as told, and quasi-static 12 mm; all with a little spread over seeds."""
     level = {"none": 10.0, "window": window, "quasi-static": 12.0}
     return pd.DataFrame(
         {
@@ -65,9 +67,9 @@ def test_what_the_seeds_do_not_tell_is_not_said() -> None:
 
 def test_the_papers_figures_are_compared_with() -> None:
     (said,) = findings.baseline_findings(scores(5.0, "baseline"), "paper")
-    assert "the window is 5.20 ± 0.20 mm from the bench-calibrated baseline" in said
+    assert "the window is 5.20 ± 0.20 mm from the baseline from weights" in said
     assert "(under the paper's 10.8 mm)" in said
-    assert "Han's lies 7.00 ± 0.00 mm further off in CoP" in said
+    assert "the quasi-static method lies 7.00 ± 0.00 mm further off in CoP" in said
 
 
 def test_targets_are_reached_or_not() -> None:
@@ -76,24 +78,18 @@ def test_targets_are_reached_or_not() -> None:
         for feed in ("true", "none", "window")
         for seed in SEEDS
     )
-    table = findings.target_table(
-        scores(5.0, "baseline"),
-        loop,
-        paper_condition="paper",
-        coefficient=4e-9,
-        bench=(6e-4, 0.01),
-        update_ms=0.5,
-    )
-    reached = {row[0]: row[3] for row in table.rows}
-    assert reached["Table 2 coefficients, relative"] == "yes"
-    assert reached["bench, held-out CoP (mm)"] == "no"
-    assert reached["window at 0.04 m/s, CoP against baseline (mm)"] == "yes"
-    assert reached["severity 2, drifting raw CoP fed back: share that falls"] == "yes"
-    assert reached["severity 2, window-calibrated CoP fed back: share that falls"] == "yes"
+    claims = weight_claims(4e-9, 6e-4, 0.01)
+    claims += [*walking_claims(scores(5.0, "baseline"), "paper", 0.5), *loop_claims(loop)]
+    met = {claim.what: claim.met for claim in claims}
+    assert met["Table 2 coefficients, relative"]
+    assert not met["known weights, held-out CoP (mm)"]
+    assert met["window at 0.04 m/s, CoP against baseline (mm)"]
+    assert met["severity 2, drifting raw CoP fed back: share that falls"]
+    assert met["severity 2, window-calibrated CoP fed back: share that falls"]
 
 
 def test_a_lead_that_the_interval_does_not_tell_from_nothing_is_not_reached() -> None:
-    for lead, expected in (([4.0, 4.1, 4.2], "yes"), ([-3.0, 1.0, 5.0], "no")):
+    for lead, expected in (([4.0, 4.1, 4.2], True), ([-3.0, 1.0, 5.0], False)):
         methods = {"window": [2.0] * 3, "quasi-static": [2.0 + gap for gap in lead]}
         table = pd.DataFrame(
             {
@@ -108,12 +104,8 @@ def test_a_lead_that_the_interval_does_not_tell_from_nothing_is_not_reached() ->
             for method, values in methods.items()
             for seed in range(3)
         )
-        loop = pd.DataFrame({"severity": [1.0], "feed": ["true"], "fell": [False]})
-        found = findings.target_table(
-            table, loop, paper_condition="paper", coefficient=0.0, bench=(0.0, 0.0), update_ms=0.5
-        )
-        reached = {row[0]: row[3] for row in found.rows}
-        assert reached["window at 0.04 m/s, CoP less than Han's by (mm)"] == expected
+        met = {claim.what: claim.met for claim in walking_claims(table, "paper", 0.5)}
+        assert met["window at 0.04 m/s, CoP less than quasi-static by (mm)"] == expected
 
 
 def test_falls_are_paired_by_seed() -> None:
@@ -147,8 +139,24 @@ def test_the_baseline_scores_nothing_by_construction() -> None:
     assert window[2:4] == ("5.20 ± 0.20", "10.8")
 
 
+def test_what_comes_first_is_counted() -> None:
+    runs = pd.DataFrame(
+        {"severity": 3.0, "speed": 0.04, "seed": seed, "feed": feed, "fell": feed == "none" and seed > 0}
+        for feed in ("true", "none", "window", "moment")
+        for seed in range(3)
+    )
+    assert "of 3 walks, 2 end in a fall on raw readings, 0 on the true CoP and 0 on" in findings.lead_finding(
+        runs
+    )
+    yardsticks = scores(5.0).assign(condition="bad-start")
+    rows = {row[0]: row for row in tables.lead_table(yardsticks, runs, "bad-start", "In short").rows}
+    assert rows["window (CoP paper)"][1:] == ("5.20 ± 0.20", "0.500 ± 0.000", "0 of 3")
+    assert rows["window (CoP paper)"][3].good
+    assert not isinstance(rows["raw (none)"][3], Verdict)
+
+
 def test_the_papers_table_2_comes_out() -> None:
-    _, difference = tables.paper_table_2()
+    _, difference = paper_table_2()
     assert difference < 1e-8
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.experiments.study.statistics import mean_interval
-from surefoot.experiments.walks.score import cop_world, score_forces, survival_curve
+from surefoot.experiments.walks.score import cop_world, score_forces
 
 CORNERS = np.array([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)])
 LAYOUT = FeetLayout((FootLayout.load_cells("left", CORNERS), FootLayout.load_cells("right", CORNERS)))
@@ -93,9 +93,3 @@ def test_intervals_leave_out_what_is_not_there() -> None:
     assert interval.half == pytest.approx(12.7062, abs=1e-4)
     assert np.isnan(mean_interval([4.0]).half)
     assert mean_interval([]).n == 0
-
-
-def test_survival_counts_those_still_watched() -> None:
-    time, share = survival_curve([1.0, 2.0, 2.0, 3.0], [True, False, True, False])
-    np.testing.assert_allclose(time, [0, 1, 2, 3])
-    np.testing.assert_allclose(share, [1, 0.75, 0.5, 0.5])

@@ -1,36 +1,49 @@
 """Real plates with errors put in; the recordings are found through SUREFOOT_DATA."""
 
+import os
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
-from surefoot.experiments import real_recordings
+from surefoot.experiments.arena.options import TRUE_MAP
+from surefoot.experiments.arena.replay import play
+from surefoot.experiments.arena.score import score_run
 
-FOLDER = real_recordings.recordings_folder()
-pytestmark = pytest.mark.skipif(
-    FOLDER is None, reason="the environment variable SUREFOOT_DATA names no folder with real recordings"
+FOLDER = Path(os.environ.get("SUREFOOT_DATA", "nowhere"))
+recorded = pytest.mark.skipif(
+    not (FOLDER / "foot").is_dir(),
+    reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
 )
 
 
-def table(load):
-    rows = real_recordings.study_recording(load(FOLDER))
+@pytest.fixture(scope="module")
+def real_recordings(benchmark_script):
+    return benchmark_script("real_recordings")
+
+
+def table(study, load):
+    rows = study.study_recording(load(FOLDER))
     return {(row["method"], row["injected"]): row for row in rows}
 
 
 @pytest.fixture(scope="module")
-def board():
-    return table(real_recordings.wii_board)
+def board(real_recordings):
+    return table(real_recordings, real_recordings.wii_board)
 
 
 @pytest.fixture(scope="module")
-def pole():
-    return table(real_recordings.rocked_pole)
+def pole(real_recordings):
+    return table(real_recordings, real_recordings.rocked_pole)
 
 
 @pytest.fixture(scope="module")
-def empty():
-    return table(real_recordings.drifting_zeros)
+def empty(real_recordings):
+    return table(real_recordings, real_recordings.drifting_zeros)
 
 
+@recorded
 def test_a_tare_takes_injected_offsets_out_and_leaves_gains(board):
     offsets, untouched = (
         board["tare", "offsets 3 % of the weight"],
@@ -44,6 +57,7 @@ def test_a_tare_takes_injected_offsets_out_and_leaves_gains(board):
 
 @pytest.mark.parametrize("method", ["standing start", "window"])
 @pytest.mark.parametrize("injected", ["gains 10 %", "offsets 3 % of the weight", "both"])
+@recorded
 def test_weight_and_cop_bring_force_and_cop_right(board, method, injected):
     learnt, raw = board[method, injected], board["none", injected]
     assert learnt["vgrf_n"] < 0.2 * raw["vgrf_n"]
@@ -52,6 +66,7 @@ def test_weight_and_cop_bring_force_and_cop_right(board, method, injected):
     )
 
 
+@recorded
 def test_the_weight_alone_excites_the_force_and_little_else(board):
     for injected in ("gains 10 %", "offsets 3 % of the weight", "both"):
         alone, raw = board["window, weight alone", injected], board["none", injected]
@@ -61,12 +76,14 @@ def test_the_weight_alone_excites_the_force_and_little_else(board):
         assert alone["cop_ml_mm"] > 2.0 * both["cop_ml_mm"]
 
 
+@recorded
 def test_single_cells_are_not_what_force_and_cop_tell(board):
     both = board["window", "offsets 3 % of the weight"]
     assert both["cell_n"] > 5.0 * both["vgrf_n"]  # the warp of offsets shows only while nobody stands there
     assert board["tare", "offsets 3 % of the weight"]["cell_n"] < 0.1 * both["cell_n"]
 
 
+@recorded
 def test_good_cells_are_not_spoilt(board):
     nothing = board["window", "nothing"]
     assert nothing["cop_ml_mm"] < 1.0
@@ -74,6 +91,7 @@ def test_good_cells_are_not_spoilt(board):
     assert board["tare", "nothing"]["cell_n"] < 0.1
 
 
+@recorded
 def test_a_rocked_pole_gets_its_force_back(pole):
     for injected in ("gains 10 %", "offsets 3 % of the weight", "both"):
         learnt, raw = pole["window", injected], pole["none", injected]
@@ -84,10 +102,12 @@ def test_a_rocked_pole_gets_its_force_back(pole):
     assert ("standing start", "both") not in pole  # nobody stood still
 
 
+@recorded
 def test_a_plate_that_is_never_empty_is_not_tared(pole):
     assert pole["tare", "both"]["cell_n"] == pytest.approx(pole["none", "both"]["cell_n"])
 
 
+@recorded
 def test_zeros_that_neither_force_nor_cop_shows_are_seen_in_the_air(empty):
     raw, tared = empty["none", "nothing"], empty["tare", "nothing"]
     assert raw["cell_n"] > 2.0
@@ -95,8 +115,45 @@ def test_zeros_that_neither_force_nor_cop_shows_are_seen_in_the_air(empty):
     assert tared["cell_n"] < 0.1 * raw["cell_n"]
 
 
+@recorded
 def test_every_row_says_in_words_what_it_shows(board, pole, empty):
     for rows in (board, pole, empty):
         for row in rows.values():
             assert row["sentence"].endswith(".")
             assert np.isfinite([row["vgrf_n"], row["cell_n"]]).all()
+
+
+@recorded
+@pytest.mark.parametrize("name", ["board", "pole", "empty-plate", "icub"])
+def test_what_the_arena_puts_onto_a_recording_can_be_undone(real_recordings, name):
+    first, second = real_recordings.recording_streams(FOLDER, name, range(2))
+    assert (first.log.raw != second.log.raw).any()
+    (floor,) = play([first], TRUE_MAP)
+    row = score_run(first, floor)
+    assert row["scale"] < 1e-12
+    assert row["offset"] < 1e-9
+    if name != "empty-plate":
+        assert row["cell"] < 1e-9
+        assert score_run(first, play([first], "none", foot_length=0.1)[0])["cell"] > 1.0
+
+
+def test_recordings_are_laid_out(real_recordings):
+    rows = pd.DataFrame(
+        {
+            "recording": "plate",
+            "method": method,
+            "injected": injected,
+            "cop_ml_mm": 10.0 if method == "none" else cop,
+            "cop_ap_mm": 10.0,
+            "vgrf_n": 1.0,
+            "cell_n": 1.0,
+            "sentence": "Nothing changes.",
+        }
+        for method, cop in (("none", 10.0), ("window", 2.0), ("tare", 20.0))
+        for injected in ("nothing", "both")
+    )
+    assert [len(real_recordings.plate_table(rows, kind).rows) for kind in ("nothing", "both")] == [3, 3]
+    window, tare = real_recordings.plate_findings(rows)
+    assert "window: of 4 errors" in window
+    assert "2 are more than 10 % smaller than the readings' own, and 0 more than 10 % larger" in window
+    assert "0 are more than 10 % smaller than the readings' own, and 2 more than 10 % larger" in tare

@@ -7,17 +7,30 @@ calibrators get
 * the centre of pressure of the record before the errors were put in,
 * when nothing stood on the plate.
 
-Scored is against the record itself, for what no record knows better: a plate's own errors are in both.
-The recordings are found through the environment variable ``SUREFOOT_DATA`` and are not part of this package.
+Scored is against the record itself, for what no record knows better: a plate's own errors are in both. The
+same recordings, and an iCub that sways on both feet, are scored as the walks of ``surefoot compare walking``
+are (``--arena``).
+
+    SUREFOOT_DATA=/path/to/recordings python benchmarks/real_recordings.py           # about a minute
+    SUREFOOT_DATA=/path/to/recordings python benchmarks/real_recordings.py --arena --seeds 20
+
+``$SUREFOOT_DATA/foot`` has to hold ``wii_board_18min.npz``, ``caltester_FP1_600hz.npz`` and
+``kistler2_600hz.npz`` (and for the arena ``icub_com-sinusoid.npz``), made from public recordings of a balance
+board (corkine/BalanceBoardDataAnalysis) and of two force plates (sample 15 of c3d.org, and
+pyomeca/ezc3d-testFiles); they are not part of this package.
 """
 
+import argparse
 import os
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
+from rich.console import Console
 
 from surefoot.calibration import (
     GRAVITY,
@@ -31,8 +44,13 @@ from surefoot.calibration import (
     standing_start,
     zero_phase,
 )
-
-__all__ = ["INJECTED", "METHODS", "Recording", "recordings_folder", "study", "study_recording"]
+from surefoot.calibration import METHODS as ONLINE_METHODS
+from surefoot.experiments.arena.options import TRUE_MAP
+from surefoot.experiments.arena.replay import play
+from surefoot.experiments.arena.score import score_run
+from surefoot.experiments.arena.streams import Stream, held
+from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.experiments.study.tables import Frame, Table, number, with_interval
 
 Floats = NDArray[np.float64]
 
@@ -368,3 +386,211 @@ def _surely(condition: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
     reach = round(margin * RATE)
     broken = np.convolve(~condition, np.ones(2 * reach + 1), mode="same") > 0.5
     return condition & ~broken
+
+
+ARENA_SCALE_STD = 0.1
+"""Standard deviation of the scales' errors that the arena puts in."""
+
+ARENA_OFFSET_SHARE = 0.03
+"""Standard deviation of the offsets that the arena puts in, in weights."""
+
+_ARENA_STREAM = 0x5EA2
+
+_FOOT_LENGTH = {"foot_length": 0.17}
+# Eight seconds are too short to wait for a standing start that does not come.
+_IMPATIENT = {name: {"standing_patience": 3.0} for name in ("window", "quasi-static")}
+
+
+def icub_feet(folder: Path) -> Recording:
+    """Load the iCub that sways over both feet: two channels, the vertical force on each foot.
+
+    Neither moments nor the soles' places were recorded, so that only the total is given, as a constant: both
+    feet are put at one place, where no centre of pressure can be wrong.
+    """
+    with np.load(folder / "foot" / "icub_com-sinusoid.npz") as file:
+        time, feet = file["t_s"], np.column_stack([file["left_fz_N"], file["right_fz_N"]])
+    even = np.arange(time[0], time[-1], 1.0 / RATE)
+    force = np.column_stack([np.interp(even, time, foot) for foot in feet.T])
+    up = np.zeros((6, 1))
+    up[2] = 1.0
+    layout = FeetLayout(tuple(FootLayout(name, up, ("fz",)) for name in ("left", "right")))
+    everywhere = np.ones(len(even), dtype=np.bool_)
+    return Recording(
+        name="iCub",
+        layout=layout,
+        force=force,
+        vgrf=np.full(len(even), force.sum(axis=1).mean()),
+        cop=np.zeros((len(even), 2)),
+        loaded=everywhere,
+        empty=~everywhere,
+        still=False,
+        judged=np.arange(len(even)) > 10 * RATE,
+    )
+
+
+RECORDINGS: Mapping[str, tuple[Callable[[Path], Recording], Mapping[str, Any], Mapping[str, Any]]] = {
+    "board": (wii_board, {}, {}),
+    "pole": (rocked_pole, {}, _IMPATIENT),
+    "empty-plate": (drifting_zeros, {}, {}),
+    "icub": (icub_feet, _FOOT_LENGTH, {}),
+}
+"""Recordings of the arena: what loads each, options of all methods, and options of single methods."""
+
+
+def recording_streams(folder: Path, name: str, seeds: range) -> list[Stream]:
+    """Put errors onto a recording, once a seed.
+
+    Args:
+        folder: The folder that holds ``foot/``.
+        name: A key of :data:`RECORDINGS`.
+        seeds: Of the draws.
+
+    Returns:
+        One stream a seed.
+    """
+    recording = RECORDINGS[name][0](folder)
+    return [_stream(recording, seed) for seed in seeds]
+
+
+def _stream(recording: Recording, seed: int) -> Stream:
+    rng = np.random.default_rng([_ARENA_STREAM, seed])
+    samples, channels = recording.force.shape
+    gain = 1.0 + ARENA_SCALE_STD * rng.standard_normal(channels)
+    offset = ARENA_OFFSET_SHARE * recording.weight * rng.standard_normal(channels)
+    feet = len(recording.layout.feet)
+    soles = np.zeros((samples, feet, 3))
+    level = np.broadcast_to(np.eye(3), (samples, feet, 3, 3))
+    time = np.arange(samples) / RATE
+    empty = not recording.loaded.any()
+    log = Log(
+        time=time,
+        raw=recording.force * gain + offset,
+        reference=_told(recording),
+        layout=recording.layout,
+        mass=recording.weight / GRAVITY,
+        nominal=Parameters(np.ones(channels), np.zeros(channels)),
+        bench=None,
+        dt=1.0 / RATE,
+        lag=0,
+        seed=seed,
+        truth=LogTruth(
+            force=np.zeros_like(recording.force) if empty else held(recording.force),
+            position_sole=soles,
+            R_world_sole=level,
+            scale=np.broadcast_to(1.0 / gain, (samples, channels)),
+            offset=np.broadcast_to(-offset / gain, (samples, channels)),
+        ),
+        about={"recording": recording.name},
+    )
+    there = recording.judged & np.isfinite(recording.force).all(axis=1)
+    placed = all(foot.position_cell_sole is not None for foot in recording.layout.feet)
+    return Stream(
+        log=log,
+        seed=seed,
+        judged=there,
+        began=float(time[np.argmax(recording.loaded)]) if not empty else 0.0,
+        # Told and scored by one place; a layout without places has no centre of pressure to score.
+        cop=recording.cop if placed else np.full((samples, 2), np.nan),
+    )
+
+
+def _told(recording: Recording) -> Reference:
+    """Say what the methods are told, with as many feet as the layout has."""
+    told = recording.reference()
+    feet = len(recording.layout.feet)
+    if feet == 1:
+        return told
+    each = {
+        name: np.repeat(getattr(told, name), feet, axis=1)
+        for name in ("position_sole", "R_level_sole", "stance", "swing")
+    }
+    return told._replace(**each)
+
+
+def arena_table(folder: Path, name: str, seeds: int) -> Table:
+    """Score all methods on one recording as the arena scores walks."""
+    _, options, by_method = RECORDINGS[name]
+    streams = recording_streams(folder, name, range(seeds))
+    rows = []
+    for method in (TRUE_MAP, *ONLINE_METHODS):
+        played = play(streams, method, **{**options, **by_method.get(method, {})})
+        runs = pd.DataFrame([score_run(*pair) for pair in zip(streams, played, strict=True)])
+        values = [with_interval(runs["cop"], 1e3), *(with_interval(runs[key]) for key in ("vgrf", "cell"))]
+        rows.append((method, *values, f"{int(runs['worse_vgrf'].sum())} of {len(runs)}"))
+    columns = ("method", "CoP (mm)", "vGRF (N)", "cell (N)", "vGRF ends worse")
+    return Table(f"recording_{name}", f"Recording '{name}': means and 95 % intervals", columns, tuple(rows))
+
+
+def plate_table(rows: Frame, injected: str) -> Table:
+    part = rows[rows["injected"] == injected]
+    cells = tuple(
+        (
+            row.recording,
+            row.method,
+            number(row.cop_ap_mm),
+            number(row.cop_ml_mm),
+            number(row.vgrf_n),
+            number(row.cell_n),
+            row.sentence,
+        )
+        for row in part.itertuples()
+    )
+    columns = (
+        "recording",
+        "method",
+        "CoP ahead (mm)",
+        "CoP sideways (mm)",
+        "vertical force (N)",
+        "single cell (N)",
+        "against the readings as they are",
+    )
+    what = {"nothing": "nothing put in", "both": "gains 10 % and offsets 3 % of the weight put in"}[injected]
+    return Table(f"recordings_{injected}", f"Real plates, {what}", columns, cells)
+
+
+def plate_findings(rows: Frame) -> tuple[str, ...]:
+    """Say for every calibrator where it leaves the centre of pressure worse than it found it."""
+    keys = ["recording", "injected"]
+    raw = rows[rows["method"] == "none"].set_index(keys)
+    said = []
+    for method in dict.fromkeys(rows["method"]):
+        if method == "none":
+            continue
+        part = rows[rows["method"] == method].set_index(keys)
+        ratio = part[["cop_ap_mm", "cop_ml_mm"]] / raw.loc[part.index, ["cop_ap_mm", "cop_ml_mm"]]
+        ratio = ratio.to_numpy().ravel()
+        ratio = ratio[(ratio == ratio) & (ratio < float("inf"))]
+        if not len(ratio):
+            continue
+        worse, better = int((ratio > 1.1).sum()), int((ratio < 0.9).sum())
+        said.append(
+            f"{method}: of {len(ratio)} errors of the centre of pressure (recording, kind of error, axis) "
+            f"{better} are more than 10 % smaller than the readings' own, and {worse} more than 10 % larger."
+        )
+    return tuple(said)
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--arena", action="store_true", help="score as the walks of compare walking are")
+    parser.add_argument("--seeds", type=int, default=4, help="draws of the arena's errors")
+    options = parser.parse_args()
+    folder = recordings_folder()
+    if folder is None:
+        sys.exit("SUREFOOT_DATA names no folder that holds 'foot' with the recordings of plates.")
+    console = Console(width=160)
+    if options.arena:
+        for name in RECORDINGS:
+            console.print(arena_table(folder, name, options.seeds).to_rich())
+        return
+    rows = pd.DataFrame(study(folder))
+    for injected in ("nothing", "both"):
+        console.print(plate_table(rows, injected).to_rich())
+    console.print("\n".join(plate_findings(rows)))
+
+
+if __name__ == "__main__":
+    main()

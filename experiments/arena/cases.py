@@ -1,0 +1,180 @@
+"""The cases of a study of walks: each depends on nothing but its arguments and recorded walks.
+
+* a score: one method on one scenario, perhaps with options changed;
+* a bound: what no estimator can go below on a scenario;
+* a closed loop: one walk that feels the feet that it stands on.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import FootCalibrator, Reference
+from surefoot.experiments.arena.options import ArenaOptions
+from surefoot.experiments.arena.replay import play
+from surefoot.experiments.arena.scenarios import Scenario
+from surefoot.experiments.arena.score import run_errors, running_rmse, score_run
+from surefoot.experiments.arena.streams import streams_of
+from surefoot.experiments.arena.walks import log_paths
+from surefoot.experiments.arena.yardsticks import OTHER_WAYS, other_way, trace_of, yardsticks_of
+from surefoot.experiments.logs.format import Log, read_log
+from surefoot.experiments.study.store import Case
+from surefoot.experiments.walks.closed_loop import run_loop
+from surefoot.experiments.walks.replay import starting_map
+
+__all__ = ["Bound", "LogBound", "bound_case", "loop_case", "score_case", "time_method"]
+
+SLICE = 2.0
+"""Time in s between points of the errors that are drawn over time."""
+
+TIMED = 1600
+"""Samples of one walk on which an update is timed: 20 s."""
+
+PHASES = 4
+"""The window solves at every fourth sample: one of four samples is the slow one."""
+
+Tables = dict[str, list[dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class LogBound:
+    """What no estimator can go below on one log.
+
+    Attributes:
+        cop: Bound on the CoP error in m.
+        vgrf: Bound on that of the vertical force in N.
+        cell: Bound on that of single cells in N.
+    """
+
+    cop: float
+    vgrf: float
+    cell: float
+
+
+Bound = Callable[[Log, NDArray[np.bool_], Mapping[str, Any]], LogBound]
+"""Computes the bound of a log over the samples that are judged, for an estimator that is given the options of
+a scenario; must survive pickling."""
+
+
+def score_case(
+    scenario: Scenario, method: str, options: ArenaOptions, changes: Mapping[str, Any] | None = None
+) -> Case:
+    """Return the case of one method on one scenario.
+
+    Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
+    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``.
+
+    Args:
+        scenario: The scenario.
+        method: A method, the true map, or for the paper's scenarios one of
+            :data:`~surefoot.experiments.arena.yardsticks.OTHER_WAYS`.
+        options: How much is done.
+        changes: Options of the method to change, besides the scenario's.
+    """
+    changed = dict(changes or {})
+    name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
+    arguments = (scenario, method, options, changed)
+    return Case(name, _score, arguments, (method, changed, _depends(scenario, options)))
+
+
+def bound_case(scenario: Scenario, options: ArenaOptions, bound: Bound) -> Case:
+    """Return the case of a scenario's bound; its table ``bounds`` has one row a run.
+
+    Rows are ``scenario``, ``seed``, ``bound_cop`` (m), ``bound_vgrf`` (N) and ``bound_cell`` (N).
+    """
+    which = f"{bound.__module__}.{bound.__qualname__}"
+    return Case(
+        f"{scenario.name} bound", _bound, (scenario, options, bound), (which, _depends(scenario, options))
+    )
+
+
+def loop_case(severity: float, feed: str, speed: float, seed: int, duration: float) -> Case:
+    """Return the case of one closed loop; its table ``loop`` has one row."""
+    name = f"closed loop, severity {severity:g}, {feed}, {speed:g} m/s, seed {seed}"
+    return Case(name, _loop, (severity, feed, speed, seed, duration))
+
+
+def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Time one robot's updates on one walk.
+
+    Args:
+        path: A log.
+        method: A method.
+        options: Its options.
+
+    Returns:
+        ``method``, the median and the mean time in microseconds, and the median of the slowest of four
+        phases: a method may work on some samples only.
+    """
+    log = read_log(path)
+    calibrator = FootCalibrator(
+        log.layout, method, mass=log.mass, initial=starting_map(log), dt=log.dt, lag=log.lag, **options
+    )
+    taken = []
+    for k in range(min(TIMED, len(log))):
+        reference = Reference(*(part[k] for part in log.reference))
+        began = time.perf_counter()
+        calibrator.update(log.raw[k], reference)
+        taken.append(time.perf_counter() - began)
+    # The first half warms up, and holds what only a standing start does.
+    steady = 1e6 * np.array(taken[len(taken) // 2 :])
+    phases = steady[: len(steady) // PHASES * PHASES].reshape(-1, PHASES)
+    return {
+        "method": method,
+        "median_us": float(np.median(steady)),
+        "mean_us": float(steady.mean()),
+        "slowest_us": float(np.median(phases, axis=0).max()),
+    }
+
+
+def _depends(scenario: Scenario, options: ArenaOptions) -> tuple[Any, ...]:
+    """Return what a scenario's results depend on; a log's name is a hash of all that made it."""
+    logs = [
+        str(log_paths(scenario.walk, seed, options.duration, Path())[scenario.condition])
+        for seed in scenario.seeds(options.seeds)
+    ]
+    return scenario, options.duration, options.settle, logs
+
+
+def _score(scenario: Scenario, method: str, options: ArenaOptions, changes: dict[str, Any]) -> Tables:
+    streams, left_out = streams_of(scenario, options)
+    row = {"scenario": scenario.name, "method": method}
+    found: Tables = {"scores": [], "errors": [], "left_out": [{**row, "count": left_out}]}
+    if method in OTHER_WAYS:
+        rows = [one for stream in streams for one in other_way(stream, method, options.settle)]
+        return {**found, "yardsticks": rows}
+    played_by_method = play(streams, method, **scenario.options_of(method), **changes)
+    for stream, played in zip(streams, played_by_method, strict=True):
+        found["scores"].append({**row, **score_run(stream, played)})
+        running = running_rmse(stream.log.time, run_errors(stream, played.force)[0])
+        every = max(round(SLICE / stream.log.dt), 1)
+        found["errors"] += [
+            {**row, "seed": stream.seed, "time": float(moment), "cop": float(value)}
+            for moment, value in zip(stream.log.time[::every], running[::every], strict=True)
+        ]
+        if scenario.paper:
+            rows = yardsticks_of(stream, method, played.force, options.settle)
+            found.setdefault("yardsticks", []).extend(rows)
+            if stream.seed == 0:
+                found["traces"] = trace_of(stream, method, played.force)
+    return found
+
+
+def _bound(scenario: Scenario, options: ArenaOptions, bound: Bound) -> Tables:
+    rows = []
+    for stream in streams_of(scenario, options)[0]:
+        # A bound knows of no fault: what it says of a channel that fails would mean nothing.
+        if not stream.faults:
+            limit = asdict(bound(stream.log, stream.judged, scenario.options_of("moment")))
+            named = {f"bound_{part}": value for part, value in limit.items()}
+            rows.append({"scenario": scenario.name, "seed": stream.seed, **named})
+    return {"bounds": rows}
+
+
+def _loop(severity: float, feed: str, speed: float, seed: int, duration: float) -> Tables:
+    return {"loop": [asdict(run_loop(feed, speed=speed, seed=seed, duration=duration, severity=severity))]}

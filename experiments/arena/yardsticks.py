@@ -1,0 +1,141 @@
+"""The CoP paper's way to score, and the truth's: one row a walk, way to read the feet and yardstick.
+
+The paper scores against its own calibration from known weights, applied to the same readings; here that is
+the yardstick ``"baseline"`` beside ``"truth"``.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import ground_reference, sole_wrenches
+from surefoot.experiments.arena.options import TRUE_MAP
+from surefoot.experiments.arena.streams import Stream
+from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.score import cop_world, score_forces
+
+__all__ = ["OTHER_WAYS", "TRACE", "other_way", "trace_of", "yardsticks_of"]
+
+Floats = NDArray[np.float64]
+
+OTHER_WAYS = ("baseline", "reference")
+"""Ways to read the feet that are no methods: the calibration from weights before the walk, kept; and the
+reference, what the motion asks for."""
+
+TRACE = (8.0, 2.0)
+"""Which part of a walk is kept for figures, in s before its end: the last steps before the robot stops, when
+whatever converges has converged."""
+
+
+def yardsticks_of(stream: Stream, method: str, force: Floats, settle: float) -> list[dict[str, Any]]:
+    """Score a method against the truth and against the baseline.
+
+    Args:
+        stream: A stream whose robot was calibrated from weights before the walk.
+        method: The way to read the feet.
+        force: Forces that it found in N, shape (N, K).
+        settle: Samples before this time in s do not count.
+
+    Returns:
+        Rows of ``condition``, ``speed``, ``seed``, ``method``, ``against`` and the errors of
+        :class:`~surefoot.experiments.walks.score.Score`.
+    """
+    others = {"truth": stream.truth.force}
+    if method not in (TRUE_MAP, "baseline"):
+        others["baseline"] = _baseline(stream)
+    return [
+        _row(stream, method, against) | _score(stream, force, other, settle)
+        for against, other in others.items()
+    ]
+
+
+def other_way(stream: Stream, way: str, settle: float) -> list[dict[str, Any]]:
+    """Score a way to read the feet that is no method, one of :data:`OTHER_WAYS`, as :func:`yardsticks_of`."""
+    if way == "baseline":
+        return yardsticks_of(stream, way, _baseline(stream), settle)
+    return [_row(stream, way, "truth") | _reference_score(stream, settle)]
+
+
+def trace_of(stream: Stream, method: str, force: Floats) -> list[dict[str, Any]]:
+    """Return the end of a walk as a method saw it, and with the true map the truth as well.
+
+    Returns:
+        Rows of ``condition``, ``speed``, ``method``, ``time`` (s, shape (n,)), ``cop`` in the world (m, shape
+        (n, 2)) and ``vgrf`` of the feet (N, shape (n, 2)).
+    """
+    log, truth = stream.log, stream.truth
+    end = log.time[-1]
+    shown = (log.time >= max(end - TRACE[0], 0.0)) & (log.time <= end - TRACE[1])
+    ways = {method: force} | ({"truth": truth.force} if method == TRUE_MAP else {})
+    return [
+        {
+            "condition": str(log.about["condition"]),
+            "speed": float(log.about["speed_m_s"]),
+            "method": name,
+            "time": log.time[shown],
+            "cop": cop_world(one, log.layout, truth.position_sole, truth.R_world_sole)[shown],
+            "vgrf": _vgrf(stream, one)[shown],
+        }
+        for name, one in ways.items()
+    ]
+
+
+def _baseline(stream: Stream) -> Floats:
+    found: Floats = starting_map(stream.log, "bench").force(stream.log.raw)
+    return found
+
+
+def _row(stream: Stream, name: str, against: str) -> dict[str, Any]:
+    about = stream.log.about
+    return {
+        "condition": str(about["condition"]),
+        "speed": float(about["speed_m_s"]),
+        "seed": stream.seed,
+        "method": name,
+        "against": against,
+    }
+
+
+def _score(stream: Stream, force: Floats, other: Floats, settle: float) -> dict[str, float]:
+    truth = stream.truth
+    return score_forces(
+        force,
+        other,
+        layout=stream.log.layout,
+        position_sole=truth.position_sole,
+        R_world_sole=truth.R_world_sole,
+        time=stream.log.time,
+        settle=settle,
+    ).as_dict()
+
+
+def _vgrf(stream: Stream, force: Floats) -> Floats:
+    wrench = sole_wrenches(force, stream.log.layout)
+    vertical: Floats = np.sum(stream.truth.R_world_sole[..., 2, :] * wrench[..., :3], axis=-1)
+    return vertical
+
+
+def _reference_score(stream: Stream, settle: float) -> dict[str, float]:
+    """Score what calibrators are given, placed under the true soles of the moment that it describes."""
+    log, truth = stream.log, stream.truth
+    asked = ground_reference(log.reference, log.mass)
+    moment = log.time - log.lag * log.dt - float(log.about.get("sample_age_s", 0.0))
+
+    def then(values: Floats) -> Floats:
+        return np.column_stack([np.interp(moment, log.time, column) for column in values.T])
+
+    true_cop = then(cop_world(truth.force, log.layout, truth.position_sole, truth.R_world_sole))
+    true_vgrf = then(_vgrf(stream, truth.force).sum(axis=-1)[:, None])[:, 0]
+    origin = then(truth.position_sole[..., :2].mean(axis=1))
+    ahead = then(truth.R_world_sole[..., :2, 0].sum(axis=1))
+    ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    x, y = asked.cop[:, 0], asked.cop[:, 1]
+    placed = origin + np.column_stack([ahead[:, 0] * x - ahead[:, 1] * y, ahead[:, 1] * x + ahead[:, 0] * y])
+    counted = (log.time >= settle) & np.isfinite(placed).all(axis=1) & np.isfinite(true_cop).all(axis=1)
+    off = (placed - true_cop)[counted]
+    return {
+        "cop": float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
+        "vgrf": float(np.sqrt(np.mean((asked.vgrf - true_vgrf)[counted] ** 2))),
+        "cell": float("nan"),
+    }

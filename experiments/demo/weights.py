@@ -1,0 +1,173 @@
+"""Calibration from known weights, as the CoP paper's Tables 2 and 3 and its Figures 7 and 8."""
+
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.weights.channels import fit_channels
+from surefoot.experiments.demo.published import TABLE_2, TABLE_3
+from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
+from surefoot.experiments.study.page import ReportFigure, Section, flat
+from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.weights.weighing import WeighingReport
+
+__all__ = ["cop_figure", "paper_table_2", "table_2", "table_3", "vgrf_figure", "weights_section"]
+
+_TEXT = """
+    Before a robot walks, known weights stand on each cell and then at holes 1 cm apart on each foot's
+    plate. A line per cell (Eqs. 1, 2) and a correction of the centre of pressure (Eqs. 3-5) are fitted,
+    and scored at holes that the fit never saw."""
+
+_COP = """
+    Measured centres of pressure (dots) against the holes in which the weights stood (rings): left foot,
+    held-out holes, weights from 1 kg on. Left by the data sheet's coefficients, right after the
+    calibration: the dots sit in their rings."""
+
+_VGRF = """
+    Vertical force of held-out placements on both feet, sorted by weight; below, the size of the error on a
+    logarithmic axis."""
+
+_BEFORE, _AFTER = "initial coefficients", "calibrated from weights"
+
+
+def paper_table_2() -> tuple[Table, float]:
+    """Fit the counts that the paper prints, and compare with the coefficients that it prints.
+
+    Returns:
+        The table, and the largest relative difference of a coefficient.
+    """
+    fit = fit_channels(TABLE_2.code.T, TABLE_2.load, TABLE_2.channel_names).value
+    difference = np.maximum(np.abs(fit.scale / TABLE_2.scale - 1), np.abs(fit.offset / TABLE_2.offset - 1))
+    rows = tuple(
+        (
+            _cell(name),
+            *(f"{code:,.0f}" for code in TABLE_2.code[i]),
+            f"{1e6 * fit.scale[i]:.8f}",
+            f"{1e6 * TABLE_2.scale[i]:.8f}",
+            f"{fit.offset[i]:.7f}",
+            f"{TABLE_2.offset[i]:.7f}",
+            f"{difference[i]:.1e}",
+        )
+        for i, name in enumerate(TABLE_2.channel_names)
+    )
+    columns = ("cell", *map(_load, TABLE_2.load), "c, ours", "c, paper", "d, ours", "d, paper")
+    note = (
+        "Counts as printed in the paper; c in 1e-6 kg per count and d in kg by regression of load on count."
+    )
+    title = "Table 2: the paper's counts, fitted again"
+    table = Table("table2_paper", title, (*columns, "largest difference"), rows, note)
+    return table, float(difference.max())
+
+
+def table_2(report: WeighingReport) -> Table:
+    """Return the simulated weighing as the paper's Table 2: codes under known loads, and lines."""
+    load = report.channel_load
+    shown = [int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0)]
+    shown = list(dict.fromkeys(shown))
+    value = report.channels.value
+    rows = tuple(
+        (
+            _cell(name),
+            *(f"{report.channel_code[j, i]:,.0f}" for j in shown),
+            f"{1e6 * value.scale[i] / GRAVITY:.5f}",
+            f"{value.offset[i] / GRAVITY:.5f}",
+        )
+        for i, name in enumerate(report.channel_names)
+    )
+    note = (
+        f"Mean codes of one second each under {len(load)} weights from 1 g to 6 kg, of which some are shown; "
+        "c in 1e-6 kg per count, d in kg."
+    )
+    columns = ("cell", *(_load(load[j]) for j in shown), "c", "d")
+    return Table("table2_simulated", "The same of simulated cells", columns, rows, note)
+
+
+def table_3(report: WeighingReport) -> Table:
+    """Return the errors on held-out holes as the paper's Table 3."""
+    both = (report.initial, report.calibrated, TABLE_3["initial"], TABLE_3["calibrated"])
+    rows = (
+        ("CoP (mm)", *(number(1e3 * errors.cop) for errors in both)),
+        ("vGRF (N)", *(number(errors.vgrf) for errors in both)),
+    )
+    columns = ("rmse", "initial, ours", "calibrated, ours", "initial, paper", "calibrated, paper")
+    calibrated = report.calibrated
+    note = (
+        f"{calibrated.placements} placements with a centre of pressure and {calibrated.weighings} weighings "
+        "at holes that the fit never saw; the paper does not say how many of its were held out."
+    )
+    return Table("table3", "Table 3: before and after calibration from weights", columns, rows, note)
+
+
+def weights_section(report: WeighingReport, folder: Path) -> Section:
+    """Return the section about known weights, and draw its figures into a folder."""
+    tables = (paper_table_2()[0], table_2(report), table_3(report))
+    cop, vgrf = (
+        cop_figure(folder / "figure07_cop.svg", report),
+        vgrf_figure(folder / "figure08_vgrf.svg", report),
+    )
+    shown = (ReportFigure(cop, "Figure 7", flat(_COP)), ReportFigure(vgrf, "Figure 8", flat(_VGRF)))
+    return Section("weights", "Known weights", (flat(_TEXT),), tables=tables, figures=shown)
+
+
+def cop_figure(path: Path, report: WeighingReport) -> Path:
+    """Draw measured centres of pressure against the holes of the plate (the paper's Figure 7).
+
+    Args:
+        path: Where to save the figure.
+        report: The simulated weighing, of which the left foot is shown.
+    """
+    left = report.held_out[0]
+    pressed = np.isfinite(left.cop_initial).all(axis=1)
+    holes = left.hole[pressed]
+    with figure_at(path, 9.0, 4.4) as figure:
+        panels = grid_of(figure, 1, 2, sharex=True, sharey=True)[0]
+        for axes, places, name, title in (
+            (panels[0], left.cop_initial[pressed], "none", _BEFORE),
+            (panels[1], left.cop_calibrated[pressed], "baseline", _AFTER),
+        ):
+            ring = {"s": 46, "facecolors": "none", "edgecolors": "#9a9a9a"}
+            axes.scatter(*(1e3 * holes.T), label="holes (truth)", **ring)
+            axes.scatter(*(1e3 * places.T), s=7, color=look_of(name).colour, label="measured", zorder=3)
+            off = 1e3 * np.linalg.norm(places - holes, axis=1)
+            axes.set_title(f"{title}: {np.sqrt(np.mean(off**2)):.3g} mm rmse")
+            axes.set_aspect("equal")
+            axes.set_xlabel("x in the sole frame (mm)")
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+        panels[0].set_ylabel("y in the sole frame (mm)")
+    return path
+
+
+def vgrf_figure(path: Path, report: WeighingReport) -> Path:
+    """Draw the vertical force of held-out placements (the paper's Figure 8).
+
+    Args:
+        path: Where to save the figure.
+        report: The simulated weighing, of which both feet are shown.
+    """
+    load, initial, calibrated = (
+        np.concatenate([getattr(foot, name) for foot in report.held_out])
+        for name in ("load", "vgrf_initial", "vgrf_calibrated")
+    )
+    order, index = np.argsort(load, kind="stable"), np.arange(len(load))
+    with figure_at(path, 9.0, 4.2) as figure:
+        top, bottom = grid_of(figure, 2, 1, sharex=True, height_ratios=[2, 1])[:, 0]
+        for forces, name, label in ((initial, "none", _BEFORE), (calibrated, "baseline", _AFTER)):
+            style = {"color": look_of(name).colour, "linestyle": "none", "marker": ".", "markersize": 4}
+            top.plot(index, forces[order], label=label, **style)
+            bottom.plot(index, np.maximum(np.abs(forces - load)[order], 1e-5), **style)
+        top.step(index, load[order], where="mid", color="black", linestyle=":", linewidth=1.4, label="weight")
+        top.set_ylabel("vertical force (N)")
+        top.legend(loc="upper left")
+        logarithmic(bottom)
+        bottom.set_ylabel("|error| (N)")
+        bottom.set_xlabel("held-out placement, sorted by weight")
+    return path
+
+
+def _cell(name: str) -> str:
+    return name.replace("/", " foot, ").replace("-", " ")
+
+
+def _load(load: float) -> str:
+    return "no load" if load == 0 else f"{load:g} kg"
