@@ -80,7 +80,7 @@ def test_weights_print_the_papers_tables(tmp_path: Path, command: str) -> None:
     result = RUNNER.invoke(app, [*command.split(), "--out", str(tmp_path)])
     assert result.exit_code == 0
     assert "Table 2: the paper's counts, fitted again" in result.stdout
-    assert "Table 3: the bench before and after calibration" in result.stdout
+    assert "Table 3: before and after calibration from weights" in result.stdout
     assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
     assert ("is now 'surefoot compare weights'" in result.stderr) == (command == "bench")
 
