@@ -1,14 +1,15 @@
 """Differences between the episodes of an evaluation, paired by seed; what was not run is left out."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of
 from surefoot.experiments.study.figures import short_label
+from surefoot.experiments.study.page import flat
 from surefoot.experiments.study.statistics import Interval
 from surefoot.experiments.study.tables import Frame, Verdict
 
-__all__ = ["CALIBRATED", "NOBODY", "Difference", "differences", "input_differences", "nobody_differences"]
+__all__ = ["CALIBRATED", "COMPARISONS", "NOBODY", "Comparison", "Difference"]
 
 CALIBRATED = "moment"
 """The feed that is compared with the others."""
@@ -54,7 +55,7 @@ class Difference:
         return Verdict.of(self.interval.mean > 0.0, "yes")
 
 
-def differences(frame: Frame) -> list[Difference]:
+def feed_differences(frame: Frame) -> list[Difference]:
     """Return differences of feeds, for each controller that looks at them and each severity."""
     return [
         Difference(controller, what, severity, interval, judged=first != "true")
@@ -101,3 +102,41 @@ def _found(frame: Frame, first: Run, second: Run, severity: float | None = None)
     interval = difference(frame, first, second, severity)
     if interval is not None:
         yield interval
+
+
+_NOBODY = """
+    Returns less those of the zero action, which leaves the robot to its pattern: who acts on wrong readings
+    may do worse than nobody."""
+
+_OTHER_INPUTS = """
+    True feet, but the controller is given a CoP that is held (frozen), that of another episode (swapped), or
+    that of another episode in random order (shuffled). Who uses the CoP loses by it."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A kind of differences: one table, one figure and one section of a page.
+
+    Attributes:
+        name: Short name, for files.
+        table: Title of the table.
+        title: Title of the section.
+        text: What is compared.
+        find: Finds the differences in the rows of a study.
+    """
+
+    name: str
+    table: str
+    title: str
+    text: tuple[str, ...]
+    find: Callable[[Frame], list[Difference]]
+
+
+COMPARISONS = (
+    Comparison("differences", "Paired differences of returns", "Feet against feet", (), feed_differences),
+    Comparison("nobody", "What acting is worth", "Is acting worth it?", (flat(_NOBODY),), nobody_differences),
+    Comparison(
+        "inputs", "What another CoP costs", "Is the CoP used?", (flat(_OTHER_INPUTS),), input_differences
+    ),
+)
+"""All comparisons, in the order of the page."""

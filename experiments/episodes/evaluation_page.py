@@ -2,16 +2,12 @@
 
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from surefoot.experiments.episodes import figures
-from surefoot.experiments.episodes.comparisons import (
-    Difference,
-    differences,
-    input_differences,
-    nobody_differences,
-)
+from surefoot.experiments.episodes.comparisons import COMPARISONS
 from surefoot.experiments.episodes.findings import controller_findings, target_table
 from surefoot.experiments.episodes.randomisation import answers, gap_table, trainings, two_by_two
 from surefoot.experiments.episodes.rows import in_order, origins_of
@@ -57,13 +53,10 @@ _KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomis
 
 _LEARNT_NOTHING = {"stabiliser": ": feedback of the CoP, no learning", "zero": ": nobody acts"}
 
-_CAPTIONS = {
-    "returns": "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity.",
-    "survival": "Share on its feet over time since the quiet stand (Kaplan and Meier) with 95 % bands "
-    "(Greenwood, log-log).",
-    "forest": "Differences of returns between episodes of the same seed, with 95 % intervals. What crosses "
-    "the line at zero may be nothing.",
-}
+_FOREST = (
+    "Differences of returns between episodes of the same seed, with 95 % intervals. What crosses the line at "
+    "zero may be nothing."
+)
 
 _RANDOMISATION = """
     A policy that was trained on randomised sensors has learnt to live with their errors; a calibration makes
@@ -71,21 +64,10 @@ _RANDOMISATION = """
     trained policies: how far another training of the same kind, by another seed, would come out from them is
     in none."""
 
-_INPUTS = """
-    True feet, but the controller is given a CoP that is held (frozen), that of another episode (swapped), or
-    that of another episode in random order (shuffled). Who uses the CoP loses by it."""
-
-_NOBODY = """
-    Returns less those of the zero action, which leaves the robot to its pattern: who acts on wrong readings
-    may do worse than nobody."""
-
 _AGAIN = (
     "An episode that is run again comes out the same to the last digit with the same versions on the same "
     "kind of machine."
 )
-
-Compared = tuple[str, str, str, str, list[Difference]]
-"""Name and title of a table of differences, title and text of its section, and the differences."""
 
 
 class EvaluationPage:
@@ -133,34 +115,16 @@ class EvaluationPage:
             )
             for number, name in enumerate(self.controllers)
         )
-        compared: tuple[Compared, ...] = (
-            (
-                "differences",
-                "Paired differences of returns",
-                "Feet against feet",
-                "",
-                differences(self.frame),
-            ),
-            (
-                "nobody",
-                "What acting is worth",
-                "Is acting worth it?",
-                _NOBODY,
-                nobody_differences(self.frame),
-            ),
-            ("inputs", "What another CoP costs", "Is the CoP used?", _INPUTS, input_differences(self.frame)),
-        )
-        self.compared = tuple(each for each in compared if each[-1])
-        self.differences = {
-            name: difference_table(of, name, title) for name, title, _, _, of in self.compared
-        }
+        compared = [(comparison, comparison.find(self.frame)) for comparison in COMPARISONS]
+        self.compared = [(comparison, found) for comparison, found in compared if found]
+        self.differences = tuple(difference_table(of, c.name, c.table) for c, of in self.compared)
 
     @property
     def tables(self) -> tuple[Table, ...]:
         """All tables, in the order of the page."""
         targets = (self.targets,) if self.targets is not None and self.targets.rows else ()
         failed = () if self.failed is None else (self.failed,)
-        return (*targets, *self.scores, *self.differences.values(), *self.randomisation, *failed)
+        return (*targets, *self.scores, *self.differences, *self.randomisation, *failed)
 
     def write(self, folder: Path) -> Path:
         """Draw the figures, save tables and scores as CSV, and write ``index.html``.
@@ -202,12 +166,15 @@ class EvaluationPage:
         sections = [Section("summary", "In short", findings=(*said, *self.answers), tables=targets)]
         if self.failed is not None:
             sections.append(Section("failed", "Episodes that failed", tables=(self.failed,)))
-        sections.append(Section("scores", "Scores", tables=self.scores, figures=self._figures(drawn)))
-        for name, _, title, text, found in self.compared:
-            table, path = self.differences[name], figures.forest(drawn / f"{name}.svg", found)
-            figure = ReportFigure(path, table.title, _CAPTIONS["forest"])
-            paragraphs = (flat(text),) if text else ()
-            sections.append(Section(name, title, paragraphs, tables=(table,), figures=(figure,)))
+        given = self.frame[self.frame["cop_input"] == "given"]
+        drawn_scores = (
+            figures.outcome_figures(drawn, given, since=" since the quiet stand") if len(given) else ()
+        )
+        sections.append(Section("scores", "Scores", tables=self.scores, figures=drawn_scores))
+        for (comparison, found), table in zip(self.compared, self.differences, strict=True):
+            path = figures.forest(drawn / f"{table.name}.svg", found)
+            shown: Any = {"tables": (table,), "figures": (ReportFigure(path, table.title, _FOREST),)}
+            sections.append(Section(table.name, comparison.title, comparison.text, **shown))
         if self.randomisation:
             sections.append(
                 Section(
@@ -220,17 +187,6 @@ class EvaluationPage:
             )
         sections.append(self._repeat())
         return sections
-
-    def _figures(self, drawn: Path) -> tuple[ReportFigure, ...]:
-        given = self.frame[self.frame["cop_input"] == "given"]
-        if not len(given):
-            return ()
-        returns = figures.against_severity(drawn / "returns.svg", given)
-        standing = figures.survival_curves(drawn / "survival.svg", given)
-        return (
-            ReportFigure(returns, "Return and falls", _CAPTIONS["returns"]),
-            ReportFigure(standing, "Survival", _CAPTIONS["survival"]),
-        )
 
     def _repeat(self) -> Section:
         text = [*self._versions(), _AGAIN]

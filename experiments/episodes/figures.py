@@ -19,15 +19,34 @@ from surefoot.experiments.study.figures import (
     short_label,
     show_values,
 )
+from surefoot.experiments.study.page import ReportFigure
 from surefoot.experiments.study.statistics import fall_share, mean_interval, survival
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["against_severity", "forest", "heat_maps", "survival_curves"]
+__all__ = ["against_severity", "forest", "heat_maps", "outcome_figures", "survival_curves"]
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#882255", "#56B4E9")
 """Of severities; those of Okabe and Ito (2008), and one of Tol's."""
 
 _MARKERS = "osD^vP"
+
+
+def outcome_figures(
+    folder: Path, rows: Frame, suffix: str = "", since: str = ""
+) -> tuple[ReportFigure, ReportFigure]:
+    """Draw what came of one scenario: returns and falls over severity, and survival over time.
+
+    Args:
+        folder: Where to save the figures.
+        rows: Of the scenario.
+        suffix: Of the files' names.
+        since: From when on time counts, in words.
+    """
+    returns = against_severity(folder / f"returns{suffix}.svg", rows)
+    standing = survival_curves(folder / f"survival{suffix}.svg", rows)
+    means = "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity."
+    shares = f"Share on its feet over time{since} (Kaplan and Meier) with 95 % bands (Greenwood, log-log)."
+    return ReportFigure(returns, "Return and falls", means), ReportFigure(standing, "Survival", shares)
 
 
 def survival_curves(path: Path, rows: Frame) -> Path:

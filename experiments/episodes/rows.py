@@ -4,7 +4,7 @@ Each row says by itself what the episode was and with what it was made: a policy
 the time a page is made of its episodes, so that nothing is read from it then.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,10 +29,31 @@ _UNNAMED = "policy"
 _OLD_COLUMNS = {"total": "return", "task": "scenario", "cop_tracking": "tracking", "cell": "case"}
 """Earlier names of columns."""
 
-_NAMES = ("controller", "feed", "cop_input", "scenario")
-_NUMBERS = ("severity", "seed", "return", "fell", "time", "cop_error", "tracking")
+_KNOWN: Mapping[str, Collection[str] | None] = {
+    "controller": None,
+    "feed": FEEDS,
+    "cop_input": COP_INPUTS,
+    "scenario": TASKS,
+}
+"""Columns that hold names, and the names that there are."""
+
+_NOT_NEGATIVE = "a finite number and not negative"
+
+_RULES: Mapping[str, str] = {
+    "severity": _NOT_NEGATIVE,
+    "seed": "a whole number from 0",
+    "return": "a finite number",
+    "fell": "true or false",
+    "time": _NOT_NEGATIVE,
+    "cop_error": _NOT_NEGATIVE,
+    "tracking": _NOT_NEGATIVE,
+}
+"""Columns that hold numbers, and what these must be."""
+
 _MAY_LACK = ("cop_error", "tracking")
 """Errors of a centre of pressure that was never felt are none."""
+
+_KINDS: Mapping[str, type[np.generic]] = {"seed": np.int64, "fell": np.bool_}
 
 
 @dataclass(frozen=True)
@@ -97,16 +118,13 @@ def read_episodes(path: Path, controller: str = "") -> Frame:
         frame = frame[frame["error"] == ""]
     absent = {"controller": _UNNAMED, "scenario": next(iter(TASKS))}
     frame = frame.assign(**{name: value for name, value in absent.items() if name not in frame})
-    if missing := [name for name in (*_NAMES, *_NUMBERS) if name not in frame]:
+    if missing := [name for name in (*_KNOWN, *_RULES) if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    names = {name: _names(path, frame[name]) for name in _NAMES}
-    names["controller"] = names["controller"].replace("", _UNNAMED)
-    names["feed"] = names["feed"].replace(dict(OLD_FEEDS))
-    names["cop_input"] = names["cop_input"].replace("felt", "given")
-    frame = frame.assign(**names, **{name: _numbers(path, frame[name]) for name in _NUMBERS})
-    for name, known in (("feed", list(FEEDS)), ("cop_input", list(COP_INPUTS)), ("scenario", list(TASKS))):
-        if unknown := sorted(set(frame[name]) - set(known)):
-            raise ValueError(f"'{path}' holds the {name} '{unknown[0]}'. Known: {', '.join(known)}.")
+    today = {"controller": {"": _UNNAMED}, "feed": dict(OLD_FEEDS), "cop_input": {"felt": COP_INPUTS[0]}}
+    frame = frame.assign(
+        **{name: _names(path, frame[name], today.get(name, {})) for name in _KNOWN},
+        **{name: _numbers(path, frame[name]) for name in _RULES},
+    )
     held = controllers_of(frame)
     if controller and len(held) > 1:
         raise ValueError(
@@ -176,12 +194,17 @@ def _with_origin(frame: Frame) -> Frame:
     )
 
 
-def _names(path: Path, column: Column) -> Column:
+def _names(path: Path, column: Column, today: Mapping[str, str]) -> Column:
+    """Return one column of names, old ones as they are called today, or raise ValueError."""
     if wrong := [value for value in column if not isinstance(value, str)]:
         raise ValueError(
             f"'{path}' is no table of episodes: its column '{column.name}' holds {wrong[0]!r} and not a name."
         )
-    return pd.Series(column.tolist(), index=column.index, name=column.name)
+    names = [today.get(name, name) for name in column]
+    known = _KNOWN[column.name]
+    if known is not None and (unknown := sorted(set(names) - set(known))):
+        raise ValueError(f"'{path}' holds the {column.name} '{unknown[0]}'. Known: {', '.join(known)}.")
+    return pd.Series(names, index=column.index)
 
 
 def _numbers(path: Path, column: Column) -> Column:
@@ -190,10 +213,7 @@ def _numbers(path: Path, column: Column) -> Column:
     if not pd.api.types.is_numeric_dtype(column):
         raise ValueError(f"'{path}' is no table of episodes: its column '{name}' holds no numbers.")
     values = column.to_numpy(dtype=np.float64, na_value=np.nan)
-    rules = {"seed": "a whole number from 0", "fell": "true or false", "return": "a finite number"}
-    fine = np.isfinite(values)
-    if name in _MAY_LACK:
-        fine |= np.isnan(values)
+    fine = np.isfinite(values) | (np.isnan(values) if name in _MAY_LACK else False)
     if name != "return":
         fine &= ~(values < 0.0)
     if name == "seed":
@@ -201,7 +221,7 @@ def _numbers(path: Path, column: Column) -> Column:
     if name == "fell":
         fine &= np.isin(values, (0.0, 1.0))
     if not fine.all():
-        rule = rules.get(name, "a finite number and not negative")
-        raise ValueError(f"'{path}' holds {values[~fine][0]:g} in its column '{name}', which must be {rule}.")
-    kinds = {"seed": np.int64, "fell": np.bool_}
-    return pd.Series(values.astype(kinds.get(name, np.float64)), index=column.index, name=name)
+        raise ValueError(
+            f"'{path}' holds {values[~fine][0]:g} in its column '{name}', which must be {_RULES[name]}."
+        )
+    return pd.Series(values.astype(_KINDS.get(name, np.float64)), index=column.index)

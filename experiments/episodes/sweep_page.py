@@ -29,13 +29,9 @@ _REPEAT = """
     made it beside it. A case that is run again comes out the same to the last digit with the same versions on
     the same kind of machine."""
 
-_CAPTIONS = {
-    "survival": "Share on its feet over time (Kaplan and Meier) with 95 % bands (Greenwood, log-log).",
-    "severity": "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity.",
-    "heat": "Share of episodes that end in a fall; what was not run is blank.",
-    "film": f"Its last {LAST_SECONDS:g} s; dots on the ground: the true centre of pressure (black) and the "
-    "one fed back.",
-}
+_HEAT = "Share of episodes that end in a fall; what was not run is blank."
+
+_FILM = f"Its last {LAST_SECONDS:g} s; dots: the true centre of pressure (black) and the one fed back."
 
 _LISTED = 5
 """How many of the worst episodes are listed at least."""
@@ -93,20 +89,14 @@ class SweepPage:
         return write_page(self.folder / "index.html", "surefoot sweep", introduction, sections)
 
     def _summary(self) -> Section:
-        path = figures.heat_maps(self._path("heat"), self.rows, self.titles)
+        path = figures.heat_maps(self.folder / "figures" / "heat.svg", self.rows, self.titles)
         shown = () if self.half is None else (self.half,)
-        drawn = (ReportFigure(path, "Falls", _CAPTIONS["heat"]),)
+        drawn = (ReportFigure(path, "Falls", _HEAT),)
         return Section("summary", "In short", tables=shown, figures=drawn)
 
     def _scenario(self, name: str) -> Section:
-        part = self.rows[self.rows["scenario"] == name]
-        severity = figures.against_severity(self._path(f"severity_{name}"), part)
-        standing = figures.survival_curves(self._path(f"survival_{name}"), part)
-        drawn = (
-            ReportFigure(severity, "Return and falls", _CAPTIONS["severity"]),
-            ReportFigure(standing, "Survival", _CAPTIONS["survival"]),
-        )
-        table = self.outcomes[name]
+        part, table = self.rows[self.rows["scenario"] == name], self.outcomes[name]
+        drawn = figures.outcome_figures(self.folder / "figures", part, f"_{name}")
         return Section(name, table.title, tables=(table,), figures=drawn)
 
     def _film(self, row: dict[str, Any]) -> Section:
@@ -118,10 +108,7 @@ class SweepPage:
         except OSError as error:
             return Section(anchor, title, (f"There is no film: {error}",))
         film = "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
-        return Section(anchor, title, video=film, video_caption=_CAPTIONS["film"])
-
-    def _path(self, name: str) -> Path:
-        return self.folder / "figures" / f"{name}.svg"
+        return Section(anchor, title, video=film, video_caption=_FILM)
 
 
 def _worst(rows: Frame, count: int) -> Frame:

@@ -9,11 +9,11 @@ import numpy as np
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.experiments.policy.view import PARTS, PolicyView, make_task
 
-__all__ = ["export_policy", "export_zip", "network_of"]
+__all__ = ["export_zip", "network_of"]
 
 
 def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = None) -> PolicyNetwork:
-    """Take the mean of a PPO policy, with the scaling of its inputs folded into the first layer.
+    """Return the mean of a PPO policy as numbers, with the scaling of its inputs folded into the first layer.
 
     Args:
         model: A ``stable_baselines3.PPO`` with an ``MlpPolicy`` of tanh layers.
@@ -41,8 +41,9 @@ def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = N
     scale, shift = view.inputs[:, :-1], view.inputs[:, -1]
     biases[0] = biases[0] + weights[0] @ shift
     weights[0] = weights[0] @ scale
+    shown: Any = view.env.observation_space
     return PolicyNetwork(
-        _sizes(view),
+        {part: int(np.prod(shown[part].shape)) for part in PARTS},
         weights,
         biases,
         posture_matrix=view.drive.matrix,
@@ -52,16 +53,6 @@ def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = N
         dt=view.drive.dt,
         notes=notes,
     )
-
-
-def export_policy(
-    model: Any, view: PolicyView, path: Path, notes: Mapping[str, Any] | None = None
-) -> PolicyNetwork:
-    """Write a policy file; arguments as of :func:`network_of`."""
-    network = network_of(model, view, notes)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    network.save(path)
-    return network
 
 
 def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bool = False) -> PolicyNetwork:
@@ -92,11 +83,9 @@ def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bo
         raise PolicyFileError(f"'{zip_path}' cannot be opened as a Stable-Baselines3 PPO: {error}") from error
     env, _ = make_task("true", task=task)
     try:
-        return export_policy(model, PolicyView(env, task), path, {"from": zip_path.name})
+        network = network_of(model, PolicyView(env, task), {"from": zip_path.name})
     finally:
         env.close()
-
-
-def _sizes(view: PolicyView) -> dict[str, int]:
-    shown: Any = view.env.observation_space
-    return {part: int(np.prod(shown[part].shape)) for part in PARTS}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    network.save(path)
+    return network

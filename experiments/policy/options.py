@@ -21,64 +21,56 @@ LARGEST_SEVERITY = 2.0
 REWARD_SCALE = 0.05
 """What rewards are multiplied by, so that returns are of the order of ten."""
 
+_COUNTS = ("steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore")
+
 
 @dataclass(frozen=True)
 class TrainOptions:
     """A training; the same options give the same policy, also if it was stopped and resumed on its way.
+
+    Attributes:
+        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
+        sensors: One of :data:`SENSORS`.
+        steps: Decisions of the policy, of four steps each, in all environments together.
+        seed: Of everything random, 0 to 999.
+        environments: Environments that are stepped in turn.
+        rollout: Decisions in each environment between two updates.
+        every: Updates from one checkpoint to the next.
+        learning_rate: Of Adam at the start; it falls linearly to a twentieth.
+        discount: Per decision, every 1/20 s: rewards 1.6 s ahead count about a third.
+        epochs: Passes over a rollout in one update.
+        batch: Samples of one gradient step.
+        hidden: Width of both hidden layers.
+        initial_log_std: Logarithm of the standard deviation of the exploration's weights at the start.
+        explore: Decisions after which the exploration is drawn again (gSDE; Raffin, Kober and Stulp, 2022).
+            Between them it is a function of what is seen: the robot sways slowly and does not shake, for
+            feet that shake measure nothing.
 
     Raises:
         ValueError: If an option is out of its range, naming it.
     """
 
     task: str = "balance"
-    """One of :data:`surefoot.experiments.policy.tasks.TASKS`."""
-
     sensors: str = "true"
-    """One of :data:`SENSORS`."""
-
     steps: int = 160_000
-    """Decisions of the policy, of four steps each, in all environments together."""
-
     seed: int = 0
-    """Of everything random."""
-
     environments: int = 8
-    """Environments that are stepped in turn."""
-
     rollout: int = 256
-    """Decisions in each environment between two updates."""
-
     every: int = 8
-    """Updates from one checkpoint to the next."""
-
     learning_rate: float = 1e-3
-    """Of Adam at the start; it falls linearly to a twentieth."""
-
     discount: float = 0.97
-    """Per decision, every 1/20 s: rewards 1.6 s ahead count about a third."""
-
     epochs: int = 8
-    """Passes over a rollout in one update."""
-
     batch: int = 512
-    """Samples of one gradient step."""
-
     hidden: int = 64
-    """Width of both hidden layers."""
-
     initial_log_std: float = -2.5
-    """Logarithm of the standard deviation of the exploration's weights at the start."""
-
     explore: int = 8
-    """Decisions after which the exploration is drawn anew (gSDE; Raffin, Kober and Stulp, 2022): between them
-    it is a function of what is seen, a sway and not a shiver, for shivering feet tell nothing."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be trained."""
+        """Raise ValueError at what cannot be trained."""
         task_named(self.task)
         if self.sensors not in SENSORS:
             raise ValueError(f"'sensors' must be one of {SENSORS}, got {self.sensors!r}.")
-        for name in ("steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore"):
+        for name in _COUNTS:
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
         if not 0 <= self.seed < 1000:
@@ -97,16 +89,15 @@ class TrainOptions:
         return -(-self.steps // self.steps_per_update)
 
     def severities(self) -> list[float]:
-        """Severity of each environment's sensors, evenly from none to the worst."""
+        """Return the severity of each environment's sensors, evenly from none to the worst."""
         if self.sensors == "true":
             return [1.0] * self.environments
-        spread = np.linspace(0.0, LARGEST_SEVERITY, self.environments)
-        return [float(severity) for severity in spread]
+        return [float(severity) for severity in np.linspace(0.0, LARGEST_SEVERITY, self.environments)]
 
     def segment_seed(self, update: int) -> int:
-        """Seed of what follows the checkpoint after some updates."""
+        """Return the seed of what follows the checkpoint after some updates."""
         return TRAINING_SEEDS + self.seed * 1_000_000 + update * self.environments
 
     def to_json(self) -> dict[str, Any]:
-        """Hand them out as plain numbers and names."""
+        """Return the options as plain numbers and names."""
         return asdict(self)

@@ -23,28 +23,18 @@ from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.policy.view import PolicyView, make_task
 from surefoot.experiments.study.files import atomic_path, locked, write_text
 
-__all__ = ["Trainer", "TrainingError", "forget"]
+__all__ = ["Trainer", "TrainingError", "remove_training"]
 
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
 """What a training leaves in its folder."""
 
 
+Progress = Callable[[int, dict[str, float]], None]
+"""Called after each update with how many there were, and the newest row of the curve."""
+
+
 class TrainingError(ValueError):
     """A folder cannot be trained in, or a checkpoint cannot be read; the message says why."""
-
-
-def training_env(severity: float, options: TrainOptions) -> gym.Env[Any, Any]:
-    """Make one environment of a training.
-
-    Args:
-        severity: Of its sensors.
-        options: The training.
-    """
-    from stable_baselines3.common.monitor import Monitor
-
-    feed = "true" if options.sensors == "true" else "none"
-    env, _ = make_task(feed, severity=severity, task=options.task, **task_named(options.task).training)
-    return Monitor(PolicyView(env, options.task, reward_scale=REWARD_SCALE))
 
 
 class Trainer:
@@ -55,7 +45,7 @@ class Trainer:
     Args:
         out: The folder, which is made.
         options: The training.
-        restart: Forget what the folder holds first.
+        restart: Whether to remove first what the folder holds.
 
     Attributes:
         updates: Updates done so far.
@@ -76,21 +66,32 @@ class Trainer:
         with ExitStack() as claimed:
             claimed.enter_context(locked(out, busy))
             if restart:
-                forget(out)
+                remove_training(out)
             self._claim()
-            makers = [_maker(severity, options) for severity in options.severities()]
-            self._model, self._envs = self._ppo(makers)
+            self._model, self._envs = self._ppo()
             if (out / CHECKPOINT).exists():
                 self._restore()
             self._claimed = claimed.pop_all()
 
-    def _ppo(self, makers: list[Callable[[], gym.Env[Any, Any]]]) -> tuple[Any, Any]:
+    def _ppo(self) -> tuple[Any, Any]:
+        """Return the model, and its environments, one for each severity."""
         import torch
         from stable_baselines3 import PPO
+        from stable_baselines3.common.monitor import Monitor
         from stable_baselines3.common.vec_env import DummyVecEnv
 
         torch.set_num_threads(1)
-        options, envs = self.options, DummyVecEnv(makers)
+        options = self.options
+        feed, task = "true" if options.sensors == "true" else "none", options.task
+
+        def maker(severity: float) -> Callable[[], gym.Env[Any, Any]]:
+            def make() -> gym.Env[Any, Any]:
+                env, _ = make_task(feed, severity=severity, task=task, **task_named(task).training)
+                return Monitor(PolicyView(env, task, reward_scale=REWARD_SCALE))
+
+            return make
+
+        envs = DummyVecEnv([maker(severity) for severity in options.severities()])
         model = PPO(
             "MlpPolicy",
             envs,
@@ -119,22 +120,22 @@ class Trainer:
             view = view.env
         return view
 
-    def run(self, progress: Callable[[int, dict[str, float]], None] | None = None) -> PolicyNetwork:
+    def run(self, progress: Progress | None = None) -> PolicyNetwork:
         """Train to the end, writing a checkpoint now and then.
 
         Args:
-            progress: Told after each update how many there were, and the newest row of the curve.
+            progress: What shows how far it is.
 
         Returns:
             The policy, which lies in the folder as ``policy.npz`` as well.
         """
-        options, watch = self.options, _Watch(self, progress)
+        options = self.options
         while self.updates < options.updates:
             self._reseed()
             until = min(self.updates + options.every, options.updates)
             self._model.learn(
                 (until - self.updates) * options.steps_per_update,
-                callback=watch.callback(),
+                callback=_curve_keeper(self, self._model.policy, progress),
                 reset_num_timesteps=False,
             )
             self._checkpoint()
@@ -154,7 +155,7 @@ class Trainer:
         return self.options.learning_rate * max(1.0 - done, 0.05)
 
     def _claim(self) -> None:
-        """Make the folder this training's, or see that it is."""
+        """Make the folder this training's, or raise TrainingError if it holds another one."""
         mine = json.loads(json.dumps(self.options.to_json()))
         path = self.out / OPTIONS
         if not path.exists():
@@ -171,11 +172,10 @@ class Trainer:
         if isinstance(theirs, dict):
             # A training older than the choice of a task was one for balance.
             theirs = {"task": "balance", **theirs}
+        theirs = theirs if isinstance(theirs, dict) else {}
         if theirs != mine:
             changed = {
-                name: (theirs.get(name) if isinstance(theirs, dict) else None, value)
-                for name, value in mine.items()
-                if not isinstance(theirs, dict) or theirs.get(name) != value
+                name: (theirs.get(name), value) for name, value in mine.items() if theirs.get(name) != value
             }
             raise TrainingError(
                 f"'{self.out}' holds another training; (there, asked for) differ in {changed}. Give another "
@@ -241,69 +241,45 @@ class Trainer:
         }
 
 
-class _Watch:
-    """Keeps the curve.
+def _curve_keeper(trainer: Trainer, policy: Any, progress: Progress | None) -> Any:
+    """Return the callback of one segment: it adds a row to the curve before each update."""
+    from stable_baselines3.common.callbacks import BaseCallback
 
-    Args:
-        trainer: Whose.
-        progress: Told of each row.
-    """
+    class CurveKeeper(BaseCallback):
+        def __init__(self) -> None:
+            super().__init__()
+            self.ended: list[tuple[float, int, bool]] = []
 
-    def __init__(self, trainer: Trainer, progress: Callable[[int, dict[str, float]], None] | None) -> None:
-        self.trainer, self.progress = trainer, progress
+        def _on_step(self) -> bool:
+            for info in self.locals["infos"]:
+                if "episode" in info:
+                    kept = info["episode"]
+                    fell = not info.get("TimeLimit.truncated", False)
+                    self.ended.append((kept["r"] / REWARD_SCALE, kept["l"], fell))
+            return True
 
-    def callback(self) -> Any:
-        """Make a callback for one segment."""
-        from stable_baselines3.common.callbacks import BaseCallback
+        def _on_rollout_end(self) -> None:
+            frame = pd.DataFrame(self.ended, columns=["return", "length", "fell"]).astype(float)
+            self.ended = []
+            row = {
+                "steps": float(self.model.num_timesteps),
+                "episodes": float(len(frame)),
+                "return": float(frame["return"].mean()),
+                "reward_per_decision": float(frame["return"].sum() / frame["length"].sum())
+                if len(frame)
+                else float("nan"),
+                "fell": float(frame["fell"].mean()),
+                "action_std": float(policy.log_std.detach().exp().mean()),
+            }
+            trainer.curve.append(row)
+            trainer.updates += 1
+            if progress is not None:
+                progress(trainer.updates, row)
 
-        watch = self
-
-        class Ended(BaseCallback):
-            """Collects the episodes that end in a rollout."""
-
-            def __init__(self) -> None:
-                super().__init__()
-                self.ended: list[tuple[float, int, bool]] = []
-
-            def _on_step(self) -> bool:
-                for info in self.locals["infos"]:
-                    if "episode" in info:
-                        kept = info["episode"]
-                        fell = not info.get("TimeLimit.truncated", False)
-                        self.ended.append((kept["r"] / REWARD_SCALE, kept["l"], fell))
-                return True
-
-            def _on_rollout_end(self) -> None:
-                watch.row(self.ended, self.model)
-                self.ended = []
-
-        return Ended()
-
-    def row(self, ended: list[tuple[float, int, bool]], model: Any) -> None:
-        """Add a row, before the update that the rollout is for."""
-        trainer = self.trainer
-        frame = pd.DataFrame(ended, columns=["return", "length", "fell"]).astype(float)
-        row = {
-            "steps": float(model.num_timesteps),
-            "episodes": float(len(frame)),
-            "return": float(frame["return"].mean()),
-            "reward_per_decision": float(frame["return"].sum() / frame["length"].sum())
-            if len(frame)
-            else float("nan"),
-            "fell": float(frame["fell"].mean()),
-            "action_std": float(model.policy.log_std.detach().exp().mean()),
-        }
-        trainer.curve.append(row)
-        trainer.updates += 1
-        if self.progress is not None:
-            self.progress(trainer.updates, row)
+    return CurveKeeper()
 
 
-def _maker(severity: float, options: TrainOptions) -> Callable[[], gym.Env[Any, Any]]:
-    return lambda: training_env(severity, options)
-
-
-def forget(out: Path) -> None:
+def remove_training(out: Path) -> None:
     """Remove what a training left in a folder, and nothing else."""
     for name in (CHECKPOINT, OPTIONS, CURVE, POLICY):
         (out / name).unlink(missing_ok=True)

@@ -287,7 +287,7 @@ def test_names_stay_apart_however_short_they_are_cut(tmp_path, monkeypatch, undr
     titles.clear()
     figures.against_severity(tmp_path / "d.png", frame)
     figures.survival_curves(tmp_path / "e.png", frame)
-    figures.forest(tmp_path / "f.png", EvaluationPage(frame).compared[0][-1])
+    figures.forest(tmp_path / "f.png", EvaluationPage(frame).compared[0][1])
     assert {title.partition(",")[0] for title in titles} == {drawn[name] for name in controllers[:3]}
 
 
@@ -483,7 +483,7 @@ def test_the_command_sweeps_and_reports(tmp_path: Path, undrawn: None) -> None:
 
 def test_a_clear_loss_is_not_good_and_a_cost_is_no_merit() -> None:
     rows = frame_of(episodes(means=MEANS | {"moment": 40.0}, severities=(1.0,)))
-    compared = EvaluationPage(rows).compared[0][-1]
+    compared = EvaluationPage(rows).compared[0][1]
     cells = {row[1]: row[-1] for row in difference_table(compared, "differences", "Differences").rows}
     assert isinstance(cells["moment less drifting"], Verdict)
     assert (cells["moment less drifting"], cells["moment less drifting"].good) == ("yes", False)

@@ -18,7 +18,7 @@ from surefoot.experiments.policy.export import export_zip, network_of
 from surefoot.experiments.policy.options import TRAINING_SEEDS, TrainOptions
 from surefoot.experiments.policy.shipped import shipped_policy
 from surefoot.experiments.policy.tasks import TASKS, task_named
-from surefoot.experiments.policy.train import Trainer, TrainingError, forget
+from surefoot.experiments.policy.train import Trainer, TrainingError, remove_training
 from surefoot.experiments.policy.view import PARTS, PolicyView, input_names, make_task
 from surefoot.experiments.walks.walkers import FEEDS
 
@@ -122,7 +122,7 @@ def test_a_folder_of_another_training_and_a_damaged_checkpoint_are_refused(train
     with pytest.raises(TrainingError, match="a checkpoint without its"):
         Trainer(tmp_path, SMALL)
     (tmp_path / "mine.txt").write_text("kept")
-    forget(tmp_path)
+    remove_training(tmp_path)
     assert [path.name for path in tmp_path.glob("[!.]*")] == ["mine.txt"]
 
 
