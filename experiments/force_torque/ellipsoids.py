@@ -71,10 +71,10 @@ def draw_ellipsoids(path: Path, panels: Sequence[Panel], labels: tuple[str, str,
                 if cloud.mark is not None:
                     axes.scatter(*cloud.mark, s=18.0, color="#000000", marker="+")
             axes.set_title(panel.title)
-            if labels is FORCES:
-                axes.set_aspect("equal", adjustable="datalim")
             # Without a zoom the label of the vertical axis is cut off.
             axes.set_box_aspect((1.0, 1.0, 1.0), zoom=0.86)
+            if labels is FORCES:
+                axes.set_aspect("equal", adjustable="datalim")
             unit = 1.0 if labels is FORCES else 1e-3
             for axis, label in zip((axes.xaxis, axes.yaxis, axes.zaxis), labels, strict=True):
                 axis.set_label_text(label, fontsize=7)
