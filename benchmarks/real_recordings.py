@@ -469,7 +469,7 @@ def _stream(recording: Recording, seed: int) -> Stream:
         layout=recording.layout,
         mass=recording.weight / GRAVITY,
         nominal=Parameters(np.ones(channels), np.zeros(channels)),
-        bench=None,
+        calibrated=None,
         dt=1.0 / RATE,
         lag=0,
         seed=seed,

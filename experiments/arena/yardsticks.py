@@ -82,7 +82,7 @@ def trace_of(stream: Stream, method: str, force: Floats) -> list[dict[str, Any]]
 
 
 def _baseline(stream: Stream) -> Floats:
-    found: Floats = starting_map(stream.log, "bench").force(stream.log.raw)
+    found: Floats = starting_map(stream.log, "calibrated").force(stream.log.raw)
     return found
 
 

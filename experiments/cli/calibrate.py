@@ -20,7 +20,7 @@ def walk(
         str | None, Option(help="moment, window, quasi-static, tare or none; by default as FootCalibrator.")
     ] = None,
     start: Annotated[
-        str | None, Option(help="Start from the nominal or bench map; by default as the log says.")
+        str | None, Option(help="Start from the nominal or the calibrated map; by default as in the log.")
     ] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,

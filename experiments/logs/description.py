@@ -32,7 +32,7 @@ def describe(log: Any) -> dict[str, Any]:
         ],
         "mass_kg": log.mass,
         "nominal": _describe_parameters(log.nominal),
-        "bench": None if log.bench is None else _describe_parameters(log.bench),
+        "calibrated": None if log.calibrated is None else _describe_parameters(log.calibrated),
         "dt_s": log.dt,
         "lag_samples": log.lag,
         "seed": log.seed,
@@ -83,14 +83,16 @@ def read_description(description: Any, name: str) -> dict[str, Any]:
             "layout": layout,
             "mass": float(description["mass_kg"]),
             "nominal": _parameters(description["nominal"], layout, "nominal"),
-            "bench": None,
+            "calibrated": None,
             "dt": float(description["dt_s"]),
             "lag": int(description.get("lag_samples", 0)),
             "seed": None if description.get("seed") is None else int(description["seed"]),
             "about": dict(description.get("about") or {}),
         }
-        if description.get("bench") is not None:
-            facts["bench"] = _parameters(description["bench"], layout, "bench")
+        # Older logs call it "bench".
+        calibrated = description.get("calibrated", description.get("bench"))
+        if calibrated is not None:
+            facts["calibrated"] = _parameters(calibrated, layout, "calibrated")
     except (TypeError, KeyError, ValueError) as error:
         what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
         raise LogError(f"{name}: the description cannot be used: {what}") from None

@@ -78,7 +78,7 @@ class Log:
         layout: The feet.
         mass: Mass in kg that the robot believes it has.
         nominal: The map that is known of the sensors' type alone, F = c raw + d.
-        bench: The map that a calibration on the bench gave before the session, or ``None``.
+        calibrated: The map that a calibration from weights gave before the session, or ``None``.
         dt: Time between samples in s.
         lag: Samples by which the reference is late.
         seed: Seed of a simulated walk, or ``None``.
@@ -92,7 +92,7 @@ class Log:
     layout: FeetLayout
     mass: float
     nominal: Parameters
-    bench: Parameters | None
+    calibrated: Parameters | None
     dt: float
     lag: int
     seed: int | None = None

@@ -64,7 +64,7 @@ def calibrate_log(
     Args:
         log: The log.
         method: A key of :data:`~surefoot.calibration.METHODS`.
-        start: ``"nominal"`` or ``"bench"``; by default as in the log, else ``"nominal"``.
+        start: ``"nominal"`` or ``"calibrated"``; by default as in the log, else ``"nominal"``.
         folder: Where the files go.
         stem: How their names begin.
         settle: Samples before this time in s do not count in a score.

@@ -1,7 +1,7 @@
 """The instruments under a recorded robot's feet: load cells, six-axis sensors at the ankles, or both.
 
 Unlike those of an environment each kind draws from a random stream of its own, so that conditions which share
-a kind share its readings, and the bench calibrates those very cells before the walk.
+a kind share its readings, and known weights calibrate those very cells before the walk.
 """
 
 from typing import Any
@@ -38,7 +38,7 @@ class FootInstruments:
     Attributes:
         layout: How the channels add up to the feet's wrenches.
         nominal: The map by the data sheets, shape (K,).
-        bench: The map that a bench found before the walk; ``None`` unless there are load cells alone.
+        calibrated: The map from weights before the walk; ``None`` unless there are load cells alone.
         about: What maps axis by axis leave out: cross-talk, and the weight that counts as part of the zero.
     """
 
@@ -56,7 +56,7 @@ class FootInstruments:
             raise ValueError("A condition needs load cells, ankle sensors or both, and has neither.")
         self._all = Instruments(tuple(device for device in (cells, ankle) if device is not None), drawing)
         self.layout, self.nominal = self._all.layout, self._all.nominal
-        self.bench: Parameters | None = None
+        self.calibrated: Parameters | None = None
         self.about: dict[str, Any] = {}
         self._streams: list[np.random.Generator] = []
         self._states: list[Any] = []
@@ -66,7 +66,7 @@ class FootInstruments:
             state: Any = part.init(rng)
             if cells is not None and not in_ankles:
                 if ankle is None:
-                    self.bench = run_weighing(cells=cells, state=state, seed=seed).channels.value
+                    self.calibrated = run_weighing(cells=cells, state=state, seed=seed).channels.value
                 # Every chip delivers once before the walk, as they do while a robot boots.
                 _, state = part.read(truth, state, rng, 1.0 / cells.rate[0] if cells.rate else 0.0125)
             self._streams.append(rng)

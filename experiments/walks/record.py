@@ -2,7 +2,7 @@
 
 The robot walks on its true centre of pressure, so that the walk does not depend on any calibrator. Nor do its
 load cells act back on it, so that one walk serves all conditions: the same true forces and the same beliefs,
-read by other cells. The bench calibration is done with those very cells before the walk.
+read by other cells. The calibration from weights is done with those very cells before the walk.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ class Condition:
         name: Short name, for files.
         title: What to call it.
         cells: The load cells, or ``None`` for a robot without.
-        start: The map that calibrators start from: ``"bench"`` or ``"nominal"``.
+        start: The map that calibrators start from: ``"calibrated"`` or ``"nominal"``.
         ankle: The six-axis sensors in the ankles, if there are any.
     """
 
@@ -58,11 +58,11 @@ CONDITIONS = (
         "paper",
         "the paper's conditions",
         LoadCells(scale_drift=0.005 * PER_SQRT_MINUTE, offset_drift=0.2 * PER_SQRT_MINUTE),
-        "bench",
+        "calibrated",
     ),
     Condition("bad-start", "bad start", HX711_LOAD_CELLS, "nominal"),
 )
-"""The CoP paper's, calibrated on the bench and then drifting mildly (0.5 % and 0.2 N per square root of a
+"""The CoP paper's, calibrated from weights and then drifting mildly (0.5 % and 0.2 N per square root of a
 minute); and a bad start: never calibrated (gains 12 % off, zeros 1.5 N) and drifting by 2 % and 1 N."""
 
 
@@ -83,7 +83,7 @@ def record_walk(
 
     Args:
         speed: Walking speed in m/s.
-        seed: Of the walk, the sensors, the beliefs and the bench.
+        seed: Of the walk, the sensors, the beliefs and the weighing.
         duration: Duration in s, standing included; a fall ends the walk earlier.
         conditions: What cells to read it with. References are timed for each condition's own cells.
         sensors: Further options of :class:`~surefoot.wrappers.FootSensors`: IMU, encoders and link.
@@ -150,7 +150,7 @@ def record_walk(
             layout=one.layout,
             mass=mass,
             nominal=one.nominal,
-            bench=one.bench,
+            calibrated=one.calibrated,
             dt=bare.dt,
             lag=int(info["surefoot"]["lag"]),
             seed=seed,

@@ -75,23 +75,23 @@ class Replayed(NamedTuple):
 
 
 def starting_map(log: Log, start: str | None = None) -> Parameters:
-    """Look up the map that a replay starts from.
+    """Return the map that a replay starts from.
 
     Args:
         log: The log.
-        start: ``"nominal"`` or ``"bench"``; by default what the log's ``about`` says under ``start``, else
-            ``"nominal"``.
+        start: ``"nominal"`` or ``"calibrated"`` (``"bench"`` in older logs); by default what the log's
+            ``about`` has under ``start``, else ``"nominal"``.
 
     Raises:
         LogError: If the log has no such map.
     """
     if start is None:
         start = str(log.about.get("start", "nominal"))
-    if start not in ("nominal", "bench"):
-        raise LogError(f"A replay starts from 'nominal' or 'bench', not from '{start}'.")
-    found = log.nominal if start == "nominal" else log.bench
+    if start not in ("nominal", "calibrated", "bench"):
+        raise LogError(f"A replay starts from 'nominal' or 'calibrated', not from '{start}'.")
+    found = log.nominal if start == "nominal" else log.calibrated
     if found is None:
-        raise LogError("The log's description has no 'bench' map; start from 'nominal', or add the map.")
+        raise LogError("The log's description has no 'calibrated' map; start from 'nominal', or add the map.")
     return found
 
 

@@ -9,8 +9,8 @@ All errors are root mean squares over the samples of one walk from a settling ti
 * **vGRF**: the vertical force of both feet together; ``vgrf_foot`` is that of each foot.
 * **cell**: the force of single cells, over all cells.
 
-The CoP paper scores against its own bench calibration applied to the same counts instead of a truth; that is
-the same formula with other forces in the truth's place.
+The CoP paper scores against its own calibration from weights applied to the same counts instead of a truth;
+that is the same formula with other forces in the truth's place.
 """
 
 from dataclasses import asdict, dataclass

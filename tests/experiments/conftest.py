@@ -69,7 +69,7 @@ def log() -> Log:
         layout=layout,
         mass=MASS,
         nominal=nominal,
-        bench=None,
+        calibrated=None,
         dt=1 / 80,
         lag=2,
         seed=5,

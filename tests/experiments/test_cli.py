@@ -137,8 +137,8 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
         "Method 'kalman' does not exist. Available: 'moment', 'window', 'quasi-static', 'tare', 'none'.",
     )
     fails(
-        [*walk, path, "--start", "bench"],
-        "The log's description has no 'bench' map; start from 'nominal', or add the map.",
+        [*walk, path, "--start", "calibrated"],
+        "The log's description has no 'calibrated' map; start from 'nominal', or add the map.",
     )
     fails(
         [*walk, path, "--settle", "99"],

@@ -61,8 +61,8 @@ def test_logs_hold_what_was_walked(results: ArenaResults) -> None:
     assert (paper.raw != bad.raw).any()
     assert not paper.about["fell"]
     # The weights stood on the very cells that walk: their map is right to a percent, the nominal one is not.
-    assert bad.bench is not None
-    assert np.abs(bad.bench.scale / bad.truth.scale[0] - 1).max() < 0.02
+    assert bad.calibrated is not None
+    assert np.abs(bad.calibrated.scale / bad.truth.scale[0] - 1).max() < 0.02
     assert np.abs(bad.nominal.scale / bad.truth.scale[0] - 1).max() > 0.05
 
 

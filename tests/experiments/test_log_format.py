@@ -19,7 +19,9 @@ from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 def test_a_log_survives_the_file(log: Log, tmp_path: Path, name: str) -> None:
     raw = log.raw.copy()
     raw[3, 2] = np.nan
-    log = dataclasses.replace(log, raw=raw, bench=Parameters(log.nominal.scale * 1.1, log.nominal.offset))
+    log = dataclasses.replace(
+        log, raw=raw, calibrated=Parameters(log.nominal.scale * 1.1, log.nominal.offset)
+    )
     back = read_log(write_log(log, tmp_path / name))
     np.testing.assert_array_equal(back.time, log.time)
     np.testing.assert_array_equal(back.raw, log.raw)
@@ -30,8 +32,8 @@ def test_a_log_survives_the_file(log: Log, tmp_path: Path, name: str) -> None:
     assert log.truth is not None
     np.testing.assert_array_equal(back.truth.force, log.truth.force)
     np.testing.assert_allclose(back.truth.R_world_sole, log.truth.R_world_sole, atol=1e-15)
-    assert back.bench is not None
-    np.testing.assert_array_equal(back.bench.scale, log.nominal.scale * 1.1)
+    assert back.calibrated is not None
+    np.testing.assert_array_equal(back.calibrated.scale, log.nominal.scale * 1.1)
     np.testing.assert_array_equal(back.layout.wrench_map, log.layout.wrench_map)
     assert back.layout.channel_names == log.layout.channel_names
     assert (back.mass, back.dt, back.lag, back.seed, back.about) == (
@@ -213,3 +215,13 @@ def test_files_that_are_no_logs(log: Log, tmp_path: Path) -> None:
         read_log(tmp_path / "torn.csv")
     with pytest.raises(LogError, match=r"^walk\.mat: a log ends in \.parquet or \.csv; rename the file\."):
         write_log(log, tmp_path / "walk.mat")
+
+
+def test_a_calibrated_map_under_its_old_name_is_read(log: Log, tmp_path: Path) -> None:
+    path = write_log(dataclasses.replace(log, calibrated=log.nominal), tmp_path / "walk.csv")
+    side = path.with_suffix(".json")
+    description = json.loads(side.read_text())
+    side.write_text(json.dumps({"bench": description.pop("calibrated"), **description}))
+    found = read_log(path).calibrated
+    assert found is not None
+    np.testing.assert_array_equal(found.scale, log.nominal.scale)

@@ -95,7 +95,7 @@ class _Recorded:
             layout=env.layout,
             mass=env.beliefs.model.mass,
             nominal=Parameters(config.nominal_scale, config.nominal_offset),
-            bench=None,
+            calibrated=None,
             dt=base.dt,
             lag=0,
         )

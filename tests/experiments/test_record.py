@@ -36,7 +36,7 @@ def test_every_condition_starts_where_it_says(walk: dict[str, Log]) -> None:
     assert [c.name for c in CONDITIONS] == list(walk)
     for condition in CONDITIONS:
         log = walk[condition.name]
-        assert log.bench is not None
+        assert log.calibrated is not None
         assert log.truth is not None
         assert log.about["start"] == condition.start
         assert np.isfinite(log.reference.com).all()

@@ -11,9 +11,9 @@ from surefoot.experiments.walks.replay import replay_logs, starting_map
 
 
 def test_none_is_the_starting_map(log: Log) -> None:
-    bench = Parameters(1.1 * log.nominal.scale, log.nominal.offset + 0.5)
-    log = dataclasses.replace(log, bench=bench)
-    for start, expected in (("nominal", log.nominal), ("bench", bench)):
+    calibrated = Parameters(1.1 * log.nominal.scale, log.nominal.offset + 0.5)
+    log = dataclasses.replace(log, calibrated=calibrated)
+    for start, expected in (("nominal", log.nominal), ("calibrated", calibrated), ("bench", calibrated)):
         replayed = replay_logs([log], "none", start)[0]
         np.testing.assert_allclose(replayed.force, expected.force(log.raw), atol=1e-9)
         np.testing.assert_allclose(replayed.scale, np.tile(expected.scale, (len(log), 1)), rtol=1e-12)
@@ -41,9 +41,9 @@ def test_together_is_one_by_one(log: Log) -> None:
 
 
 def test_a_map_that_is_not_there_is_refused(log: Log) -> None:
-    with pytest.raises(LogError, match=r"has no 'bench' map; start from 'nominal', or add the map\."):
-        starting_map(log, "bench")
-    with pytest.raises(LogError, match=r"starts from 'nominal' or 'bench', not from 'factory'\."):
+    with pytest.raises(LogError, match=r"has no 'calibrated' map; start from 'nominal', or add the map\."):
+        starting_map(log, "calibrated")
+    with pytest.raises(LogError, match=r"starts from 'nominal' or 'calibrated', not from 'factory'\."):
         replay_logs([log], "none", "factory")
     with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'moment', 'window'"):
         replay_logs([log], "kalman")
