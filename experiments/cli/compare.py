@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
-from surefoot.experiments.cli.console import Jobs, Out, fail, keep_old_name, one_line_errors, show
+from surefoot.experiments.cli.console import Jobs, Names, Out, fail, keep_old_name, one_line_errors, show
 
 __all__ = ["app", "old_app"]
 
@@ -16,21 +17,18 @@ app = typer.Typer(help="Compare calibrators in simulation, and report.", no_args
 def walking(
     out: Out = Path("out/compare-walking"),
     seeds: Annotated[
-        int | None, typer.Option(help="Walks of each scenario; 20 by default, 10 with --full.", min=1)
+        int | None, Option(help="Walks of each scenario; 20 by default, 10 with --full.", min=1)
     ] = None,
     scenario: Annotated[
-        list[str] | None, typer.Option(help="A scenario to run; give it again for more. All by default.")
+        Names, Option(help="A scenario to run; give it again for more. All by default.")
     ] = None,
-    method: Annotated[
-        list[str] | None, typer.Option(help="A method to run; give it again for more. All by default.")
-    ] = None,
+    method: Annotated[Names, Option(help="A method to run; give it again for more. All by default.")] = None,
     jobs: Jobs = 2,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Two seeds, short walks, no scenario that takes minutes.")
+        bool, Option("--quick", help="Two seeds, short walks, no scenario that takes minutes.")
     ] = False,
     full: Annotated[
-        bool,
-        typer.Option("--full", help="The CoP paper's study instead: its tables, a bad start, closed loops."),
+        bool, Option("--full", help="The CoP paper's study instead: its tables, a bad start, closed loops.")
     ] = False,
 ) -> None:
     """Compare the online calibrators on the same walks, in every scenario."""
@@ -56,16 +54,15 @@ def walking(
                 jobs=jobs,
             )
             report = compare_walking(options.quickly() if quick else options)
-    show(report.tables)
-    typer.echo(f"Report: {report.page}")
+    show(report.tables, report.page)
 
 
 @app.command()
 def in_situ(
     out: Out = Path("out/compare-in-situ"),
-    seeds: Annotated[int, typer.Option(help="Sensors and IMUs, each with errors of its own.", min=1)] = 50,
+    seeds: Annotated[int, Option(help="Sensors and IMUs, each with errors of its own.", min=1)] = 50,
     jobs: Jobs = 2,
-    quick: Annotated[bool, typer.Option("--quick", help="Two seeds at 10 samples a second.")] = False,
+    quick: Annotated[bool, Option("--quick", help="Two seeds at 10 samples a second.")] = False,
 ) -> None:
     """Compare in-situ methods on a simulated leg with known masses, as the in-situ paper."""
     from surefoot.experiments.in_situ.page import InSituStudyPage
@@ -76,28 +73,24 @@ def in_situ(
         out.mkdir(parents=True, exist_ok=True)
         results = run_in_situ_study(options.quickly() if quick else options)
     page = InSituStudyPage(results)
-    report = page.write()
-    show(page.tables)
-    typer.echo(f"Report: {report}")
+    show(page.tables, page.write())
 
 
 @app.command()
 def weights(
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Folder for the tables as CSV.")] = None,
+    seed: Annotated[int, Option(help="Of everything random.")] = 0,
+    out: Annotated[Path | None, Option(help="Folder for the tables as CSV.")] = None,
 ) -> None:
     """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
     from surefoot.experiments.demo.weights import paper_table_2, table_2, table_3
-    from surefoot.experiments.study.files import atomic_path
+    from surefoot.experiments.study.page import save_tables
     from surefoot.experiments.weights.weighing import run_weighing
 
     report = run_weighing(seed=seed)
     tables = (paper_table_2()[0], table_2(report), table_3(report))
     show(tables)
     if out is not None:
-        for table in tables:
-            with atomic_path(out / f"{table.name}.csv") as part:
-                table.to_frame().to_csv(part, index=False)
+        save_tables(out, tables)
 
 
 old_app = typer.Typer(invoke_without_command=True, help="Now 'surefoot compare'.")

@@ -8,15 +8,17 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
+from typer import Option
 
-__all__ = ["Jobs", "Out", "console", "fail", "keep_old_name", "one_line_errors", "show"]
+__all__ = ["Jobs", "Names", "Out", "console", "fail", "keep_old_name", "one_line_errors", "show"]
 
 console = Console()
 if not console.is_terminal:
     console = Console(width=160)
 
-Out = Annotated[Path, typer.Option(help="Folder for everything that is made.")]
-Jobs = Annotated[int, typer.Option(help="Processes that work at the same time.", min=1)]
+Names = list[str] | None
+Out = Annotated[Path, Option(help="Folder for everything that is made.")]
+Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]
 
 
 def fail(message: str) -> NoReturn:
@@ -27,9 +29,13 @@ def fail(message: str) -> NoReturn:
 
 @contextmanager
 def one_line_errors(out: Path | None = None, cure: str = "give another folder with --out.") -> Iterator[None]:
-    """Turn what a user can mend into one line; a failure to write names the folder and the cure."""
+    """Turn an interruption, or what a user can mend, into one line; with the folder, and the cure."""
     try:
         yield
+    except KeyboardInterrupt:
+        kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
+        typer.echo(f"Stopped.{kept}", err=True)
+        raise typer.Exit(130) from None
     except (ValueError, FileNotFoundError) as error:
         fail(str(error))
     except OSError as error:
@@ -42,10 +48,12 @@ def one_line_errors(out: Path | None = None, cure: str = "give another folder wi
         fail(str(error))
 
 
-def show(tables: Iterable[Any]) -> None:
-    """Print a study's tables."""
+def show(tables: Iterable[Any], report: Path | None = None) -> None:
+    """Print a study's tables, and where its page is."""
     for table in tables:
         console.print(table.to_rich())
+    if report is not None:
+        typer.echo(f"Report: {report}")
 
 
 def keep_old_name(app: typer.Typer, name: str, command: Callable[..., None], old: str, new: str) -> None:

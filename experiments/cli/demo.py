@@ -4,17 +4,18 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
-from surefoot.experiments.cli.console import Jobs, Out, fail, one_line_errors, show
+from surefoot.experiments.cli.console import Jobs, Names, Out, fail, one_line_errors, show
 
 __all__ = ["demo", "view"]
 
 
 def demo(
     out: Out = Path("out/demo"),
-    seeds: Annotated[int, typer.Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
+    seeds: Annotated[int, Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
     jobs: Jobs = 2,
-    quick: Annotated[bool, typer.Option("--quick", help="Two seeds and short walks.")] = False,
+    quick: Annotated[bool, Option("--quick", help="Two seeds and short walks.")] = False,
 ) -> None:
     """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
     from surefoot.experiments.demo.page import run_demo
@@ -23,24 +24,23 @@ def demo(
     with one_line_errors(out):
         options = demo_options(out, seeds, jobs)
         report = run_demo(quick_options(options) if quick else options)
-    show(report.tables)
-    typer.echo(f"Report: {report.page}")
+    show(report.tables, report.page)
 
 
 def view(
     feed: Annotated[
-        list[str] | None,
-        typer.Option(
+        Names,
+        Option(
             help="CoP fed back: true, none (drifting raw), tare, quasi-static, window or moment; window by "
             "default. Give it again to film several side by side."
         ),
     ] = None,
-    speed: Annotated[float, typer.Option(help="Walking speed in m/s.")] = 0.04,
-    seed: Annotated[int, typer.Option(help="Seed of the walk and its sensors.")] = 0,
-    duration: Annotated[float, typer.Option(help="Duration in s, 4 s of standing included.")] = 20.0,
-    severity: Annotated[float, typer.Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
+    speed: Annotated[float, Option(help="Walking speed in m/s.")] = 0.04,
+    seed: Annotated[int, Option(help="Seed of the walk and its sensors.")] = 0,
+    duration: Annotated[float, Option(help="Duration in s, 4 s of standing included.")] = 20.0,
+    severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
     video: Annotated[
-        Path | None, typer.Option(help="Write an .mp4, .webp or .gif here in place of a window.")
+        Path | None, Option(help="Write an .mp4, .webp or .gif here in place of a window.")
     ] = None,
 ) -> None:
     """Watch the walker in a window, or film it."""

@@ -4,53 +4,52 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from surefoot.experiments.cli.console import console, fail, one_line_errors, show
+from surefoot.experiments.cli.console import Jobs, Names, console, fail, one_line_errors, show
 
 __all__ = ["evaluate"]
-
-ROOM = "give another folder with --out, or make room."
 
 
 def evaluate(
     ctx: typer.Context,
     controllers: Annotated[
-        list[str] | None,
-        typer.Argument(
+        Names,
+        Argument(
             help="shipped, shipped-randomised, stabiliser, zero, a policy file .npz, or module:function, "
             "which is imported and run; the shipped policy by default."
         ),
     ] = None,
-    task: Annotated[str, typer.Option(help="balance or walk.")] = "balance",
+    task: Annotated[str, Option(help="balance or walk.")] = "balance",
     feed: Annotated[
-        list[str] | None,
-        typer.Option(
+        Names,
+        Option(
             help="true, none (drifting raw), weights, tare, quasi-static, window or moment; again for more."
         ),
     ] = None,
     severity: Annotated[
-        list[float] | None, typer.Option(help="How bad the feet's sensors are; again for more. 1 by default.")
+        list[float] | None, Option(help="How bad the feet's sensors are; again for more. 1 by default.")
     ] = None,
-    seeds: Annotated[int, typer.Option(help="Episodes of each.", min=1)] = 50,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first of them.", min=0)] = 20_000,
+    seeds: Annotated[int, Option(help="Episodes of each.", min=1)] = 50,
+    first_seed: Annotated[int, Option(help="Seed of the first of them.", min=0)] = 20_000,
     uses_cop: Annotated[
-        bool, typer.Option("--uses-cop", help="Also freeze, swap and shuffle the CoP that it is given.")
+        bool, Option("--uses-cop", help="Also freeze, swap and shuffle the CoP that it is given.")
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help="Folder for episodes, scores, a page and, beside the policy that is evaluated, its card; an "
             "interrupted evaluation goes on."
         ),
     ] = None,
     page_of: Annotated[
-        list[str] | None,
-        typer.Option(
+        Names,
+        Option(
             help="Run nothing: make a page in --out of episodes that are there, FILE or CONTROLLER=FILE; "
             "again for more."
         ),
     ] = None,
-    jobs: Annotated[int, typer.Option(help="Processes that work at the same time.", min=1)] = 1,
+    jobs: Jobs = 1,
 ) -> None:
     """Score controllers on true, drifting and calibrated feet, on the same episodes."""
     from surefoot.experiments.episodes.episode import COP_INPUTS
@@ -72,15 +71,10 @@ def evaluate(
         "cop_inputs": COP_INPUTS if uses_cop else (),
     }
     chosen = {name: value for name, value in given.items() if value}
-    try:
-        with one_line_errors(out, ROOM):
-            plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
-            results = run_plan(plan, out, jobs=jobs, retry_failed=True, console=console)
-            _report(in_order(results.rows, chosen.get("controllers", ())), out)
-    except KeyboardInterrupt:
-        kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
-        typer.echo(f"Stopped.{kept}", err=True)
-        raise typer.Exit(130) from None
+    with one_line_errors(out, "give another folder with --out, or make room."):
+        plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
+        results = run_plan(plan, out, jobs=jobs, retry_failed=True, console=console)
+        _report(in_order(results.rows, chosen.get("controllers", ())), out)
 
 
 def _was_given(ctx: typer.Context, name: str) -> bool:

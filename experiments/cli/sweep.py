@@ -4,49 +4,42 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from surefoot.experiments.cli.console import fail, one_line_errors, show
+from surefoot.experiments.cli.console import Names, fail, one_line_errors, show
 
 __all__ = ["replay", "sweep"]
 
 
 def sweep(
     plan: Annotated[
-        Path | None, typer.Argument(help="A TOML file that says what to sweep; options go before it.")
+        Path | None, Argument(help="A TOML file that says what to sweep; options go before it.")
     ] = None,
     controller: Annotated[
-        list[str] | None,
-        typer.Option(
+        Names,
+        Option(
             help="zero, stabiliser, shipped, a policy file .npz, or module:function, which is imported and "
             "run; again for more."
         ),
     ] = None,
-    feed: Annotated[
-        list[str] | None, typer.Option(help="What is fed back as the CoP; again for more.")
-    ] = None,
-    scenario: Annotated[list[str] | None, typer.Option(help="A scenario; again for more.")] = None,
+    feed: Annotated[Names, Option(help="What is fed back as the CoP; again for more.")] = None,
+    scenario: Annotated[Names, Option(help="A scenario; again for more.")] = None,
     severity: Annotated[
-        list[float] | None, typer.Option(help="Factor of the load cells' errors; again for more.")
+        list[float] | None, Option(help="Factor of the load cells' errors; again for more.")
     ] = None,
-    seeds: Annotated[int | None, typer.Option(help="Episodes of each combination.", min=1)] = None,
-    first_seed: Annotated[int, typer.Option(help="The first of the seeds.", min=0)] = 0,
-    duration: Annotated[float | None, typer.Option(help="Longest duration of an episode in s.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder of the sweep; an interrupted one goes on.")] = Path(
-        "out/sweep"
-    ),
-    jobs: Annotated[int, typer.Option(help="Episodes that are run at the same time here.", min=1)] = 2,
-    backend: Annotated[
-        str, typer.Option(help="local, dask or ray; or here, in this very process.")
-    ] = "local",
-    address: Annotated[
-        str | None, typer.Option(help="Of a running scheduler of dask or head of ray.")
-    ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed episodes again.")] = False,
+    seeds: Annotated[int | None, Option(help="Episodes of each combination.", min=1)] = None,
+    first_seed: Annotated[int, Option(help="The first of the seeds.", min=0)] = 0,
+    duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,
+    out: Annotated[Path, Option(help="Folder of the sweep; an interrupted one goes on.")] = Path("out/sweep"),
+    jobs: Annotated[int, Option(help="Episodes that are run at the same time here.", min=1)] = 2,
+    backend: Annotated[str, Option(help="local, dask or ray; or here, in this very process.")] = "local",
+    address: Annotated[str | None, Option(help="Of a running scheduler of dask or head of ray.")] = None,
+    retry_failed: Annotated[bool, Option("--retry-failed", help="Run failed episodes again.")] = False,
     any_version: Annotated[
-        bool, typer.Option("--any-version", help="Go on with results of other versions.")
+        bool, Option("--any-version", help="Go on with results of other versions.")
     ] = False,
-    films: Annotated[int, typer.Option(help="How many of the worst episodes to film.", min=0)] = 0,
-    scenarios: Annotated[bool, typer.Option("--scenarios", help="List the scenarios, and end.")] = False,
+    films: Annotated[int, Option(help="How many of the worst episodes to film.", min=0)] = 0,
+    scenarios: Annotated[bool, Option("--scenarios", help="List the scenarios, and end.")] = False,
 ) -> None:
     """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
     from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
@@ -67,22 +60,18 @@ def sweep(
     changes = {name: value for name, value in given.items() if value not in ((), None)}
     if first_seed and not seeds:
         fail("--first-seed needs --seeds, how many.")
-    try:
-        with one_line_errors(out, "what is finished is kept."):
-            results = run_plan(
-                EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes),
-                out,
-                backend=backend,
-                jobs=jobs,
-                address=address,
-                retry_failed=retry_failed,
-                any_version=any_version,
-            )
-            page = SweepPage(results, films=films)
-            report = page.write()
-    except KeyboardInterrupt:
-        typer.echo(f"Stopped; what is finished is kept in '{out}', and the same command goes on.", err=True)
-        raise typer.Exit(130) from None
+    with one_line_errors(out, "what is finished is kept."):
+        results = run_plan(
+            EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes),
+            out,
+            backend=backend,
+            jobs=jobs,
+            address=address,
+            retry_failed=retry_failed,
+            any_version=any_version,
+        )
+        page = SweepPage(results, films=films)
+        report = page.write()
     show(page.tables)
     kept = len(results.rows) - results.computed
     typer.echo(f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed.")
@@ -91,10 +80,10 @@ def sweep(
 
 def replay(
     results: Annotated[
-        Path, typer.Argument(help="The folder of a sweep or an evaluation, or its episodes.parquet.")
+        Path, Argument(help="The folder of a sweep or an evaluation, or its episodes.parquet.")
     ],
-    case: Annotated[int, typer.Option("--case", "--cell", help="Number of the episode.", min=0)],
-    video: Annotated[Path | None, typer.Option(help="Film it into this .mp4 as well.")] = None,
+    case: Annotated[int, Option("--case", "--cell", help="Number of the episode.", min=0)],
+    video: Annotated[Path | None, Option(help="Film it into this .mp4 as well.")] = None,
 ) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""
     from surefoot.experiments.episodes.episode import OUTCOME

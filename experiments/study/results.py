@@ -7,12 +7,12 @@ A page marks where a table goes: ``<!-- table out/results/walking/tables/overvie
 code it was made. Where there is no such file, what stands there stays.
 """
 
+import csv
 import json
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-
-import pandas as pd
 
 from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.page import MADE
@@ -22,17 +22,16 @@ __all__ = ["main", "markdown", "refreshed"]
 _MARK = re.compile(r"(<!-- table (\S+\.csv) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def markdown(frame: pd.DataFrame) -> str:
-    """Return a table of text for a page.
+def markdown(lines: Sequence[Sequence[str]]) -> str:
+    """Return a table, headings first, for a page.
 
-    >>> print(markdown(pd.DataFrame({"method": ["tare"], "CoP (mm)": ["5.1 ± 1.3"]})))
+    >>> print(markdown([["method", "CoP (mm)"], ["tare", "5.1 ± 1.3"]]))
     | method | CoP (mm) |
     |---|---|
     | tare | 5.1 ± 1.3 |
     """
-    lines = [list(frame.columns), *frame.to_numpy().tolist()]
     first, *others = ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
-    return "\n".join([first, "|" + "---|" * len(frame.columns), *others])
+    return "\n".join([first, "|" + "---|" * len(lines[0]), *others])
 
 
 def refreshed(text: str, root: Path) -> tuple[str, list[str]]:
@@ -50,9 +49,10 @@ def refreshed(text: str, root: Path) -> tuple[str, list[str]]:
             missing.append(mark[2])
             return mark[0]
         made = json.loads((path.parent / MADE).read_text(encoding="utf-8"))
-        frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = list(csv.reader(file))
         source = f"`{made['command']}`, {made['software']}, {made['date']}."
-        return f"{mark[1]}\n{markdown(frame)}\n\n{source}\n\n{mark[3]}"
+        return f"{mark[1]}\n{markdown(lines)}\n\n{source}\n\n{mark[3]}"
 
     return _MARK.sub(replace, text), missing
 
