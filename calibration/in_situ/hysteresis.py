@@ -152,11 +152,11 @@ def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
     thinned = [wrench[::stride] for wrench, stride in zip(wrenches, strides, strict=True)]
     longest = max(len(wrench) for wrench in thinned)
     loads = np.stack([np.pad(w, ((0, longest - len(w)), (0, 0)), mode="edge") for w in thinned], axis=1)
-    plays = np.empty_like(loads)
-    play = loads[0][..., None] * np.ones(slack.shape[1])
-    for i, load in enumerate(loads):
-        np.clip(play, load[..., None] - slack, load[..., None] + slack, out=play)
-        plays[i] = play.sum(axis=-1)
+    low, high = loads[..., None] - slack, loads[..., None] + slack
+    play, plays = loads[0][..., None] * np.ones(slack.shape[1]), np.empty_like(low)
+    for i in range(longest):
+        play = np.minimum(np.maximum(play, low[i]), high[i], out=plays[i])
+    plays = plays.sum(axis=-1)
     sums = []
     for j, (wrench, stride, few) in enumerate(zip(wrenches, strides, thinned, strict=True)):
         places, seen = np.arange(len(wrench)), stride * np.arange(len(few))

@@ -1,5 +1,7 @@
 """The excitation planner: its information against brute force, and what its poses are worth."""
 
+from dataclasses import replace
+from functools import cache
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -8,7 +10,6 @@ from _in_situ import ADDED_COM_LEG, ADDED_MASS, LEG_MATRIX, SENSORS, wrench_of_g
 from _tracked import NOISE_ROOT, OFFSET, RESPONSE, make_fit
 
 from surefoot.calibration.in_situ import (
-    ExcitationPrior,
     InSituOptions,
     InSituSet,
     KnownLimb,
@@ -57,37 +58,45 @@ def reading_rows(prior, gravity, mass, masses):
     return np.linalg.solve(np.linalg.cholesky(prior.noise), J)
 
 
-def brute_information(prior, poses, gravity, masses, goal, samples):
-    """Half the fall of log det of the goal's covariance, from information matrices."""
-    k = 6
-    start = np.zeros((40 + k * len(masses),) * 2)
-    start[:40, :40] = prior.covariance
-    for j in range(len(masses)):
-        own = slice(40 + k * j, 40 + k * (j + 1))
-        start[own, own] = prior.new_offset
-    information = np.linalg.inv(start)
-    for orientation, mass in poses:
-        H = reading_rows(prior, gravity[orientation], mass, masses)
-        information = information + samples * H.T @ H
-    after = np.linalg.inv(information)
-    q = slice(40, 46) if goal == "offset" else GOALS[goal]
-    return 0.5 * (np.linalg.slogdet(start[q, q])[1] - np.linalg.slogdet(after[q, q])[1])
+class Brute:
+    """Information of readings by matrices of information, with rows by finite differences."""
+
+    def __init__(self, prior, gravity, masses, samples):
+        self.samples = samples
+        size = 40 + 6 * len(masses)
+        self.start = np.zeros((size, size))
+        self.start[:40, :40] = prior.covariance
+        for first in range(40, size, 6):
+            self.start[first : first + 6, first : first + 6] = prior.new_offset
+        self.before = np.linalg.inv(self.start)
+        self.rows = cache(lambda pose: reading_rows(prior, gravity[pose[0]], pose[1], masses))
+
+    def after(self, poses):
+        """Covariance once (orientation, mass) pairs were read."""
+        information = self.before
+        for H in map(self.rows, poses):
+            information = information + self.samples * H.T @ H
+        return np.linalg.inv(information)
+
+    def information(self, poses, goal):
+        """Half the fall of log det of the goal's covariance."""
+        q = slice(40, 46) if goal == "offset" else GOALS[goal]
+        before, after = self.start[q, q], self.after(poses)[q, q]
+        return 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
 
 
 @pytest.mark.parametrize("goal", list(GOALS))
 def test_gains_are_the_fall_of_the_goals_uncertainty(prior, goal):
     gravity, masses = grid(3), MASSES[:2]
     plan = plan_excitation(prior, gravity, masses, count=5, goal=goal, samples=10)
-    total = 0.0
+    brute, total = Brute(prior, gravity, masses, 10), 0.0
     for taken, pose in enumerate(plan.poses):
         total += pose.information
         poses = [(p.orientation, p.mass) for p in plan.poses[: taken + 1]]
-        assert total == pytest.approx(
-            brute_information(prior, poses, gravity, masses, goal, 10), rel=1e-5, abs=1e-5
-        )
+        assert total == pytest.approx(brute.information(poses, goal), rel=1e-5, abs=1e-5)
     assert plan.total == pytest.approx(total)
     for orientation, mass in ((0, 0), (4, 1)):
-        wanted = brute_information(prior, [(orientation, mass)], gravity, masses, goal, 10)
+        wanted = brute.information([(orientation, mass)], goal)
         assert plan.pose_information[orientation, mass] == pytest.approx(wanted, rel=1e-4, abs=1e-5)
 
 
@@ -95,10 +104,9 @@ def test_gains_are_the_fall_of_the_goals_uncertainty(prior, goal):
 def test_a_block_is_near_the_best_of_all(prior, goal):
     gravity, masses = grid(3), [MASSES[0]]
     plan = plan_excitation(prior, gravity, masses, count=3, block=3, goal=goal, samples=10)
-    best = max(
-        brute_information(prior, [(o, 0) for o in chosen], gravity, masses, goal, 10)
-        for chosen in combinations_with_replacement(range(len(gravity)), 3)
-    )
+    brute = Brute(prior, gravity, masses, 10)
+    chosen = combinations_with_replacement(range(len(gravity)), 3)
+    best = max(brute.information([(o, 0) for o in one], goal) for one in chosen)
     assert plan.total <= best + 1e-5
     assert plan.total > 0.99 * best
 
@@ -119,9 +127,9 @@ def test_planned_poses_leave_less_uncertainty_than_random_or_raster_ones(prior):
     gravity, rng = grid(7), np.random.default_rng(0)
     plan = plan_excitation(prior, gravity, MASSES, count=30, samples=20)
     others = [raster_poses(gravity, 30), *(random_poses(rng, gravity, 30) for _ in range(5))]
-    told = [brute_information(prior, poses, gravity, MASSES, "calibration", 20) for poses in others]
+    brute = Brute(prior, gravity, MASSES, 20)
     # Over 40 unknowns 4 nats are a tenth off every deviation.
-    assert plan.total > max(told) + 4.0
+    assert plan.total > max(brute.information(poses, "calibration") for poses in others) + 4.0
     before, after = np.diag(plan.before), np.diag(plan.after)
     assert (after < before).all()
 
@@ -171,19 +179,10 @@ def test_planned_poses_leave_smaller_errors_than_random_or_raster_ones(prior):
     assert errors["planned"] < 0.9 * errors["random"]
 
 
-def after(prior, gravity, masses, poses, samples=100):
+def after(prior, gravity, masses, poses):
     """The prior once these poses were read: their sets are over, and their offsets gone with them."""
-    size = 40 + 6 * len(masses)
-    start = np.zeros((size, size))
-    start[:40, :40] = prior.covariance
-    for j in range(len(masses)):
-        start[40 + 6 * j : 46 + 6 * j, 40 + 6 * j : 46 + 6 * j] = prior.new_offset
-    information = np.linalg.inv(start)
-    for orientation, mass in poses:
-        H = reading_rows(prior, gravity[orientation], mass, masses)
-        information = information + samples * H.T @ H
-    covariance = np.linalg.inv(information)[:40, :40]
-    return ExcitationPrior(prior.response, prior.noise, prior.limb, covariance, prior.new_offset)
+    covariance = Brute(prior, gravity, masses, 100).after(poses)[:40, :40]
+    return replace(prior, covariance=covariance)
 
 
 def test_a_third_mass_is_proposed_when_two_were_seen(prior):

@@ -39,7 +39,6 @@ def errors(fit, sensor, offset):
     )
 
 
-@pytest.mark.parametrize("sensor", ["leg", "foot"])
 def test_is_exact_without_noise(sensor):
     sets, offset = paper_sets(sensor, np.random.default_rng(0))
     matrix, mass, com, _ = SENSORS[sensor]
@@ -56,12 +55,12 @@ def test_is_exact_without_noise(sensor):
     np.testing.assert_allclose(wrench, expected, atol=1e-7)
 
 
-@pytest.mark.parametrize("sensor", ["leg", "foot"])
 def test_errors_agree_with_the_covariance(sensor):
     squares = []
     for seed in range(40):
         sets, offset = noisy_sets(sensor, np.random.default_rng([1, seed]))
-        fit = calibrate_in_situ(sets)
+        # There are no loops to be seen here (below), and looking for them takes most of the time.
+        fit = calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
         size = np.sqrt(np.diag(fit.covariance))
         error = errors(fit, sensor, offset) / size
         squares.append(error @ np.linalg.solve(fit.covariance / np.outer(size, size), error))
@@ -152,6 +151,7 @@ def test_masses_in_one_plane_do_not_tell_the_rotation():
     options = InSituOptions(estimate_rotation=True)
     with pytest.raises(CalibrationRefused, match="do not tell a sensor from its mirror image"):
         calibrate_in_situ(sets[:4], options=options)
+    options = replace(options, factory_std=(0.1,) * 6)
     fit = calibrate_in_situ(sets[:4], factory_matrix=SENSORS["leg"][0] * 1.05, options=options)
     np.testing.assert_allclose(fit.rotation, turn, atol=5e-3)
 
@@ -248,10 +248,11 @@ def test_a_good_factory_matrix_helps_and_a_bad_one_does_not_hurt():
     near = np.diag([1.01, 0.99, 1.01, 0.99, 1.01, 0.99]) @ matrix
     far = np.diag([1.3, 0.8, 1.2, 0.7, 1.3, 0.8]) @ matrix
     sums = np.zeros(3)
-    for seed in range(4):
+    options = InSituOptions(scale_tolerance=1.0, hysteresis=False)
+    for seed in range(3):
         sets, _ = noisy_sets("foot", np.random.default_rng([16, seed]), n=300, noise=4.0)
         for i, factory in enumerate((None, near, far)):
-            fit = calibrate_in_situ(sets, factory_matrix=factory, options=InSituOptions(scale_tolerance=1.0))
+            fit = calibrate_in_situ(sets, factory_matrix=factory, options=options)
             sums[i] += np.linalg.norm((fit.matrix - matrix) / matrix.std(axis=1, keepdims=True))
     assert sums[1] < 0.7 * sums[0]
     assert sums[2] < 1.2 * sums[0]
@@ -303,9 +304,13 @@ def test_channels_that_lag_are_told_from_loads_that_do():
     assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
 
 
-def test_no_hysteresis_is_seen_where_there_is_none():
-    sets, _ = noisy_sets("leg", np.random.default_rng(18), n=3000)
-    assert calibrate_in_situ(sets).hysteresis is None
+@pytest.mark.parametrize(("seed", "samples"), [(18, 3000), ([1, 0], 600), ([1, 1], 600), ([1, 2], 600)])
+def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
+    sets, _ = noisy_sets(sensor, np.random.default_rng(seed), n=samples)
+    fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
+    assert fit.hysteresis is None
+    assert fit.channel_hysteresis is None
+    np.testing.assert_array_equal(fit.covariance, plain.covariance)
 
 
 def test_arguments_are_left_alone():
@@ -321,18 +326,18 @@ def test_arguments_are_left_alone():
 def test_a_matrix_that_leans_says_how_sure_its_rows_are(scale):
     matrix, mass, com, _ = SENSORS["foot"]
     limb = KnownLimb(mass, 0.005 * mass, com, 0.001)
+    # Along what was seen: the limb's own wrench.
+    seen = np.linalg.solve(matrix, wrench_of_gravity(mass, com))
     scores = []
     for seed in range(5):
         sets, _ = noisy_sets("foot", np.random.default_rng([20, seed]), n=1000, count=1)
-        fit = calibrate_in_situ(sets, factory_matrix=scale * matrix, limb=limb)
-        # Along what was seen: the limb's own wrench.
-        seen = wrench_of_gravity(mass, com)
-        error = (fit.matrix - matrix) @ np.linalg.solve(matrix, seen)
-        spread = [
-            np.diag(B.T @ fit.covariance[6 * a : 6 * a + 6, 6 * a : 6 * a + 6] @ B)
-            for a, B in enumerate([np.linalg.solve(matrix, seen)] * 6)
-        ]
-        scores.append(np.abs(error[:3]) / np.sqrt(np.array(spread)[:3] + (0.005 * mass) ** 2))
+        # The rows lean by a rule of their own, whatever the shares of the fit that finds the limb.
+        options = InSituOptions(factory_std=(0.1,) * 6)
+        fit = calibrate_in_situ(sets, factory_matrix=scale * matrix, limb=limb, options=options)
+        error = (fit.matrix - matrix) @ seen
+        rows = [fit.columns.row(axis) for axis in range(3)]
+        spread = np.array([np.diag(seen.T @ fit.covariance[row, row] @ seen) for row in rows])
+        scores.append(np.abs(error[:3]) / np.sqrt(spread + (0.005 * mass) ** 2))
     assert np.median(scores) < 3.0
 
 

@@ -1,5 +1,7 @@
 """The in-situ tracker: honest deviations, observability, touch, bad samples, one law for all libraries."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from _in_situ import swept_gravity
@@ -47,10 +49,15 @@ def walked(tracker, runs, steps, dt, seed, turn=True):
     return truth, estimate, np.array(nis)
 
 
+@cache
+def tracked(learn):
+    return walked(InSituTracker(make_fit(), learn=learn), 150, 80, 1.0, seed=0)
+
+
 @pytest.mark.parametrize("learn", ["offset", "axes", "matrix"])
 def test_offsets_are_off_by_as_much_as_is_claimed(learn):
     runs = 150
-    truth, estimate, nis = walked(InSituTracker(make_fit(), learn=learn), runs, 80, 1.0, seed=0)
+    truth, estimate, nis = tracked(learn)
     nees = normalised(estimate.offset - truth.offset, estimate.covariance[:, :6, :6])
     # Six degrees of freedom a run: 4 deviations of the mean.
     assert abs(nees.mean() / 6.0 - 1.0) < 4.0 * np.sqrt(2.0 / (6.0 * runs))
@@ -63,7 +70,7 @@ def test_offsets_are_off_by_as_much_as_is_claimed(learn):
 
 
 def test_gains_are_found_where_the_limb_turns():
-    truth, estimate, _ = walked(InSituTracker(make_fit(), learn="axes"), 200, 80, 1.0, seed=1)
+    truth, estimate, _ = tracked("axes")
     D = np.linalg.solve(RESPONSE, truth.response)
     actual, found = (np.diagonal(part, axis1=1, axis2=2) for part in (D, estimate.scale))
     start, left = np.std(actual - 1.0, axis=0), np.std(found - actual, axis=0)
