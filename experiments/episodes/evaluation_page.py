@@ -161,9 +161,9 @@ class EvaluationPage:
         return flat(_INTRODUCTION.format(env_id=self.task.env_id)), flat(_FEEDS), flat(amount)
 
     def _sections(self, drawn: Path) -> list[Section]:
-        said = [text for name in self.controllers for text in controller_findings(self.frame, name)]
+        findings = [text for name in self.controllers for text in controller_findings(self.frame, name)]
         targets = tuple(table for table in self.tables if table.name == "targets")
-        sections = [Section("summary", "In short", findings=(*said, *self.answers), tables=targets)]
+        sections = [Section("summary", "In short", findings=(*findings, *self.answers), tables=targets)]
         if self.failed is not None:
             sections.append(Section("failed", "Episodes that failed", tables=(self.failed,)))
         given = self.frame[self.frame["cop_input"] == "given"]

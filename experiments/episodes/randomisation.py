@@ -67,7 +67,7 @@ class Answer(NamedTuple):
     def enough(self) -> str:
         """Whether randomisation is enough, as far as the interval tells."""
         if not self.choice.apart:
-            return "cannot be told from calibration alone"
+            return "is not clearly different from calibration alone"
         return "is not enough" if self.choice.mean > 0.0 else "is enough"
 
     def words(self) -> str:

@@ -29,26 +29,19 @@ _UNNAMED = "policy"
 _OLD_COLUMNS = {"total": "return", "task": "scenario", "cop_tracking": "tracking", "cell": "case"}
 """Earlier names of columns."""
 
-_KNOWN: Mapping[str, Collection[str] | None] = {
-    "controller": None,
+_KNOWN: Mapping[str, Collection[str]] = {
+    "controller": (),
     "feed": FEEDS,
     "cop_input": COP_INPUTS,
     "scenario": TASKS,
 }
-"""Columns that hold names, and the names that there are."""
+"""Columns that hold names, and the names that there are; none where any will do."""
 
-_NOT_NEGATIVE = "a finite number and not negative"
+_NUMBERS = ("severity", "seed", "return", "fell", "time", "cop_error", "tracking")
+"""Columns that hold numbers."""
 
-_RULES: Mapping[str, str] = {
-    "severity": _NOT_NEGATIVE,
-    "seed": "a whole number from 0",
-    "return": "a finite number",
-    "fell": "true or false",
-    "time": _NOT_NEGATIVE,
-    "cop_error": _NOT_NEGATIVE,
-    "tracking": _NOT_NEGATIVE,
-}
-"""Columns that hold numbers, and what these must be."""
+_RULES = {"seed": "a whole number from 0", "return": "a finite number", "fell": "true or false"}
+"""What a number must be, if not finite and not negative."""
 
 _MAY_LACK = ("cop_error", "tracking")
 """Errors of a centre of pressure that was never felt are none."""
@@ -118,12 +111,12 @@ def read_episodes(path: Path, controller: str = "") -> Frame:
         frame = frame[frame["error"] == ""]
     absent = {"controller": _UNNAMED, "scenario": next(iter(TASKS))}
     frame = frame.assign(**{name: value for name, value in absent.items() if name not in frame})
-    if missing := [name for name in (*_KNOWN, *_RULES) if name not in frame]:
+    if missing := [name for name in (*_KNOWN, *_NUMBERS) if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
     today = {"controller": {"": _UNNAMED}, "feed": dict(OLD_FEEDS), "cop_input": {"felt": COP_INPUTS[0]}}
     frame = frame.assign(
         **{name: _names(path, frame[name], today.get(name, {})) for name in _KNOWN},
-        **{name: _numbers(path, frame[name]) for name in _RULES},
+        **{name: _numbers(path, frame[name]) for name in _NUMBERS},
     )
     held = controllers_of(frame)
     if controller and len(held) > 1:
@@ -202,7 +195,7 @@ def _names(path: Path, column: Column, today: Mapping[str, str]) -> Column:
         )
     names = [today.get(name, name) for name in column]
     known = _KNOWN[column.name]
-    if known is not None and (unknown := sorted(set(names) - set(known))):
+    if known and (unknown := sorted(set(names) - set(known))):
         raise ValueError(f"'{path}' holds the {column.name} '{unknown[0]}'. Known: {', '.join(known)}.")
     return pd.Series(names, index=column.index)
 
@@ -221,7 +214,6 @@ def _numbers(path: Path, column: Column) -> Column:
     if name == "fell":
         fine &= np.isin(values, (0.0, 1.0))
     if not fine.all():
-        raise ValueError(
-            f"'{path}' holds {values[~fine][0]:g} in its column '{name}', which must be {_RULES[name]}."
-        )
+        rule = _RULES.get(name, "a finite number and not negative")
+        raise ValueError(f"'{path}' holds {values[~fine][0]:g} in its column '{name}', which must be {rule}.")
     return pd.Series(values.astype(_KINDS.get(name, np.float64)), index=column.index)

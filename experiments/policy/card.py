@@ -2,10 +2,13 @@
 
 import json
 import shlex
+from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from jinja2 import Environment, StrictUndefined
 
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.controllers.posture import POSTURES
@@ -27,6 +30,12 @@ WHOSE = ("controller", "policy file", "task", "seeds")
 
 _REWARD, _FALLS = "#0072B2", "#D55E00"
 """Colours of a learning curve; those of Okabe and Ito (2008)."""
+
+_TRAINED = {
+    "true": "the true centre of pressure, joints and tilt from encoders and IMU with their errors",
+    "randomised": "drifting, uncalibrated load cells, of severity 0 to 2",
+}
+"""What a policy was trained on, in words."""
 
 _LAST_UPDATES = 20
 """Updates at the end of a training that a card sums up."""
@@ -84,17 +93,46 @@ def write_card(out: Path) -> Path:
         FileNotFoundError: If there is no policy.
     """
     network = PolicyNetwork.load(out / POLICY)
-    curve_path = out / CURVE
-    task = _task_of(network)
-    most = task.most * network.hold
-    pieces = [_made(network, task)]
-    if curve_path.exists():
-        curve = pd.read_csv(curve_path)
+    notes, task = network.notes, _task_of(network)
+    options: dict[str, Any] = notes.get("options", {})
+    curve, most = None, task.most * network.hold
+    if (out / CURVE).exists():
+        curve = pd.read_csv(out / CURVE)
         draw_curve(curve, out / FIGURE, most)
-        pieces.append(_curve(curve, most))
-    pieces.append(_scores(own_scores(out), out, task))
-    pieces.append(_limits(task))
-    write_text(out / CARD, "\n".join(pieces))
+    scores = own_scores(out)
+    seeds = [] if scores is None else list(dict.fromkeys(scores["seeds"]))
+    sensors = options.get("sensors", "unknown")
+    sizes = (sum(network.parts.values()), *(len(layer) for layer in network.biases))
+    asked = {"task": task.name} if task.name != next(iter(TASKS)) else {}
+    trained = {**asked, "sensors": sensors, **{name: options.get(name) for name in ("seed", "steps")}}
+    evaluated = " ".join(["surefoot evaluate", shlex.quote(str(out / POLICY)), *_options(asked)])
+    template = files("surefoot.experiments.policy").joinpath(CARD).read_text(encoding="utf-8")
+    environment = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
+    text = environment.from_string(template).render(
+        task=task,
+        notes=notes,
+        network=network,
+        trained=_TRAINED.get(sensors, "feet that nobody wrote down"),
+        train_command=" ".join(["surefoot train", *_options(trained)]),
+        shapes=" → ".join(map(str, sizes)),
+        versions=", ".join(f"{name} {version}" for name, version in notes.get("versions", {}).items()),
+        training_seeds=TRAINING_SEEDS,
+        options=json.dumps(options, sort_keys=True),
+        looks=", ".join(f"`{part}` ({size})" for part, size in network.parts.items()),
+        inputs=", ".join(input_names(task)),
+        postures=POSTURES,
+        curve=curve,
+        last=None if curve is None else curve.tail(_LAST_UPDATES),
+        most=most,
+        figure=FIGURE,
+        curve_file=CURVE,
+        scores=None if scores is None else scores.drop(columns=list(WHOSE)),
+        evaluate_command=f"{evaluated} --out {shlex.quote(str(out))}",
+        episodes=f"the episodes of the seeds {seeds[0]}, the same for all rows"
+        if len(seeds) == 1
+        else "episodes that are not the same for all rows",
+    )
+    write_text(out / CARD, text)
     return out / CARD
 
 
@@ -103,83 +141,5 @@ def _task_of(network: PolicyNetwork) -> Task:
     return task_in(network.notes.get("task")) or task_named(str(name))
 
 
-def _made(network: PolicyNetwork, task: Task) -> str:
-    notes = network.notes
-    options: dict[str, Any] = notes.get("options", {})
-    shapes = " → ".join(
-        str(size) for size in (sum(network.parts.values()), *(len(b) for b in network.biases))
-    )
-    versions = ", ".join(f"{name} {version}" for name, version in notes.get("versions", {}).items())
-    sensors = options.get("sensors", "unknown")
-    trained = {
-        "true": "the true centre of pressure, joints and tilt from encoders and IMU with their errors",
-        "randomised": "drifting, uncalibrated load cells, of severity 0 to 2",
-    }.get(sensors, "feet that nobody wrote down")
-    asked = {"task": task.name} if task.name != next(iter(TASKS)) else {}
-    asked |= {"sensors": sensors} | {name: options.get(name) for name in ("seed", "steps")}
-    command = " ".join(["surefoot train", *(f"--{name} {value}" for name, value in asked.items())])
-    looks = ", ".join(f"`{part}` ({size})" for part, size in network.parts.items())
-    return f"""# {task.title} for `{notes.get("task", "an unknown task")}`
-
-| | |
-|---|---|
-| trained on | {trained} |
-| command | `{command}` |
-| decisions | {notes.get("steps", "?")}, each held for {network.hold} steps of {1e3 * network.drive.dt:g} ms |
-| method | PPO of Stable-Baselines3 with state-dependent exploration |
-| network | {shapes}, tanh; scaling of the inputs folded into the first layer |
-| versions | {versions} |
-| seeds | training draws from {TRAINING_SEEDS} on, evaluation below |
-| options | `{json.dumps(options, sort_keys=True)}` |
-
-**It looks at** {looks} of an observation, in these numbers:
-{", ".join(input_names(task))}.
-
-**It commands** the speeds of {len(POSTURES)} postures ({", ".join(POSTURES)}), up to
-{network.drive.speed:g} of a full posture (0.2 rad) a second, which return with a time constant of
-{network.drive.memory:g} s.
-"""
-
-
-def _curve(curve: pd.DataFrame, most: float) -> str:
-    last = curve.tail(_LAST_UPDATES)
-    reward, fell = last["reward_per_decision"].mean(), 100 * last["fell"].mean()
-    return f"""## Learning curve
-
-![Reward and falls while training]({FIGURE})
-
-Over the last {len(last)} of {len(curve)} updates, exploring: {reward:.2f} a decision of at most {most:g},
-and {fell:.1f} % of the episodes ended in a fall. The numbers are in `{CURVE}`.
-"""
-
-
-def _scores(scores: Frame | None, out: Path, task: Task) -> str:
-    if scores is None:
-        asked = "" if task.name == next(iter(TASKS)) else f" --task {task.name}"
-        command = f"surefoot evaluate {shlex.quote(str(out / POLICY))}{asked} --out {shlex.quote(str(out))}"
-        return f"## Evaluation\n\nNone yet: `{command}` writes it here.\n"
-    shown = scores.drop(columns=list(WHOSE))
-    lines = ["| " + " | ".join(shown.columns) + " |", "|" + "---|" * len(shown.columns)]
-    lines += ["| " + " | ".join(map(str, row)) + " |" for row in shown.itertuples(index=False)]
-    table = "\n".join(lines)
-    seeds = list(dict.fromkeys(scores["seeds"]))
-    episodes = f"the episodes of the seeds {seeds[0]}, the same for all rows"
-    if len(seeds) > 1:
-        episodes = "episodes that are not the same for all rows"
-    return f"""## Evaluation
-
-{table}
-
-Means with 95 % intervals over {episodes},
-from the end of the quiet stand on. *Frozen*, *swapped* and *shuffled* rows are the true feet with the
-policy's input held, taken from another episode, or from another episode in random order.
-"""
-
-
-def _limits(task: Task) -> str:
-    return f"""## Limits
-
-* It knows one robot, {task.limits}
-* It was never on a real robot.
-* It leaves the robot alone during the quiet stand, and is to be reset when that is over.
-"""
+def _options(values: Mapping[str, Any]) -> list[str]:
+    return [f"--{name} {value}" for name, value in values.items()]

@@ -1,6 +1,6 @@
 """Train a policy: PPO of Stable-Baselines3, on checkpoints that hold numbers only.
 
-Training goes from checkpoint to checkpoint. At each of them every source of randomness is seeded anew from
+Training goes from checkpoint to checkpoint. At each of them every source of randomness is seeded again from
 the seed and the number of updates done, so that a training that was stopped and resumed ends with the same
 policy, to the last digit, as one that was not. A checkpoint is read with ``weights_only=True``: nothing in it
 is executed.
@@ -225,7 +225,7 @@ class Trainer:
         except Exception as error:  # Whatever a damaged archive raises.
             raise TrainingError(
                 f"'{path}' cannot be read as a checkpoint of this training: {error}. Restore it from a copy, "
-                "or delete it to begin anew."
+                "or delete it to start again."
             ) from error
         self._model.num_timesteps = steps
 

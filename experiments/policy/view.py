@@ -24,6 +24,9 @@ PARTS = ("state", "cop", "cop_valid")
 _LEGS = 12
 """Hinge joints of both legs, which come first."""
 
+_COP_PARTS = 6
+"""Numbers beside the state: the centre of pressure (2), whether it is valid (3), and a constant one."""
+
 _JOINT_UNIT = 0.1
 """Unit in which a policy sees joint angles, in rad."""
 
@@ -71,28 +74,14 @@ def input_matrix(
         Inputs = matrix @ (state, cop, cop_valid, 1), shape (N, S + 6).
     """
     size = max(where.stop for where in state_layout.values())
-    cop, valid, one = size, size + 2, size + 5
-    rows: list[NDArray[np.float64]] = []
-
-    def row(*entries: tuple[int, float]) -> None:
-        line = np.zeros(size + 6)
-        for column, factor in entries:
-            line[column] = factor
-        rows.append(line)
-
-    joints = state_layout["joint_position"].start
-    for joint in range(_LEGS):
-        row((joints + joint, 1.0 / _JOINT_UNIT), (one, -standing[joint] / _JOINT_UNIT))
-    for name, scale in task.scales.items():
-        for column in range(state_layout[name].start, state_layout[name].stop):
-            row((column, 1.0 / scale))
-    reference = state_layout["cop_reference"].start
-    for axis in (0, 1):
-        row((cop + axis, 1.0 / _COP_UNIT))
-        row((cop + axis, 1.0 / _ERROR_UNIT), (reference + axis, -1.0 / _ERROR_UNIT))
-    for flag in range(3):
-        row((valid + flag, 1.0), (one, -1.0))
-    return np.array(rows)
+    all_parts = np.eye(size + _COP_PARTS)
+    state, (cop, valid, one) = all_parts[:size], np.split(all_parts[size:], [2, 5])
+    legs = state[state_layout["joint_position"]][:_LEGS]
+    rows = [(legs - standing[:_LEGS, None] * one) / _JOINT_UNIT]
+    rows += [state[state_layout[name]] / scale for name, scale in task.scales.items()]
+    for felt, commanded in zip(cop, state[state_layout["cop_reference"]], strict=True):
+        rows += [felt[None] / _COP_UNIT, (felt - commanded)[None] / _ERROR_UNIT]
+    return np.concatenate([*rows, valid - one])
 
 
 def input_names(task: Task) -> list[str]:
