@@ -5,6 +5,8 @@ the arithmetic of one sample: a loop on a robot pays for them once. So do some o
 they hand on to the methods that they stand for.
 """
 
+from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import array_api_compat
@@ -71,16 +73,36 @@ def surely(flags: Array) -> bool:
 
 
 class Constants:
-    """NumPy constants that are handed out in the library, dtype and device of an array."""
+    """NumPy constants by name, handed out in the library, dtype and device of an array.
 
-    def __init__(self, *values: ArrayLike) -> None:
+    >>> Constants(identity=np.eye(2)).like(np.zeros(1, np.float32)).identity
+    array([[1., 0.],
+           [0., 1.]], dtype=float32)
+    """
+
+    def __init__(self, *values: ArrayLike, **named: ArrayLike) -> None:
         self._values = [np.asarray(value) for value in values]
-        self._cache: dict[Any, tuple[Array, ...]] = {}
+        self._named = {name: np.asarray(value) for name, value in named.items()}
+        self._cache: dict[Any, Any] = {}
 
-    def like(self, array: Array) -> tuple[Array, ...]:
-        """Give the constants as floating-point arrays of this one's kind."""
+    def like(self, array: Array) -> Any:
+        """Return the constants as floating-point arrays of this one's kind, an attribute each."""
         key = (type(array), array.dtype, getattr(array, "device", None))
         known = self._cache.get(key)
         if known is None:
-            known = self._cache[key] = tuple(constant_like(value, array) for value in self._values)
+            named = {name: constant_like(value, array) for name, value in self._named.items()}
+            plain = tuple(constant_like(value, array) for value in self._values)
+            known = SimpleNamespace(**named) if named else plain
+            self._cache[key] = known
         return known
+
+
+def in_a_row(*widths: int) -> Iterator[slice]:
+    """Yield where parts of these widths lie that are laid side by side.
+
+    >>> list(in_a_row(3, 1))
+    [slice(0, 3, None), slice(3, 4, None)]
+    """
+    end = 0
+    for width in widths:
+        yield slice(end, end := end + width)

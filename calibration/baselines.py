@@ -93,7 +93,7 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
     settle = round(options.settle / setup.dt)
     foot = setup.layout.foot_of_channel
     spread, limit = options.spread * setup.weight, options.offset_range * setup.weight
-    constants = Constants(np.eye(len(setup.layout.feet))[:, foot])
+    constants = Constants(by_foot=np.eye(len(setup.layout.feet))[:, foot])
 
     def init(raw: Array) -> TareState:
         front = front_end.init(raw)
@@ -105,7 +105,7 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
     def update(state: TareState, raw: Array, reference: Reference, dt: float) -> tuple[TareState, Estimate]:
         xp = namespace_of(raw)
         front, sample = front_end.observe(state.front, raw, reference, dt)
-        (by_foot,) = constants.like(raw)
+        by_foot = constants.like(raw).by_foot
         in_air = xp.matmul(xp.astype(sample.swing, raw.dtype), by_foot) > 0.5
         # Across a gap the foot may have stood: what was counted before says nothing of this swing.
         airborne = xp.where(in_air, (state.airborne * 0 if sample.gap else state.airborne) + 1, 0)

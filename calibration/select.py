@@ -24,7 +24,7 @@ from surefoot.calibration._setup import OnlineMethod
 from surefoot.calibration.baselines import TareState
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
-from surefoot.calibration.moment.faults import FaultState
+from surefoot.calibration.moment.faults import ChannelState
 from surefoot.calibration.moment.stream import MomentState
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.standing import StandingState
@@ -45,7 +45,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         WindowState: ("theta", "standing", "walking"),
         StandingState: StandingState._fields,
         MomentState: ("mean", "covariance", "learnt", "spread", "kept_mean", "kept_covariance", "noise"),
-        FaultState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
+        ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
     }
 )
 """Fields that outlive an episode, by the class of the state; its other arrays belong to the stream."""

@@ -53,15 +53,15 @@ def low_pass(cutoff: float, dt: float) -> LowPass:
     >>> filtered.round(4)
     array([0.0976])
     """
-    constants = Constants(*_coefficients(cutoff, dt))
+    transition, steady = _coefficients(cutoff, dt)
+    constants = Constants(transition=transition, steady=steady)
 
     def init(signal: Array) -> Array:
-        _, steady = constants.like(signal)
-        return steady * signal[..., None, :]
+        return constants.like(signal).steady * signal[..., None, :]
 
     def apply(signal: Array, state: Array) -> tuple[Array, Array]:
         xp = namespace_of(signal)
-        transition, _ = constants.like(signal)
+        transition = constants.like(signal).transition
         both = xp.matmul(transition, xp.concat([signal[..., None, :], state], axis=-2))
         return both[..., 0, :], both[..., 1:, :]
 

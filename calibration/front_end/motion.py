@@ -4,16 +4,15 @@ A reference is laid out flat because a control loop pays for every operation: on
 the new and the last good one. The equations are those of :mod:`surefoot.calibration.cop` and
 :mod:`surefoot.calibration.centroidal`; tests hold them together.
 
-The order is com, com_acceleration, angular_momentum_rate, accelerometer, gyroscope (3 each), position_sole
-(3 F), R_level_sole (9 F).
+The order is that of :class:`MotionColumns`.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, namespace_of, shaped
+from surefoot.calibration._constants import Constants, in_a_row, namespace_of, shaped
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY, Reference
@@ -24,11 +23,42 @@ Array = Any
 LARGEST_REFERENCE = 1e6
 """Magnitude, in any unit, beyond which a value of a reference is taken for an error."""
 
+_FEATURES = 15
+"""Numbers of a foot that its rows are linear in: up, px up, py up, ex, ey, 3 each."""
+
 LARGEST_WEIGHTS = 5.0
 """Vertical force, in body weights, beyond which a reference is taken for an error."""
 
 LARGEST_REACH = 10.0
 """Distance of a reference's centre of pressure from a sole, in foot lengths, taken for an error."""
+
+
+class MotionColumns(NamedTuple):
+    """Where the parts of a flat reference lie: 3 numbers each, 3 F of the soles, 9 F of their rotations."""
+
+    com: slice
+    com_acceleration: slice
+    angular_momentum_rate: slice
+    accelerometer: slice
+    gyroscope: slice
+    position_sole: slice
+    R_level_sole: slice
+
+    @classmethod
+    def of(cls, feet: int) -> "MotionColumns":
+        """Return the columns of a robot with some feet."""
+        return cls(*in_a_row(3, 3, 3, 3, 3, 3 * feet, 9 * feet))
+
+    @property
+    def size(self) -> int:
+        """Length of a flat reference, R."""
+        return int(self.R_level_sole.stop)
+
+    def soles(self, motion: Array) -> tuple[Array, Array]:
+        """Return the soles of flat references: positions (..., F, 3) and rotations (..., F, 3, 3)."""
+        position, R = motion[..., self.position_sole], motion[..., self.R_level_sole]
+        each = (*motion.shape[:-1], position.shape[-1] // 3)
+        return shaped(position, (*each, 3)), shaped(R, (*each, 3, 3))
 
 
 class Motions:
@@ -39,6 +69,7 @@ class Motions:
         quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
 
     Attributes:
+        columns: Where the parts of a flat reference lie.
         tails: The shape of each field of a reference behind its batch dimensions.
         resting: A flat reference with the soles level at the origin, shape (R,).
     """
@@ -48,7 +79,7 @@ class Motions:
         self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
         self._reach = LARGEST_REACH * setup.length
-        self._soles = 15 + 3 * self._feet
+        self.columns = MotionColumns.of(self._feet)
         self.tails: dict[str, tuple[int, ...]] = {
             "com": (3,),
             "com_acceleration": (3,),
@@ -61,12 +92,12 @@ class Motions:
             "gyroscope": (3,),
         }
         level = np.tile(np.eye(3).ravel(), self._feet)
-        self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self._soles), level])
+        self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
         quarter_turn = [[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]]
-        self._constants = Constants(_row_map(setup.layout), quarter_turn)
+        self._constants = Constants(row_map=_row_map(setup.layout), quarter_turn=quarter_turn)
 
     def check(self, reference: Reference, batch: tuple[int, ...], boolean: Any) -> None:
-        """Refuse a reference that does not fit.
+        """Raise an error if a reference does not fit.
 
         Args:
             reference: The reference.
@@ -107,19 +138,19 @@ class Motions:
         return xp.concat(parts, axis=-1)
 
     def unflatten(self, motion: Array, stance: Array, swing: Array) -> Reference:
-        """Say a flat motion as a reference again, with contacts of its own."""
-        feet, soles = self._feet, self._soles
-        xp, batch = namespace_of(motion), tuple(motion.shape[:-1])
+        """Return a flat motion as a reference again, with contacts of its own."""
+        columns = self.columns
+        position_sole, R_level_sole = columns.soles(motion)
         return Reference(
-            com=motion[..., 0:3],
-            com_acceleration=motion[..., 3:6],
-            angular_momentum_rate=motion[..., 6:9],
-            position_sole=xp.reshape(motion[..., 15:soles], (*batch, feet, 3)),
-            R_level_sole=xp.reshape(motion[..., soles:], (*batch, feet, 3, 3)),
+            com=motion[..., columns.com],
+            com_acceleration=motion[..., columns.com_acceleration],
+            angular_momentum_rate=motion[..., columns.angular_momentum_rate],
+            position_sole=position_sole,
+            R_level_sole=R_level_sole,
             stance=stance,
             swing=swing,
-            accelerometer=motion[..., 9:12],
-            gyroscope=motion[..., 12:15],
+            accelerometer=motion[..., columns.accelerometer],
+            gyroscope=motion[..., columns.gyroscope],
         )
 
     def ground(self, motion: Array) -> tuple[Array, Array, Array]:
@@ -132,19 +163,22 @@ class Motions:
             Vertical force in N (Eq. 9, or M g), shape (...); centre of pressure in m (Eqs. 10, 11, or (x,
             y)), shape (..., 2); and whether a robot can do that at all (bool), shape (...).
         """
-        xp, (_, quarter_turn) = namespace_of(motion), self._constants.like(motion)
-        threshold, mass, weight, feet = self._threshold, self._mass, self._weight, self._feet
-        soles = shaped(motion[..., 15 : self._soles], (*motion.shape[:-1], feet, 3))
-        com_xy = motion[..., :2]
+        xp, columns = namespace_of(motion), self.columns
+        threshold, mass, weight = self._threshold, self._mass, self._weight
+        soles = shaped(motion[..., columns.position_sole], (*motion.shape[:-1], self._feet, 3))
+        com = motion[..., columns.com]
         if self._quasi_static:
-            vgrf, cop = 0.0 * motion[..., 2] + weight, com_xy
+            vgrf, cop = 0.0 * com[..., 2] + weight, com[..., :2]
         else:
-            vgrf = mass * (motion[..., 5] + GRAVITY)  # Eq. 9
+            acceleration = motion[..., columns.com_acceleration]
+            rate = motion[..., columns.angular_momentum_rate]
+            vgrf = mass * (acceleration[..., 2] + GRAVITY)  # Eq. 9
             safe_vgrf = xp.where(vgrf > threshold, vgrf, weight)
             # The lower sole is on the ground whatever the robot believes of its contacts.
-            height = mass * (motion[..., 2] - xp.min(soles[..., 2], axis=-1))
-            moment = height[..., None] * motion[..., 3:5] + xp.matmul(motion[..., 6:9], quarter_turn)
-            cop = com_xy - moment / safe_vgrf[..., None]  # Eqs. 10, 11
+            height = mass * (com[..., 2] - xp.min(soles[..., 2], axis=-1))
+            quarter_turn = self._constants.like(motion).quarter_turn
+            moment = height[..., None] * acceleration[..., :2] + xp.matmul(rate, quarter_turn)
+            cop = com[..., :2] - moment / safe_vgrf[..., None]  # Eqs. 10, 11
         reach = xp.abs(soles[..., :2] - cop[..., None, :])
         near = xp.all(reach <= self._reach, axis=(-2, -1))
         return vgrf, cop, near & (vgrf > threshold) & (vgrf < LARGEST_WEIGHTS * weight)
@@ -158,14 +192,14 @@ class Motions:
         Returns:
             Shape (..., F, 3, K).
         """
-        xp, (row_map, _) = namespace_of(motion), self._constants.like(motion)
+        xp, columns, row_map = namespace_of(motion), self.columns, self._constants.like(motion).row_map
         batch, feet = tuple(motion.shape[:-1]), self._feet
-        position = shaped(motion[..., 15 : self._soles], (*batch, feet, 3))
-        rotation = shaped(motion[..., self._soles :], (*batch, feet, 9))
-        up = rotation[..., 6:9]
+        position = shaped(motion[..., columns.position_sole], (*batch, feet, 3))
+        rotation = shaped(motion[..., columns.R_level_sole], (*batch, feet, 9))
+        axes, up = rotation[..., :6], rotation[..., 6:]
         lever = shaped(position[..., :2, None] * up[..., None, :], (*batch, feet, 6))
-        features = xp.concat([up, lever, rotation[..., :6]], axis=-1)
-        rows = xp.matmul(shaped(features, (*batch, 15 * feet)), row_map)
+        features = xp.concat([up, lever, axes], axis=-1)
+        rows = xp.matmul(shaped(features, (*batch, _FEATURES * feet)), row_map)
         return shaped(rows, (*batch, feet, 3, self._channels))
 
 
@@ -187,4 +221,4 @@ def _row_map(layout: FeetLayout) -> NDArray[np.float64]:
             row_map[foot, row, :, foot, row] = force
         row_map[foot, 4, :, foot, 1] = -torque
         row_map[foot, 3, :, foot, 2] = torque
-    return row_map.reshape(15 * feet, 3 * feet * channels)
+    return row_map.reshape(_FEATURES * feet, 3 * feet * channels)

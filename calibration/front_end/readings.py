@@ -1,6 +1,6 @@
 """The way of one sample before and after learning, the same for every online method; private.
 
-* **At the door.** Wrong shapes and dtypes raise: they are errors of the program. A *reading* never raises:
+* **Checks.** Wrong shapes and dtypes raise: they are errors of the program. A *reading* never raises:
   NaN (no sample arrived) and impossible forces are replaced by the last good reading and flagged; a
   reference that is not finite or not physical is held and flagged, and nothing is learnt from that sample.
 * **Relative forces.** Everything works on F0 = c0 raw + d0, the force by the starting map, and F = a F0 +
@@ -110,12 +110,13 @@ class FrontEnd:
         ends = np.stack([(-limit - offset) / scale, (limit - offset) / scale])
         self.plausible = ends.min(axis=0), ends.max(axis=0)
         self._constants = Constants(
-            scale,
-            offset,
-            *self.plausible,
-            setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T,
-            LEVER_MAP,
-            self.motions.resting,
+            scale=scale,
+            offset=offset,
+            lowest=self.plausible[0],
+            highest=self.plausible[1],
+            wrench_map=setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T,
+            lever_map=LEVER_MAP,
+            resting=self.motions.resting,
         )
 
     def init(self, raw: Array) -> FrontState:
@@ -130,20 +131,20 @@ class FrontEnd:
         check_floating(raw, "raw")
         self.setup.layout.check_raw(raw)
         xp, device = namespace_of(raw), device_of(raw)
-        scale, offset, *_, resting = self._constants.like(raw)
+        own = self._constants.like(raw)
         batch = tuple(raw.shape[:-1])
         return FrontState(
-            raw=xp.zeros_like(raw) - offset / scale,
+            raw=xp.zeros_like(raw) - own.offset / own.scale,
             history=xp.zeros(
                 (*batch, self.setup.lag + 1, 2 * self._channels), dtype=raw.dtype, device=device
             ),
-            motion=xp.zeros((*batch, resting.shape[0]), dtype=raw.dtype, device=device) + resting,
+            motion=xp.zeros((*batch, own.resting.shape[0]), dtype=raw.dtype, device=device) + own.resting,
             known=xp.zeros(batch, dtype=xp.bool, device=device),
             clean=xp.zeros(batch, dtype=xp.int64, device=device),
         )
 
     def check(self, state: FrontState, raw: Array, reference: Reference) -> None:
-        """Refuse arrays that do not fit the state.
+        """Raise ValueError if arrays do not fit the state.
 
         Raises:
             ValueError: If a shape or the dtype of the readings is not as it was at ``init``.
@@ -183,18 +184,19 @@ class FrontEnd:
         """
         self.check(state, raw, reference)
         xp, K = namespace_of(raw), self._channels
-        scale, offset, low, high, *_ = self._constants.like(raw)
+        own = self._constants.like(raw)
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
 
-        read = (raw >= low) & (raw <= high)
-        heard = surely(read)
-        held = raw.copy() if heard else xp.where(read, raw, state.raw)
-        force, sure = scale * held + offset, read
+        read = (raw >= own.lowest) & (raw <= own.highest)
+        all_read = surely(read)
+        held = raw.copy() if all_read else xp.where(read, raw, state.raw)
+        force, sure = own.scale * held + own.offset, read
         if repair is not None:
             force, sure = repair(force, read)
         newest = xp.concat([force, cast(sure, raw.dtype)], axis=-1)
         history = xp.concat([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
-        past, past_read = history[..., 0, :K], history[..., 0, K:] > 0.5
+        oldest = history[..., 0, :]
+        past, past_read = oldest[..., :K], oldest[..., K:] > 0.5
 
         flat = self.motions.flatten(reference, raw)
         sound = all_along(xp.abs(flat) <= LARGEST_REFERENCE)
@@ -204,7 +206,7 @@ class FrontEnd:
         good = usable & all_along(past_read)
         clean = (state.clean + 1) * good
 
-        if heard and known:
+        if all_read and known:
             flags = np.zeros(raw.shape, dtype=np.int64)
         else:
             wrong = xp.where(raw == raw, _OUT_OF_RANGE, _MISSING)
@@ -243,13 +245,13 @@ class FrontEnd:
             status: Flags that all channels share, shape (...).
             covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
         """
-        scale, offset, *_ = self._constants.like(sample.force)
+        own = self._constants.like(sample.force)
         force = correction_scale * sample.force + correction_offset
         return self.report(
             sample,
             force,
-            correction_scale * scale,
-            correction_scale * offset + correction_offset,
+            correction_scale * own.scale,
+            correction_scale * own.offset + correction_offset,
             status if isinstance(status, int) else status[..., None],
             covariance,
         )
@@ -263,7 +265,7 @@ class FrontEnd:
         status: Array | int = 0,
         covariance: Array | None = None,
     ) -> Estimate:
-        """Say what calibrated forces mean: wrenches and centres of pressure.
+        """Return what calibrated forces mean: wrenches and centres of pressure.
 
         Args:
             sample: The sample.
@@ -274,10 +276,10 @@ class FrontEnd:
             covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
         """
         xp, feet = namespace_of(force), self._feet
-        _, _, _, _, wrench_map, lever_map, _ = self._constants.like(force)
-        wrench = shaped(xp.matmul(force, wrench_map), (*force.shape[:-1], feet, 6))
+        own = self._constants.like(force)
+        wrench = shaped(xp.matmul(force, own.wrench_map), (*force.shape[:-1], feet, 6))
         moments = xp.matmul(sample.rows, force[..., None, :, None])[..., 0]
-        cop, loaded = centres(wrench, moments, sample.known, self._threshold, lever_map)
+        cop, loaded = centres(wrench, moments, sample.known, self._threshold, own.lever_map)
         return Estimate(
             force=force,
             wrench=wrench,

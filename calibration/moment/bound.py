@@ -1,13 +1,13 @@
 r"""How well a log can be calibrated at all: the posterior Cramér-Rao bound.
 
-Gains and offsets that wander as random walks, seen through rows that are linear in them with independent
+Scales and offsets that are random walks, seen through rows that are linear in them with independent
 normal errors, can be known no better than with the covariance of the recursion (Tichavský, Muravchik and
 Nehorai, 1998, in the linear case)
 
 .. math:: S_k^{-1} = (S_{k-1} + Q)^{-1} + H_k' R_k^{-1} H_k,
 
-in which nothing is estimated: H is made with the *true* gains and offsets, which a simulated log knows. It
-holds for the model as it is stated (priors, drift and noise of
+in which nothing is estimated: H is made with the *true* scales and offsets, which a simulated log knows. It
+holds for the model as it is assumed (priors, drift and noise of
 :class:`~surefoot.calibration.moment.config.MomentFilterConfig`), on the motion that the log holds: where a
 robot stands still, the bound is high. A mass that the filter only considers is free here, as nothing forbids
 to estimate it.
@@ -23,7 +23,10 @@ from surefoot.calibration.cop import cop_of_moments
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.kalman import kalman_step
-from surefoot.calibration.moment.rows import Block, MomentRows
+from surefoot.calibration.moment.newton_euler import NewtonEuler
+from surefoot.calibration.moment.parity import Parity
+from surefoot.calibration.moment.rows import Block
+from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty, to_cop, variances
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.parameters import Parameters
@@ -58,7 +61,7 @@ def posterior_bound(
     """Compute the bound of a log.
 
     Args:
-        setup: What an estimator is told: layout, mass, starting map, time between samples, lag.
+        setup: What an estimator knows: layout, mass, starting map, time between samples, lag.
         raw: Readings, shape (N, K), all of them there.
         reference: The robot's beliefs, every field with N rows.
         truth: The true scales and offsets at each sample, shape (N, K) each.
@@ -79,19 +82,20 @@ def posterior_bound(
             raise ValueError(
                 f"'truth.{name}' must have the shape of 'raw', {raw.shape}, got {np.shape(part)}."
             )
-    for name, told in zip(Reference._fields, reference, strict=True):
-        if np.shape(told)[:1] != raw.shape[:1]:
+    for name, part in zip(Reference._fields, reference, strict=True):
+        if np.shape(part)[:1] != raw.shape[:1]:
             raise ValueError(
                 f"'reference.{name}' must have one row for each of the {len(raw)} rows of 'raw', "
-                f"got shape {np.shape(told)}."
+                f"got shape {np.shape(part)}."
             )
     unknowns = Unknowns(setup, config)
-    rows = MomentRows(setup, config, unknowns)
+    newton_euler = NewtonEuler(setup, config, unknowns)
+    tare, parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
     start = Parameters(*(np.asarray(part, dtype=np.float64) for part in setup.initial))
     learnt = Parameters(*(np.asarray(part, dtype=np.float64) for part in truth)).relative_to(start)
     samples = _Samples(setup, raw, reference)
 
-    every, span = config.every, config.every + 2 * config.settle
+    every, span = config.every, config.span
     covariance = np.diag(unknowns.std**2)
     walk = np.diag(unknowns.walk * every * setup.dt)
     identity, free = np.eye(unknowns.size), np.ones(unknowns.size)
@@ -106,12 +110,11 @@ def posterior_bound(
         mean[unknowns.own] = learnt.scale[end - 1]
         mean[unknowns.offset] = learnt.offset[end - 1] / unknowns.unit
         block = samples.block(end - span, end)
-        newton, _ = rows.total(mean, block, np.ones(rows.kinds))
-        count, reading = rows.hanging(block)
-        all_rows = newton.beside(rows.tare(block, count, reading))
-        if rows.compares:
-            all_rows = all_rows.beside(rows.parity(block))
-        step = kalman_step(mean, covariance + walk, *all_rows, free, identity, np.inf)
+        rows, _ = newton_euler.rows(mean, block, np.ones(newton_euler.kinds))
+        rows = rows.beside(tare.rows(block, *tare.hanging(block)))
+        if parity.matters:
+            rows = rows.beside(parity.rows(block))
+        step = kalman_step(mean, covariance + walk, *rows, free, identity, np.inf)
         covariance = step.covariance
     rest = slice(len(raw) // every * every, len(raw))
     spread.add(covariance, samples, learnt, rest)
@@ -154,8 +157,7 @@ class _Spread:
         unknowns = self._uncertainty.unknowns
         force, rows = samples.force[part], samples.rows[part]
         # What has drifted since a block is part of what cannot be known.
-        known = slice(0, unknowns.gains + unknowns.channels)
-        covariance = (covariance + np.diag(unknowns.aged))[known, known]
+        covariance = (covariance + np.diag(unknowns.aged))[unknowns.map, unknowns.map]
         to_force = self._uncertainty.to_force(force)
         true = learnt.scale[part] * force + learnt.offset[part]
         moments = (rows @ true[..., None])[..., 0]

@@ -124,6 +124,16 @@ class MomentFilterConfig:
     stand_in_memory: float = 20.0
     """Time in s over which is learnt how the cells of a foot share its load."""
 
+    @property
+    def span(self) -> int:
+        """Samples of one block: those that are learnt from, and ``settle`` on either side."""
+        return self.every + 2 * self.settle
+
+    @property
+    def middle(self) -> slice:
+        """Those samples of a block that are learnt from."""
+        return slice(self.settle, self.settle + self.every)
+
     def __post_init__(self) -> None:
         """Refuse values that have no meaning."""
         check_positive(

@@ -1,4 +1,4 @@
-"""What a foot's sensors feel of the masses beyond them, besides their weight at level rest; private.
+"""What a foot's sensors feel of the masses beyond them, besides their weight at level rest.
 
 A sole plate under load cells, or a whole foot below an ankle sensor, is accelerated by what passes through
 the sensor. With m the mass beyond it, c its centre in the sole frame and a its acceleration, the sensor reads
@@ -6,7 +6,7 @@ the wrench of the ground less
 
     m (a + g e_z) - m g R e_z    at c,
 
-where the second term is the weight at level rest, which counts as part of the zero.
+where the second term is the weight at level rest, which counts as part of the offset.
 """
 
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY
 
@@ -44,41 +45,38 @@ class DistalMasses:
             for sensor in foot.sensors
         ]
         self.matter = any(sensor.mass_below > _LIGHTEST for *_, sensor in parts)
+        self._motion = MotionColumns.of(len(layout.feet))
         self._foot_of = [foot for foot, _, _ in parts]
         felt = np.zeros((len(parts), 6, layout.channels))
         for row, (_, start, sensor) in zip(felt, parts, strict=True):
             where = slice(start + sensor.channels.start, start + sensor.channels.stop)
             row[:, where] = -np.linalg.pinv(sensor.wrench_map).T
         self._constants = Constants(
-            np.array([sensor.mass_below for *_, sensor in parts]),
-            np.array([sensor.com_below_sole for *_, sensor in parts]),
-            np.array([sensor.share * (sensor.wrench_map != 0.0).any(axis=1) for *_, sensor in parts]),
-            felt,
-            np.eye(3),
+            mass=np.array([sensor.mass_below for *_, sensor in parts]),
+            com=np.array([sensor.com_below_sole for *_, sensor in parts]),
+            share=np.array([sensor.share * (sensor.wrench_map != 0.0).any(axis=1) for *_, sensor in parts]),
+            felt=felt,
+            up=np.array([0.0, 0.0, 1.0]),
         )
-        self._curves = {n: Constants(_curvature(n) / dt**2) for n in set(spans)}
+        self._curves = {n: Constants(curve=_curvature(n) / dt**2) for n in set(spans)}
 
-    def total(self, com: Array, acceleration: Array, position: Array, R: Array, origin: Array) -> Array:
+    def total(self, motion: Array, origin: Array) -> Array:
         """Sum up what the feet's wrenches lack, over n samples in a row.
 
         Args:
-            com: Centre of mass in the level frame in m, shape (..., n, 3).
-            acceleration: Its acceleration in m/s^2, shape (..., n, 3).
-            position: Origins of the soles in m, shape (..., n, F, 3).
-            R: Rotations from the soles to the level frame, shape (..., n, F, 3, 3).
+            motion: Flat references, shape (..., n, R).
             origin: Points that moments are taken about in m, shape (..., n, 3).
 
         Returns:
             Mean wrench of all feet about those points in N and N m, shape (..., 6).
         """
-        xp = namespace_of(com)
-        wrench = self._wrenches(com, acceleration, position, R)
-        share = self._constants.like(com)[2]
-        middle = R[..., R.shape[-4] // 2, :, :, :]
+        xp, share = namespace_of(motion), self._constants.like(motion).share
+        position, _ = self._motion.soles(motion)
+        wrench, middle = self._wrenches(motion)
         arm = xp.mean(position - origin[..., None, :], axis=-3)
         parts = []
         for p, foot in enumerate(self._foot_of):
-            # What a sensor is blind to it does not lack; that is told along the sole's axes.
+            # A sensor lacks nothing along the axes of the sole that it does not measure.
             turn = middle[..., foot, :, :]
             part = xp.stack([wrench[p][..., :3], wrench[p][..., 3:]], axis=-1)
             part = turn @ ((turn.mT @ part) * xp.stack([share[p][:3], share[p][3:]], axis=-1))
@@ -86,49 +84,47 @@ class DistalMasses:
             parts.append(xp.concat([force, moment + _cross(arm[..., foot, :], force)], axis=-1))
         return sum(parts[1:], parts[0])
 
-    def felt(self, com: Array, acceleration: Array, position: Array, R: Array) -> Array:
-        """Say what each channel reads of it while nothing touches its foot.
+    def felt(self, motion: Array) -> Array:
+        """Return what each channel reads of it while nothing touches its foot.
 
         Args:
-            com: As in :meth:`total`.
-            acceleration: As in :meth:`total`.
-            position: As in :meth:`total`.
-            R: As in :meth:`total`.
+            motion: Flat references of n samples in a row, shape (..., n, R).
 
         Returns:
             In N or N m, shape (..., K).
         """
-        xp = namespace_of(com)
-        felt = self._constants.like(com)[3]
-        middle = R[..., R.shape[-4] // 2, :, :, :]
+        xp, felt = namespace_of(motion), self._constants.like(motion).felt
+        wrenches, middle = self._wrenches(motion)
         parts = []
-        for p, (foot, part) in enumerate(
-            zip(self._foot_of, self._wrenches(com, acceleration, position, R), strict=True)
-        ):
+        for p, (foot, part) in enumerate(zip(self._foot_of, wrenches, strict=True)):
             turned = middle[..., foot, :, :].mT
             force, moment = turned @ part[..., :3, None], turned @ part[..., 3:, None]
             parts.append(xp.concat([force, moment], axis=-2)[..., 0] @ felt[p])
         return sum(parts[1:], parts[0])
 
-    def _wrenches(self, com: Array, acceleration: Array, position: Array, R: Array) -> list[Array]:
-        """Compute each part's wrench at its sole's origin in level axes, shape (..., 6) each."""
-        xp = namespace_of(com)
-        mass, where, *_, identity = self._constants.like(com)
-        (curve,) = self._curves[position.shape[-3]].like(com)
+    def _wrenches(self, motion: Array) -> tuple[list[Array], Array]:
+        """Return each part's wrench at its sole's origin in level axes, shape (..., 6) each.
+
+        And the soles' rotations at the middle sample, shape (..., F, 3, 3).
+        """
+        xp, own = namespace_of(motion), self._constants.like(motion)
+        com, acceleration = motion[..., self._motion.com], motion[..., self._motion.com_acceleration]
+        position, R = self._motion.soles(motion)
+        curve = self._curves[position.shape[-3]].like(motion).curve
         # A level frame may move from sample to sample; distances to the centre of mass do not care.
         bend = xp.sum((position - com[..., None, :]) * curve[:, None, None], axis=-3)
         sole = bend + xp.mean(acceleration, axis=-2)[..., None, :]
         middle = R[..., R.shape[-4] // 2, :, :, :]
         parts = []
         for p, foot in enumerate(self._foot_of):
-            force = mass[p] * (sole[..., foot, :] + GRAVITY * (identity[2] - middle[..., foot, :, 2]))
-            arm = (middle[..., foot, :, :] @ where[p][:, None])[..., 0]
+            force = own.mass[p] * (sole[..., foot, :] + GRAVITY * (own.up - middle[..., foot, :, 2]))
+            arm = (middle[..., foot, :, :] @ own.com[p][:, None])[..., 0]
             parts.append(xp.concat([force, _cross(arm, force)], axis=-1))
-        return parts
+        return parts, middle
 
 
 def _curvature(n: int) -> NDArray[np.float64]:
-    """Weights that take n samples in a row to the second derivative of a parabola through them."""
+    """Return weights that take n samples in a row to the second derivative of a parabola through them."""
     k = np.arange(n) - (n - 1) / 2.0
     weights: NDArray[np.float64] = 2.0 * np.linalg.pinv(np.stack([np.ones(n), k, k**2], axis=1))[2]
     return weights

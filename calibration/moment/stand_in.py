@@ -1,9 +1,9 @@
-r"""How the cells of a foot stand in for each other; private.
+r"""How the cells of a foot stand in for each other.
 
 A rigid plate on k cells shares three numbers, (Fz, Mx, My), among k forces, so that each force is nearly a
 linear function of the others. Springs of equal stiffness give a first guess of it; the robot's own calibrated
-forces, as their second moments C = E[F F'], tell how its plate really shares. With both in one C, what the
-others say of cell i is the conditional mean of a normal distribution,
+forces, as their second moments C = E[F F'], show how its plate really shares. With both in one C, what is
+expected of cell i by the others is the conditional mean of a normal distribution,
 
 .. math:: \hat F_i = C_{io} C_{oo}^{-1} F_o, \qquad \sigma_i^2 = C_{ii} - C_{io} C_{oo}^{-1} C_{oi}.
 """
@@ -33,7 +33,7 @@ class StandIn:
     """Learns how cells share loads, and reconstructs those that are lost.
 
     Args:
-        setup: What the method was told about the robot.
+        setup: The robot.
         memory: How many blocks are remembered.
 
     Attributes:
@@ -61,12 +61,12 @@ class StandIn:
                 prior[np.ix_(index, index)] = share @ spread @ share.T + ridge
                 together[np.ix_(index, index)] = 1.0
                 self.cells[index] = True
-        self._constants = Constants(prior, together, np.eye(K))
+        self._constants = Constants(prior=prior, together=together, identity=np.eye(K))
         self._weight = weight
 
     def init(self, like: Array) -> Array:
         """Begin with equal springs: second moments in body weights squared, shape (..., K, K)."""
-        return self._constants.like(like)[0] + 0.0 * like[..., None]
+        return self._constants.like(like).prior + 0.0 * like[..., None]
 
     def learn(self, moments: Array, force: Array, good: Array) -> Array:
         """Take in forces that are trusted.
@@ -76,37 +76,34 @@ class StandIn:
             force: Calibrated forces of one block in N, shape (..., n, K).
             good: Whether they are trusted (bool), shape (...).
         """
-        xp = namespace_of(force)
-        _, together, _ = self._constants.like(force)
+        xp, together = namespace_of(force), self._constants.like(force).together
         scaled = force / self._weight
         seen = scaled.mT @ scaled / scaled.shape[-2] * together
         return moments + xp.where(good[..., None, None], self._renewal * (seen - moments), 0.0)
 
     def others(self, moments: Array, lost: Array) -> tuple[Array, Array]:
-        """Write what the channels that are not lost say of each single one.
+        """Return how each channel follows from those that are not lost.
 
         Args:
             moments: What is known, shape (..., K, K).
-            lost: Channels that say nothing (0 or 1), shape (..., K).
+            lost: Channels that are out (0 or 1), shape (..., K).
 
         Returns:
             Coefficients without a channel's own, shape (..., K, K), and standard deviations in N, shape
             (..., K).
         """
-        xp = namespace_of(moments)
-        *_, identity = self._constants.like(moments)
+        xp, identity = namespace_of(moments), self._constants.like(moments).identity
         moments = moments + _FLOOR * identity
-        heard = 1.0 - lost
-        # Lost channels are cut off from the others, so that the inverse is that of those heard.
-        silent = identity * lost[..., None]
-        cut = moments * heard[..., None] * heard[..., None, :] + silent
-        precision = xp.linalg.inv(cut)
+        there = 1.0 - lost
+        # Lost channels are cut off from the others, so that the inverse is that of those that are there.
+        alone = identity * lost[..., None]
+        precision = xp.linalg.inv(moments * there[..., None] * there[..., None, :] + alone)
         own = xp.linalg.diagonal(precision)
-        alone = (identity - precision / own[..., None]) * heard[..., None]
-        # What is said of a lost channel: C_io C_oo^-1, with all of those heard.
-        of_lost = (moments * heard[..., None, :]) @ precision * heard[..., None, :]
+        by_others = (identity - precision / own[..., None]) * there[..., None]
+        # For a lost channel: C_io C_oo^-1, with all of those that are there.
+        of_lost = (moments * there[..., None, :]) @ precision * there[..., None, :]
         of_lost = of_lost * lost[..., None]
         variance = xp.linalg.diagonal(moments) - xp.sum(of_lost * moments, axis=-1)
         variance = xp.where(lost > 0.5, variance, 1.0 / own)
         spread = xp.sqrt(xp.clip(variance, 0.0, None)) * self._weight
-        return alone * heard[..., None] + of_lost, spread
+        return by_others * there[..., None] + of_lost, spread

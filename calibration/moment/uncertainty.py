@@ -1,4 +1,4 @@
-"""How sure the moment filter is of what it says; private.
+"""How sure the moment filter is of its estimates.
 
 With F_i = a_i F0_i + b_i and S the covariance of (a, b), the variance of a force is that of its row (F0_i,
 1), and the centre of pressure p = n / Fz has, to first order, the covariance J S J' with J_i = (p_i - p) / Fz
@@ -23,36 +23,39 @@ class Uncertainty:
     """Covariances in the units of an estimate.
 
     Args:
-        setup: What the method was told about the robot.
+        setup: The robot.
         unknowns: The unknowns.
     """
 
     def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
         K = setup.layout.channels
         self.unknowns = unknowns
-        # From the unknowns' gains and offsets to (a, b) of each channel alone.
-        own = np.zeros((2 * K, unknowns.gains + K))
+        # From the unknowns' scales and offsets to (a, b) of each channel alone.
+        own = np.zeros((2 * K, unknowns.scales + K))
         own[np.arange(K), unknowns.own] = 1.0
-        own[K + np.arange(K), unknowns.gains + np.arange(K)] = unknowns.unit
-        inputs = np.eye(K)[unknowns.inp]
-        self._late = Constants(own @ np.diag(unknowns.aged[: unknowns.gains + K]) @ own.T)
-        self._constants = Constants(own, unknowns.gather, np.eye(K), inputs)
+        own[K + np.arange(K), unknowns.scales + np.arange(K)] = unknowns.unit
+        self._constants = Constants(
+            own_map=own,
+            aged=own @ np.diag(unknowns.aged[unknowns.map]) @ own.T,
+            offsets=own[K:, unknowns.offset],
+            gather=unknowns.gather,
+            identity=np.eye(K),
+            inputs=np.eye(K)[unknowns.inp],
+        )
 
     def of_parameters(self, covariance: Array) -> Array:
-        """Say the covariance of the unknowns as that of (a, b) of each channel, shape (..., 2K, 2K).
+        """Return the covariance of (a, b) of each channel, shape (..., 2K, 2K), for that of the unknowns.
 
         They have drifted since they were learnt, which is added.
 
         Args:
             covariance: Of the unknowns, shape (..., N, N).
         """
-        own = self._constants.like(covariance)[0]
-        known = own.shape[-1]
-        (late,) = self._late.like(covariance)
-        return own @ covariance[..., :known, :known] @ own.mT + late
+        own, of_map = self._constants.like(covariance), self.unknowns.map
+        return own.own_map @ covariance[..., of_map, of_map] @ own.own_map.mT + own.aged
 
     def of_channels(self, learnt: Array) -> Array:
-        """Pick what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
+        """Return what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
 
         Args:
             learnt: Covariance of (a, b), shape (..., 2K, 2K).
@@ -61,8 +64,8 @@ class Uncertainty:
         own = xp.linalg.diagonal(learnt)
         return xp.stack([own[..., :K], 2.0 * xp.linalg.diagonal(learnt[..., :K, K:]), own[..., K:]], axis=-2)
 
-    def told(self, estimate: Estimate, sample: Sample, state: Any) -> dict[str, Array]:
-        """Say of an estimate how sure it is, by the names of its fields.
+    def of_estimate(self, estimate: Estimate, sample: Sample, state: Any) -> dict[str, Array]:
+        """Return how sure an estimate is, by the names of its fields.
 
         Args:
             estimate: The estimate.
@@ -70,22 +73,20 @@ class Uncertainty:
             state: What the filter knows, a :class:`~surefoot.calibration.moment.stream.MomentState`.
         """
         xp, unknowns, F0 = namespace_of(state.mean), self.unknowns, sample.force
-        K, feet = unknowns.channels, sample.rows.shape[-3]
         rows, load = sample.rows[..., 0, :, :], estimate.vgrf[..., 0]
-        if feet == 2:
+        if sample.rows.shape[-3] == 2:
             rows, load = rows + sample.rows[..., 1, :, :], load + estimate.vgrf[..., 1]
         covariance = state.learnt
         if unknowns.diagonal and not state.faults.altered:
-            gain, cross, offset = state.spread[..., 0, :], state.spread[..., 1, :], state.spread[..., 2, :]
-            variance = (F0 * gain + cross) * F0 + offset
+            scale, cross, offset = state.spread[..., 0, :], state.spread[..., 1, :], state.spread[..., 2, :]
+            variance = (F0 * scale + cross) * F0 + offset
             row = xp.concat([rows * F0[..., None, :], rows], axis=-1)
         else:
             to_force = self.to_force(F0, plain=unknowns.diagonal)
             if state.faults.altered:
                 to_force = state.faults.spare @ to_force
             if not unknowns.diagonal:
-                known = unknowns.gains + K
-                covariance = state.covariance[..., :known, :known]
+                covariance = state.covariance[..., unknowns.map, unknowns.map]
             variance = variances(to_force, covariance) + state.faults.spare_std**2
             row = rows @ to_force
         if not surely(estimate.cop_valid):
@@ -99,7 +100,7 @@ class Uncertainty:
         }
 
     def to_force(self, force: Array, *, plain: bool = False) -> Array:
-        """Write forces by what they are known by.
+        """Return rows that take what forces are known by to the forces.
 
         Args:
             force: Forces by the starting map in N, shape (..., K).
@@ -108,28 +109,26 @@ class Uncertainty:
         Returns:
             Shape (..., K, 2K) or (..., K, P + K).
         """
-        xp, unknowns = namespace_of(force), self.unknowns
-        own, gather, identity, _ = self._constants.like(force)
+        xp, unknowns, own = namespace_of(force), self.unknowns, self._constants.like(force)
         if plain:
-            gains, offsets = identity * force[..., None, :], identity
+            scales, offsets = own.identity * force[..., None, :], own.identity
         else:
-            gains = gather.mT * force[..., None, unknowns.inp]
-            offsets = own[unknowns.channels :, unknowns.gains :]
-        return xp.concat([gains, offsets + 0.0 * gains[..., :1]], axis=-1)
+            scales, offsets = own.gather.mT * force[..., None, unknowns.inp], own.offsets
+        return xp.concat([scales, offsets + 0.0 * scales[..., :1]], axis=-1)
 
     def _matrix(self, mean: Array) -> Array:
-        """Lay the gains out as a matrix, shape (..., K, K)."""
-        _, gather, _, inputs = self._constants.like(mean)
-        return (gather * mean[..., self.unknowns.scale, None]).mT @ inputs
+        """Return the scales as a matrix, shape (..., K, K)."""
+        own = self._constants.like(mean)
+        return (own.gather * mean[..., self.unknowns.scale, None]).mT @ own.inputs
 
 
 def variances(row: Array, covariance: Array) -> Array:
-    """Carry a covariance along rows, shapes (..., m, n) and (..., n, n) to (..., m)."""
+    """Return variances along rows, shapes (..., m, n) and (..., n, n) to (..., m)."""
     return namespace_of(row).sum((row @ covariance) * row, axis=-1)
 
 
 def to_cop(row: Array, cop: Array, load: Array) -> Array:
-    """Write the centre of pressure by what the moments are known by, to first order.
+    """Return rows that take what moments are known by to the centre of pressure, to first order.
 
     Args:
         row: Rows of (Fz, Fz px, Fz py), shape (..., 3, n).

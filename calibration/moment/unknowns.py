@@ -1,8 +1,8 @@
-"""The unknowns of the moment filter: where they lie in one vector, how sure of them one starts; private.
+"""The unknowns of the moment filter: where they lie in one vector, and how sure of them it starts.
 
 | part | number | unit | meaning |
 |---|---|---|---|
-| a | P | 1 | gains against the starting map: one a channel, or 6 x 6 for a six-axis sensor with cross-talk |
+| a | P | 1 | scales against the starting map: one a channel, or 6 x 6 for a six-axis sensor with cross-talk |
 | b | K | body weights (times foot lengths for a torque) | offsets against the starting map |
 | com | 2 | foot lengths | believed less true centre of mass, level frame |
 | mass | 1 | 1 | believed mass over the true one, less 1 |
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants
+from surefoot.calibration._constants import Constants, in_a_row
 from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.reference import GRAVITY
@@ -25,24 +25,26 @@ from surefoot.calibration.reference import GRAVITY
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
 
-NUISANCES = 7
-"""Errors of the reference: centre of mass (2), mass, acceleration (3), delay."""
-
 
 class Unknowns:
     """The unknowns of one setup.
 
     Args:
-        setup: What the method was told about the robot.
+        setup: The robot.
         config: Options of the filter.
 
     Attributes:
-        gains: Number of gains, P.
+        channels: Number of channels, K.
+        scales: Number of scales, P.
         size: Number of unknowns, N.
         scale, offset, com, acceleration: Where the parts lie.
-        mass, delay: Where these lie.
-        out, inp: Channel that each gain acts on, and on whose reading, shape (P,) each.
-        own: The gain of each channel on its own reading, shape (K,).
+        mass, delay: Where these two lie.
+        map: Where scales and offsets lie, the first P + K.
+        load: Where that lies which a load changes: the centre of mass (2) and the mass.
+        diagonal: Whether there is one scale a channel.
+        out, inp: Channel that each scale acts on, and on whose reading, shape (P,) each.
+        own: The scale of each channel on its own reading, shape (K,).
+        gather: 1 where a scale acts on a channel, shape (P, K).
         unit: Newtons, or N m, of one offset of each channel, shape (K,).
         start: Mean to start from, shape (N,).
         std: Standard deviations to start from, shape (N,).
@@ -72,15 +74,13 @@ class Unknowns:
         own = self.out == self.inp
         self.own = np.nonzero(own)[0]
 
-        self.channels, self.gains = channels, len(self.out)
-        self.size = self.gains + channels + NUISANCES
-        ends = np.cumsum([self.gains, channels, 2, 1, 3, 1]).tolist()
-        self.scale = slice(0, ends[0])
-        self.offset = slice(ends[0], ends[1])
-        self.com = slice(ends[1], ends[2])
-        self.mass = ends[2]
-        self.acceleration = slice(ends[3], ends[4])
-        self.delay = ends[4]
+        self.channels, self.scales = channels, len(self.out)
+        self.scale, self.offset, self.com, mass, self.acceleration, delay = in_a_row(
+            self.scales, channels, 2, 1, 3, 1
+        )
+        self.mass, self.delay, self.size = mass.start, delay.start, delay.stop
+        self.map = slice(0, self.offset.stop)
+        self.load = [*range(self.com.start, self.com.stop), self.mass]
         self.unit: NDArray[np.float64] = setup.weight * lever
 
         self.start: NDArray[np.float64] = np.zeros(self.size)
@@ -102,18 +102,31 @@ class Unknowns:
         self.change[self.mass] = config.mass_change
         self.learnt: NDArray[np.float64] = np.ones(self.size)
         self.learnt[self.mass] = float(config.learn_mass)
-        self.gather: NDArray[np.float64] = np.zeros((self.gains, channels))
-        self.gather[np.arange(self.gains), self.out] = 1.0
-        self._constants = Constants(self.gather)
+        self.gather: NDArray[np.float64] = np.zeros((self.scales, channels))
+        self.gather[np.arange(self.scales), self.out] = 1.0
+        self._constants = Constants(gather=self.gather)
 
-    def own_gains(self, mean: Array) -> Array:
-        """Gains of the channels on their own readings, shape (..., K)."""
+    def own_scales(self, mean: Array) -> Array:
+        """Return the scales of the channels on their own readings, shape (..., K)."""
         return mean[..., self.scale] if self.diagonal else mean[..., self.own]
 
     def force(self, mean: Array, force: Array, unit: Array) -> Array:
-        """Correct forces by the starting map: A F0 + b in N, shape (..., K)."""
+        """Return corrected forces A F0 + b in N, shape (..., K), of those by the starting map."""
         a, b = mean[..., self.scale], mean[..., self.offset] * unit
         if self.diagonal:
             return a * force + b
-        (gather,) = self._constants.like(force)
-        return (a * force[..., self.inp]) @ gather + b
+        return (a * force[..., self.inp]) @ self._constants.like(force).gather + b
+
+    def regressors(self, rows: Array, reading: Array) -> Array:
+        """Return what scales do to rows that are linear in the channels' forces.
+
+        Args:
+            rows: What a newton on each channel does to m rows, shape (..., m, K).
+            reading: Forces by the starting map in N, shape (..., K).
+
+        Returns:
+            Shape (..., m, P).
+        """
+        if self.diagonal:
+            return rows * reading[..., None, :]
+        return rows[..., self.out] * reading[..., self.inp][..., None, :]

@@ -78,7 +78,7 @@ class Body:
         unknowns, K = self.unknowns, layout.channels
 
         x = unknowns.start.copy()
-        x[unknowns.scale] += 0.1 * rng.normal(size=unknowns.gains) * (unknowns.std[unknowns.scale] > 0)
+        x[unknowns.scale] += 0.1 * rng.normal(size=unknowns.scales) * (unknowns.std[unknowns.scale] > 0)
         x[unknowns.offset] = 0.03 * rng.normal(size=K)
         self.x = x
         self.A = np.zeros((K, K))
@@ -143,9 +143,9 @@ class Body:
 
     def rows(self, mean, block):
         """The Newton-Euler rows of one block."""
-        stated = np.ones((*mean.shape[:-1], self.stream.rows.kinds))
-        rows, places = self.stream.rows.total(mean, block, stated)
-        offsets = slice(self.unknowns.gains, self.unknowns.gains + self.unknowns.channels)
+        stated = np.ones((*mean.shape[:-1], self.stream.newton_euler.kinds))
+        rows, places = self.stream.newton_euler.rows(mean, block, stated)
+        offsets = self.unknowns.offset
         np.testing.assert_allclose(places, rows.H[..., offsets] / self.unknowns.unit, atol=1e-15)
         return rows
 

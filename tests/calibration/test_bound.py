@@ -13,8 +13,10 @@ from surefoot.calibration.front_end.motion import Motions
 from surefoot.calibration.moment import stream as stream_module
 from surefoot.calibration.moment.bound import posterior_bound
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.rows import Block, MomentRows
+from surefoot.calibration.moment.newton_euler import NewtonEuler
+from surefoot.calibration.moment.rows import Block
 from surefoot.calibration.moment.stream import moment_filter
+from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.unknowns import Unknowns
 
 KNOWN = {"timing_noise": 0.0, "swing_noise": 5e-5, "still": 0.0, "gate": 1e6}
@@ -45,7 +47,7 @@ def log():
 
 def blocks_of(log, config, unknowns):
     """Rows of all whole blocks at the truth, and the sample that each ends before."""
-    rows = MomentRows(log.setup, config, unknowns)
+    newton_euler, tare = (kind(log.setup, config, unknowns) for kind in (NewtonEuler, Tare))
     motion = Motions(log.setup).flatten(log.reference, log.raw)
     span, ones = config.every + 2 * config.settle, np.ones(len(log.raw))
     for end in range(config.every, len(log.raw) + 1, config.every):
@@ -57,8 +59,8 @@ def blocks_of(log, config, unknowns):
         x = unknowns.start.copy()
         x[unknowns.scale] = log.truth.scale[end - 1]
         x[unknowns.offset] = log.truth.offset[end - 1] / unknowns.unit
-        newton, _ = rows.total(x, block, np.ones(rows.kinds))
-        yield end, newton.beside(rows.tare(block, *rows.hanging(block)))
+        rows, _ = newton_euler.rows(x, block, np.ones(newton_euler.kinds))
+        yield end, rows.beside(tare.rows(block, *tare.hanging(block)))
 
 
 def test_the_bound_is_the_inverse_information_of_the_whole_path(log):

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout
+from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.moment.distal import DistalMasses
 
 DT, N = 1.0 / 80.0, 24
@@ -50,6 +51,17 @@ def motion(seed, tilt=0.3):
     }, sole_acceleration
 
 
+def flat(moved):
+    """A motion as flat references, with zeros for what inertia does not depend on."""
+    batch, columns = moved["com"].shape[:-1], MotionColumns.of(2)
+    reference = np.zeros((*batch, columns.size))
+    reference[..., columns.com] = moved["com"]
+    reference[..., columns.com_acceleration] = moved["acceleration"]
+    reference[..., columns.position_sole] = moved["position"].reshape(*batch, -1)
+    reference[..., columns.R_level_sole] = moved["R"].reshape(*batch, -1)
+    return reference
+
+
 def lost(part, acceleration, R):
     """Wrench in the sole frame that a part beyond a sensor keeps from it, its weight at level rest apart."""
     up = np.array([0.0, 0.0, 1.0])
@@ -68,7 +80,7 @@ def in_sensor_frame(wrench):
 @pytest.mark.parametrize("seed", range(5))
 def test_an_ankle_sensor_in_the_air_feels_its_foot(seed):
     moved, sole_acceleration = motion(seed)
-    felt = DistalMasses(ANKLES, DT, N).felt(**moved)
+    felt = DistalMasses(ANKLES, DT, N).felt(flat(moved))
     expected = [in_sensor_frame(-lost(FOOT, sole_acceleration[foot], moved["R"][0, foot])) for foot in (0, 1)]
     np.testing.assert_allclose(felt, np.concatenate(expected), atol=1e-9)
 
@@ -76,7 +88,7 @@ def test_an_ankle_sensor_in_the_air_feels_its_foot(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_cells_in_the_air_feel_their_plate(seed):
     moved, sole_acceleration = motion(seed)
-    felt = DistalMasses(CELLS, DT, N).felt(**moved).reshape(2, 4)
+    felt = DistalMasses(CELLS, DT, N).felt(flat(moved)).reshape(2, 4)
     x, y = np.transpose(CORNERS)
     for foot in (0, 1):
         wrench = -lost(PLATE, sole_acceleration[foot], moved["R"][0, foot])
@@ -90,12 +102,12 @@ def test_cells_in_the_air_feel_their_plate(seed):
 
 def test_both_on_one_foot_feel_each_their_own():
     moved, _ = motion(3)
-    felt = DistalMasses(BOTH, DT, N).felt(**moved).reshape(2, 10)
+    felt = DistalMasses(BOTH, DT, N).felt(flat(moved)).reshape(2, 10)
     np.testing.assert_allclose(
-        felt[:, :4], DistalMasses(CELLS, DT, N).felt(**moved).reshape(2, 4), atol=1e-12
+        felt[:, :4], DistalMasses(CELLS, DT, N).felt(flat(moved)).reshape(2, 4), atol=1e-12
     )
     np.testing.assert_allclose(
-        felt[:, 4:], DistalMasses(ANKLES, DT, N).felt(**moved).reshape(2, 6), atol=1e-12
+        felt[:, 4:], DistalMasses(ANKLES, DT, N).felt(flat(moved)).reshape(2, 6), atol=1e-12
     )
 
 
@@ -106,8 +118,8 @@ def test_at_level_rest_there_is_nothing_to_feel(layout):
     rest["acceleration"] = np.zeros((N, 3))
     masses = DistalMasses(layout, DT, N)
     assert masses.matter
-    np.testing.assert_allclose(masses.felt(**rest), 0.0, atol=1e-9)
-    np.testing.assert_allclose(masses.total(**rest, origin=np.zeros((N, 3))), 0.0, atol=1e-9)
+    np.testing.assert_allclose(masses.felt(flat(rest)), 0.0, atol=1e-9)
+    np.testing.assert_allclose(masses.total(flat(rest), np.zeros((N, 3))), 0.0, atol=1e-9)
 
 
 def test_a_foot_at_rest_on_its_side_no_longer_weighs_on_its_sensor():
@@ -120,7 +132,7 @@ def test_a_foot_at_rest_on_its_side_no_longer_weighs_on_its_sensor():
     # The zero holds (0, 0, -m g); on its side the foot pulls along its own right edge instead.
     wrench = np.array([0.0, -weight, weight])
     expected = in_sensor_frame(np.concatenate([wrench, np.cross(FOOT["com_below_sole"], wrench)]))
-    felt = DistalMasses(ANKLES, DT, N).felt(**rest)
+    felt = DistalMasses(ANKLES, DT, N).felt(flat(rest))
     np.testing.assert_allclose(felt[:6], expected, atol=1e-9)
 
 
@@ -155,7 +167,7 @@ def newton_euler(layout, moved, sole_acceleration, origin):
 def test_the_feet_lack_what_newton_and_euler_ask_for(layout, tilt, seed):
     moved, sole_acceleration = motion(seed, tilt)
     origin = moved["com"] * (1.0, 1.0, 0.0) + 0.05
-    total = DistalMasses(layout, DT, N).total(**moved, origin=origin)
+    total = DistalMasses(layout, DT, N).total(flat(moved), origin)
     np.testing.assert_allclose(total, newton_euler(layout, moved, sole_acceleration, origin), atol=1e-9)
 
 
@@ -169,6 +181,6 @@ def test_a_batch_is_its_robots(seed):
     one, two = motion(seed)[0], motion(seed + 10)[0]
     both = {name: np.stack([one[name], two[name]]) for name in one}
     masses = DistalMasses(BOTH, DT, N)
-    together = masses.felt(**both)
+    together = masses.felt(flat(both))
     for robot, alone in enumerate((one, two)):
-        np.testing.assert_allclose(together[robot], masses.felt(**alone), atol=1e-12)
+        np.testing.assert_allclose(together[robot], masses.felt(flat(alone)), atol=1e-12)

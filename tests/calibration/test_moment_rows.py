@@ -21,11 +21,11 @@ def test_the_rows_hold_at_the_truth(layout, cross_talk):
     for seed in range(5):
         body = Body(layout, seed, cross_talk)
         six = all(sensor.six_axis for foot in layout.feet for sensor in foot.sensors[-1:])
-        assert body.stream.rows.kinds == (6 if six else 3)
+        assert body.stream.newton_euler.kinds == (6 if six else 3)
         np.testing.assert_allclose(body.residual(), 0.0, atol=1e-12)
         # And at no other gains and offsets: each column matters, as no row is a row of zeros.
         rows = body.rows(body.x, body.block())
-        known = slice(0, body.unknowns.gains + body.unknowns.channels)
+        known = body.unknowns.map
         assert (np.abs(rows.H[:, known]).max(axis=0) > 1e-4).all()
 
 
@@ -101,13 +101,13 @@ def test_a_foot_in_the_air_reads_its_zero(layout, cross_talk):
     F0 = np.broadcast_to(np.linalg.solve(body.A, -body.offset), block.force.shape)
     hanging = np.zeros((body.n, body.feet))
     hanging[:, 0] = 1.0
-    count, reading = body.stream.rows.hanging(block_of(F0, block.motion, hanging))
+    count, reading = body.stream.tare.hanging(block_of(F0, block.motion, hanging))
     np.testing.assert_array_equal(count, [body.config.every] + [0] * (body.feet - 1))
-    rows = body.stream.rows.tare(block, count, reading)
+    rows = body.stream.tare.rows(block, count, reading)
     np.testing.assert_allclose(rows.H @ body.x, rows.y, atol=1e-14)
     said = np.abs(rows.H).max(axis=-1) > 0.0
     np.testing.assert_array_equal(said, layout.foot_of_channel == 0)
-    load = body.stream.rows.load(reading) @ body.x[: body.unknowns.gains + body.unknowns.channels]
+    load = body.stream.tare.load(reading) @ body.x[body.unknowns.map]
     assert load[0] == pytest.approx(0.0, abs=1e-12)
 
 
@@ -116,7 +116,7 @@ def test_only_samples_well_within_a_swing_hang():
     block, settle = body.block(), body.config.settle
     swing = np.zeros((body.n, 2))
     swing[4:12, 0] = 1.0
-    count, reading = body.stream.rows.hanging(block_of(block.force, block.motion, swing))
+    count, reading = body.stream.tare.hanging(block_of(block.force, block.motion, swing))
     inside = slice(4 + settle, 12 - settle)
     np.testing.assert_array_equal(count, [2, 0])
     np.testing.assert_allclose(reading[:4], block.force[inside, :4].mean(axis=0))
@@ -126,8 +126,7 @@ def test_only_samples_well_within_a_swing_hang():
 def test_the_load_of_a_foot_is_its_vertical_force_in_body_weights():
     body = Body(LAYOUTS["both on each"], 3)
     block = body.block()
-    known = body.unknowns.gains + body.unknowns.channels
-    load = body.stream.rows.load(block.force[5]) @ body.x[:known]
+    load = body.stream.tare.load(block.force[5]) @ body.x[body.unknowns.map]
     expected = [
         (side.wrench_map @ body.channels()[5, where])[2] / (MASS * GRAVITY)
         for side, where in zip(body.layout.feet, body.layout.slices, strict=True)
@@ -175,8 +174,8 @@ def test_masses_beyond_the_sensors_make_the_rows_whole(make):
     hanging = np.zeros((n, 2))
     hanging[:, 1] = 1.0
     block, x = block_of(F, motion, hanging), body.unknowns.start
-    count, reading = body.stream.rows.hanging(block)
-    tare = body.stream.rows.tare(block, count, reading)
+    count, reading = body.stream.tare.hanging(block)
+    tare = body.stream.tare.rows(block, count, reading)
     np.testing.assert_allclose(tare.H @ x, tare.y, atol=1e-9)
     rows = body.rows(x, block)
     np.testing.assert_allclose(rows.H @ x, rows.y, atol=1e-9)
@@ -197,7 +196,7 @@ def test_a_batch_of_blocks_is_its_blocks():
 @pytest.mark.parametrize("cross_talk", [0.0, 0.01])
 def test_instruments_of_one_foot_tell_the_same_wrench(cross_talk):
     body = Body(LAYOUTS["both on each"], 5, cross_talk)
-    rows = body.stream.rows.parity(body.block())
+    rows = body.stream.parity.rows(body.block())
     assert (np.abs(rows.H).max(axis=-1) > 0.0).any()
     np.testing.assert_allclose(rows.H @ body.x, rows.y, atol=1e-12)
     wrong = body.x.copy()

@@ -61,12 +61,12 @@ def consistency(truth, layout, monkeypatch, runs=200, **options):
     drawn = matched(truth, layout, config, runs, 5)
     state, _, blocks = stream(moment_filter(drawn.setup, config), drawn.raw, drawn.reference)
     unknowns = drawn.unknowns
-    known = unknowns.gains + unknowns.channels
+    known = unknowns.map.stop
     # What the last block told is of its middle samples, and what wanders after them is not in it.
     last = len(drawn.raw) // config.every * config.every - config.settle - 1
     true = np.concatenate([drawn.gain[last], drawn.offset[last] / unknowns.unit], axis=-1)
-    error = state.mean[:, :known] - true
-    solved = np.linalg.solve(state.covariance[:, :known, :known], error[..., None])[..., 0]
+    error = state.mean[:, unknowns.map] - true
+    solved = np.linalg.solve(state.covariance[:, unknowns.map, unknowns.map], error[..., None])[..., 0]
     nis, rows = (np.array(part) for part in zip(*blocks, strict=True))
     return (error * solved).sum(axis=-1), known, nis, rows
 

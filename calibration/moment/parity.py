@@ -1,0 +1,81 @@
+"""Parity: rows of feet with several instruments, which must all measure the same wrench."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.distal import DistalMasses
+from surefoot.calibration.moment.rows import Block, Rows
+from surefoot.calibration.moment.unknowns import Unknowns
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+class Parity:
+    """Writes the rows of one setup.
+
+    Args:
+        setup: The robot.
+        config: Options of the filter.
+        unknowns: The unknowns.
+
+    Attributes:
+        matters: Whether any foot has several instruments.
+    """
+
+    def __init__(self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns) -> None:
+        self.unknowns, self.config = unknowns, config
+        self._distal = DistalMasses(setup.layout, setup.dt, config.span)
+        scale = np.repeat([1.0, 1.0 / setup.length], 3)[None, :, None]
+        parity = (_differences(setup.layout) * scale / setup.weight).reshape(-1, setup.layout.channels)
+        parity = parity[(parity != 0.0).any(axis=1)]
+        self.matters = len(parity) > 0
+        others = np.eye(setup.layout.channels, unknowns.size - unknowns.scales) * unknowns.unit[:, None]
+        self._constants = Constants(parity=parity, others=parity @ others)
+
+    def rows(self, block: Block) -> Rows:
+        """Write that the instruments of one foot measure the same wrench.
+
+        Args:
+            block: The samples.
+
+        Returns:
+            For each axis that two instruments of a foot see, one row for each half of the block.
+        """
+        xp, settle = namespace_of(block.force), self.config.settle
+        own = self._constants.like(block.force)
+        half = self.config.every // 2
+        y = 0.0 * (block.force[..., 0, :] @ own.parity.mT)
+        if self._distal.matter:
+            y = self._distal.felt(block.motion) @ own.parity.mT
+        halves = []
+        for start in (settle, settle + half):
+            part = slice(start, start + half)
+            reading = xp.mean(block.force[..., part, :], axis=-2)
+            scales = self.unknowns.regressors(own.parity, reading)
+            H = xp.concat([scales, own.others + 0.0 * scales[..., :1]], axis=-1)
+            known = xp.astype(xp.all(block.use[..., part] > 0.5, axis=-1), scales.dtype)[..., None]
+            variance = self.config.parity_noise**2 + 0.0 * y
+            halves.append(Rows(H, y, variance).keep(known))
+        return halves[0].beside(halves[1])
+
+
+def _differences(layout: FeetLayout) -> NDArray[np.float64]:
+    """Return what each further instrument of a foot measures less what the first does, (pairs, 6, K)."""
+    pairs = []
+    for foot, where in zip(layout.feet, layout.slices, strict=True):
+        first, *others = foot.sensors
+        for other in others:
+            both = (first.wrench_map != 0.0).any(axis=1) & (other.wrench_map != 0.0).any(axis=1)
+            difference = np.zeros((6, layout.channels))
+            for sensor, sign in ((first, -1.0), (other, 1.0)):
+                columns = np.arange(where.start, where.stop)[sensor.channels]
+                difference[:, columns] = sign * sensor.wrench_map * both[:, None]
+            pairs.append(difference)
+    return np.array(pairs).reshape(-1, 6, layout.channels)

@@ -1,0 +1,100 @@
+"""The tare: rows of a foot in the air, whose channels read nothing but what is beyond their sensors."""
+
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.distal import DistalMasses
+from surefoot.calibration.moment.rows import Block, Rows
+from surefoot.calibration.moment.unknowns import Unknowns
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+_SWING_SAMPLES = 16.0
+"""Samples that ``swing_noise`` is given for."""
+
+_UP = 2
+"""The row of the vertical force in a wrench map."""
+
+
+class Tare:
+    """Writes the rows of one setup.
+
+    Args:
+        setup: The robot.
+        config: Options of the filter.
+        unknowns: The unknowns.
+    """
+
+    def __init__(self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns) -> None:
+        layout = setup.layout
+        self.unknowns, self.config = unknowns, config
+        self._weight = setup.weight
+        self._distal = DistalMasses(layout, setup.dt, config.span)
+        self._constants = Constants(
+            by_channel=np.eye(len(layout.feet))[:, layout.foot_of_channel],
+            vertical=layout.wrench_map[:, _UP],
+            per_unit=np.eye(layout.channels) / unknowns.unit[:, None],
+            offsets=np.eye(layout.channels, unknowns.size, unknowns.offset.start),
+            unit=unknowns.unit,
+        )
+
+    def hanging(self, block: Block) -> tuple[Array, Array]:
+        """Average readings while feet surely hang, with ``settle`` samples to spare on either side.
+
+        Returns:
+            Samples of each foot that count, shape (..., F), and the mean reading of each channel over its
+            foot's, shape (..., K).
+        """
+        xp, settle, every = namespace_of(block.force), self.config.settle, self.config.every
+        by_channel, middle = self._constants.like(block.force).by_channel, self.config.middle
+        sure = block.swing[..., :every, :]
+        for shift in range(1, 2 * settle + 1):
+            sure = sure * block.swing[..., shift : shift + every, :]
+        sure = sure * block.use[..., middle][..., None]
+        count = xp.sum(sure, axis=-2)
+        total = xp.sum((sure @ by_channel) * block.force[..., middle, :], axis=-2)
+        number = count @ by_channel
+        return count, total / xp.where(number > 0.5, number, 1.0)
+
+    def load(self, reading: Array, spare: Array | None = None) -> Array:
+        """Write the vertical force of each foot for a mean reading, about a level sole.
+
+        Args:
+            reading: Forces by the starting map in N, shape (..., K).
+            spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
+
+        Returns:
+            Columns of the scales and offsets, in body weights, shape (..., F, P + K).
+        """
+        xp, own = namespace_of(reading), self._constants.like(reading)
+        up = own.vertical if spare is None else own.vertical @ spare
+        scales = self.unknowns.regressors(up, reading)
+        return xp.concat([scales, up * own.unit + 0.0 * scales[..., :1]], axis=-1) / self._weight
+
+    def rows(self, block: Block, count: Array, reading: Array) -> Rows:
+        """Write that feet in the air read nothing but what is beyond their sensors.
+
+        Args:
+            block: The samples.
+            count: Samples of each foot that count, shape (..., F).
+            reading: Mean reading of each channel over them, shape (..., K).
+
+        Returns:
+            One row a channel.
+        """
+        xp, own = namespace_of(reading), self._constants.like(reading)
+        number = count @ own.by_channel
+        scales = self.unknowns.regressors(own.per_unit, reading)
+        rest = xp.zeros_like(own.offsets[:, self.unknowns.scale.stop :]) + 0.0 * scales[..., :1]
+        H = xp.concat([scales, rest], axis=-1) + own.offsets
+        y = 0.0 * reading
+        if self._distal.matter:
+            y = self._distal.felt(block.motion) / own.unit
+        few = xp.where(number > 1.0, number, 1.0)
+        variance = self.config.swing_noise**2 * _SWING_SAMPLES / few
+        return Rows(H, y, variance).keep(xp.astype(number > 0.5, reading.dtype))
