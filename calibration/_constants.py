@@ -80,9 +80,8 @@ class Constants:
            [0., 1.]], dtype=float32)
     """
 
-    def __init__(self, *values: ArrayLike, **named: ArrayLike) -> None:
-        self._values = [np.asarray(value) for value in values]
-        self._named = {name: np.asarray(value) for name, value in named.items()}
+    def __init__(self, **values: ArrayLike) -> None:
+        self._values = {name: np.asarray(value) for name, value in values.items()}
         self._cache: dict[Any, Any] = {}
 
     def like(self, array: Array) -> Any:
@@ -90,10 +89,8 @@ class Constants:
         key = (type(array), array.dtype, getattr(array, "device", None))
         known = self._cache.get(key)
         if known is None:
-            named = {name: constant_like(value, array) for name, value in self._named.items()}
-            plain = tuple(constant_like(value, array) for value in self._values)
-            known = SimpleNamespace(**named) if named else plain
-            self._cache[key] = known
+            named = {name: constant_like(value, array) for name, value in self._values.items()}
+            known = self._cache[key] = SimpleNamespace(**named)
         return known
 
 

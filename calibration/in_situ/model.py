@@ -182,30 +182,28 @@ class LinearSensor:
         self.whitening = np.linalg.inv(np.linalg.cholesky(noise + np.diag(floor**2)))
         self._maps = [
             Constants(
-                np.einsum("p,pws->ws", parameters[: len(basis)], basis),
-                np.moveaxis(basis[:STATIC], 0, 1).copy(),
-                self.whitening @ response,
+                transform=np.einsum("p,pws->ws", parameters[: len(basis)], basis),
+                basis=np.moveaxis(basis[:STATIC], 0, 1).copy(),
+                whitened=self.whitening @ response,
             )
             for basis in (transform_basis(False), transform_basis(True))[: 1 + self.inertia]
         ]
 
     def wrench(self, signals: Array) -> Array:
         """Return w = T u, shape (..., 6), from u, (..., 3) at rest and (..., 12) moving."""
-        transform, _, _ = self._constants(signals)
-        return (transform @ signals[..., None])[..., 0]
+        return (self._constants(signals).transform @ signals[..., None])[..., 0]
 
     def rows(self, signals: Array) -> Array:
         """Return whitened rows by (D, m, m c), shape (..., k, 40)."""
-        xp = namespace_of(signals)
-        _, basis, whitened = self._constants(signals)
+        xp, known = namespace_of(signals), self._constants(signals)
         w = self.wrench(signals)
-        relative = whitened[..., :, None] * w[..., None, None, :]
-        relative = xp.reshape(relative, (*w.shape[:-1], whitened.shape[0], RELATIVE_ERRORS))
+        relative = known.whitened[..., :, None] * w[..., None, None, :]
+        relative = xp.reshape(relative, (*w.shape[:-1], known.whitened.shape[0], RELATIVE_ERRORS))
         # (6, 4, s) by u: what a kilogram and a kilogram metre add to the wrench.
-        limb = (basis @ signals[..., None, :, None])[..., 0]
-        return xp.concat([relative, whitened @ limb], axis=-1)
+        limb = (known.basis @ signals[..., None, :, None])[..., 0]
+        return xp.concat([relative, known.whitened @ limb], axis=-1)
 
-    def _constants(self, signals: Array) -> tuple[Array, ...]:
+    def _constants(self, signals: Array) -> Any:
         moving = signals.shape[-1] > DIRECT.stop
         return self._maps[int(moving)].like(signals)
 

@@ -95,23 +95,6 @@ class InSituState(NamedTuple):
     anchor: Array
 
 
-class _Known(NamedTuple):
-    """Constants of one calibration, in the kind of the arrays at hand."""
-
-    covariance: Array  # before the first sample, (N, N)
-    drift: Array  # growth of the covariance in a second, (N, N)
-    learnt: Array  # one for unknowns that are estimated, zero for those that are considered, (N,)
-    identity: Array  # (N, N)
-    lag: Array  # covariance of h, (6, 6)
-    offset: Array  # o in counts, (k,)
-    whitening: Array  # W, (k, k)
-    whitened: Array  # W A, (k, 6)
-    matrix: Array  # C, (6, k)
-    axes: Array  # the identity, (6, 6)
-    unwhiten: Array  # C W^-1, (6, k)
-    touch: Array  # wrench below which an innovation is the sensor's, (6,)
-
-
 class InSituStream:
     """The tracker for one calibration: ``init`` and ``update`` are pure functions that share constants."""
 
@@ -141,32 +124,28 @@ class InSituStream:
         learnt[at.offset] = learnt[at.lag] = 1.0
         learnt[at.response] = {"offset": 0.0, "axes": diagonal, "matrix": 1.0}[config.learn]
         self._constants = Constants(
-            *_Known(
-                covariance=covariance,
-                drift=drift,
-                learnt=learnt,
-                identity=np.eye(size),
-                lag=np.diag(lag**2),
-                offset=fit.offset,
-                whitening=sensor.whitening,
-                whitened=sensor.whitening @ fit.response,
-                matrix=fit.matrix,
-                axes=np.eye(AXES),
-                unwhiten=fit.matrix @ np.linalg.inv(sensor.whitening),
-                touch=config.touch * np.repeat([weight[:3].max(), np.linalg.norm(weight[3:], 2)], 3),
-            )
+            covariance=covariance,  # before the first sample, (N, N)
+            drift=drift,  # growth of the covariance in a second, (N, N)
+            learnt=learnt,  # one for unknowns that are estimated, zero for those that are considered, (N,)
+            identity=np.eye(size),
+            lag=np.diag(lag**2),  # covariance of h, (6, 6)
+            offset=fit.offset,  # o in counts, (k,)
+            whitening=sensor.whitening,  # W, (k, k)
+            whitened=sensor.whitening @ fit.response,  # W A, (k, 6)
+            matrix=fit.matrix,  # C, (6, k)
+            axes=np.eye(AXES),
+            unwhiten=fit.matrix @ np.linalg.inv(sensor.whitening),  # C W^-1, (6, k)
+            # Wrench below which an innovation is the sensor's, (6,).
+            touch=config.touch * np.repeat([weight[:3].max(), np.linalg.norm(weight[3:], 2)], 3),
         )
 
     def _jump(self, force: float, torque: float) -> np.ndarray[Any, np.dtype[np.float64]]:
         return offset_covariance(self.sensor.response, force, torque)
 
-    def _known(self, like: Array) -> _Known:
-        return _Known(*self._constants.like(like))
-
     def init(self, raw: Array) -> InSituState:
         """Return the state before any sample; see :class:`~surefoot.calibration.in_situ.InSituTracker`."""
         check_tail(raw, (self.channels,), "raw")
-        xp, batch, known = namespace_of(raw), tuple(raw.shape[:-1]), self._known(raw)
+        xp, batch, known = namespace_of(raw), tuple(raw.shape[:-1]), self._constants.like(raw)
 
         def zeros(*tail: int) -> Array:
             return xp.zeros((*batch, *tail), dtype=raw.dtype, device=device_of(raw))
@@ -199,7 +178,7 @@ class InSituStream:
 
         See :class:`~surefoot.calibration.in_situ.InSituTracker`.
         """
-        xp, known, sensor = namespace_of(raw), self._known(raw), self.sensor
+        xp, known, sensor = namespace_of(raw), self._constants.like(raw), self.sensor
         signals = _signals_of(
             raw, gravity, angular_velocity, angular_acceleration, like=state.raw, inertia=sensor.inertia
         )
@@ -251,7 +230,7 @@ class InSituStream:
 
     def _felt(self, innovation: Array) -> Array:
         """Return whether innovations are those of a force or a torque that counts beside the limb's own."""
-        xp, known = namespace_of(innovation), self._known(innovation)
+        xp, known = namespace_of(innovation), self._constants.like(innovation)
         shares = xp.abs((known.unwhiten @ innovation[..., None])[..., 0]) / known.touch
         return ~xp.all(shares <= 1.0, axis=-1)
 
@@ -262,7 +241,7 @@ class InSituStream:
 
         Another load than the limb's own makes it forget at once.
         """
-        xp, known, lag = namespace_of(gravity), self._known(gravity), self._at.lag
+        xp, known, lag = namespace_of(gravity), self._constants.like(gravity), self._at.lag
         covariance = state.covariance + dt * known.drift
         angle = xp.sqrt(xp.sum((gravity - state.anchor) ** 2, axis=-1)) / GRAVITY
         turned = physical & (angle > _STEP * self.config.lag_angle)
@@ -287,7 +266,7 @@ class InSituStream:
 
     def _estimate(self, state: InSituState, flags: Array) -> InSituEstimate:
         """Return the map undone: w = (1 + D)^-1 (C (r - o) - h)."""
-        xp, known, at = namespace_of(state.mean), self._known(state.mean), self._at
+        xp, known, at = namespace_of(state.mean), self._constants.like(state.mean), self._at
         D = xp.reshape(state.mean[..., at.response], (*state.mean.shape[:-1], AXES, AXES))
         scale = known.axes + D
         offset = known.offset + state.mean[..., at.offset]

@@ -1,8 +1,7 @@
-"""How the sliding window runs over a stream: standing start, filter, window and update; private.
+"""How the sliding window runs over a stream: standing start, filter, window and update.
 
 The least-squares problem itself is in :mod:`surefoot.calibration.window.gauss_newton`, its theory and options
-in
-:mod:`surefoot.calibration.window.config`.
+in :mod:`surefoot.calibration.window.config`.
 """
 
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
 from surefoot.calibration._arrays import constant_like
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration._constants import Constants, in_a_row, namespace_of
 from surefoot.calibration._setup import OnlineMethod, OnlineSetup
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.filters import low_pass
@@ -35,6 +34,26 @@ _STANDING_COP_NOISE = 1e-3
 mass."""
 
 
+class PendingColumns(NamedTuple):
+    """Where the parts of a sample lie that waits for the next update."""
+
+    force: slice
+    motion: slice
+    stance: slice
+    sure: slice
+    good: slice
+    settled: slice
+
+
+class SampleColumns(NamedTuple):
+    """Where the parts of a sample in the window lie; the first two pass the filter."""
+
+    rows: slice
+    vgrf: slice
+    use: slice
+    changing: slice
+
+
 class WindowState(NamedTuple):
     """What the sliding window remembers; any leading batch dimensions ``...``; F feet.
 
@@ -43,14 +62,15 @@ class WindowState(NamedTuple):
         step: Samples seen.
         pending: Samples since the last update, oldest first: F0, the flat reference, which feet surely
             stand, which surely stand or swing, whether the sample may be learnt from, whether it has
-            settled, shape (..., every, P).
-        filter: State of the low-pass filter over the C = 6K + 1 numbers of a sample, shape (..., 2, C).
+            settled, shape (..., every, P); see :class:`PendingColumns`.
+        filter: State of the low-pass filter over the C = 6K + 1 numbers of a sample, its rows and the
+            vertical force that its motion asks for, shape (..., 2, C).
         latest: The last good numbers of a sample, before the filter, shape (..., C).
         started: Whether there was one (bool), shape (...).
         contact: Feet that carried weight, and feet that were sure to stand (bool), shape (..., 2F).
         since_change: Samples since a foot gained or lost the ground, shape (...).
         samples: The window, oldest first: filtered numbers, use and nearness to a change of contact, shape
-            (..., N, C + 2).
+            (..., N, C + 2); see :class:`SampleColumns`.
         theta: (a, b / (M g)), shape (..., 2K).
         status: Flags of the last update, shape (...).
         standing: What the standing start has seen.
@@ -90,7 +110,10 @@ class SlidingWindow:
             cop=float(np.sqrt(config.cop_weight)) / config.delta_cop / setup.length,
             threshold=setup.force_threshold,
         )
-        K = setup.layout.channels
+        K, feet = setup.layout.channels, len(setup.layout.feet)
+        motion = self._front_end.motions.columns.size
+        self._pending = PendingColumns(*in_a_row(K, motion, feet, feet, 1, 1))
+        self._sample = SampleColumns(*in_a_row(6 * K, 1, 1, 1))
 
         def per_channel(scale: float, offset: float) -> NDArray[np.float64]:
             return np.repeat([scale, offset], K)
@@ -98,15 +121,15 @@ class SlidingWindow:
         rigidity = 1.0 / np.sqrt(config.smoothness_weight)
         period = config.every * setup.dt
         self._constants = Constants(
-            per_channel(config.scale_step, config.offset_step) * rigidity,
-            per_channel(config.scale_step_bound, config.offset_step_bound),
-            per_channel(config.scale_rate, config.offset_rate) * period,
-            per_channel(config.scale_range[0], -config.offset_range),
-            per_channel(config.scale_range[1], config.offset_range),
-            np.eye(2 * K),
+            spread=per_channel(config.scale_step, config.offset_step) * rigidity,
+            step_bound=per_channel(config.scale_step_bound, config.offset_step_bound),
+            rate_bound=per_channel(config.scale_rate, config.offset_rate) * period,
+            lowest=per_channel(config.scale_range[0], -config.offset_range),
+            highest=per_channel(config.scale_range[1], config.offset_range),
+            identity=np.eye(2 * K),
         )
         # Quiet standing is one sample over and over: all of them together count as one. Taken for
-        # independent, the drift and the noise within them would be read as load, and pull the scales down.
+        # independent, the drift and the noise within them would be taken for load, and pull the scales down.
         repeats = float(np.sqrt(max(config.standing_duration / setup.dt, config.standing_samples)))
         # The standing start sees forces by the starting map in place of counts, so that its result is (a, b).
         self._standing = QuietStanding(
@@ -128,7 +151,7 @@ class SlidingWindow:
         front = self._front_end.init(raw)
         xp, device = namespace_of(raw), device_of(raw)
         batch, K, feet = tuple(raw.shape[:-1]), self.setup.layout.channels, len(self.setup.layout.feet)
-        numbers = 6 * K + 1
+        numbers = self._sample.vgrf.stop
 
         def zeros(*tail: int, dtype: Any = raw.dtype) -> Array:
             return xp.zeros((*batch, *tail), dtype=dtype, device=device)
@@ -136,13 +159,13 @@ class SlidingWindow:
         return WindowState(
             front=front,
             step=0,
-            pending=zeros(self.config.every, K + front.motion.shape[-1] + 2 * feet + 2),
+            pending=zeros(self.config.every, self._pending.settled.stop),
             filter=zeros(2, numbers),
             latest=zeros(numbers),
             started=zeros(dtype=xp.bool),
             contact=zeros(2 * feet, dtype=xp.bool),
             since_change=zeros(dtype=xp.int64),
-            samples=zeros(self._length, numbers + 2),
+            samples=zeros(self._length, self._sample.changing.stop),
             theta=zeros(2 * K) + constant_like(np.repeat([1.0, 0.0], K), raw),
             status=zeros(dtype=xp.int64),
             standing=self._standing.init(raw),
@@ -202,8 +225,8 @@ class SlidingWindow:
         if bool(xp.any(ready)):
             correction = self._standing.solve(standing).correction
             solved = xp.concat([correction.scale, correction.offset / self.setup.weight], axis=-1)
-            low, high = self._constants.like(theta)[3:5]
-            solved = xp.clip(xp.astype(solved, theta.dtype), low, high)
+            own = self._constants.like(theta)
+            solved = xp.clip(xp.astype(solved, theta.dtype), own.lowest, own.highest)
             theta = xp.where(ready[..., None], solved, theta)
         walking = walking | ready | leaving
         return state._replace(
@@ -221,11 +244,10 @@ class SlidingWindow:
             self._weight,
             self.config,
         )
-        feet, every = len(self.setup.layout.feet), self.config.every
-        past, motion = state.pending[..., :K], state.pending[..., K : -2 * feet - 2]
-        notes = state.pending[..., -2 * feet - 2 :] > 0.5
-        stance, sure = notes[..., :feet], xp.all(notes[..., feet : 2 * feet], axis=-1)
-        good, settled = notes[..., -2], notes[..., -1]
+        pending, at, every = state.pending, self._pending, self.config.every
+        past, motion = pending[..., at.force], pending[..., at.motion]
+        stance, sure = pending[..., at.stance] > 0.5, xp.all(pending[..., at.sure] > 0.5, axis=-1)
+        good, settled = (pending[..., part][..., 0] > 0.5 for part in (at.good, at.settled))
 
         vgrf, cop, physical = self._front_end.motions.ground(motion)
         rows = self._front_end.motions.rows(motion)
@@ -276,10 +298,9 @@ class SlidingWindow:
         """Solve Eq. 14 on the window, with every bound that keeps a bad window from doing harm."""
         config, weights = self.config, self._weights
         xp, K, last = namespace_of(state.theta), self.setup.layout.channels, state.theta
-        spread, step_bound, rate_bound, low, high, identity = self._constants.like(last)
-        batch = tuple(last.shape[:-1])
-        phi = xp.reshape(state.samples[..., : 6 * K], (*batch, self._length, 3, 2 * K))
-        vgrf, use = state.samples[..., 6 * K], state.samples[..., 6 * K + 1]
+        own, batch, at = self._constants.like(last), tuple(last.shape[:-1]), self._sample
+        phi = xp.reshape(state.samples[..., at.rows], (*batch, self._length, 3, 2 * K))
+        vgrf, use, changing = (state.samples[..., part][..., 0] for part in (at.vgrf, at.use, at.changing))
 
         fz = xp.matmul(phi[..., 0, :], last[..., None])[..., 0]
         use = xp.where(fz > weights.threshold, use, 0.0)
@@ -287,7 +308,7 @@ class SlidingWindow:
         square = xp.sum(r * r, axis=-1) / 3.0
         typical = typical_square(square, use)
         limit = config.outlier_threshold**2 * xp.where(typical > 1.0, typical, 1.0)
-        outlier = (state.samples[..., 6 * K + 2] > 0.5) & (square > limit[..., None])
+        outlier = (changing > 0.5) & (square > limit[..., None])
         use = xp.where(outlier, 0.0, use)
         enough = xp.sum(use, axis=-1) >= config.minimum_share * self._length
 
@@ -297,13 +318,13 @@ class SlidingWindow:
             vgrf,
             use,
             weights,
-            spread=spread,
-            bound=step_bound,
-            identity=identity,
+            spread=own.spread,
+            bound=own.step_bound,
+            identity=own.identity,
             iterations=config.iterations,
         )
-        theta = last + shorten(theta - last, rate_bound)
-        theta = xp.where(theta < low, low, xp.where(theta > high, high, theta))
+        theta = last + shorten(theta - last, own.rate_bound)
+        theta = xp.where(theta < own.lowest, own.lowest, xp.where(theta > own.highest, own.highest, theta))
         accept = enough & solvable & state.walking & xp.all(xp.isfinite(theta), axis=-1)
         status = xp.where(enough, 0, int(Flag.NO_CONTACT))
         status = status | xp.where(solvable | ~enough, 0, int(Flag.SINGULAR))
