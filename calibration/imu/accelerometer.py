@@ -13,7 +13,7 @@ that frame against another sensor is for those who hold the two together.
 The start is algebraic, linear in the coefficients of the quadric; then the distances of the readings from the
 ellipsoid are minimised, to first order :math:`(|K (f - b)| - g) / |K^T u|` with the corrected direction u.
 They have the noise of the readings whatever K is. The error of the size, :math:`|K (f - b)| - g`, has not: a
-smaller K makes it smaller, and where the orientations hardly tell a scale from a bias (a hip that swings by
+smaller K makes it smaller, and where orientations hardly separate a scale from a bias (a hip that swings by
 40 degrees) that alone would pull the bias away by many deviations. Huber's loss bounds the pull of samples
 that moved, those beyond five deviations are left out, and the rest is fitted by plain least squares.
 
@@ -172,7 +172,7 @@ def calibrate_accelerometer(
             "Give samples at rest only, and check the unit or take a model with a scale.",
         )
     # Half of the samples lie within one deviation: of more than 2 p, enough are left for p unknowns. Of
-    # fewer, none can be told to have moved.
+    # fewer, none counts as moved.
     still = np.abs(_distances(start, force)) <= _OUTLIER * scale
     if len(force) <= 2 * unknowns:
         still[:] = True

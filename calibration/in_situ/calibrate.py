@@ -148,7 +148,7 @@ def _fit(
     if rank.missing and factory is None:
         raise rank.refusal(problem)
     if rank.missing and options.drift:
-        # Too few sets to tell a drift from the load.
+        # Too few sets to separate a drift from the load.
         return _fit(given, factory, known, replace(options, drift=0))
     warnings += check_within(sets, parts, options)
     if rank.missing:

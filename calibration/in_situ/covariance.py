@@ -40,7 +40,7 @@ __all__ = [
 Matrix = NDArray[np.float64]
 
 _CHANCE = 0.01
-"""Probability of a ratio by white noise alone from which on it says nothing."""
+"""Probability by white noise alone from which on a ratio means nothing."""
 
 _STRETCHES = (10, 30, 100)
 """Into how many stretches a set is cut to see how its noise hangs together ..."""

@@ -107,7 +107,7 @@ def about_one_temperature(
 ) -> tuple[tuple[InSituSet, ...], float | None, tuple[str, ...]]:
     """Return sets with temperatures less their mean, the mean in their unit, and warnings.
 
-    Temperatures that tell nothing are left out; the mean is None then.
+    Temperatures that show no effect are left out; the mean is None then.
     """
     given = [data.temperature for data in sets if data.temperature is not None]
     if not given:

@@ -71,11 +71,9 @@ GOALS = {
 _SWEEPS = 4
 """Times that the poses of a block are exchanged at most."""
 
-_LEAST_STD = 1e-9
-"""Relative error of an axis at least, so that covariances have inverses."""
-
-_ANYWHERE = 1.0
-"""Standard deviation in m of a centre of mass that is not given."""
+_LEAST_STD, _ANYWHERE = 1e-9, 1.0
+"""Relative error of an axis at least, so that covariances have inverses, and deviation in m of a centre
+of mass that is not given."""
 
 
 class MassCandidate(NamedTuple):
@@ -368,9 +366,8 @@ class _Design:
         """Return P once a pose has been read."""
         rows = self._rows[mass][orientation]
         nothing = np.zeros(self._size)
-        step = kalman_step(
-            nothing, P, rows, np.zeros(len(rows)), self._variance, nothing + 1.0, self._identity, np.inf
-        )
+        y, learnt = np.zeros(len(rows)), nothing + 1.0
+        step = kalman_step(nothing, P, rows, y, self._variance, learnt, self._identity, np.inf)
         return np.asarray(step.covariance)
 
     def block(self, P: Matrix, mass: int, size: int) -> list[PlannedPose]:

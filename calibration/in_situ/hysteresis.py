@@ -9,7 +9,7 @@ with play operators P of half-width :math:`r_i` and the largest amplitude X of t
 and the rest follows from s: such an element gives way by s more for each doubling of the swing, so that a
 small mass added to a heavy limb seems to weigh more than alone, by s / ln 2. Left out, this makes the limb
 too light by as much. What is taken off by :math:`\kappa` leaves p without correlation to x over the data;
-this only says at which swing the matrix holds, at that of the data.
+it only sets the swing at which the matrix holds, that of the data.
 
 Loads may lag, axis by axis, as a spring body does, or the readings of gauges, channel by channel, as glue
 does: then p is that of each channel's own load A_c w, and acts on the readings directly.
@@ -146,7 +146,7 @@ def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> l
 def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
     """Return the sums of the plays of each axis or channel, (n_j, a) each.
 
-    Between turning points a play only follows, so that few samples of a slow sweep tell the rest.
+    Between turning points a play only follows, so that few samples of a slow sweep are enough.
     """
     strides = [max(len(wrench) // _STEPS, 1) for wrench in wrenches]
     thinned = [wrench[::stride] for wrench, stride in zip(wrenches, strides, strict=True)]

@@ -13,7 +13,7 @@ least squares: the triangular factor of [g, r - o], nine rows, stands for the se
 solution itself, not an approximation, and unlike normal equations it does not square the condition number.
 
 **Lemma 2**: fewer than three sets leave C undetermined (25). Three do not always suffice: masses must differ,
-and the whole limb's centres of mass must not lie on one line. The rank says whether they did. Noise would
+and the whole limb's centres of mass must not lie on one line. The rank shows whether they did. Noise would
 fill any direction, so that the rank is judged by what gravity explains of the readings, against the noise.
 
 **The weakness of the method**: the noise sits in the regressors r. Least squares then shrinks C and, with it,

@@ -12,7 +12,7 @@ rows of a sample share their regressors and the readings' mean is zero, so that 
 regression of 3 unknowns on the centred samples. The triangular factor of [g, r] holds all that is needed of
 them, whatever their number.
 
-What the paper does not say: gravity must turn in all three dimensions, or the offset is unknown along one;
+What the paper leaves out: gravity must turn in all three dimensions, or the offset is unknown along one;
 K takes up any rotation and any scale between the accelerometer and the sensor, so that neither matters, but a
 **bias of the accelerometer** goes straight into the offset as K b. Noise of gravity shrinks K.
 """

@@ -49,8 +49,8 @@ __all__ = [
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-ROUNDING = 1e-13
-"""Singular values at or below this share of the largest are rounding."""
+ROUNDING, _PAPER_ROUNDING = 1e-13, 1e-10
+"""Singular values at or below this share of the largest are rounding; the second in the paper's method."""
 
 _SEARCHES, _TURNED_SEARCHES = 3, 36
 """Starts from which to search; the second where the rotation is unknown."""
@@ -61,17 +61,11 @@ _AS_GOOD = 10.0
 _CONVERGED, _EVALUATIONS = 1e-14, 60
 """Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
 
-_LEAST_MASS = 1e-3
-"""Mass in kg by which unknowns are scaled at least."""
-
-_SMALL_ANGLE = 1e-4
-"""Angle in rad below which two terms of a series are exact."""
+_LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
+"""Mass in kg by which unknowns are scaled at least, and angle in rad below which a short series is exact."""
 
 _MULTIPLES, _TURNED_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0), (1.0, 10.0)
 """Masses to try, in units of the largest added mass; the second where each is tried with many turns."""
-
-_PAPER_ROUNDING = 1e-10
-"""``ROUNDING`` where the paper's method gives a start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,10 +345,7 @@ def expand(problem: Problem, x: Vector) -> Solution:
 def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> list[Vector]:
     """Return outer unknowns to start from, shape (p,), or (p + 3,) where the rotation is unknown.
 
-    Args:
-        problem: The problem.
-        factory: The factory matrix, shape (6, k), or None.
-        known: What is known of the limb, shape (p,), or None.
+    A factory matrix, shape (6, k), and what is known of the limb, shape (p,), give starts of their own.
     """
     found = [known] if known is not None else []
     if factory is not None and not problem.rotation:
@@ -383,13 +374,9 @@ def starts(problem: Problem, factory: Matrix | None, known: Vector | None) -> li
 
 
 def hanging(matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matrix | None = None) -> Vector:
-    """Return (m, m c) of all that hangs on the sensor in a set, shape (4,), by a known matrix.
+    """Return (m, m c) of all that hangs on the sensor in a set, shape (4,), by a known matrix C.
 
-    Args:
-        matrix: C, shape (6, k).
-        part: The set.
-        rotation: R_sensor_accelerometer.
-        beside: Response to the signals beside gravity, shape (k, s - 3), if it is known.
+    ``beside`` is the response to the signals beside gravity, shape (k, s - 3), if it is known.
     """
     response: Matrix = part.response[:, DIRECT]
     if beside is not None:

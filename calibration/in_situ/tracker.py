@@ -43,7 +43,7 @@ class InSituMethod(NamedTuple):
     """A tracker as a pair of pure functions on the array API standard.
 
     Attributes:
-        init: ``init(raw) -> state``. ``raw``, shape (..., k), tells the library, dtype, device and batch.
+        init: ``init(raw) -> state``. ``raw``, shape (..., k), sets the library, dtype, device and batch.
         update: ``update(state, raw, gravity, dt, *, angular_velocity=None, angular_acceleration=None,
             in_air=True) -> (state, InSituEstimate)``.
     """

@@ -1,5 +1,7 @@
 """Made-up in-situ sets: published matrices, masses and places, and a limb that turns."""
 
+from dataclasses import replace
+
 import numpy as np
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
@@ -65,9 +67,9 @@ def swept_gravity(n, front=35.0, side=45.0):
 
 def make_set(matrix, offset, limb, added, gravity, *, noise=0.0, rng=None, name="set"):
     """Read r = C^-1 (M_b + M_a) g + o; ``noise`` is a share of each channel's spread."""
-    gain = np.linalg.pinv(matrix)
+    response = np.linalg.pinv(matrix)
     wrench = gravity @ (wrench_of_gravity(*limb) + wrench_of_gravity(*added)).T
-    raw = wrench @ gain.T
+    raw = wrench @ response.T
     if noise:
         raw = raw + noise * raw.std(axis=0) * rng.standard_normal(raw.shape)
     return InSituSet(raw + offset, gravity, added_mass=added[0], added_com=added[1], name=name)
@@ -93,6 +95,16 @@ def paper_sets(sensor, rng, n=300, noise=0.0):
     return sets, offset
 
 
+def noisy_sets(sensor, rng, n=600, noise=1.0, count=4):
+    """Sets of the paper with times and noise that is white in the wrench; and the true offset."""
+    sets, offset = paper_sets(sensor, rng, n=n)
+    response, time = np.linalg.inv(SENSORS[sensor][0]), np.arange(n) / 10.0
+    return [
+        replace(one, raw=one.raw + noise * (NOISE * rng.standard_normal((n, 6))) @ response.T, time=time)
+        for one in sets[:count]
+    ], offset
+
+
 def offsets_of(sets):
     return np.array([estimate_offset(one.raw, one.gravity).offset for one in sets])
 
@@ -106,7 +118,7 @@ def moving_sets(rng, noise):
     """A leg that swings at about 1 Hz, its motion known."""
     matrix, mass, com, places = SENSORS["leg"]
     inertia = np.diag([0.3, 0.28, 0.02]) + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    gain, time = np.linalg.inv(matrix), np.arange(1500) / 100.0
+    response, time = np.linalg.inv(matrix), np.arange(1500) / 100.0
     sets = []
     for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
         phase = rng.uniform(0.0, 2.0 * np.pi, (2, 3))
@@ -125,5 +137,5 @@ def moving_sets(rng, noise):
         force = (mass + added) * gravity - np.cross(alpha, moment) - np.cross(omega, np.cross(omega, moment))
         torque = np.cross(moment, gravity) - alpha @ total - np.cross(omega, omega @ total)
         wrench = np.concatenate([force, torque], axis=1) + noise * NOISE * rng.standard_normal((1500, 6))
-        sets.append(InSituSet(wrench @ gain.T + 500.0, gravity, added, place, omega, alpha, time=time))
+        sets.append(InSituSet(wrench @ response.T + 500.0, gravity, added, place, omega, alpha, time=time))
     return sets, inertia

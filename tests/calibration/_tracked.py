@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from _in_situ import LEG_MATRIX, OFFSET_WRENCH, SENSORS
+from _in_situ import LEG_MATRIX, NOISE, OFFSET_WRENCH, SENSORS
 
 from surefoot.calibration.in_situ import InSituFit, Limb
 from surefoot.calibration.results import FitResult, FitStats
@@ -11,17 +11,15 @@ from surefoot.calibration.results import FitResult, FitStats
 RESPONSE = np.linalg.inv(LEG_MATRIX)
 OFFSET = RESPONSE @ OFFSET_WRENCH
 MASS, MASS_COM = SENSORS["leg"][1], SENSORS["leg"][1] * SENSORS["leg"][2]
-NOISE_STD = np.array([0.1, 0.1, 0.1, 0.0025, 0.0025, 0.0025])
-"""Of a sample, as the matrix shows it, in N and N m."""
-NOISE_ROOT = RESPONSE * NOISE_STD
+NOISE_ROOT = RESPONSE * NOISE
 INERTIA = MASS * np.diag([0.06, 0.06, 0.01])
 
 _SIZE = np.array([48.0, 48.0, 48.0, 10.0, 10.0, 10.0])
 
 
-def covariance_of_fit(gain=0.005, talk=0.002, offset=0.2, limb=0.005):
-    """As a fit would claim it: relative gains, cross-talk in shares of the loads, N (N m / 50), share."""
-    D = np.where(np.eye(6, dtype=bool), gain, talk) * _SIZE[:, None] / _SIZE
+def covariance_of_fit(scale=0.005, talk=0.002, offset=0.2, limb=0.005):
+    """As a fit would claim it: relative scales, cross-talk in shares of the loads, N (N m / 50), share."""
+    D = np.where(np.eye(6, dtype=bool), scale, talk) * _SIZE[:, None] / _SIZE
     # C = (1 + D)^-1 C0: rows of C by rows of D.
     root = np.zeros((46, 46))
     root[:36, :36] = np.kron(np.eye(6), LEG_MATRIX.T) * D.ravel()

@@ -126,7 +126,7 @@ def test_covariance_agrees_with_the_errors(model):
     assert np.mean(nees) == pytest.approx(expected, abs=4.0 * np.sqrt(2.0 * p / runs) * 1.1)
 
 
-def test_a_hip_that_swings_tells_scale_from_bias_badly_but_honestly():
+def test_a_hip_that_swings_separates_scale_from_bias_badly_but_honestly():
     # Distances that a smaller K makes smaller would pull this bias by four deviations.
     rng, runs, truth = np.random.default_rng(11), 30, np.concatenate([BIAS, np.ones(3)])
     nees, deviation = [], []
@@ -203,12 +203,12 @@ def test_the_offset_of_a_force_sensor_is_freed_of_the_bias():
         (np.tile([0.0, 0.0, G], (9, 1)), {}, "Gravity was seen in one direction only"),
     ],
 )
-def test_what_does_not_tell_is_refused(force, options, reason):
+def test_what_does_not_determine_is_refused(force, options, reason):
     with pytest.raises(CalibrationRefused, match=re.escape(reason)):
         calibrate_accelerometer(force, **options)
 
 
-def test_sides_of_a_cube_tell_no_skewness():
+def test_sides_of_a_cube_show_no_skewness():
     sides = G * np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 3, axis=0)
     assert calibrate_accelerometer(sides, model="bias-scale").stats.rank == 6
     with pytest.raises(CalibrationRefused) as refusal:
@@ -228,7 +228,7 @@ def test_a_log_of_motion_is_refused(model):
         calibrate_accelerometer(force, model=model)
 
 
-def test_of_few_samples_none_is_said_to_have_moved():
+def test_of_few_samples_none_counts_as_moved():
     rng = np.random.default_rng(10)
     sides = G * np.vstack([np.eye(3), -np.eye(3)])
     sides[5] *= 1.05

@@ -86,7 +86,7 @@ class Brute:
 
 
 @pytest.mark.parametrize("goal", list(GOALS))
-def test_gains_are_the_fall_of_the_goals_uncertainty(prior, goal):
+def test_information_is_the_fall_of_the_goals_uncertainty(prior, goal):
     gravity, masses = grid(3), MASSES[:2]
     plan = plan_excitation(prior, gravity, masses, count=5, goal=goal, samples=10)
     brute, total = Brute(prior, gravity, masses, 10), 0.0
@@ -199,7 +199,7 @@ def test_a_third_mass_is_proposed_when_two_were_seen(prior):
     assert again.mass_information[2] < 0.5 * plan.mass_information[2]
 
 
-def test_a_reading_with_a_new_mass_and_an_unknown_offset_tells_little(prior):
+def test_a_reading_with_a_new_mass_and_an_unknown_offset_brings_little(prior):
     gravity = grid(3)
     known = MassCandidate(*MASSES[1][:2], offset_covariance=NOISE_ROOT @ NOISE_ROOT.T)
     plan = plan_excitation(prior, gravity, [MASSES[1], known], count=1, block=1)
@@ -216,11 +216,11 @@ def test_a_fit_is_a_prior():
     assert plan.total > 0.0
     wanted = prior_from_fit(make_fit()).covariance
     np.testing.assert_array_equal(plan.before, wanted)
-    # D of C' = (1 + D)^-1 C, as the fit's covariance was made of half a per cent gains.
+    # D of C' = (1 + D)^-1 C, as the fit's covariance was made of half a per cent of scale.
     np.testing.assert_allclose(np.sqrt(np.diag(wanted))[[0, 7, 14, 21, 28, 35]], 0.005, rtol=1e-9)
 
 
-def test_more_samples_and_more_poses_tell_more(prior):
+def test_more_samples_and_more_poses_bring_more(prior):
     gravity = grid(3)
     totals = [
         plan_excitation(prior, gravity, MASSES, count=count, samples=samples).total

@@ -4,27 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import NOISE, SENSORS, make_set, moving_sets, paper_sets, swept_gravity
+from _in_situ import ADDED_MASS, NOISE, SENSORS, make_set, moving_sets, noisy_sets, paper_sets, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
-
-
-def noisy_sets(sensor, rng, n=600, noise=1.0, count=4):
-    """Sets of the paper with times and noise that is white in the wrench; and the true offset."""
-    sets, offset = paper_sets(sensor, rng, n=n)
-    gain = np.linalg.inv(SENSORS[sensor][0])
-    return [
-        replace(
-            one,
-            raw=one.raw + noise * (NOISE * rng.standard_normal((n, 6))) @ gain.T,
-            time=np.arange(n) / 10.0,
-        )
-        for one in sets[:count]
-    ], offset
 
 
 def errors(fit, sensor, offset):
@@ -146,7 +132,7 @@ def test_finds_the_rotation_of_the_accelerometer():
     np.testing.assert_allclose(fit.matrix @ np.linalg.inv(SENSORS["leg"][0]), np.eye(6), atol=0.02)
 
 
-def test_masses_in_one_plane_do_not_tell_the_rotation():
+def test_masses_in_one_plane_leave_the_rotation_open():
     sets, turn = turned_sets(np.random.default_rng(8))
     options = InSituOptions(estimate_rotation=True)
     with pytest.raises(CalibrationRefused, match="do not tell a sensor from its mirror image"):
@@ -227,7 +213,7 @@ def test_a_moving_limb_shows_its_inertia_and_needs_no_rest():
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 4.0 * fit.limb_mass_std
 
 
-def test_leans_on_the_factory_matrix_where_one_set_says_nothing():
+def test_leans_on_the_factory_matrix_where_one_set_shows_nothing():
     matrix, mass, com, _ = SENSORS["foot"]
     rng = np.random.default_rng(14)
     aged = matrix * (1.0 + 0.15 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))[:, None]
@@ -268,17 +254,26 @@ def lagging(wrench, share, scale):
     return read
 
 
-def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
-    matrix, mass, com, places = SENSORS["leg"]
-    gain = np.linalg.inv(matrix)
+def lagging_sets(read):
+    """Sets of the paper, slowly swept, by what a sensor reads of the wrenches."""
+    _, mass, com, places = SENSORS["leg"]
+    gravity, time = swept_gravity(3000), np.arange(3000) / 10.0
     sets = []
-    rng = np.random.default_rng(17)
-    gravity = swept_gravity(3000)
-    for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
+    for added, place in zip(ADDED_MASS, places, strict=True):
         wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T
-        read = lagging(wrench, 0.015, np.array([50.0, 50.0, 50.0, 10.0, 10.0, 2.0]))
-        raw = (read + 0.1 * NOISE * rng.standard_normal(read.shape)) @ gain.T
-        sets.append(InSituSet(raw, gravity, added, place, time=np.arange(3000) / 10.0, name="set"))
+        sets.append(InSituSet(read(wrench), gravity, added, place, time=time))
+    return sets
+
+
+def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
+    matrix, mass, _, _ = SENSORS["leg"]
+    rng = np.random.default_rng(17)
+
+    def read(wrench):
+        load = lagging(wrench, 0.015, np.array([50.0, 50.0, 50.0, 10.0, 10.0, 2.0]))
+        return (load + 0.1 * NOISE * rng.standard_normal(load.shape)) @ np.linalg.inv(matrix).T
+
+    sets = lagging_sets(read)
     fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
     assert fit.hysteresis is not None
     assert plain.hysteresis is None
@@ -287,15 +282,15 @@ def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
     assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
 
 
-def test_channels_that_lag_are_told_from_loads_that_do():
-    matrix, mass, com, places = SENSORS["leg"]
-    gain = np.linalg.inv(matrix)
-    rng, gravity, sets = np.random.default_rng(22), swept_gravity(3000), []
-    for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
-        wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T
-        raw = lagging(wrench @ gain.T, 0.015, np.full(6, 20000.0)) + rng.standard_normal((3000, 6))
-        sets.append(InSituSet(raw, gravity, added, place, time=np.arange(3000) / 10.0, name="set"))
-    tolerant = InSituOptions(mass_tolerance=0.2)
+def test_channels_that_lag_are_no_loads_that_lag():
+    matrix, mass, _, _ = SENSORS["leg"]
+    rng = np.random.default_rng(22)
+
+    def read(wrench):
+        counts = lagging(wrench @ np.linalg.inv(matrix).T, 0.015, np.full(6, 20000.0))
+        return counts + rng.standard_normal(counts.shape)
+
+    sets, tolerant = lagging_sets(read), InSituOptions(mass_tolerance=0.2)
     fit = calibrate_in_situ(sets, options=tolerant)
     plain = calibrate_in_situ(sets, options=replace(tolerant, hysteresis=False))
     assert fit.hysteresis is None
@@ -323,7 +318,7 @@ def test_arguments_are_left_alone():
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.1])
-def test_a_matrix_that_leans_says_how_sure_its_rows_are(scale):
+def test_a_matrix_that_leans_reports_how_sure_its_rows_are(scale):
     matrix, mass, com, _ = SENSORS["foot"]
     limb = KnownLimb(mass, 0.005 * mass, com, 0.001)
     # Along what was seen: the limb's own wrench.

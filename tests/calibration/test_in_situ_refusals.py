@@ -1,30 +1,23 @@
-"""What the in-situ calibration refuses, and with which words."""
+"""Refusals of in-situ calibration, and their words."""
 
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, moving_sets, paper_sets, swept_gravity
+from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, moving_sets, noisy_sets, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 MATRIX, MASS, COM, _ = SENSORS["leg"]
-GAIN = np.linalg.inv(MATRIX)
+RESPONSE = np.linalg.inv(MATRIX)
 NOISE = np.array([0.05, 0.05, 0.05, 0.001, 0.001, 0.001])
 
 
 def leg_sets():
-    rng = np.random.default_rng(0)
-    sets, _ = paper_sets("leg", rng, n=600)
-    return [
-        replace(
-            one, raw=one.raw + (NOISE * rng.standard_normal((600, 6))) @ GAIN.T, time=np.arange(600) / 10.0
-        )
-        for one in sets
-    ]
+    return noisy_sets("leg", np.random.default_rng(0), noise=0.5)[0]
 
 
 def with_raw(one, change):
@@ -50,19 +43,19 @@ def bending(sets):
     for one in sets:
         shift = MASS * one.gravity[:, :1] / 9.81 * np.array([0.01, 0.0, 0.0])
         torque = np.cross(shift, one.gravity)
-        bent.append(replace(one, raw=one.raw + torque @ GAIN.T[3:]))
+        bent.append(replace(one, raw=one.raw + torque @ RESPONSE.T[3:]))
     return bent
 
 
 def touching(sets):
     touched = np.where(sets[2].gravity[:, 0] > 5.0, 3.0 * (sets[2].gravity[:, 0] - 5.0), 0.0)
     push = np.outer(touched, [-0.5, 0.0, -1.0, 0.3, 0.0, 0.1])
-    return [*sets[:2], replace(sets[2], raw=sets[2].raw + push @ GAIN.T), sets[3]]
+    return [*sets[:2], replace(sets[2], raw=sets[2].raw + push @ RESPONSE.T), sets[3]]
 
 
 def bumped(sets):
     def bump(raw):
-        raw[200:260] += GAIN @ [15.0, -20.0, 10.0, 1.0, 0.0, 0.0]
+        raw[200:260] += RESPONSE @ [15.0, -20.0, 10.0, 1.0, 0.0, 0.0]
 
     return [with_raw(sets[0], bump), *sets[1:]]
 
@@ -175,7 +168,10 @@ def test_planar_motion_is_a_warning_beside_a_factory_matrix():
     rng = np.random.default_rng(1)
     angle = np.radians(rng.uniform(-40.0, 40.0, 400))
     gravity = 9.81 * np.stack([np.sin(angle), np.zeros(400), np.cos(angle)], axis=1)
-    raw = gravity @ wrench_of_gravity(MASS, COM).T @ GAIN.T + (NOISE * rng.standard_normal((400, 6))) @ GAIN.T
+    raw = (
+        gravity @ wrench_of_gravity(MASS, COM).T @ RESPONSE.T
+        + (NOISE * rng.standard_normal((400, 6))) @ RESPONSE.T
+    )
     fit = calibrate_in_situ(
         [InSituSet(raw, gravity)], factory_matrix=MATRIX, limb=KnownLimb(MASS, 0.05, COM, 0.005)
     )

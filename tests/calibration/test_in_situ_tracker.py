@@ -34,7 +34,7 @@ def normalised(error, covariance):
 
 
 def walked(tracker, runs, steps, dt, seed, turn=True):
-    """Track sensors drawn from the fit's covariance, whose zeros walk as the tracker thinks."""
+    """Track sensors drawn from the fit's covariance, whose offsets drift as the tracker assumes."""
     rng = np.random.default_rng([41, seed])
     config = tracker.config
     truth = draw_truth(make_fit(), rng, runs, config.since_fit_force, config.since_fit_torque)
@@ -69,7 +69,7 @@ def test_offsets_are_off_by_as_much_as_is_claimed(learn):
     assert np.mean(errors[1] ** 2) < 0.16 * np.mean(errors[0] ** 2)
 
 
-def test_gains_are_found_where_the_limb_turns():
+def test_scales_are_found_where_the_limb_turns():
     truth, estimate, _ = tracked("axes")
     D = np.linalg.solve(RESPONSE, truth.response)
     actual, found = (np.diagonal(part, axis1=1, axis2=2) for part in (D, estimate.scale))
@@ -78,7 +78,7 @@ def test_gains_are_found_where_the_limb_turns():
     assert (left < 1.1 * start).all()
 
 
-def test_a_limb_that_does_not_turn_cannot_tell_gains_from_offset():
+def test_a_limb_that_does_not_turn_does_not_separate_scales_from_offset():
     stds = {}
     for turn in (False, True):
         tracker = InSituTracker(make_fit(), learn="axes", since_fit_force=20.0, since_fit_torque=1.0)
@@ -99,7 +99,7 @@ def test_a_perfect_sensor_is_left_as_it_is(learn):
     np.testing.assert_allclose(estimate.wrench, weight_of(g), atol=1e-9)
 
 
-def test_heat_is_followed_through_the_walk():
+def test_heat_is_followed_through_the_drift():
     tracker, rng = InSituTracker(make_fit()), np.random.default_rng(3)
     slope = RESPONSE @ np.array([5e-4, -5e-4, 5e-4, 1e-5, 1e-5, -1e-5])
     offset, off = OFFSET.copy(), []
@@ -134,7 +134,7 @@ def test_nothing_is_learnt_while_the_foot_stands():
 
 
 @pytest.mark.parametrize("push", [6.0, -40.0, 300.0])
-def test_a_touch_that_nobody_told_of_is_seen_in_the_wrench(push):
+def test_a_touch_that_was_not_given_is_seen_in_the_wrench(push):
     tracker = InSituTracker(make_fit())
     for g in swept_gravity(20):
         before = tracker.update(RESPONSE @ weight_of(g) + OFFSET, g, 0.1)
@@ -147,7 +147,7 @@ def test_a_touch_that_nobody_told_of_is_seen_in_the_wrench(push):
     assert after.learnt
 
 
-def test_a_zero_that_leapt_is_found_once_it_may_have():
+def test_an_offset_that_leapt_is_found_once_it_may_have():
     tracker = InSituTracker(make_fit())
     leapt = OFFSET + RESPONSE @ np.array([30.0, -20.0, 25.0, 0.5, 0.3, -0.4])
     tracker.update(RESPONSE @ WEIGHT + OFFSET, DOWN, 0.1)
@@ -199,7 +199,7 @@ def test_time_that_does_not_pass_is_flagged(dt):
     assert np.isfinite(estimate.offset_std).all()
 
 
-def test_standing_still_tells_no_more_than_hysteresis_lets_it():
+def test_standing_still_informs_no_more_than_hysteresis_lets_it():
     raw = RESPONSE @ WEIGHT + OFFSET
     stds = []
     for lag in (0.0, 0.02):
@@ -215,7 +215,7 @@ def test_standing_still_tells_no_more_than_hysteresis_lets_it():
     assert stds[0] < 0.7 * stds[1]
 
 
-def test_a_moving_limb_is_told_by_its_inertia():
+def test_a_moving_limb_shows_its_inertia():
     limb = Limb(MASS, MASS_COM, INERTIA)
     rng = np.random.default_rng(4)
     velocity, turn = rng.standard_normal(3), 5.0 * rng.standard_normal(3)
@@ -308,7 +308,7 @@ def test_arguments_are_left_alone_and_the_state_is_a_value():
     np.testing.assert_array_equal(first.offset, again.offset)
 
 
-def test_a_state_can_be_put_back():
+def test_a_state_can_be_set():
     tracker = InSituTracker(make_fit())
     with pytest.raises(RuntimeError, match="before the first"):
         tracker.doubt(1.0, 0.1)
