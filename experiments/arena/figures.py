@@ -97,8 +97,8 @@ def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> P
                 low, middle, high = (1e3 * runs.quantile(q).clip(lower=1e-5) for q in (0.25, 0.5, 0.75))
                 draw_curve(axes, middle.index, middle, look_of(method), low, high)
             axes.set_title(title)
-            axes.set_ylim(bottom=0.3)
             logarithmic(axes)
+        drawn[0, 0].set_ylim(bottom=0.3)
         for axes in drawn.flat[len(panels) :]:
             axes.set_visible(False)
         for axes in drawn[-1]:

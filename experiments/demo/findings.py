@@ -134,7 +134,7 @@ def _saved(walks: Frame, feed: str) -> str:
     lost = int((~paired["none"] & paired[feed]).sum())
     p = stats.binomtest(min(saved, lost), saved + lost).pvalue if saved + lost else 1.0
     return (
-        f": {saved} walks that fall on drifting raw CoP are saved and {lost} that do not fall on it are lost "
+        f"; of those that fall on drifting raw CoP it saves {saved}, of those that do not it loses {lost} "
         f"(sign test p = {p:.2g})"
     )
 
@@ -176,12 +176,12 @@ def lead_finding(loop: Frame) -> str:
     """Return what the closed loops of one severity show, in one sentence."""
     falls = {feed: int(part["fell"].sum()) for feed, part in loop.groupby("feed", sort=False)}
     walks = int((loop["feed"] == "none").sum())
-    names = {"true": "on the true CoP", "moment": "on feet that the moment filter calibrates"}
-    others = [f"{falls[feed]} {name}" for feed, name in names.items() if feed in falls]
+    names = {"true": "the true CoP", "moment": "that of feet that the moment filter calibrates"}
+    others = [f"{name} in {falls[feed]}" for feed, name in names.items() if feed in falls]
     return (
         f"The same robot, walk and controller on load cells that are {loop['severity'].iloc[0]:g} times as "
-        f"bad as cheap ones: of {plural(walks, 'walk')}, {falls['none']} end in a fall on raw readings, "
-        f"{' and '.join(others)}."
+        f"bad as cheap ones: fed the raw CoP the robot falls in {falls['none']} of {plural(walks, 'walk')}, "
+        f"fed {' and '.join(others)}."
     )
 
 

@@ -52,9 +52,9 @@ _TEXTS = {
         knows (late and noisy encoders and IMU, and a model of itself whose mass and centre of mass are
         off), never the truth; the truth is used here to score them.""",
     "amount": """
-        {seeds} at each of {speeds}, walks of {duration:g} s of which the first {stand:g} s are standing;
-        errors count from {settle:g} s on. All intervals are 95 % intervals of the mean over seeds (Student
-        t).""",
+        {seeds} at each speed ({speeds} m/s), walks of {duration:g} s of which the first {stand:g} s are
+        standing; errors count from {settle:g} s on. All intervals are 95 % intervals of the mean over
+        seeds (Student t).""",
     "conditions": """
         Two conditions. {paper}: the cells were calibrated from known weights before the walk and drift
         mildly since (0.5 % in scale and 0.2 N in offset per square root of a minute); methods start from
@@ -161,13 +161,13 @@ def write_demo_page(results: ArenaResults) -> Report:
     amount = _say(
         _TEXTS["amount"],
         seeds=plural(options.seeds, "seed"),
-        speeds=plural(len(results.speeds), "speed"),
+        speeds=", ".join(f"{speed:g}" for speed in results.speeds),
         duration=options.duration,
         stand=STAND_TIME,
         settle=options.settle,
     )
     introduction = (flat(_TEXTS["introduction"]), amount)
-    title = "Walking on feet that lie, and on calibrated ones"
+    title = "Walking on bad feet, and on calibrated ones"
     page = write_page(options.out / "report.html", title, introduction, sections, lead=lead)
     return Report(page, tuple(all_tables))
 

@@ -136,7 +136,7 @@ def write_page(
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["kind"] = _kind
+    environment.filters |= {"kind": _kind, "kinds": _kinds}
     template = files("surefoot.experiments.study").joinpath("page.html").read_text(encoding="utf-8")
     page = environment.from_string(template).render(
         title=title,
@@ -175,6 +175,12 @@ def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:
 def flat(text: str) -> str:
     """Return a text that the source wraps and indents as one line."""
     return " ".join(text.split())
+
+
+def _kinds(table: Table) -> list[str]:
+    """Return the class of each column: text stands on the left."""
+    columns = list(zip(*table.rows, strict=True)) or [()] * len(table.columns)
+    return ["text" if column and all(cell[:1].isalpha() for cell in column) else "" for column in columns]
 
 
 def _kind(cell: str) -> str:
