@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["TABLE_2", "TABLE_3", "WALKING_TABLES", "BenchTable", "MethodErrors"]
+__all__ = ["TABLE_2", "TABLE_3", "WALKING_TABLES", "MethodErrors", "WeightTable"]
 
 
-class BenchTable(NamedTuple):
+class WeightTable(NamedTuple):
     """Codes of eight cells under known loads and the lines through them, as in Table 2.
 
     Attributes:
@@ -37,7 +37,7 @@ class MethodErrors(NamedTuple):
 
 _CELLS = ("front-left", "front-right", "rear-left", "rear-right")
 
-TABLE_2 = BenchTable(
+TABLE_2 = WeightTable(
     channel_names=tuple(f"{foot}/{cell}" for foot in ("left", "right") for cell in _CELLS),
     load=np.array([0.0, 0.01, 0.05, 0.2]),
     code=np.array(
@@ -70,10 +70,10 @@ TABLE_2 = BenchTable(
         [19.8895457, 18.4277626, 28.9285295, 28.9357592, 28.9017197, 28.9199912, 28.9290027, 29.3677097]
     ),
 )
-"""The paper's bench. Six of the eight cells share one zero code, and two rows share three of four codes."""
+"""The paper's weighing. Six of the eight cells share one code for no load; two rows share three codes."""
 
 TABLE_3 = {"initial": MethodErrors(0.1839, 5.298), "calibrated": MethodErrors(0.0005, 0.08)}
-"""The bench before and after manual calibration."""
+"""Before and after the paper's manual calibration from weights."""
 
 WALKING_TABLES = {
     0.02: {"window": MethodErrors(0.0059, 0.4339), "quasi-static": MethodErrors(0.0108, 1.2949)},
