@@ -20,17 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration._constants import Constants, namespace_of
-from surefoot.calibration._setup import (
-    OnlineMethod,
-    OnlineSetup,
-    check_count,
-    check_not_negative,
-    check_positive,
-)
+from surefoot.calibration.arrays import Constants, namespace_of
+from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -44,7 +39,7 @@ class TareConfig:
     """Time that a foot must have been in the air before its readings count, in s."""
 
     minimum_samples: int = 10
-    """Readings of one swing that a zero is taken from at least."""
+    """Readings of one swing that an offset is taken from at least."""
 
     spread: float = 0.01
     """Standard deviation within a swing, in body weights, above which a foot is not thought to hang
@@ -55,7 +50,7 @@ class TareConfig:
     foot together can have; a greater one means that the foot was not in the air after all."""
 
     def __post_init__(self) -> None:
-        """Refuse values that have no meaning."""
+        """Raise an error if a value has no meaning."""
         check_positive(self, "spread", "offset_range")
         check_not_negative(self, "settle")
         check_count(self, "minimum_samples")
@@ -82,10 +77,10 @@ class TareState(NamedTuple):
 
 
 def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
-    """Build the swing tare as a pair of pure functions.
+    """Return the swing tare as a pair of pure functions.
 
     Args:
-        setup: What the method must be told about the robot.
+        setup: The robot.
         config: Options.
     """
     options = config or TareConfig()
@@ -107,7 +102,7 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
         front, sample = front_end.observe(state.front, raw, reference, dt)
         by_foot = constants.like(raw).by_foot
         in_air = xp.matmul(xp.astype(sample.swing, raw.dtype), by_foot) > 0.5
-        # Across a gap the foot may have stood: what was counted before says nothing of this swing.
+        # Across a gap the foot may have stood: what was counted before is not of this swing.
         airborne = xp.where(in_air, (state.airborne * 0 if sample.gap else state.airborne) + 1, 0)
         fresh = airborne == 1
         used = (airborne > settle) & sample.read
@@ -126,7 +121,7 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
         enough = used & (count >= options.minimum_samples)
         still = scatter <= number * spread**2
         small = xp.abs(mean) <= limit
-        # One channel that carries load, or all together, speak for the foot: the swing was believed wrongly.
+        # Where one channel carries load, or all together do, the foot did not swing.
         feet_of = xp.matrix_transpose(by_foot)
         doubt = xp.matmul(xp.astype(enough & ~(still & small), raw.dtype), feet_of)
         carries = xp.abs(xp.matmul(xp.where(enough, mean, 0.0), feet_of)) > limit
@@ -143,10 +138,10 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
 
 
 def uncorrected(setup: OnlineSetup) -> OnlineMethod:
-    """Build the method that leaves the starting map as it is.
+    """Return the method that leaves the starting map as it is.
 
     Args:
-        setup: What the method must be told about the robot.
+        setup: The robot.
     """
     front_end = FrontEnd(setup)
 

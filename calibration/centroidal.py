@@ -1,4 +1,4 @@
-r"""What the robot's own motion says about the ground's force: the reference of the calibrators.
+r"""What the robot's own motion asks of the ground's force: the reference of the calibrators.
 
 Newton and Euler for the whole robot (CoP paper, Eqs. 6, 7), f_i the ground's forces at p_i,
 
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from array_api_compat import array_namespace
 
-from surefoot.calibration._arrays import check_tail
+from surefoot.calibration.checks import check_tail
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments
 from surefoot.calibration.reference import GRAVITY, Reference
 
@@ -74,7 +74,7 @@ def ground_reference(
         mass: The robot's mass in kg, a number or shape (...).
         height: Height p_z of the ground in the level frame in m, shape (...); by default
             :func:`ground_height`.
-        quasi_static: Whether to leave the motion out (Han): Fz = M g above the centre of mass.
+        quasi_static: Whether to leave the motion out: Fz = M g above the centre of mass.
         gravity: Acceleration of free fall in m/s^2.
         threshold: Vertical force in N at or below which the centre of pressure is NaN.
 

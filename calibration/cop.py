@@ -18,7 +18,8 @@ from typing import Any
 
 from array_api_compat import array_namespace
 
-from surefoot.calibration._arrays import check_floating, check_tail, constant_like
+from surefoot.calibration.arrays import constant_like
+from surefoot.calibration.checks import check_floating, check_tail
 from surefoot.calibration.layout import FeetLayout
 
 Array = Any
@@ -90,7 +91,7 @@ def cop_of_moments(fz: Array, moment: Array, threshold: float = FORCE_THRESHOLD)
 
 
 def cop_is_valid(fz: Array, threshold: float = FORCE_THRESHOLD) -> Array:
-    """Tell where a vertical force is large enough, and finite, for a centre of pressure.
+    """Return where a vertical force is large enough, and finite, for a centre of pressure.
 
     Args:
         fz: Vertical force in N, shape (...).
@@ -109,7 +110,7 @@ def cop_is_valid(fz: Array, threshold: float = FORCE_THRESHOLD) -> Array:
 
 
 def _finite_or_nan(array: Array) -> Array:
-    """Turn infinities to NaN, which passes through products with zero without a warning."""
+    """Return NaN for infinities, which passes through products with zero without a warning."""
     xp = array_namespace(array)
     return xp.where(xp.isfinite(array), array, constant_like(xp.nan, array))
 

@@ -24,7 +24,7 @@ class Flag(IntFlag):
     """The reference is not finite or not physical: the last one is held and nothing is learnt from it."""
 
     GAP = 8
-    """The time since the last sample was no time or far too long: filter and window began anew."""
+    """The time since the last sample is zero, negative or far too long: filter and window are empty again."""
 
     NO_CONTACT = 16
     """The window holds too few samples with weight on the feet to learn from: parameters unchanged."""
@@ -36,7 +36,7 @@ class Flag(IntFlag):
     """Still collecting the standing start: parameters as they were given."""
 
     REJECTED = 128
-    """What the data asked for was refused as impossible for a sensor: parameters unchanged."""
+    """What the data ask for is impossible for a sensor: parameters unchanged."""
 
     SPIKE = 256
     """The reading leapt away from its neighbours: the last one is held."""
@@ -64,7 +64,7 @@ class Estimate(NamedTuple):
     """Calibrated readings of one sample; any leading batch dimensions, written as ``...``.
 
     Forces, wrenches and parameters are always finite. A centre of pressure is NaN exactly where its
-    validity says that there is none.
+    validity is false.
 
     Attributes:
         force: Calibrated channels in N (or the channel's own unit), shape (..., K).
@@ -85,8 +85,8 @@ class Estimate(NamedTuple):
         nis: Normalised innovation squared of the update at this sample, shape (...), NaN at samples without
             one; or ``None``.
         nis_rows: Number of rows, its degrees of freedom, shape (...), or ``None``.
-        matrix: Gains of a calibration with cross-talk against the starting map, the A of F = A F0 + b, shape
-            (..., K, K); ``None`` where gains are one a channel.
+        matrix: Scales of a calibration with cross-talk against the starting map, the A of F = A F0 + b, shape
+            (..., K, K); ``None`` where there is one scale a channel.
     """
 
     force: Array

@@ -8,12 +8,12 @@ import numpy as np
 from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike
 
-from surefoot.calibration._setup import setup_from_options
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.online import method_name, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
 
 Array = Any
@@ -30,8 +30,8 @@ class FootCalibrator:
         layout: How the channels make up the feet's wrenches.
         method: A key of :data:`~surefoot.calibration.online.METHODS`.
         mass: Mass of the robot as it believes it, in kg.
-        initial: The map to start from, the nominal or the bench calibration; by default readings are taken
-            for newtons.
+        initial: The map to start from, the nominal one or that of known weights; by default readings are
+            taken for newtons.
         dt: Nominal time between samples in s.
         lag: How many samples ago the foot sample was taken that a reference describes: 2 at 80 Hz for
             telemetry that comes 20 ms late, 0 without delay.
@@ -110,7 +110,7 @@ class FootCalibrator:
         return estimate
 
     def reset(self) -> None:
-        """Forget everything: the next sample begins from the starting map."""
+        """Drop all that was learnt: the next sample begins from the starting map."""
         self._state = None
 
     def save(self, path: str | PathLike[str]) -> None:

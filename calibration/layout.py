@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration._vectors import skew
+from surefoot.calibration.arrays import skew
 
 __all__ = ["FeetLayout", "FootLayout", "FootSensor"]
 
@@ -28,8 +28,8 @@ FORCE_TORQUE_NAMES = ("fx", "fy", "fz", "tx", "ty", "tz")
 class FootSensor:
     """One instrument of a foot: which channels are its own, and what hangs beyond it.
 
-    What is beyond a sensor (the sole plate under load cells, the whole foot below an ankle sensor) moves
-    with the foot, so that the sensor feels its inertia. Its weight at level rest counts as part of the zero.
+    What is beyond a sensor (the sole plate under load cells, the whole foot below an ankle sensor) moves with
+    the foot, so that the sensor feels its inertia. Its weight at level rest counts as part of the offset.
 
     Attributes:
         channels: Its channels within the foot.
@@ -68,7 +68,7 @@ class FootLayout:
     sensors: tuple[FootSensor, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a map that is no map."""
+        """Raise ValueError if the map is none."""
         if self.wrench_map.ndim != 2 or self.wrench_map.shape[0] != 6:
             raise ValueError(
                 f"The wrench map of foot '{self.name}' must have shape (6, channels), "
@@ -103,7 +103,7 @@ class FootLayout:
         """Describe a foot on single-axis load cells.
 
         Each cell carries a vertical force at its own place, so that the cells of a foot add up to
-        (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i); the other three rows stay zero.
+        (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i); the other three rows stay 0.
 
         Args:
             name: What messages and logs call the foot.
@@ -135,7 +135,7 @@ class FootLayout:
         if spread[1] < 1e-6:
             raise ValueError(
                 f"The cells of foot '{name}' lie on one line, so that the centre of pressure beside it "
-                "cannot be told; check the positions (metres, sole frame)."
+                "is not determined; check the positions (metres, sole frame)."
             )
         if channel_names is None:
             channel_names = (
@@ -191,7 +191,7 @@ class FootLayout:
     def combined(cls, name: str, *feet: "FootLayout") -> "FootLayout":
         """Describe a foot with several instruments, such as load cells below an ankle sensor.
 
-        Each instrument tells the same wrench on its own; the foot's is their mean over those that see an
+        Each instrument measures the same wrench on its own; the foot's is their mean over those that see an
         axis at all. Calibrators that know of it hold the instruments against each other.
 
         Args:
@@ -235,7 +235,7 @@ class FeetLayout:
     feet: tuple[FootLayout, ...]
 
     def __post_init__(self) -> None:
-        """Refuse a missing foot and feet that cannot be told apart."""
+        """Raise ValueError if there is no foot, or two have the same name."""
         if len(self.feet) not in (1, 2):
             raise ValueError(
                 "A layout has two feet, ordered (left, right), or one foot alone such as a force plate; "
@@ -279,7 +279,7 @@ class FeetLayout:
         return np.repeat(np.arange(len(self.feet)), [foot.channels for foot in self.feet])
 
     def check_raw(self, raw: Any, what: str = "raw") -> None:
-        """Refuse readings whose last axis is not the channels of this layout.
+        """Raise ValueError if the last axis of readings is not the channels of this layout.
 
         Raises:
             ValueError: If the last axis does not hold one reading a channel.

@@ -27,10 +27,10 @@ from dataclasses import fields
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from surefoot.calibration._setup import OnlineMethod, OnlineSetup, method_name
 from surefoot.calibration.baselines import TareConfig, tare, uncorrected
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import moment_filter
+from surefoot.calibration.setup import OnlineMethod, OnlineSetup, method_name
 from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.stream import quasi_static, window
 
@@ -66,7 +66,7 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
 
     Args:
         name: A key of :data:`METHODS`, or an old name, with a ``DeprecationWarning``.
-        setup: What the method must be told about the robot.
+        setup: The robot.
         options: Fields of the method's config.
 
     Raises:

@@ -1,12 +1,12 @@
 """The affine map of every channel, and the same map relative to where it started.
 
 A channel reports ``raw``, and F = c raw + d (CoP paper, Eq. 2) with the scale c and the offset d. Counts of
-a 24-bit converter lie near 8 million with slopes of some 1e-5 N, so that c and d are badly matched as
+a 24-bit converter are near 8 million with slopes of some 1e-5 N, so that c and d are badly matched as
 unknowns: estimators work on
 
     F = a F0 + b,    F0 = c0 raw + d0,
 
-where (c0, d0) is the starting map, a is near one and b near 0 N. The two forms say the same:
+where (c0, d0) is the starting map, a is near one and b near 0 N. The two forms are equal:
 c = a c0 and d = a d0 + b.
 """
 
@@ -33,7 +33,7 @@ class Parameters(NamedTuple):
     offset: Array
 
     def force(self, raw: Array) -> Array:
-        """Map readings to forces, F = c raw + d (CoP paper, Eq. 2).
+        """Return the forces of readings, F = c raw + d (CoP paper, Eq. 2).
 
         Args:
             raw: Readings, shape (..., K).
@@ -44,7 +44,7 @@ class Parameters(NamedTuple):
         return self.scale * raw + self.offset
 
     def relative_to(self, start: "Parameters") -> "Parameters":
-        """Say this map as a correction of another one's forces.
+        """Return this map as a correction of another one's forces.
 
         Args:
             start: The map (c0, d0) to start from; none of its scales may be zero.
@@ -56,7 +56,7 @@ class Parameters(NamedTuple):
         return Parameters(ratio, self.offset - ratio * start.offset)
 
     def after(self, start: "Parameters") -> "Parameters":
-        """Apply this correction to the forces of another map: the inverse of :meth:`relative_to`.
+        """Return this correction applied to the forces of another map: the inverse of :meth:`relative_to`.
 
         Args:
             start: The map (c0, d0) whose forces this one corrects.

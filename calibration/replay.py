@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._setup import check_value, setup_from_options
+from surefoot.calibration.checks import check_value
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.filters import zero_phase as filter_zero_phase
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
@@ -20,6 +20,7 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.online import METHODS, method_name, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import setup_from_options
 
 PAPER_CUTOFF = 10.0
 """Cutoff of the CoP paper's zero-phase filter in Hz."""

@@ -1,4 +1,4 @@
-"""What an offline fit hands back besides its value, and how it says no."""
+"""What an offline fit returns besides its value, and the error if it cannot."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,11 +16,11 @@ class FitResult(StrEnum):
     """Directions that the data do not excite were left where they started; see the rank."""
 
     REFUSED = "refused"
-    """The data cannot tell; the reasons are with the fit."""
+    """The data do not determine it; the reasons are with the fit."""
 
 
 class CalibrationRefused(ValueError):  # noqa: N818 - a refusal is not an error of the program
-    """A fit that will not say what it cannot know.
+    """Raised by a fit that the data do not determine.
 
     Attributes:
         reason: What is missing.

@@ -1,4 +1,4 @@
-r"""Starting values from quiet standing: what a robot at rest tells about its load cells, and what not.
+r"""Starting values from quiet standing: what a robot at rest shows of its load cells, and what not.
 
 A robot at rest presses with M g below its centre of mass (x, y), so that over the cells of both feet
 (CoP paper, Eqs. 12, 13), per sample k,
@@ -9,12 +9,12 @@ which is linear in (c, d). Used are samples in contact (Fz > 5 N by the starting
 specific force within a_th of g, the angular velocity below w_th), after a time of warming up T_warm,
 for as long as it takes to have enough.
 
-The paper solves this by least squares and does not say that it is singular. A still robot shows one sample
-over and over, so that three combinations of sixteen unknowns follow, and the noise of the readings would
-invent the others. Shifting the weight about adds the scales. The offsets enter only by their sum and two
-moments for as long as the feet stay: eleven combinations at most, never sixteen; the others take a foot
-in the air. Here the solution stays as near the starting map as the data allow. With F = a F0 + b and F0
-the force by the starting map,
+The paper solves this by least squares and does not mention that it is singular. A still robot shows one
+sample over and over, so that three combinations of sixteen unknowns follow, and the noise of the readings
+would invent the others. Shifting the weight about adds the scales. The offsets enter only by their sum and
+two moments for as long as the feet stay: eleven combinations at most, never sixteen; the others take a foot
+in the air. Here the solution stays as near the starting map as the data allow. With F = a F0 + b and F0 the
+force by the starting map,
 
     min  sum_k |r_k(a, b) - e|^2 / s^2  +  |a - 1|^2 / s_a^2  +  |b|^2 / s_b^2  +  |e|^2 / s_e^2
 
@@ -32,8 +32,14 @@ from array_api_compat import array_namespace
 from array_api_compat import device as device_of
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration._arrays import Array, check_tail
-from surefoot.calibration._setup import check_count, check_not_negative, check_positive, check_value
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.checks import (
+    check_count,
+    check_not_negative,
+    check_positive,
+    check_tail,
+    check_value,
+)
 from surefoot.calibration.cop import FORCE_THRESHOLD, moment_rows
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
 from surefoot.calibration.layout import FeetLayout
@@ -148,7 +154,7 @@ class QuietStanding:
     """Error of the believed centre of mass in m, per axis; all samples have it in common."""
 
     def __post_init__(self) -> None:
-        """Refuse values that have no meaning."""
+        """Raise an error if a value has no meaning."""
         positive = ("mass", "acceleration_threshold", "rate_threshold", "scale_std", "offset_std")
         check_positive(self, *positive, "force_noise", "cop_noise")
         check_not_negative(self, "warm_up", "duration", "threshold", "mass_error", "com_error")
@@ -160,7 +166,7 @@ class QuietStanding:
                 raise ValueError(f"'start.{field}' holds values that are not finite: {value}.")
 
     def init(self, raw: Array) -> StandingState:
-        """Begin with nothing seen.
+        """Return the state before any sample.
 
         Args:
             raw: Readings of the kind to come (library, device, batch dimensions), shape (..., K).
@@ -210,12 +216,12 @@ class QuietStanding:
         )
 
     def ready(self, state: StandingState) -> Array:
-        """Tell whether enough samples came over enough time (bool), shape (...)."""
+        """Return whether enough samples came over enough time (bool), shape (...)."""
         enough_time = state.time >= self.warm_up + self.duration - 1e-9
         return (state.samples >= self.minimum_samples) & enough_time
 
     def solve(self, state: StandingState) -> StandingEstimate:
-        """Find the map nearest to the starting one that explains the samples (CoP paper, Eq. 13).
+        """Return the map nearest to the starting one that explains the samples (CoP paper, Eq. 13).
 
         Without samples it is the starting map.
         """
@@ -246,11 +252,11 @@ class QuietStanding:
         )
 
     def _deviations(self) -> NDArray[np.float64]:
-        """List what (a, b) are measured in, so that one means as far as was thought, shape (2 K,)."""
+        """Return the units of (a, b), shape (2 K,): one is as far from the start as assumed."""
         return np.repeat([self.scale_std, self.offset_std], self.layout.channels)
 
     def rows(self, raw: Array, reference: Reference) -> tuple[Array, Array, Array, Array]:
-        """Write samples as whitened rows J u = y, and tell which are finite and which in contact and still.
+        """Return samples as whitened rows J u = y, and which are finite, and which in contact and still.
 
         Returns:
             J (..., 3, 2 K + 3), y (..., 3), finite (...), quiet (...); zeros where not finite.
@@ -316,7 +322,7 @@ class StandingFit:
         value: The map (c, d) of the readings.
         correction: The same as (a, b) of F = a F0 + b.
         covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K), given that the errors of the robot's
-            mass and centre of mass are as small as was said.
+            mass and centre of mass are as small as assumed.
         result: Whether all directions were determined; quiet standing alone never does that.
         stats: Of the fit; the residual is in multiples of the noise that was assumed.
         duration: How much of the recording was needed, in s.

@@ -13,7 +13,7 @@ from array_api_compat import array_namespace, is_array_api_obj
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration._setup import OLD_NAMES
+from surefoot.calibration.setup import OLD_NAMES
 
 _FORMAT = "surefoot-state-1"
 
@@ -45,7 +45,7 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
 
     Args:
         path: A file that :func:`save_state` wrote.
-        like: A state of the same method and setup, such as a fresh one: it tells the library, the device and
+        like: A state of the same method and setup, such as a fresh one: it gives the library, the device and
             what must fit. It is not changed.
         notes: Texts that must be as they were saved; under ``method`` an old name of the method is accepted.
 

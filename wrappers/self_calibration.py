@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 
 from surefoot.calibration import FootCalibrator, Parameters, Reference
-from surefoot.calibration._setup import method_name
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.beliefs import Beliefs, nothing

@@ -1,14 +1,14 @@
-"""Centres of pressure of every foot and of all together, from loads and moments; private.
+"""Centres of pressure of every foot and of all together, from loads and moments.
 
-What :func:`surefoot.calibration.cop.cop_of_moments` says, without its checks, and for all feet in one go: a
-control loop divides at every sample.
+As :func:`surefoot.calibration.cop.cop_of_moments`, without its checks, and for all feet in one go: a control
+loop divides at every sample.
 """
 
 from typing import Any
 
 import numpy as np
 
-from surefoot.calibration._constants import namespace_of
+from surefoot.calibration.arrays import namespace_of
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -21,7 +21,7 @@ LEVER_MAP[[2, 4, 3], [0, 1, 2]] = 1.0, -1.0, 1.0
 def centres(
     wrench: Array, moments: Array, known: Array, threshold: float, lever_map: Array
 ) -> tuple[Array, Array]:
-    """Divide moments by loads.
+    """Return centres of pressure: moments divided by loads.
 
     Args:
         wrench: Wrenches at and in the sole frames in N and N m, shape (..., F, 6).

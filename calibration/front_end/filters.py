@@ -1,4 +1,4 @@
-r"""Low-pass filters of forces and of what the motion says: causal for streams, zero-phase for logs.
+r"""Low-pass filters of forces and of the motion: causal for streams, zero-phase for logs.
 
 The CoP paper smooths forces and accelerations with a zero-phase filter of 10 Hz. Such a filter looks into
 the future: it can replay a log but never run on a robot. In a stream the same second-order Butterworth filter
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration.arrays import Constants, namespace_of
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -118,7 +118,7 @@ def _coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArra
 
 
 def _check(cutoff: float, dt: float) -> None:
-    """Refuse a cutoff that the sample rate cannot carry."""
+    """Raise ValueError if the sample rate cannot carry a cutoff."""
     if not dt > 0.0:
         raise ValueError(f"'dt' must be a positive time between samples in s, got {dt}.")
     if not 0.0 < cutoff < 0.5 / dt:

@@ -1,4 +1,4 @@
-"""A robot's beliefs as flat numbers, and what they say of the ground; private.
+"""A robot's beliefs as flat numbers, and what they ask of the ground.
 
 A reference is laid out flat because a control loop pays for every operation: one check, one choice between
 the new and the last good one. The equations are those of :mod:`surefoot.calibration.cop` and
@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, in_a_row, namespace_of, shaped
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, in_a_row, namespace_of, shaped
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY, Reference
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -65,7 +65,7 @@ class Motions:
     """The flat references of one setup.
 
     Args:
-        setup: What the method was told about the robot.
+        setup: The robot.
         quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
 
     Attributes:
@@ -120,7 +120,7 @@ class Motions:
                 raise ValueError(f"'reference.{field}' must hold booleans, got dtype {value.dtype}.")
 
     def flatten(self, reference: Reference, like: Array) -> Array:
-        """Lay the numbers of a reference side by side, in the dtype of the readings, shape (..., R)."""
+        """Return the numbers of a reference side by side, in the dtype of the readings, shape (..., R)."""
         xp, batch = namespace_of(like), tuple(like.shape[:-1])
         parts = (
             reference.com,
@@ -154,7 +154,7 @@ class Motions:
         )
 
     def ground(self, motion: Array) -> tuple[Array, Array, Array]:
-        """Compute what a motion asks of the ground.
+        """Return what a motion asks of the ground.
 
         Args:
             motion: Flat references, shape (..., R).
@@ -184,7 +184,7 @@ class Motions:
         return vgrf, cop, near & (vgrf > threshold) & (vgrf < LARGEST_WEIGHTS * weight)
 
     def rows(self, motion: Array) -> Array:
-        """Write (Fz, Fz px, Fz py) of each foot as rows by channel in the level frame.
+        """Return rows by channel that give (Fz, Fz px, Fz py) of each foot in the level frame.
 
         Args:
             motion: Flat references, shape (..., R).
@@ -204,7 +204,7 @@ class Motions:
 
 
 def _row_map(layout: FeetLayout) -> NDArray[np.float64]:
-    """Map each foot's (up, px up, py up, ex, ey) to its rows (Fz, Fz px, Fz py) by channel.
+    """Return what maps each foot's (up, px up, py up, ex, ey) to its rows (Fz, Fz px, Fz py) by channel.
 
     ``ex``, ``ey`` and ``up`` are the rows of R_level_sole, so that with f and t the sole's force and torque
 

@@ -1,4 +1,4 @@
-"""The way of one sample before and after learning, the same for every online method; private.
+"""The way of one sample before and after learning, the same for every online method.
 
 * **Checks.** Wrong shapes and dtypes raise: they are errors of the program. A *reading* never raises:
   NaN (no sample arrived) and impossible forces are replaced by the last good reading and flagged; a
@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration._arrays import check_floating
-from surefoot.calibration._constants import Constants, all_along, cast, namespace_of, shaped, surely
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, all_along, cast, namespace_of, shaped, surely
+from surefoot.calibration.checks import check_floating
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.centres import LEVER_MAP, centres
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -91,8 +91,8 @@ class FrontEnd:
     """The way of a sample for one setup: pure functions that share constants.
 
     Args:
-        setup: What the method was told about the robot.
-        quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
+        setup: The robot.
+        quasi_static: Whether the reference leaves the motion out: Fz = M g at (x, y).
 
     Attributes:
         setup: The same.
@@ -120,7 +120,7 @@ class FrontEnd:
         )
 
     def init(self, raw: Array) -> FrontState:
-        """Begin with nothing seen.
+        """Return the state before any sample.
 
         Args:
             raw: Readings of the kind to come, shape (..., K); their values do not matter.

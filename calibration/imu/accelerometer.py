@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from surefoot.calibration._setup import check_value
+from surefoot.calibration.checks import check_value
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import savgol_filter
 
-from surefoot.calibration._setup import check_value
+from surefoot.calibration.checks import check_value
 
 __all__ = ["savitzky_golay", "static_samples"]
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._vectors import skew
+from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.model import STATIC

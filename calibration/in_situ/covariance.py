@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from surefoot.calibration._vectors import skew
+from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, STATIC

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration._setup import check_value
+from surefoot.calibration.checks import check_value
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, Limb, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (
     AXES,

@@ -29,8 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, namespace_of
-from surefoot.calibration._vectors import skew
+from surefoot.calibration.arrays import Constants, namespace_of, skew
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.reference import GRAVITY
 

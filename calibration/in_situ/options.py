@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._setup import check_not_negative, check_positive
+from surefoot.calibration.checks import check_not_negative, check_positive
 
 __all__ = ["InSituOptions", "InSituTrackerConfig", "KnownLimb"]
 

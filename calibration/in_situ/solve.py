@@ -20,7 +20,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration._vectors import skew
+from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.model import (
     AXES,

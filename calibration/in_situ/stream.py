@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration._arrays import check_tail, constant_like
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration.arrays import Constants, constant_like, namespace_of
+from surefoot.calibration.checks import check_tail
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, check_calibrated, error_covariance
 from surefoot.calibration.in_situ.model import (

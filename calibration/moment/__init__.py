@@ -1,1 +1,1 @@
-"""The moment filter: gains and offsets from what forces and moments must add up to (docs/estimator.md)."""
+"""The moment filter: scales and offsets from what forces and moments must add up to (docs/estimator.md)."""

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._setup import OnlineSetup
 from surefoot.calibration.cop import cop_of_moments
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.moment.config import MomentFilterConfig
@@ -31,6 +30,7 @@ from surefoot.calibration.moment.uncertainty import Uncertainty, to_cop, varianc
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineSetup
 
 Floats = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 r"""The moment filter: a Kalman filter on rows that are linear in what is unknown.
 
 The CoP paper divides moments by forces before it compares (Eq. 14), and needs Gauss-Newton for that. Left
-undivided, the six Newton-Euler equations (Eqs. 6, 7) are *linear* in gains a, offsets b and, to first order,
+undivided, the six Newton-Euler equations (Eqs. 6, 7) are *linear* in scales a, offsets b and, to first order,
 in the errors of the reference itself. About the point o below the believed centre of mass, on the ground,
 
     sum_i f_i = M (c'' + g e_z) + errors of mass and acceleration
@@ -21,9 +21,8 @@ state.
   into the cells.
 * **Sums, not a filter.** A low-pass makes noise coloured, and a Kalman filter that takes coloured noise for
   white is too sure of itself. Here samples are averaged, ``average`` of them, the same on both sides.
-* **Rows may lie**: see :mod:`surefoot.calibration.moment.kalman`. A foot that is said to swing and carries
-  weight
-  is not believed; noise is taken as larger than stated while the innovations say so.
+* **Rows may be wrong**: see :mod:`surefoot.calibration.moment.kalman`. A foot that should swing and carries
+  weight is left out; noise is taken as larger than assumed while the innovations are.
 * **Level frames should turn with the feet**, as those of :class:`~surefoot.wrappers.SelfCalibration` do: the
   errors of the centre of mass and of the acceleration are taken for constant in them.
 * **Channels may break**: see :mod:`surefoot.calibration.moment.faults`.
@@ -31,7 +30,7 @@ state.
 
 from dataclasses import dataclass
 
-from surefoot.calibration._setup import check_count, check_not_negative, check_positive
+from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,17 +44,17 @@ class MomentFilterConfig:
     """Samples that are averaged into one set of rows; must divide ``every``."""
 
     scale_std: float = 0.12
-    """How far gains are thought to be from the starting map: 12 % for cells that were never calibrated."""
+    """How far scales are thought to be from the starting map: 12 % for cells that were never calibrated."""
 
     offset_std: float = 0.03
     """How far offsets are thought to be from the starting map, in body weights (1.5 N for a NAO)."""
 
     cross_talk: float = 0.0
-    """How much the axes of a six-axis sensor are thought to talk across, relative to their own gain; 0 takes
+    """How much the axes of a six-axis sensor are thought to talk across, relative to their own scale; 0 takes
     its matrix for diagonal, which needs fewer unknowns."""
 
     scale_drift: float = 0.02
-    """Random walk of a gain per square root of a minute."""
+    """Random walk of a scale per square root of a minute."""
 
     offset_drift: float = 0.02
     """Random walk of an offset in body weights per square root of a minute (1 N for a NAO)."""
@@ -73,7 +72,7 @@ class MomentFilterConfig:
     """Standard deviation of a channel's mean reading over 16 samples in the air, in body weights."""
 
     parity_noise: float = 0.006
-    """Standard deviation of what two instruments of one foot tell apart over half a block, in body weights
+    """Standard deviation of the difference of two instruments of one foot over half a block, in body weights
     and body weights times foot lengths."""
 
     com_std: float = 0.002
@@ -84,7 +83,7 @@ class MomentFilterConfig:
 
     learn_mass: bool = True
     """Whether to estimate the mass after it leapt. Else it is only considered that it may be off (Schmidt):
-    what a robot weighs can be found on any kitchen scale, and drifting gains would carry it along."""
+    what a robot weighs can be found on any kitchen scale, and drifting scales would carry it along."""
 
     mass_change: float = 0.05
     """How much the mass is thought to have changed, relative, when the vertical force of a whole block leaps
@@ -115,7 +114,7 @@ class MomentFilterConfig:
 
     still: float = 0.02
     """Change of a reading in body weights (times foot lengths for a torque) below which a robot stands still:
-    all that it says then counts as little more than one block. 0 takes every block for itself."""
+    all blocks together then count as little more than one. 0 takes every block for itself."""
 
     leap: float = 0.25
     """Change of a channel's reading from one sample to the next in body weights that no foot makes: such
@@ -135,7 +134,7 @@ class MomentFilterConfig:
         return slice(self.settle, self.settle + self.every)
 
     def __post_init__(self) -> None:
-        """Refuse values that have no meaning."""
+        """Raise an error if a value has no meaning."""
         check_positive(
             self, "scale_std", "offset_std", "force_noise", "cop_noise", "swing_noise", "parity_noise",
             "gate", "reject", "leap", "stand_in_memory",

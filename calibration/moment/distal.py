@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, namespace_of
+from surefoot.calibration.arrays import Constants, namespace_of
 from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY

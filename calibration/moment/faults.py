@@ -7,7 +7,7 @@ Three things give a channel away:
 * **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.hypotheses`.
 
 A channel that is out is reconstructed (:mod:`surefoot.calibration.moment.stand_in`); flipped and swapped ones
-are put right. What was learnt in the last seconds is forgotten then, because it was learnt from wrong
+are put right. What was learnt in the last seconds is dropped then, because it was learnt from wrong
 readings. A channel that agrees with its reconstruction again comes back.
 """
 
@@ -17,12 +17,12 @@ import numpy as np
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, anywhere, namespace_of
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, anywhere, namespace_of
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.hypotheses import SUSPICION, TRUST, Contradiction, Hypotheses
 from surefoot.calibration.moment.rows import Residuals
 from surefoot.calibration.moment.stand_in import StandIn
+from surefoot.calibration.setup import OnlineSetup
 
 __all__ = ["LONGEST_LEAP", "TRUST", "ChannelFaults", "ChannelState"]
 
@@ -123,7 +123,7 @@ class ChannelFaults:
         )
 
     def init(self, raw: Array, resting: Array) -> ChannelState:
-        """Begin with sound channels; see :class:`ChannelState`."""
+        """Return the state of sound channels; see :class:`ChannelState`."""
         xp, device = namespace_of(raw), device_of(raw)
         zero = xp.zeros_like(raw)
         identity = self._constants.like(raw).identity + 0.0 * zero[..., None]
@@ -237,9 +237,9 @@ class ChannelFaults:
         return state, decision.fault, decision.load
 
     def suspects(self, state: ChannelState, residuals: Residuals) -> Array:
-        """Return whether to wait with learning, as something has begun to seem wrong (bool), shape (...)."""
-        begun = (residuals.mean > SUSPICION) | (state.doubt > 0.5)
-        return begun & (state.doubt < _WAIT) & (state.trust >= TRUST)
+        """Return whether to wait with learning, as something seems wrong since short (bool), shape (...)."""
+        suspected = (residuals.mean > SUSPICION) | (state.doubt > 0.5)
+        return suspected & (state.doubt < _WAIT) & (state.trust >= TRUST)
 
     def unexplained(self, state: ChannelState) -> Array:
         """Return where something has long seemed wrong and no channel explains it (bool), shape (...)."""

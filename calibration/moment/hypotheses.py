@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, in_a_row, namespace_of
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, in_a_row, namespace_of
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.rows import Residuals
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -31,7 +31,7 @@ SUSPICION = 4.0
 """Mean squared normalised residual of a block above which something is thought to be wrong."""
 
 TRUST = 10.0
-"""Blocks without doubt that must have passed before the robot's motion can speak against a channel."""
+"""Blocks without doubt that must have passed before the robot's motion counts against a channel."""
 
 _CALM = 0.4 * SUSPICION
 """Mean of all blocks since something seemed wrong below which nothing seems wrong any more."""
@@ -49,7 +49,7 @@ _LOAD_CONTRAST = 0.4
 """The same of a load against the best hypothesis about any channel."""
 
 _NOISE = 1.0
-"""Mean square that noise leaves: added before a load is compared, as what explains all is not told apart."""
+"""Mean square that noise leaves, added before a load is compared: two that explain all are equally good."""
 
 _LOAD_BLOCKS = 3.0
 """Blocks after which a load is believed: while it is put on it is none that stays the same."""
@@ -70,7 +70,7 @@ _LIGHTER = 0.02
 """Share of its mass that a robot may seem to lack under a load: what it never carried it cannot put down."""
 
 _NOTHING, _CHANNELS, _LOAD = 0, slice(1, -1), -1
-"""Where scores lie of: nothing wrong, each hypothesis about channels, a load."""
+"""Places of the scores with nothing wrong, with each hypothesis about channels, and with a load."""
 
 _NORMAL, _RIGHT = slice(0, 3), slice(3, 4)
 """Columns of a load's normal equations: their matrix, for (centre of mass (2), mass), and right-hand side."""
@@ -99,7 +99,7 @@ class Contradiction(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What speaks for each explanation since something seemed wrong; H hypotheses about channels.
+    """What supports each explanation since something seemed wrong; H hypotheses about channels.
 
     Attributes:
         doubt: Blocks since then, 0 while nothing seems wrong, shape (...).
@@ -144,7 +144,7 @@ class Hypotheses:
 
     Attributes:
         count: Number of hypotheses about channels, H.
-        out, flipped, straight, crossed: Where they lie among these.
+        out, flipped, straight, crossed: Their places among these.
     """
 
     def __init__(self, setup: OnlineSetup, cells: NDArray[np.bool_], change: NDArray[np.float64]) -> None:
@@ -245,7 +245,7 @@ class Hypotheses:
         """Return what of it is believed.
 
         Args:
-            evidence: What speaks for each explanation.
+            evidence: What supports each explanation.
             trust: Blocks without doubt before, shape (...).
             lost: Channels that are out already (0 or 1), shape (..., K).
         """

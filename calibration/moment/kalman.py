@@ -1,4 +1,4 @@
-r"""One step of a Kalman filter with rows that may lie and unknowns that are only considered; private.
+r"""One step of a Kalman filter with rows that may be wrong and unknowns that are only considered.
 
 With the prior x, S and rows y = H x + e, e of variances R,
 
@@ -12,7 +12,7 @@ gate, and less the further it is out.
 
 from typing import Any, NamedTuple
 
-from surefoot.calibration._constants import namespace_of
+from surefoot.calibration.arrays import namespace_of
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -28,7 +28,7 @@ class KalmanStep(NamedTuple):
         predicted: Diagonal of H S H', shape (..., m).
         nis: Normalised innovation squared, e' (H S H' + R)^-1 e with the variances as they were used, shape
             (...).
-        rows: How many rows said anything, shape (...).
+        rows: How many rows held anything, shape (...).
     """
 
     mean: Array
@@ -54,12 +54,12 @@ def kalman_step(
     Args:
         mean: x, shape (..., N).
         covariance: S, shape (..., N, N).
-        H: Rows, shape (..., m, N); a row of zeros with y = 0 says nothing.
+        H: Rows, shape (..., m, N); a row of zeros with y = 0 holds nothing.
         y: Right-hand sides, shape (..., m).
         variance: R, positive, shape (..., m).
         learnt: 1 for unknowns to estimate and 0 for those to consider, shape (..., N).
         identity: Identity matrix, shape (N, N).
-        gate: Standard deviations of an innovation beyond which a row is thought to lie.
+        gate: Standard deviations of an innovation beyond which a row is thought to be wrong.
     """
     xp = namespace_of(mean)
     e = y - (H @ mean[..., None])[..., 0]

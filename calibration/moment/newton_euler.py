@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, in_a_row, namespace_of
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, in_a_row, namespace_of
 from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
 from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, namespace_of
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, namespace_of
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
 from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""

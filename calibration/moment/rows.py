@@ -9,7 +9,7 @@ Rows are in body weights and in body weights times foot lengths; columns are the
 
 from typing import Any, NamedTuple
 
-from surefoot.calibration._constants import namespace_of
+from surefoot.calibration.arrays import namespace_of
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, namespace_of
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, namespace_of
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""

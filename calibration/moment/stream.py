@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration._constants import Constants, any_along, cast, in_a_row, namespace_of
-from surefoot.calibration._setup import OnlineMethod, OnlineSetup
+from surefoot.calibration.arrays import Constants, any_along, cast, in_a_row, namespace_of
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
 from surefoot.calibration.moment.config import MomentFilterConfig
@@ -25,6 +24,7 @@ from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -36,7 +36,7 @@ _LOUDEST = 100.0
 """By how many times variances are taken as larger than assumed at most."""
 
 _LARGEST_SQUARE = 9.0
-"""Largest squared normalised innovation that the noise follows: one beyond three deviations may be a lie."""
+"""Largest squared normalised innovation that the noise follows: one beyond three deviations may be wrong."""
 
 _LEAP_STD = 5.0
 """Standard deviations of a block's mean vertical force beyond which the mass itself is doubted."""
@@ -70,7 +70,7 @@ _KEPT = 1.5
 
 
 class PendingColumns(NamedTuple):
-    """Where the parts of a sample lie that waits until its block is full."""
+    """The places of the parts of a sample that waits until its block is full."""
 
     force: slice
     motion: slice
@@ -152,7 +152,7 @@ class MomentStream:
         )
 
     def init(self, raw: Array) -> MomentState:
-        """Begin with nothing seen; see :class:`~surefoot.calibration.online.OnlineMethod`."""
+        """Return the state before any sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
         front = self._front_end.init(raw)
         xp, device = namespace_of(raw), device_of(raw)
         batch, own = tuple(raw.shape[:-1]), self._constants.like(raw)

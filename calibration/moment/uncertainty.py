@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration._constants import Constants, namespace_of, surely
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, namespace_of, surely
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import Sample
 from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""

@@ -1,4 +1,4 @@
-"""The unknowns of the moment filter: where they lie in one vector, and how sure of them it starts.
+"""The unknowns of the moment filter: their places in one vector, and how sure of them it starts.
 
 | part | number | unit | meaning |
 |---|---|---|---|
@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._constants import Constants, in_a_row
-from surefoot.calibration._setup import OnlineSetup
+from surefoot.calibration.arrays import Constants, in_a_row
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.setup import OnlineSetup
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -37,10 +37,9 @@ class Unknowns:
         channels: Number of channels, K.
         scales: Number of scales, P.
         size: Number of unknowns, N.
-        scale, offset, com, acceleration: Where the parts lie.
-        mass, delay: Where these two lie.
-        map: Where scales and offsets lie, the first P + K.
-        load: Where that lies which a load changes: the centre of mass (2) and the mass.
+        scale, offset, com, acceleration, mass, delay: Places of the parts.
+        map: Place of scales and offsets together, the first P + K.
+        load: Places of what a load changes: the centre of mass (2) and the mass.
         diagonal: Whether there is one scale a channel.
         out, inp: Channel that each scale acts on, and on whose reading, shape (P,) each.
         own: The scale of each channel on its own reading, shape (K,).

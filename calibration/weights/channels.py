@@ -1,8 +1,9 @@
-"""Calibration of single channels on a bench with known weights.
+"""Calibration of single channels from known weights.
 
-Known loads on one cell and its codes give F = c S + d (CoP paper, Eqs. 1, 2; Table 2) by linear regression of
-the *load on the code*. The noise sits in the codes, so that this regression shrinks c by the noise's share of
-the codes' variance: some 1e-9 for a 24-bit converter under kilograms, and it is what the paper prints.
+Known loads on one cell and its readings give F = c S + d (CoP paper, Eqs. 1, 2; Table 2) by linear regression
+of the *load on the reading*. The noise is in the readings, so that this regression shrinks c by the noise's
+share of the readings' variance: some 1e-9 for a 24-bit converter under kilograms, and it is what the paper
+prints.
 
 The correction of a whole foot's centre of pressure follows in
 :mod:`surefoot.calibration.weights.cop_correction`.

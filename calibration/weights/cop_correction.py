@@ -1,17 +1,17 @@
-"""Correction of a foot's centre of pressure on a bench with known weights at known holes.
+"""Correction of a foot's centre of pressure from known weights at known holes.
 
-A plate that bends, cells that are not where the drawing says and cells that are not quite linear leave an
+A plate that bends, cells that are not where the drawing has them and cells that are not quite linear leave an
 error that a weight at a known hole shows (CoP paper, Eqs. 3 to 5):
 
     p_cal = p + a0 + a1 x + a2 y + a3 x^2 + a4 x y + a5 y^2 + sum_i b_i F_i,      per axis,
 
 with p = (x, y) the centre of pressure of the cells (Eq. 8). It is linear in (a, b): no iterations are needed,
-though the paper speaks of nonlinear least squares. Three things that the paper does not say:
+though the paper names nonlinear least squares. Three things that the paper leaves out:
 
 * A rigid plate on k cells loads them in a three-dimensional family only, (Fz, tx, ty): with four cells one
-  combination of the b_i is never seen on a bench. It stays at zero (the smallest correction that fits), and
-  the rank says so.
-* With a single weight the sum of the forces is constant and the b_i cannot be told from a0, a1, a2: refused.
+  combination of the b_i is never seen. It stays at zero (the smallest correction that fits), and the rank
+  shows it.
+* With a single weight the sum of the forces is constant and b_i cannot be separated from a0, a1, a2: refused.
 * Weights at or below the threshold (5 N, 510 g) have no centre of pressure: a few millinewtons of noise would
   move it by centimetres. They are counted as gated and take no part here; they serve the channels' fit.
 """
@@ -23,7 +23,7 @@ import numpy as np
 from array_api_compat import array_namespace
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration._arrays import Array, constant_like
+from surefoot.calibration.arrays import Array, constant_like
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_cells
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
@@ -161,7 +161,7 @@ def fit_cop_correction(
     every_hole = np.asarray(position_weight, dtype=np.float64)
     cell = np.asarray(position_cell, dtype=np.float64)[..., :2]
     out = np.zeros(len(every_load), dtype=bool) if held_out is None else np.asarray(held_out, dtype=bool)
-    _check_bench_shapes(every_force, every_load, every_hole, cell, out)
+    _check_shapes(every_force, every_load, every_hole, cell, out)
 
     finite = np.isfinite(np.column_stack([every_force, every_load, every_hole])).all(axis=1)
     cell_force, weight, hole, out = every_force[finite], every_load[finite], every_hole[finite], out[finite]
@@ -214,14 +214,14 @@ def fit_cop_correction(
     )
 
 
-def _check_bench_shapes(
+def _check_shapes(
     force: NDArray[np.float64],
     load: NDArray[np.float64],
     hole: NDArray[np.float64],
     cell: NDArray[np.float64],
     out: NDArray[np.bool_],
 ) -> None:
-    """Refuse arrays that do not speak of the same placements and cells."""
+    """Raise ValueError if arrays are not of the same placements and cells."""
     if cell.ndim != 2 or cell.shape[1] != 2:
         raise ValueError(f"'position_cell' must have shape (cells, 2) or (cells, 3), got {cell.shape}.")
     if force.ndim != 2 or force.shape[1] != len(cell):
@@ -241,7 +241,7 @@ def _check_bench_shapes(
 def _check_placements(
     load: NDArray[np.float64], hole: NDArray[np.float64], unknowns: int, gated: int, threshold: float
 ) -> None:
-    """Refuse a bench that cannot tell the coefficients, and say what it lacks."""
+    """Raise CalibrationRefused if the placements do not determine the coefficients, with what is missing."""
     if len(load) < unknowns:
         raise CalibrationRefused(
             f"Only {len(load)} usable placements for {unknowns} coefficients "
@@ -257,6 +257,6 @@ def _check_placements(
     if np.ptp(load) <= 1e-9 * np.max(np.abs(load)):
         raise CalibrationRefused(
             f"All placements bore the same weight of {load[0]:g} N, so that the cells' own share (b) "
-            "cannot be told from the polynomial.",
+            "cannot be separated from the polynomial.",
             "Repeat holes with a second weight.",
         )

@@ -24,11 +24,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration._setup import OnlineSetup, check_count, check_not_negative, check_positive
 from surefoot.calibration.centroidal import ground_reference
+from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.cop import cop_of_moments, moment_rows
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineSetup
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +112,7 @@ class WindowConfig:
     calibration error explains: such samples are never used."""
 
     settle: float = 0.05
-    """Time after a bad sample before samples are used again, so that the filter has forgotten, in s."""
+    """Time after a bad sample before samples are used again, so that the filter holds none of it, in s."""
 
     minimum_share: float = 0.25
     """Share of the window that must be usable and in contact for an update."""
@@ -134,14 +135,14 @@ class WindowConfig:
 
     standing_scale_std: float = 0.02
     """How far scales are thought to be from the starting map as standing begins: little, as the paper
-    calibrates on a bench before. Standing cannot tell an error of the sensors from one of the believed
-    centre of mass, and what is said here decides whom it is put down to."""
+    calibrates from known weights before. Standing shows the same for an error of the sensors and for one of
+    the believed centre of mass; this number decides which of them is corrected."""
 
     standing_offset_std: float = 0.005
     """How far offsets are thought to be from the starting map as standing begins, in body weights."""
 
     def __post_init__(self) -> None:
-        """Refuse values that have no meaning."""
+        """Raise an error if a value has no meaning."""
         check_positive(
             self, "window", "delta_force", "delta_cop", "scale_step", "offset_step", "smoothness_weight",
             "scale_step_bound", "offset_step_bound", "scale_rate", "offset_rate", "offset_range",
@@ -172,12 +173,12 @@ def confidence_from_standing(
 ) -> tuple[float, float]:
     """Estimate delta_F and delta_P from a recording of quiet standing, as the paper does.
 
-    Both are standard deviations of what the feet say against what the motion says, over a recording that has
-    passed the initial calibration. Standing shows noise and sway but not what walking adds (the errors of the
-    centre of mass and of its acceleration), so that delta_P comes out as a lower bound.
+    Both are standard deviations of what the feet measure against what the motion asks for, over a recording
+    that has passed the initial calibration. Standing shows noise and sway but not what walking adds (the
+    errors of the centre of mass and of its acceleration), so that delta_P comes out as a lower bound.
 
     Args:
-        setup: What the method must be told; its initial map is the one that is judged.
+        setup: The robot; its initial map is the one that is judged.
         raw: Readings, shape (N, K).
         reference: The robot's beliefs, each field with N samples first; aligned with the readings.
 
@@ -198,7 +199,7 @@ def confidence_from_standing(
     if usable.sum() < 10:
         raise ValueError(
             f"Only {usable.sum()} of {len(raw)} samples are finite and in contact; at least 10 are needed to "
-            "tell a standard deviation. Record the robot standing on its feet."
+            "estimate a standard deviation. Record the robot standing on its feet."
         )
     delta_cop = float(np.sqrt(np.var(cop_error[usable], axis=0).mean()))
     return float(np.std(force_error[usable])), delta_cop

@@ -1,4 +1,4 @@
-r"""The least-squares problem of the sliding window and its Gauss-Newton steps; private.
+r"""The least-squares problem of the sliding window and its Gauss-Newton steps.
 
 With theta = (a_1, ..., a_K, b_1, ..., b_K / (M g)) the moments of a sample k about its reference centre of
 pressure p_ref are linear, with rows Phi_k of shape (3, 2K),
@@ -16,7 +16,7 @@ with s the standard deviation of a parameter's change between two updates, so th
 
 from typing import Any, NamedTuple
 
-from surefoot.calibration._constants import namespace_of
+from surefoot.calibration.arrays import namespace_of
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""

@@ -10,14 +10,13 @@ import numpy as np
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration._arrays import constant_like
-from surefoot.calibration._constants import Constants, in_a_row, namespace_of
-from surefoot.calibration._setup import OnlineMethod, OnlineSetup
+from surefoot.calibration.arrays import Constants, constant_like, in_a_row, namespace_of
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.filters import low_pass
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 from surefoot.calibration.standing import QuietStanding, StandingState
 from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise, shorten, typical_square
@@ -35,7 +34,7 @@ mass."""
 
 
 class PendingColumns(NamedTuple):
-    """Where the parts of a sample lie that waits for the next update."""
+    """The places of the parts of a sample that waits for the next update."""
 
     force: slice
     motion: slice
@@ -46,7 +45,7 @@ class PendingColumns(NamedTuple):
 
 
 class SampleColumns(NamedTuple):
-    """Where the parts of a sample in the window lie; the first two pass the filter."""
+    """The places of the parts of a sample in the window; the first two pass the filter."""
 
     rows: slice
     vgrf: slice
@@ -147,7 +146,7 @@ class SlidingWindow:
         )
 
     def init(self, raw: Array) -> WindowState:
-        """Begin with nothing seen; see :class:`~surefoot.calibration.online.OnlineMethod`."""
+        """Return the state before any sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
         front = self._front_end.init(raw)
         xp, device = namespace_of(raw), device_of(raw)
         batch, K, feet = tuple(raw.shape[:-1]), self.setup.layout.channels, len(self.setup.layout.feet)
@@ -182,7 +181,7 @@ class SlidingWindow:
         if not state.all_walking:
             state = self._stand(state, sample, dt)
         if sample.gap:
-            state = _forget(state)
+            state = _without_samples(state)
         notes = xp.concat(
             [
                 sample.stance,
@@ -333,8 +332,8 @@ class SlidingWindow:
         )
 
 
-def _forget(state: WindowState) -> WindowState:
-    """Drop all samples: what comes next does not belong to them."""
+def _without_samples(state: WindowState) -> WindowState:
+    """Return the state without samples, as what comes next does not belong to them."""
     return state._replace(
         pending=state.pending * 0.0, samples=state.samples * 0.0, started=state.started & False
     )

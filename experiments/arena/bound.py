@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import MomentFilterConfig, OnlineSetup, Parameters, posterior_bound
+from surefoot.calibration import OnlineSetup, Parameters, posterior_bound
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.experiments.arena.cases import LogBound
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walks.replay import starting_map

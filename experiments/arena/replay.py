@@ -12,14 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import (
-    Estimate,
-    FootCalibrator,
-    Parameters,
-    Reference,
-    cop_of_feet,
-    sole_wrenches,
-)
+from surefoot.calibration import Estimate, FootCalibrator, Parameters, Reference
+from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream, held
 from surefoot.experiments.walks.replay import LogBatch, batches_of, starting_map

@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import FORCE_THRESHOLD, Flag, sole_wrenches
+from surefoot.calibration import Flag
+from surefoot.calibration.cop import FORCE_THRESHOLD, sole_wrenches
 from surefoot.experiments.arena.replay import Played
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.walks.replay import starting_map

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import ground_reference, sole_wrenches
+from surefoot.calibration import ground_reference
+from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.walks.replay import starting_map

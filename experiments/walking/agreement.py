@@ -11,15 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import (
-    FORCE_THRESHOLD,
-    Reference,
-    cop_of_moments,
-    ground_reference,
-    level_moments,
-    sole_wrenches,
-    zero_phase,
-)
+from surefoot.calibration import Reference, ground_reference, zero_phase
+from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
 from surefoot.experiments.logs.format import MAX_GAP, Log
 
 __all__ = ["Agreement", "Ground", "agreement", "asked_of", "carried_by"]

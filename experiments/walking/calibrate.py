@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from surefoot.calibration import Estimate, FootCalibrator, Parameters, replay
-from surefoot.calibration._setup import method_name
+from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError

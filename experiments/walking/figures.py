@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from surefoot.calibration import Flag, sole_wrenches
+from surefoot.calibration import Flag
+from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
 from surefoot.experiments.walking.agreement import Ground, asked_of, carried_by
 from surefoot.experiments.walking.tables import Facts

@@ -6,7 +6,8 @@ goes on, and shows it.
 
 import numpy as np
 
-from surefoot.calibration import GRAVITY, Parameters, sole_wrenches
+from surefoot.calibration import GRAVITY, Parameters
+from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError

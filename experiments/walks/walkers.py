@@ -11,8 +11,8 @@ from typing import Any
 import gymnasium as gym
 from gymnasium import spaces
 
-from surefoot.calibration._setup import OLD_NAMES
 from surefoot.calibration.online import METHODS
+from surefoot.calibration.setup import OLD_NAMES
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from surefoot.calibration import low_pass, zero_phase
+from surefoot.calibration import zero_phase
+from surefoot.calibration.front_end.filters import low_pass
 
 DT = 1.0 / 80.0
 

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration import OnlineSetup, Parameters, Reference, ground_reference, moment_rows
+from surefoot.calibration import OnlineSetup, Parameters, Reference, ground_reference
+from surefoot.calibration.cop import moment_rows
 from surefoot.calibration.front_end.motion import Motions
 from surefoot.calibration.layout import nao_shoe_layout
 

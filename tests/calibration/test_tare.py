@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, walk
 
-from surefoot.calibration import Flag, OnlineSetup, Reference, TareConfig, online_method, replay
+from surefoot.calibration import Flag, OnlineSetup, Reference, online_method, replay
+from surefoot.calibration.baselines import TareConfig
 
 
 def tared(log, **options):

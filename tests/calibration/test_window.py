@@ -11,14 +11,13 @@ from surefoot.calibration import (
     OnlineSetup,
     Parameters,
     Reference,
-    WindowConfig,
-    confidence_from_standing,
     ground_reference,
-    moment_rows,
     online_method,
     replay,
 )
+from surefoot.calibration.cop import moment_rows
 from surefoot.calibration.front_end.readings import FrontEnd
+from surefoot.calibration.window.config import WindowConfig, confidence_from_standing
 from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise
 
 WEIGHTS = Weights(force=2.0, cop=100.0, threshold=5.0)

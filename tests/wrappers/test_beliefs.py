@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.calibration import ground_reference, low_pass
+from surefoot.calibration import ground_reference
+from surefoot.calibration.front_end.filters import low_pass
 from surefoot.calibration.reference import Reference
 from surefoot.envs import load_nao_spec
 from surefoot.sensors import Imu, Link, preset

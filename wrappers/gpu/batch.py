@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from surefoot.calibration._setup import OLD_NAMES
+from surefoot.calibration.setup import OLD_NAMES
 
 RobotIds = Tensor | slice | Sequence[int] | int | None
 """Robots as managers name them: their numbers or one, a mask (bool), a slice, or ``None`` for all."""

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, online_method
-from surefoot.calibration._setup import method_name, setup_from_options
-from surefoot.calibration.select import put_back, select, update_frozen
+from surefoot.calibration.episodes import begin_episode, select, update_frozen
+from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
 
 
@@ -123,7 +123,7 @@ class SelfCalibrationModule(BatchModule):
             ValueError: If there is no such robot.
         """
         mask = self._note_starting(env_ids)
-        self._state = (select if fresh else put_back)(mask, self._fresh, self._state)
+        self._state = (select if fresh else begin_episode)(mask, self._fresh, self._state)
 
     def freeze(self, frozen: bool = True) -> None:
         """Stop learning, or go on: what was learnt is applied either way, and stays bit for bit meanwhile.
@@ -140,7 +140,7 @@ class SelfCalibrationModule(BatchModule):
             )
         if self.frozen and not frozen:
             everyone = mask_of(None, self.num_envs, self.device)
-            self._state = put_back(everyone, self._fresh, self._state)
+            self._state = begin_episode(everyone, self._fresh, self._state)
         self.frozen = frozen
 
     def get_extra_state(self) -> dict[str, Any]:

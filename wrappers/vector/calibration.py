@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters, Reference, online_method
-from surefoot.calibration._setup import method_name, setup_from_options
+from surefoot.calibration.episodes import select
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.select import select
+from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.wrappers.belief_errors import BeliefErrors
 from surefoot.wrappers.contacts import CONTACT_MARGIN
 from surefoot.wrappers.instruments import layout_options

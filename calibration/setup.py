@@ -1,4 +1,4 @@
-"""What an online method is, and what it must be told; private, public in the package's own namespace."""
+"""What an online method is, and what it is given about the robot."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.calibration.checks import check_not_negative, check_positive, is_whole
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
@@ -23,7 +24,7 @@ OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
 
 
 def method_name(name: str) -> str:
-    """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that says it."""
+    """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it."""
     if name not in OLD_NAMES:
         return name
     today = OLD_NAMES[name]
@@ -35,7 +36,7 @@ class OnlineMethod(NamedTuple):
     """An online calibrator as a pair of pure functions.
 
     Attributes:
-        init: ``init(raw) -> state``. ``raw`` only tells the library, dtype, device and batch shape.
+        init: ``init(raw) -> state``. ``raw`` only gives the library, dtype, device and batch shape.
         update: ``update(state, raw, reference, dt) -> (state, Estimate)``.
     """
 
@@ -45,7 +46,7 @@ class OnlineMethod(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OnlineSetup:
-    """What every online method must be told about the robot."""
+    """What every online method is given about the robot."""
 
     layout: FeetLayout
     """How the channels make up the feet's wrenches."""
@@ -54,7 +55,7 @@ class OnlineSetup:
     """Mass of the robot as it believes it, in kg."""
 
     initial: Parameters
-    """The map (c0, d0) to start from: the nominal or the bench calibration, shape (K,) each."""
+    """The map (c0, d0) to start from: the nominal one or that of known weights, shape (K,) each."""
 
     dt: float = 1.0 / 80.0
     """Nominal time between samples in s."""
@@ -73,14 +74,14 @@ class OnlineSetup:
     """Force of one channel, in body weights, beyond which a reading is taken for an error."""
 
     def __post_init__(self) -> None:
-        """Refuse values that have no meaning."""
+        """Raise an error if a value has no meaning."""
         check_positive(self, "mass", "dt", "plausible_weights")
         check_not_negative(self, "force_threshold")
         if not isinstance(self.initial, Parameters):
             raise TypeError(
                 f"'initial' must be Parameters(scale, offset), got {type(self.initial).__name__}."
             )
-        if not _is_whole(self.lag) or self.lag < 0:
+        if not is_whole(self.lag) or self.lag < 0:
             raise ValueError(f"'lag' must be a whole number of samples from 0 on, got {self.lag}.")
         for field, value in zip(Parameters._fields, self.initial, strict=True):
             shape = np.shape(value)
@@ -126,7 +127,7 @@ def setup_from_options(
     lag: int,
     options: dict[str, Any],
 ) -> tuple[OnlineSetup, dict[str, Any]]:
-    """Make a setup, and hand back the options that are not the setup's but the method's.
+    """Return a setup, and the options that are not the setup's but the method's.
 
     Without an initial map readings are taken for newtons.
     """
@@ -142,43 +143,3 @@ def setup_from_options(
         **{name: options[name] for name in own},
     )
     return setup, {name: value for name, value in options.items() if name not in own}
-
-
-def check_positive(config: Any, *fields: str) -> None:
-    """Refuse fields that are not positive and finite, with the field and the value in the message."""
-    for field in fields:
-        check_value(field, getattr(config, field), positive=True)
-
-
-def check_not_negative(config: Any, *fields: str) -> None:
-    """Refuse fields that are negative or not finite, with the field and the value in the message."""
-    for field in fields:
-        check_value(field, getattr(config, field), positive=False)
-
-
-def check_count(config: Any, *fields: str) -> None:
-    """Refuse fields that are not whole numbers from one on, with the field and the value in the message."""
-    for field in fields:
-        value = getattr(config, field)
-        if not _is_whole(value) or value < 1:
-            raise ValueError(f"'{field}' must be a whole number from 1 on, got {value}.")
-
-
-def check_value(name: str, value: Any, *, positive: bool) -> None:
-    """Refuse what is no number, not finite, negative or, where it must be positive, zero."""
-    try:
-        finite = bool(np.isfinite(value))
-    except (TypeError, ValueError):
-        raise TypeError(f"'{name}' must be a number, got {value!r} of type {type(value).__name__}.") from None
-    if positive and not (finite and value > 0):
-        raise ValueError(f"'{name}' must be positive and finite, got {value}.")
-    if not (finite and value >= 0):
-        raise ValueError(f"'{name}' must not be negative and must be finite, got {value}.")
-
-
-def _is_whole(value: Any) -> bool:
-    """Tell whether a value is a whole number; infinities, NaN and what is no number are not."""
-    try:
-        return not isinstance(value, bool) and bool(value == int(value))
-    except (TypeError, ValueError, OverflowError):
-        return False

@@ -6,7 +6,7 @@ import torch
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, walk
 
 from surefoot.calibration import METHODS, OnlineSetup, Reference, online_method
-from surefoot.calibration.select import COUNTERS, LEARNT, put_back, select, update_frozen
+from surefoot.calibration.episodes import COUNTERS, LEARNT, begin_episode, select, update_frozen
 
 LAG = 2
 SETUP = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=LAG)
@@ -73,7 +73,7 @@ def test_every_part_of_a_state_is_known(name):
     check(build(name).init(np.zeros((5, 8))))
 
 
-@pytest.mark.parametrize("change", [select, put_back])
+@pytest.mark.parametrize("change", [select, begin_episode])
 @pytest.mark.parametrize("name", METHODS)
 def test_the_others_keep_theirs_bit_for_bit(name, change, log):
     method = build(name)
@@ -126,7 +126,7 @@ def test_who_forgets_between_blocks_learns_all_the_same(name, log):
 def test_who_is_put_back_keeps_the_map(name, log):
     method = build(name)
     state, before = stream(method, log, 300)
-    back = put_back(np.array([True, True, False]), method.init(log[0][0]), state)
+    back = begin_episode(np.array([True, True, False]), method.init(log[0][0]), state)
     _, after = stream(method, log, 1, back, 300)
     learns = name != "none"
     start = np.abs(before[-1].scale / NOMINAL.scale - 1.0) + np.abs(before[-1].offset - NOMINAL.offset)
@@ -147,7 +147,7 @@ def test_nothing_is_learnt_across_the_seam(name, log):
     ends = []
     for last in (log, strange):
         seen, _ = stream(method, last, 15, state, WHOLE, lambda *args: update_frozen(method, *args))
-        _, estimates = stream(method, log, 100, put_back(mask, fresh, seen), WHOLE + 15)
+        _, estimates = stream(method, log, 100, begin_episode(mask, fresh, seen), WHOLE + 15)
         ends.append(estimates[-1])
     np.testing.assert_array_equal(ends[0].scale, ends[1].scale)
     np.testing.assert_array_equal(ends[0].offset, ends[1].offset)
@@ -156,7 +156,7 @@ def test_nothing_is_learnt_across_the_seam(name, log):
 def test_forces_before_the_seam_wait_for_no_reference(log):
     method = build("tare")
     state, _ = stream(method, log, 50)
-    back = put_back(np.array([True, False, False]), method.init(log[0][0]), state)
+    back = begin_episode(np.array([True, False, False]), method.init(log[0][0]), state)
     for k in range(LAG + 1):
         state, _ = method.update(back, *at(log, 50 + k), DT)
         read = state.front.history[..., 0, 8:]
@@ -180,7 +180,7 @@ def test_who_is_frozen_learns_nothing_and_reads_on(name, lag, log):
         mapped = before[-1].scale * log[0][200 + k] + before[-1].offset
         np.testing.assert_allclose(estimate.force, mapped, atol=1e-8)
         assert estimate.cop_valid.all()
-    thawed = put_back(np.ones(3, bool), method.init(log[0][0]), after)
+    thawed = begin_episode(np.ones(3, bool), method.init(log[0][0]), after)
     _, later = stream(method, log, 200, thawed, 300)
     assert (name == "none") == (later[-1].offset == before[-1].offset).all()
 
@@ -215,7 +215,7 @@ def test_torch_selects_as_numpy_does(log):
         )
     )
     mask, fresh = np.array([True, False, True]), method.init(log[0][0])
-    for change in (select, put_back):
+    for change in (select, begin_episode):
         ours = dict(named_leaves(change(mask, fresh, state)))
         theirs = change(torch.asarray(mask), to_torch(fresh), to_torch(state))
         for path, leaf in named_leaves(theirs):
@@ -230,4 +230,4 @@ def test_robots_and_methods_must_be_the_same():
     with pytest.raises(ValueError, match="must be of the same batch of robots"):
         select(np.ones(5, bool), four, four)
     with pytest.raises(TypeError, match="What a Reference has learnt is not known"):
-        put_back(np.ones(4, bool), *[Reference(*[np.zeros((4, 3))] * 9)] * 2)
+        begin_episode(np.ones(4, bool), *[Reference(*[np.zeros((4, 3))] * 9)] * 2)

@@ -1,11 +1,11 @@
-"""Partial resets: what robots of a batch forget, what they keep, and how none of them learns.
+"""Episode starts of some robots of a batch: what they drop, what they keep, and how none of them learns.
 
 States of online methods have their batch dimensions in front, and two kinds of numbers in them:
 
 * **What was learnt** about the sensors, and which channels are broken (:data:`LEARNT`). It survives the end
-  of an episode, as it does on a robot that is picked up and put back.
+  of an episode, as it does on a robot that is carried back to its start.
 * **What belongs to the stream**: the last readings, samples that wait, filters, the count of a swing. After
-  a robot was put back none of it belongs to what comes next. In particular the forces that wait for their
+  an episode start none of it belongs to what comes next. In particular the forces that wait for their
   reference (``lag`` samples of them) become *unread*, so that nothing is learnt until the first reference
   of the new episode meets a force of the new episode.
 
@@ -19,18 +19,18 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from surefoot.calibration._constants import namespace_of
-from surefoot.calibration._setup import OnlineMethod
+from surefoot.calibration.arrays import namespace_of
 from surefoot.calibration.baselines import TareState
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
 from surefoot.calibration.moment.stream import MomentState
 from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineMethod
 from surefoot.calibration.standing import StandingState
 from surefoot.calibration.window.stream import WindowState
 
-__all__ = ["COUNTERS", "LEARNT", "put_back", "select", "update_frozen"]
+__all__ = ["COUNTERS", "LEARNT", "begin_episode", "select", "update_frozen"]
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -55,7 +55,7 @@ COUNTERS: Mapping[str, Callable[[int, int], int]] = MappingProxyType(
     {
         # Blocks fill up for all at once.
         "step": lambda fresh, kept: kept,
-        # Whether all standing starts are over: a robot that begins anew has its own before it.
+        # Whether all standing starts are over: a fresh robot has its own before it.
         "all_walking": min,
         # Whether any channel is out: those of the others may be.
         "altered": max,
@@ -69,7 +69,7 @@ _FROZEN: Mapping[str, int] = MappingProxyType({"step": 0, "all_walking": 1})
 
 
 def select(mask: Array, fresh: Tree, state: Tree) -> Tree:
-    """Let some robots forget everything, or take any other state or estimate.
+    """Return a state in which some robots are fresh, or take any other state or estimate.
 
     Args:
         mask: Robots that take it (bool), shape (...) of the batch, of the states' library and device.
@@ -86,8 +86,8 @@ def select(mask: Array, fresh: Tree, state: Tree) -> Tree:
     return merged
 
 
-def put_back(mask: Array, fresh: Tree, state: Tree) -> Tree:
-    """Let some robots begin a new episode with what they have learnt.
+def begin_episode(mask: Array, fresh: Tree, state: Tree) -> Tree:
+    """Return a state in which some robots begin an episode with what they have learnt.
 
     Args:
         mask: Robots that begin one (bool), shape (...) of the batch.
@@ -108,11 +108,11 @@ def put_back(mask: Array, fresh: Tree, state: Tree) -> Tree:
 def update_frozen(
     method: OnlineMethod, state: Any, raw: Array, reference: Reference, dt: float
 ) -> tuple[Any, Estimate]:
-    """Take in one sample without learning from it; arguments and results as of ``method.update``.
+    """Return ``method.update`` of one sample, without learning from it.
 
     What was learnt is applied and stays bit for bit, its covariance too: it does not grow by the drift that
-    nobody follows. Single readings are checked and held as ever. When learning is to go on, :func:`put_back`
-    all robots first, as windows were not filled meanwhile.
+    nobody follows. Single readings are checked and held as ever. Before learning goes on, let all robots
+    :func:`begin_episode`, as windows were not filled meanwhile.
 
     Raises:
         ValueError: If the method learns at every sample, ``every=1``, and so cannot be kept from it.
@@ -120,7 +120,7 @@ def update_frozen(
     shared = {name: getattr(state, name) for name in _FROZEN if hasattr(state, name)}
     stopped = {name: _FROZEN[name] for name in shared}
     if isinstance(state, TareState):
-        # A foot that has not been in the air until now has no zero to tell.
+        # A foot that has not been in the air until now shows no offset.
         stopped["airborne"] = state.airborne * 0 - 1
     kept = {name: getattr(state, name) for name in LEARNT[type(state)]}
     after, estimate = method.update(state._replace(**stopped), raw, reference, dt)
@@ -136,7 +136,7 @@ def _merge(mask: Array, fresh: Any, state: Any, *, keep_learnt: bool) -> Any:
     if keep_learnt and type(state) not in LEARNT:
         raise TypeError(
             f"What a {type(state).__name__} has learnt is not known; states of "
-            f"{[known.__name__ for known in LEARNT]} can be put back, others only selected."
+            f"{[known.__name__ for known in LEARNT]} can begin an episode, others only be selected."
         )
     kept = LEARNT[type(state)] if keep_learnt else ()
     merged = {}

@@ -1,0 +1,81 @@
+"""Checks of arguments: each raises an error that names the argument, the rule and what was given."""
+
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+
+Array = Any
+"""An array of NumPy, torch or any library of the array API standard."""
+
+
+def check_floating(array: Array, what: str) -> None:
+    """Raise ValueError for integers and booleans, in which neither forces nor NaN can be written.
+
+    Raises:
+        ValueError: If the array is not of a real floating-point dtype.
+    """
+    if not hasattr(array, "dtype"):
+        raise ValueError(f"'{what}' must be an array, got {type(array).__name__}.")
+    if not array_namespace(array).isdtype(array.dtype, "real floating"):
+        raise ValueError(f"'{what}' must hold floating-point numbers, got dtype {array.dtype}.")
+
+
+def check_tail(array: Array, tail: tuple[int | str, ...], what: str) -> None:
+    """Raise ValueError if an array is not of floats or its last axes are not as they must be.
+
+    Args:
+        array: The array.
+        tail: Lengths of its last axes; a word, such as ``"feet"``, stands for any length.
+        what: Its name in the message.
+
+    Raises:
+        ValueError: If the dtype is not floating or the last axes do not match.
+    """
+    check_floating(array, what)
+    shape = tuple(array.shape)
+    last = shape[len(shape) - len(tail) :] if len(shape) >= len(tail) else ()
+    fits = [isinstance(wanted, str) or wanted == length for wanted, length in zip(tail, last, strict=False)]
+    if len(last) != len(tail) or not all(fits):
+        axes = ", ".join(str(wanted) for wanted in tail)
+        raise ValueError(f"'{what}' must have shape (..., {axes}), got {shape}.")
+
+
+def check_positive(config: Any, *fields: str) -> None:
+    """Raise an error if a field is not positive and finite, with its name and value."""
+    for field in fields:
+        check_value(field, getattr(config, field), positive=True)
+
+
+def check_not_negative(config: Any, *fields: str) -> None:
+    """Raise an error if a field is negative or not finite, with its name and value."""
+    for field in fields:
+        check_value(field, getattr(config, field), positive=False)
+
+
+def check_count(config: Any, *fields: str) -> None:
+    """Raise ValueError if a field is not a whole number from one on, with its name and value."""
+    for field in fields:
+        value = getattr(config, field)
+        if not is_whole(value) or value < 1:
+            raise ValueError(f"'{field}' must be a whole number from 1 on, got {value}.")
+
+
+def check_value(name: str, value: Any, *, positive: bool) -> None:
+    """Raise TypeError for no number; ValueError if it is not finite, or negative, or zero and must not be."""
+    try:
+        finite = bool(np.isfinite(value))
+    except (TypeError, ValueError):
+        raise TypeError(f"'{name}' must be a number, got {value!r} of type {type(value).__name__}.") from None
+    if positive and not (finite and value > 0):
+        raise ValueError(f"'{name}' must be positive and finite, got {value}.")
+    if not (finite and value >= 0):
+        raise ValueError(f"'{name}' must not be negative and must be finite, got {value}.")
+
+
+def is_whole(value: Any) -> bool:
+    """Return whether a value is a whole number; infinities, NaN and what is no number are not."""
+    try:
+        return not isinstance(value, bool) and bool(value == int(value))
+    except (TypeError, ValueError, OverflowError):
+        return False
