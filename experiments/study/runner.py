@@ -98,6 +98,8 @@ class Runner:
         """
         listed = list(cases)
         options = {"retry_failed": retry_failed, "any_version": any_version}
+        # Before anything runs: what is on the disk now is what has been imported.
+        codes = {case.key: case.code for case in listed}
         missing = {i: case for i, case in enumerate(listed) if not store.holds(case, **options)}
         counters = {**(count or {}), "failed": _failed}
         seen_before = [store.outcomes[case.key] for i, case in enumerate(listed) if i not in missing]
@@ -111,11 +113,11 @@ class Runner:
                 case = missing[number]
                 if isinstance(result, Died):
                     reason = f"The worker that ran this case died: {result.reason}"
-                    result = Outcome(case.key, case.name, case.code, error=reason)
-                if result.code != case.code and not any_version:
+                    result = Outcome(case.key, case.name, codes[case.key], error=reason)
+                if result.code != codes[case.key] and not any_version:
                     raise StudyError(
-                        f"A worker runs {result.code}, which is not what runs here ({case.code}). Install "
-                        "the same on all of them and give the same command to go on."
+                        f"A worker runs {result.code}, which is not what runs here ({codes[case.key]}). "
+                        "Install the same on all of them and give the same command to go on."
                     )
                 if result.error and failed is not None:
                     result = replace(result, tables=_plain(failed(case, result.error)))
