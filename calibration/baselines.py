@@ -15,20 +15,17 @@ within a swing) averages out.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration.arrays import Constants, namespace_of
+from surefoot.calibration.arrays import Array, Constants, namespace_of
 from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,16 +16,14 @@ Only the ground's forces enter: a hand on the robot shows up as an error of this
 the array API standard with any leading batch dimensions ``...`` and keeps the dtype.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from array_api_compat import array_namespace
 
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_tail
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments
 from surefoot.calibration.reference import GRAVITY, Reference
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 
 class GroundReference(NamedTuple):

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from array_api_compat import array_namespace
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array
 
 
 def check_floating(array: Array, what: str) -> None:

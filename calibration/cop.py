@@ -14,16 +14,11 @@ have a 1 then. Everything runs on the array API standard with any leading batch 
 keeps the dtype.
 """
 
-from typing import Any
-
 from array_api_compat import array_namespace
 
-from surefoot.calibration.arrays import constant_like
+from surefoot.calibration.arrays import Array, constant_like
 from surefoot.calibration.checks import check_floating, check_tail
 from surefoot.calibration.layout import FeetLayout
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 FORCE_THRESHOLD = 5.0
 """Vertical force in N at or below which there is no centre of pressure (CoP paper, section 3.2)."""

@@ -19,12 +19,12 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from surefoot.calibration.arrays import namespace_of
+from surefoot.calibration.arrays import Array, namespace_of
 from surefoot.calibration.baselines import TareState
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
-from surefoot.calibration.moment.stream import MomentState
+from surefoot.calibration.moment.state import MomentState
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineMethod
 from surefoot.calibration.standing import StandingState
@@ -32,8 +32,6 @@ from surefoot.calibration.window.stream import WindowState
 
 __all__ = ["COUNTERS", "LEARNT", "begin_episode", "select", "update_frozen"]
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 Tree = TypeVar("Tree", bound=tuple[Any, ...])
 

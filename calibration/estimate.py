@@ -1,10 +1,9 @@
 """What an online calibrator hands back for every sample."""
 
 from enum import IntFlag
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array
 
 
 class Flag(IntFlag):

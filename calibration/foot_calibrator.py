@@ -8,6 +8,7 @@ import numpy as np
 from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike
 
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.online import method_name, online_method
@@ -15,9 +16,6 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 
 class FootCalibrator:
@@ -135,12 +133,10 @@ class FootCalibrator:
             ValueError: If the file is not from this method and setup, or its arrays do not fit.
         """
         if like is None:
-            like = np.zeros(self.setup.layout.channels) if self._state is None else self._state_like()
+            # The state of a method that learns nothing is that of its front end alone.
+            front = getattr(self._state, "front", self._state)
+            like = np.zeros(self.setup.layout.channels) if front is None else front.raw
         self._state = load_state(path, self._init(like), **self._notes())
-
-    def _state_like(self) -> Array:
-        front = self._state if hasattr(self._state, "history") else self._state.front
-        return front.raw
 
     def _notes(self) -> dict[str, str]:
         """Name what a saved state belongs to."""

@@ -10,10 +10,9 @@ where (c0, d0) is the starting map, a is near one and b near 0 N. The two forms 
 c = a c0 and d = a d0 + b.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array
 
 
 class Parameters(NamedTuple):

@@ -5,10 +5,9 @@ sensors. Positions are given in any *level* frame: z against gravity, the origin
 robot likes, as long as all fields of one sample share them (a calibrator only ever takes differences).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array
 
 GRAVITY = 9.81
 """Standard acceleration of free fall used throughout, in m/s^2."""

@@ -8,16 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_not_negative, check_positive, is_whole
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
-
 
 OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
 """Today's names of methods by the names that they had before."""

@@ -30,24 +30,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from array_api_compat import array_namespace
 from array_api_compat import device as device_of
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import (
-    check_count,
-    check_not_negative,
-    check_positive,
-    check_tail,
-    check_value,
-)
+from surefoot.calibration.checks import check_count, check_not_negative, check_positive, check_tail
 from surefoot.calibration.cop import FORCE_THRESHOLD, moment_rows
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
-from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["QuietStanding", "StandingEstimate", "StandingFit", "StandingState", "standing_start"]
+__all__ = ["QuietStanding", "StandingEstimate", "StandingState"]
 
 _ROWS = 3
 
@@ -105,7 +98,7 @@ class QuietStanding:
 
     ``state = init(raw)``, then ``state = update(state, raw, reference, dt)`` for every sample, then
     ``solve(state)`` as soon as ``ready(state)``. For a recording see
-    :func:`surefoot.calibration.standing.fit.standing_start`.
+    :func:`surefoot.calibration.weights.standing_start.standing_start`.
     """
 
     layout: FeetLayout
@@ -312,121 +305,3 @@ class QuietStanding:
             length(rate) < self.rate_threshold
         )
         return rows, target, finite, (total[..., 0] > self.threshold) & still
-
-
-@dataclass(frozen=True, eq=False)
-class StandingFit:
-    """Starting values from a recording of quiet standing.
-
-    Attributes:
-        value: The map (c, d) of the readings.
-        correction: The same as (a, b) of F = a F0 + b.
-        covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K), given that the errors of the robot's
-            mass and centre of mass are as small as assumed.
-        result: Whether all directions were determined; quiet standing alone never does that.
-        stats: Of the fit; the residual is in multiples of the noise that was assumed.
-        duration: How much of the recording was needed, in s.
-    """
-
-    value: Parameters
-    correction: Parameters
-    covariance: NDArray[np.float64]
-    result: FitResult
-    stats: FitStats
-    duration: float
-
-
-def standing_start(
-    standing: QuietStanding,
-    raw: ArrayLike,
-    reference: Reference,
-    dt: float,
-    *,
-    strict: bool = False,
-) -> StandingFit:
-    """Fit a recording, using no more of it than is needed.
-
-    Args:
-        standing: The robot, its starting map, and the thresholds.
-        raw: Readings, shape (n, K).
-        reference: The robot's beliefs, each field with n samples on its first axis.
-        dt: Time between samples in s.
-        strict: Whether to refuse a recording that leaves some direction undetermined, as standing on cells
-            that outnumber three a foot always does.
-
-    Returns:
-        The starting values.
-
-    Raises:
-        ValueError: If a shape is not as above.
-        CalibrationRefused: If too few samples were finite, in contact and still, or ``strict`` is asked
-            for and the recording does not determine all unknowns.
-    """
-    check_value("dt", dt, positive=True)
-    code = np.asarray(raw, dtype=np.float64)
-    if code.ndim != 2:
-        raise ValueError(f"'raw' must have shape (samples, channels), got {code.shape}.")
-    lengths = {name: len(field) for name, field in reference._asdict().items() if len(field) != len(code)}
-    if lengths:
-        raise ValueError(f"'raw' holds {len(code)} samples, but fields of the reference hold {lengths}.")
-    rows, target, finite, quiet = standing.rows(code, Reference(*(np.asarray(field) for field in reference)))
-    warm = np.arange(len(code)) * dt >= standing.warm_up - 1e-9
-    used = warm & finite & quiet
-    intended = int(np.ceil((standing.warm_up + standing.duration) / dt - 1e-9))
-    reached = int(np.searchsorted(np.cumsum(used), standing.minimum_samples)) + 1
-    end = min(max(intended, reached), len(code))
-    used, warm, finite, quiet = used[:end], warm[:end], finite[:end], quiet[:end]
-    rows, target = rows[:end][used].reshape(-1, rows.shape[-1]), target[:end][used].ravel()
-    samples, dropped = int(np.sum(used)), int(np.sum(warm & ~finite))
-    gated = int(np.sum(warm & finite & ~quiet))
-    if samples < standing.minimum_samples:
-        raise CalibrationRefused(
-            f"Only {samples} of the {standing.minimum_samples} samples that are needed were usable: of "
-            f"{int(np.sum(warm))} after {standing.warm_up:g} s of warming up, {dropped} held values that are "
-            f"not finite{_silent_channels(code, standing.layout)} and {gated} lacked contact or moved.",
-            "Stand still for longer, or check the IMU, its thresholds and the cells.",
-        )
-    estimate = standing.solve(
-        StandingState(
-            time=np.asarray(end * dt),
-            samples=np.asarray(samples),
-            dropped=np.asarray(dropped),
-            gated=np.asarray(gated),
-            information=rows.T @ rows,
-            gradient=rows.T @ target,
-            energy=np.asarray(target @ target),
-        )
-    )
-    rank, unknowns = int(estimate.rank), 2 * standing.layout.channels
-    if strict and rank < unknowns:
-        raise CalibrationRefused(
-            f"The recording determines {rank} of {unknowns} directions of the scales and offsets: a robot at "
-            "rest shows its weight and the place of its centre of mass, over and over.",
-            "Shift the weight over all cells for the scales and tare each foot in the air for the offsets, "
-            "or pass strict=False to change only what the recording determines.",
-        )
-    return StandingFit(
-        value=estimate.parameters,
-        correction=estimate.correction,
-        covariance=estimate.covariance,
-        result=FitResult.DETERMINED if rank == unknowns else FitResult.PARTLY_DETERMINED,
-        stats=FitStats(
-            samples=samples,
-            dropped=dropped,
-            gated=gated,
-            residual_rms=float(estimate.residual_rms),
-            rank=rank,
-            unknowns=unknowns,
-            condition=float(estimate.condition),
-        ),
-        duration=end * dt,
-    )
-
-
-def _silent_channels(raw: NDArray[np.float64], layout: FeetLayout) -> str:
-    silent = [
-        name
-        for name, readings in zip(layout.channel_names, raw.T, strict=True)
-        if not np.isfinite(readings).any()
-    ]
-    return f" (no reading at all from {', '.join(silent)})" if silent else ""

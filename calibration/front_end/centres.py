@@ -4,14 +4,9 @@ As :func:`surefoot.calibration.cop.cop_of_moments`, without its checks, and for 
 loop divides at every sample.
 """
 
-from typing import Any
-
 import numpy as np
 
-from surefoot.calibration.arrays import namespace_of
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array, namespace_of
 
 LEVER_MAP = np.zeros((6, 3))
 LEVER_MAP[[2, 4, 3], [0, 1, 2]] = 1.0, -1.0, 1.0

@@ -17,10 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from surefoot.calibration.arrays import Constants, namespace_of
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array, Constants, namespace_of
 
 
 class LowPass(NamedTuple):

@@ -12,13 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, in_a_row, namespace_of, shaped
+from surefoot.calibration.arrays import Array, Constants, in_a_row, namespace_of, shaped
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 LARGEST_REFERENCE = 1e6
 """Magnitude, in any unit, beyond which a value of a reference is taken for an error."""

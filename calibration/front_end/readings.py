@@ -11,21 +11,18 @@
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration.arrays import Constants, all_along, cast, namespace_of, shaped, surely
+from surefoot.calibration.arrays import Array, Constants, all_along, cast, namespace_of, shaped, surely
 from surefoot.calibration.checks import check_floating
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.centres import LEVER_MAP, centres
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 LONGEST_GAP = 5.0
 """Time between samples, in nominal ones, beyond which they no longer belong together."""

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, namespace_of, skew
+from surefoot.calibration.arrays import Array, Constants, namespace_of, skew
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.reference import GRAVITY
 
@@ -53,8 +53,6 @@ __all__ = [
     "transform_basis",
 ]
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 Matrix = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration.arrays import Constants, constant_like, namespace_of
+from surefoot.calibration.arrays import Array, Constants, constant_like, namespace_of
 from surefoot.calibration.checks import check_tail
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, check_calibrated, error_covariance
@@ -30,8 +30,6 @@ from surefoot.calibration.reference import GRAVITY
 
 __all__ = ["InSituEstimate", "InSituState", "InSituStream"]
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 _STEP = 0.1
 """Share of ``lag_angle`` by which gravity must have turned to count as turning: a noisy IMU does not."""

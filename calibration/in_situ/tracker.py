@@ -29,14 +29,12 @@ import numpy as np
 from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike
 
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.options import InSituTrackerConfig
 from surefoot.calibration.in_situ.stream import InSituEstimate, InSituStream
 
 __all__ = ["InSituMethod", "InSituTracker", "in_situ_tracker"]
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 
 class InSituMethod(NamedTuple):

@@ -9,18 +9,13 @@ the wrench of the ground less
 where the second term is the weight at level rest, which counts as part of the offset.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, namespace_of
+from surefoot.calibration.arrays import Array, Constants, namespace_of
 from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 _LIGHTEST = 1e-3
 """Mass in kg below a sensor from which on its inertia is worth computing."""

@@ -11,13 +11,13 @@ are put right. What was learnt in the last seconds is dropped then, because it w
 readings. A channel that agrees with its reconstruction again comes back.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, anywhere, namespace_of
+from surefoot.calibration.arrays import Array, Constants, anywhere, namespace_of
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.hypotheses import SUSPICION, TRUST, Contradiction, Hypotheses
 from surefoot.calibration.moment.rows import Residuals
@@ -26,8 +26,6 @@ from surefoot.calibration.setup import OnlineSetup
 
 __all__ = ["LONGEST_LEAP", "TRUST", "ChannelFaults", "ChannelState"]
 
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 LONGEST_LEAP = 3
 """Samples in a row that a reading may be away before it is believed."""

@@ -14,18 +14,15 @@ Newton and Euler about the whole robot leave residuals e. Four steps lead from t
 4. **Repair.** Flipped and exchanged channels are put right, as if the cable were plugged in again.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, in_a_row, namespace_of
+from surefoot.calibration.arrays import Array, Constants, in_a_row, namespace_of
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.rows import Residuals
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 SUSPICION = 4.0
 """Mean squared normalised residual of a block above which something is thought to be wrong."""

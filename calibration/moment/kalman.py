@@ -10,12 +10,9 @@ considered and not estimated (Schmidt, 1966), and stays positive in float32. A r
 gate, and less the further it is out.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from surefoot.calibration.arrays import namespace_of
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array, namespace_of
 
 
 class KalmanStep(NamedTuple):

@@ -1,11 +1,9 @@
 """The rows of Newton and Euler: what the whole robot's motion asks of the ground (CoP paper, Eqs. 6, 7)."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, in_a_row, namespace_of
+from surefoot.calibration.arrays import Array, Constants, in_a_row, namespace_of
 from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
@@ -13,9 +11,6 @@ from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 _LEAST_LOAD = 0.1
 """Load in body weights that a centre of pressure is computed with at least, for moments to be taken about."""

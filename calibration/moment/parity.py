@@ -1,7 +1,5 @@
 """Parity: rows of feet with several instruments, which must all measure the same wrench."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,9 +10,6 @@ from surefoot.calibration.moment.distal import DistalMasses
 from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 
 class Parity:

@@ -7,12 +7,9 @@ Rows are in body weights and in body weights times foot lengths; columns are the
 :mod:`~surefoot.calibration.moment.parity` for several instruments in one foot.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from surefoot.calibration.arrays import namespace_of
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
+from surefoot.calibration.arrays import Array, namespace_of
 
 _CLIP = 30.0
 """Largest squared normalised residual that counts: one row that is far off must not decide alone."""

@@ -8,16 +8,11 @@ expected of cell i by the others is the conditional mean of a normal distributio
 .. math:: \hat F_i = C_{io} C_{oo}^{-1} F_o, \qquad \sigma_i^2 = C_{ii} - C_{io} C_{oo}^{-1} C_{oi}.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, namespace_of
+from surefoot.calibration.arrays import Array, Constants, namespace_of
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 _STIFFNESS_ERROR = 0.03
 """Standard deviation in body weights of a force about what equal springs would give it."""

@@ -5,14 +5,14 @@ Its theory and options are in :mod:`surefoot.calibration.moment.config`, its row
 more than applying the map.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from array_api_compat import device as device_of
 
-from surefoot.calibration.arrays import Constants, any_along, cast, in_a_row, namespace_of
+from surefoot.calibration.arrays import Array, Constants, any_along, cast, in_a_row, namespace_of
 from surefoot.calibration.estimate import Estimate, Flag
-from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
+from surefoot.calibration.front_end.readings import FrontEnd, Sample
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.faults import TRUST, ChannelFaults, ChannelState
 from surefoot.calibration.moment.hypotheses import Contradiction
@@ -20,14 +20,12 @@ from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.parity import Parity
 from surefoot.calibration.moment.rows import Block, Residuals, Rows
+from surefoot.calibration.moment.state import MomentState, PendingColumns
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 _REJECT_STD = 8.0
 """Standard deviations beyond which a large innovation is no error of calibration."""
@@ -67,55 +65,6 @@ _REACH = 5.0
 
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to."""
-
-
-class PendingColumns(NamedTuple):
-    """The places of the parts of a sample that waits until its block is full."""
-
-    force: slice
-    motion: slice
-    read: slice
-    swing: slice
-    stand: slice
-    sound: slice
-
-
-class MomentState(NamedTuple):
-    """What the moment filter remembers; any leading batch dimensions ``...``; F feet.
-
-    Attributes:
-        front: What the way of a sample remembers.
-        step: Samples seen.
-        pending: The newest samples, oldest first: F0, the flat reference, which channels were read, which
-            feet surely swing, whether any surely stands, whether the reference is sound, shape
-            (..., every + 2 settle, P); see :class:`PendingColumns`.
-        mean: The unknowns, shape (..., N).
-        covariance: Their covariance, shape (..., N, N).
-        learnt: Covariance of (a, b) of each channel, shape (..., 2K, 2K).
-        spread: Of that what single forces need, shape (..., 3, K).
-        kept_mean: The unknowns of two moments of the last seconds, to go back to, shape (..., 2, N).
-        kept_covariance: Their covariances, shape (..., 2, N, N).
-        noise: By how many times rows' variances are taken as larger than assumed, shape (..., kinds).
-        quiet: Blocks in which the readings have not changed, shape (...).
-        anchor: The readings from which on they have not, shape (..., K).
-        status: Flags of the last update, shape (...).
-        faults: What is known of faults.
-    """
-
-    front: FrontState
-    step: int
-    pending: Array
-    mean: Array
-    covariance: Array
-    learnt: Array
-    spread: Array
-    kept_mean: Array
-    kept_covariance: Array
-    noise: Array
-    quiet: Array
-    anchor: Array
-    status: Array
-    faults: ChannelState
 
 
 class MomentStream:

@@ -1,18 +1,13 @@
 """The tare: rows of a foot in the air, whose channels read nothing but what is beyond their sensors."""
 
-from typing import Any
-
 import numpy as np
 
-from surefoot.calibration.arrays import Constants, namespace_of
+from surefoot.calibration.arrays import Array, Constants, namespace_of
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
 from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 _SWING_SAMPLES = 16.0
 """Samples that ``swing_noise`` is given for."""

@@ -5,18 +5,14 @@ With F_i = a_i F0_i + b_i and S the covariance of (a, b), the variance of a forc
 times the same row.
 """
 
-from typing import Any
-
 import numpy as np
 
-from surefoot.calibration.arrays import Constants, namespace_of, surely
+from surefoot.calibration.arrays import Array, Constants, namespace_of, surely
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import Sample
+from surefoot.calibration.moment.state import MomentState
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 
 class Uncertainty:
@@ -64,13 +60,13 @@ class Uncertainty:
         own = xp.linalg.diagonal(learnt)
         return xp.stack([own[..., :K], 2.0 * xp.linalg.diagonal(learnt[..., :K, K:]), own[..., K:]], axis=-2)
 
-    def of_estimate(self, estimate: Estimate, sample: Sample, state: Any) -> dict[str, Array]:
+    def of_estimate(self, estimate: Estimate, sample: Sample, state: MomentState) -> dict[str, Array]:
         """Return how sure an estimate is, by the names of its fields.
 
         Args:
             estimate: The estimate.
             sample: The sample that it is of.
-            state: What the filter knows, a :class:`~surefoot.calibration.moment.stream.MomentState`.
+            state: What the filter knows.
         """
         xp, unknowns, F0 = namespace_of(state.mean), self.unknowns, sample.force
         rows, load = sample.rows[..., 0, :, :], estimate.vgrf[..., 0]

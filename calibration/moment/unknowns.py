@@ -12,18 +12,13 @@
 Units are chosen so that numbers are of order one and float32 is enough.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, in_a_row
+from surefoot.calibration.arrays import Array, Constants, in_a_row
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.setup import OnlineSetup
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
 
 
 class Unknowns:

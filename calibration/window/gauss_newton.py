@@ -14,13 +14,9 @@ so that the paper's residuals (Eq. 14, normalised) and their derivatives are
 with s the standard deviation of a parameter's change between two updates, so that w_S = 1 / s^2.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from surefoot.calibration.arrays import namespace_of
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
-
+from surefoot.calibration.arrays import Array, namespace_of
 
 _MEDIAN_OF_SQUARE = 0.79
 """Median of the mean of three squared normal deviates: what makes a median comparable with a variance."""

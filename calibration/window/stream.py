@@ -10,7 +10,7 @@ import numpy as np
 from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, constant_like, in_a_row, namespace_of
+from surefoot.calibration.arrays import Array, Constants, constant_like, in_a_row, namespace_of
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.filters import low_pass
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
@@ -20,10 +20,6 @@ from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 from surefoot.calibration.standing import QuietStanding, StandingState
 from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise, shorten, typical_square
-
-Array = Any
-"""An array of NumPy, torch or any library of the array API standard."""
-
 
 _STANDING_FORCE_NOISE = 0.004
 """Error of the mean vertical force in quiet standing, in body weights, besides that of the believed mass."""

@@ -1,0 +1,56 @@
+"""The state of the moment filter."""
+
+from typing import NamedTuple
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.front_end.readings import FrontState
+from surefoot.calibration.moment.faults import ChannelState
+
+
+class PendingColumns(NamedTuple):
+    """The places of the parts of a sample that waits until its block is full."""
+
+    force: slice
+    motion: slice
+    read: slice
+    swing: slice
+    stand: slice
+    sound: slice
+
+
+class MomentState(NamedTuple):
+    """What the moment filter remembers; any leading batch dimensions ``...``; F feet.
+
+    Attributes:
+        front: What the way of a sample remembers.
+        step: Samples seen.
+        pending: The newest samples, oldest first: F0, the flat reference, which channels were read, which
+            feet surely swing, whether any surely stands, whether the reference is sound, shape
+            (..., every + 2 settle, P); see :class:`PendingColumns`.
+        mean: The unknowns, shape (..., N).
+        covariance: Their covariance, shape (..., N, N).
+        learnt: Covariance of (a, b) of each channel, shape (..., 2K, 2K).
+        spread: Of that what single forces need, shape (..., 3, K).
+        kept_mean: The unknowns of two moments of the last seconds, to go back to, shape (..., 2, N).
+        kept_covariance: Their covariances, shape (..., 2, N, N).
+        noise: By how many times rows' variances are taken as larger than assumed, shape (..., kinds).
+        quiet: Blocks in which the readings have not changed, shape (...).
+        anchor: The readings from which on they have not, shape (..., K).
+        status: Flags of the last update, shape (...).
+        faults: What is known of faults.
+    """
+
+    front: FrontState
+    step: int
+    pending: Array
+    mean: Array
+    covariance: Array
+    learnt: Array
+    spread: Array
+    kept_mean: Array
+    kept_covariance: Array
+    noise: Array
+    quiet: Array
+    anchor: Array
+    status: Array
+    faults: ChannelState
