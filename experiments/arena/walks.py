@@ -7,12 +7,11 @@ change of the environments, the sensors, the beliefs or any option is another re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from surefoot.experiments.logs.format import write_log
-from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.walks.record import Condition, record_walk
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import LoadCells
@@ -63,8 +62,7 @@ def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str,
         seed,
         walk.lasting(duration),
         STAND_TIME,
-        *(version(name) for name in ("numpy", "mujoco")),
-        source_hash("surefoot.experiments.walks.record"),
+        code_of("surefoot.experiments.walks.record"),
     )
     key = sha256(repr(made_of).encode()).hexdigest()[:12]
     return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}

@@ -10,11 +10,12 @@ import re
 import sys
 from functools import cache
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 
 import surefoot
 
-__all__ = ["source_hash", "source_modules"]
+__all__ = ["code_of", "source_hash", "source_modules"]
 
 _ROOT = Path(surefoot.__file__).parent
 _DOTTED = re.compile(r"surefoot(\.\w+)+(:\w+)?")
@@ -39,6 +40,13 @@ def source_hash(*entries: str) -> str:
         for file in (path, *sorted(data)):
             digest.update(f"{module}/{file.name}".encode() + file.read_bytes())
     return digest.hexdigest()[:16]
+
+
+@cache
+def code_of(module: str) -> str:
+    """Return what decides a module's results: the hash of its sources, and versions of what they use."""
+    versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco"))
+    return f"code {source_hash(module)}, {versions}"
 
 
 @cache

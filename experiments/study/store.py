@@ -17,9 +17,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.experiments.study.files import atomic_path, locked, write_text
-from surefoot.experiments.study.sources import source_hash
+from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
 
 __all__ = ["JOURNAL", "PLAN", "Case", "Outcome", "Store", "StudyError"]
@@ -66,7 +64,7 @@ class Case:
     @property
     def code(self) -> str:
         """What runs it: a hash of the sources, and versions."""
-        return f"code {source_hash(self.run.__module__)}, {_versions()}"
+        return code_of(self.run.__module__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,11 +271,6 @@ class Store:
                 f"cannot write to '{self.folder}': {error.strerror or error}. The {len(self.outcomes)} cases "
                 "that were finished are kept; make room, or mend it, and give the same command to go on."
             ) from error
-
-
-@cache
-def _versions() -> str:
-    return ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco"))
 
 
 def _by_key(frame: Frame) -> dict[str, list[dict[str, Any]]]:

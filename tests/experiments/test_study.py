@@ -98,7 +98,7 @@ def test_nothing_is_run_twice_and_numbers_come_back_as_they_were(tmp_path: Path)
 
 def test_other_code_is_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(tmp_path, cases())
-    monkeypatch.setattr("surefoot.experiments.study.store._versions", lambda: "numpy 9")
+    monkeypatch.setattr("surefoot.experiments.study.store.code_of", lambda module: "code of tomorrow")
     store = Store(tmp_path)
     store.read()
     assert not any(map(store.holds, cases()))
