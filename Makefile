@@ -12,7 +12,7 @@ demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
 
 test: $(VENV)/.dev
-	$(BIN)/pytest -n auto --dist worksteal -m "not slow" $(PYTEST)
+	$(BIN)/pytest -n auto --dist loadfile -m "not slow" $(PYTEST)
 
 # All studies (hours), and their tables in docs/results.md; what is finished is not run again.
 RESULTS := out/results
@@ -26,7 +26,7 @@ results: $(VENV)/.dev
 
 # Studies that take minutes: a million fuzzed samples, consistency over 200 runs.
 slow: $(VENV)/.dev
-	$(BIN)/pytest -n auto --dist worksteal -m slow $(PYTEST)
+	$(BIN)/pytest -n auto --dist loadfile -m slow $(PYTEST)
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -48,7 +48,7 @@ wheel-test: $(VENV)/.dev
 	$(BIN)/pip install --quiet --no-deps --target build/wheel/site build/wheel/*.whl
 	cp -r tests pyproject.toml build/wheel/
 	cd build/wheel && PYTHONPATH=site SUREFOOT_EXPECT_ROOT=$$PWD/site \
-		../../$(BIN)/pytest -n auto --dist worksteal -m "not slow" $(WHEEL_TESTS) site/surefoot $(PYTEST)
+		../../$(BIN)/pytest -n auto --dist loadfile -m "not slow" $(WHEEL_TESTS) site/surefoot $(PYTEST)
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

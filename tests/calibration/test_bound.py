@@ -209,17 +209,20 @@ def against_the_bound(monkeypatch, **options):
     return ratios
 
 
+@pytest.mark.slow
 def test_without_drift_the_estimator_reaches_the_bound(monkeypatch):
     force, cop = against_the_bound(monkeypatch, scale_drift=0.0, offset_drift=0.0)
     assert 0.85 < force < 1.15
     assert 0.85 < cop < 1.15
 
 
+@pytest.mark.slow
 def test_with_drift_forces_are_close_to_the_bound(monkeypatch):
     force, _ = against_the_bound(monkeypatch)
     assert 0.85 < force < 1.15
 
 
+@pytest.mark.slow
 def test_with_drift_the_centre_of_pressure_is_close_to_the_bound(monkeypatch):
     right = {"com_std": 0.0, "mass_std": 0.0, "acceleration_std": 0.0, "delay_std": 0.0}
     _, cop = against_the_bound(monkeypatch, **right)

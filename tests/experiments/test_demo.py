@@ -19,6 +19,8 @@ from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.study.page import Report
 from surefoot.experiments.walks.walkers import STAND_TIME
 
+pytestmark = pytest.mark.slow
+
 METHODS = {"none", "tare", "quasi-static", "window", "moment"}
 
 

@@ -11,10 +11,13 @@ from surefoot.calibration.in_situ import calibrate_in_situ
 
 LOOSE, TIGHT = "in situ, mass known to 1 %", "mass to 1 %, place to 0.3 mm"
 DATA = Path(os.environ.get("SUREFOOT_DATA") or "nowhere")
-pytestmark = pytest.mark.skipif(
-    not (DATA / "ft").is_dir(),
-    reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not (DATA / "ft").is_dir(),
+        reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
+    ),
+]
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,8 @@ from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.score import score_run
 
+pytestmark = pytest.mark.slow
+
 FOLDER = Path(os.environ.get("SUREFOOT_DATA", "nowhere"))
 recorded = pytest.mark.skipif(
     not (FOLDER / "foot").is_dir(),
