@@ -89,7 +89,7 @@ def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> P
     """
     across = min(columns, len(panels))
     down = -(-len(panels) // across)
-    with figure_at(path, max(3.7 * across + 0.4, 8.4), 2.5 * down + 1.2) as figure:
+    with figure_at(path, max(3.7 * across + 0.4, 6.4), 2.5 * down + 1.2) as figure:
         drawn = grid_of(figure, down, across, sharey=True)
         for axes, (title, part) in zip(drawn.flat, panels.items(), strict=False):
             for method in in_order(part["method"]):
