@@ -24,7 +24,7 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
     Args:
         log: The log.
         judged: Samples that are scored, shape (N,).
-        options: What the moment filter is told besides the log.
+        options: Options of the moment filter besides the log.
     """
     walks = log.truth is not None and bool(log.about.get("speed_m_s"))
     if not walks or not judged.any() or not np.isfinite(log.raw).all():

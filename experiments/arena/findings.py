@@ -59,7 +59,7 @@ def summary_findings(scores: Frame) -> tuple[str, ...]:
 
 
 def _ranking(errors: Frame) -> str:
-    """Say who is nearest to the truth, and whether that is clear of the next."""
+    """Return who is nearest to the truth, and whether that is clear of the next."""
     methods = [m for m in errors.columns if m != TRUE_MAP]
     ranked = sorted(methods, key=lambda m: float(errors[m].mean()))
     if not ranked:
@@ -75,7 +75,7 @@ def _ranking(errors: Frame) -> str:
         lead = with_interval(errors[ranked[1]] - errors[best], 1e3)
         text += f"; {short_label(ranked[1])} is {lead} mm further off"
         if not gap.mean > gap.half:
-            text += ", which the interval does not tell from nothing"
+            text += ", which is no clear difference"
     return text + "."
 
 
@@ -98,7 +98,7 @@ def _change(errors: Frame, method: str) -> str:
     change = mean_interval(errors[START] - errors[method])
     ratio = float(errors[START].mean() / errors[method].mean())
     if not abs(change.mean) > change.half:
-        return "not told from the readings as they are by the interval"
+        return "no clear difference to the readings as they are"
     if change.mean > 0:
         return f"{number(ratio)} times smaller than by the starting map"
     return f"{number(1.0 / ratio)} times LARGER than by the starting map"
@@ -115,7 +115,7 @@ def _harm(runs: Frame) -> str:
 
 
 def _against_plain(scores: Frame, part: Frame) -> str:
-    """Say what the scenario costs each method against plain walking."""
+    """Return what the scenario costs each method against plain walking."""
     plain = scores[scores["scenario"] == PLAIN]
     pieces = []
     for method in in_order(part["method"]):

@@ -111,7 +111,7 @@ def _undone(stream: Stream) -> NDArray[np.float64]:
     own: NDArray[np.float64] = truth.scale * held(log.raw) + truth.offset
     if "truth_cross_talk" not in log.about:
         return own
-    # Each axis's own gain g and zero are undone: (I + X / g) w is left, besides the weight beyond the sensor.
+    # Each axis's own scale g and offset are undone: (I + X / g) w is left, besides the weight beyond the sensor.
     talk, preload = np.array(log.about["truth_cross_talk"]), np.array(log.about["truth_preload"])
     mixed = np.eye(len(talk)) + (truth.scale / log.nominal.scale)[..., None] * talk
     undone: NDArray[np.float64] = np.linalg.solve(mixed, (own - preload)[..., None])[..., 0] + preload
@@ -141,7 +141,7 @@ def _play_batch(streams: list[Stream], batch: LogBatch, method: str, options: di
 
 
 class _Watch:
-    """Holds what a batch claims against the truth, as it goes.
+    """Compares what a batch claims with the truth, as it goes.
 
     Args:
         streams: The streams of the batch.
@@ -157,7 +157,7 @@ class _Watch:
         self._nis = np.zeros(len(streams))
         self._rows = np.zeros(len(streams))
         truths = [Parameters(s.truth.scale, s.truth.offset).relative_to(starting_map(s.log)) for s in streams]
-        # A channel that no longer tells its own force has no map that the estimate could be held against.
+        # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
         self._healthy = np.array([not s.faults for s in streams])
         self._map = np.stack([np.hstack([t.scale, t.offset]) for t in truths], axis=1)
         self._judged = np.stack([s.judged for s in streams], axis=1)
@@ -188,7 +188,7 @@ class _Watch:
         self._cop.append(np.where(estimate.cop_valid, _normalised(off, cop), np.nan))
 
     def of(self, robot: int) -> Consistency:
-        """Hand out what was seen of one robot."""
+        """Return what was seen of one robot."""
         time = np.array(self._time)
         nees, cop, force = (
             np.array([row[robot] for row in rows]) for rows in (self._nees, self._cop, self._force)

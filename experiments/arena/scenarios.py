@@ -1,6 +1,6 @@
 """The arena's scenarios: what is walked, what is wrong, and which question that answers.
 
-One line a scenario. The bad start, unless a scenario says otherwise, is that of all comparisons: gains off by
+One line a scenario. The bad start, unless a scenario says otherwise, is that of all comparisons: scales off by
 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute, a centre of mass off by 3 mm, a mass
 off by 0.5 %, noise and bias of a NAO's IMU, and telemetry 20 +- 4 ms late.
 """
@@ -39,7 +39,7 @@ class Scenario:
         walk: The walk.
         condition: Name of the cells that read it.
         faults: Faults of one channel, without channel and start, which are drawn.
-        options: What every method must be told besides, by name.
+        options: Options that every method is given, by name.
         method_options: Options of single methods, by the method's name.
         most_seeds: Most walks, for long ones.
         long: Whether it takes minutes of walking, and so is no part of a quick run.
@@ -63,7 +63,7 @@ class Scenario:
         return range(seeds if self.most_seeds is None else min(seeds, self.most_seeds))
 
     def options_of(self, method: str) -> dict[str, Any]:
-        """Collect what a method must be told."""
+        """Return the options that a method is given."""
         return {**self.options, **self.method_options.get(method, {})}
 
     def faults_of(self, seed: int, earliest: float) -> tuple[Fault, ...]:
@@ -110,8 +110,8 @@ _WARM = Condition(
 )
 _ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque())
 _BOTH = Condition("both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque())
-_WIDE_ZEROS = {"moment": {"offset_std": 0.1}}
-"""What is known of the six-axis sensors: zeros of some 5 N, a tenth of the weight."""
+_WIDE_OFFSETS = {"moment": {"offset_std": 0.1}}
+"""What is known of the six-axis sensors: offsets of some 5 N, a tenth of the weight."""
 
 _FOOT_LENGTH = {"foot_length": 0.17}
 _ROUTE = ((6.0, 0.04, 0.0), (2.0, 0.0, 0.0), (6.0, 0.0, 0.2), (6.0, 0.04, 0.1), (2.0, 0.0, 0.0))
@@ -183,13 +183,13 @@ _TABLE = (
     Scenario(
         "delay-jitter",
         "delay off by 10 ms, and jitter",
-        f"Telemetry 10 ms later or earlier than believed, with 8 ms of jitter ({_BOUNDARIES}).",
+        f"Telemetry 10 ms later or earlier than assumed, with 8 ms of jitter ({_BOUNDARIES}).",
         Walk("delay", sensors={"link": Link(jitter=0.008)}, clock_error=0.010),
     ),
     Scenario(
         "mass-error",
         "mass off by 2 %",
-        "The reference's own errors: a believed mass that is 2 % off.",
+        "The reference's own errors: an assumed mass that is 2 % off.",
         Walk("mass", beliefs={"errors": {"mass": 0.02}}),
     ),
     Scenario(
@@ -201,7 +201,7 @@ _TABLE = (
     Scenario(
         "com-error",
         "centre of mass off by 10 mm",
-        "The reference's own errors: a believed centre of mass that is 10 mm off.",
+        "The reference's own errors: an assumed centre of mass that is 10 mm off.",
         Walk("com", beliefs={"errors": {"com": 0.010}}),
     ),
     *(
@@ -220,12 +220,12 @@ _TABLE = (
     Scenario(
         "ankle-ft",
         "six-axis sensors in the ankles",
-        "Ankle force-torque sensors in place of the cells: gains off by 8 %, cross-talk of 1 %, zeros off by "
+        "Ankle force-torque sensors in place of the cells: scales off by 8 %, cross-talk of 1 %, offsets off by "
         "5 N and 0.1 N m.",
         Walk("ankle", conditions=(_ANKLE, _BOTH)),
         _ANKLE.name,
         options=_FOOT_LENGTH,
-        method_options=_WIDE_ZEROS,
+        method_options=_WIDE_OFFSETS,
     ),
     Scenario(
         "cells-and-ankle-ft",
@@ -234,12 +234,12 @@ _TABLE = (
         Walk("ankle", conditions=(_ANKLE, _BOTH)),
         _BOTH.name,
         options=_FOOT_LENGTH,
-        method_options=_WIDE_ZEROS,
+        method_options=_WIDE_OFFSETS,
     ),
     Scenario(
         "temperature-ramp",
         "ten minutes, warming by 20 K",
-        "Zeros and gains that follow the temperature besides drifting.",
+        "Offsets and scales that follow the temperature besides drifting.",
         Walk("warming", duration=STAND_TIME + 600.0, conditions=(_WARM,)),
         _WARM.name,
         most_seeds=5,

@@ -3,7 +3,7 @@
 Errors are root mean squares over the judged samples, as in :mod:`surefoot.experiments.walks.score`. Besides,
 
 * ``scale``, ``offset``: error of the parameters, rms over channels and judged samples. ``scale`` is relative;
-  ``offset`` is the force in N that a channel without load would be said to carry.
+  ``offset`` is the force in N that is estimated of a channel without load.
 * ``converged``: time in s from the beginning of the walk, from which on the CoP error of the last 2 s stays
   within twice what it is over the last 10 s of the walk.
 * ``spread``: standard deviation in m of that running error after the settling time.
@@ -157,9 +157,9 @@ def _parameter_errors(stream: Stream, played: Played) -> dict[str, float]:
         return {"scale": float("nan"), "offset": float("nan")}
     judged, start, truth = stream.judged, starting_map(stream.log), stream.truth
     ratio = truth.scale / start.scale
-    zero = truth.offset - ratio * start.offset
-    # A channel without load: F0 = -zero / ratio.
-    unloaded = played.offset - played.scale * zero / ratio
+    true_offset = truth.offset - ratio * start.offset
+    # A channel without load: F0 = -true_offset / ratio.
+    unloaded = played.offset - played.scale * true_offset / ratio
     newtons = [not name.rpartition("/")[2].startswith("t") for name in stream.log.layout.channel_names]
     return {
         "scale": _rms((played.scale / ratio - 1.0)[judged]),
@@ -180,7 +180,7 @@ def _consistency(stream: Stream, played: Played) -> dict[str, float]:
 
 
 def _flags(stream: Stream, played: Played) -> dict[str, float]:
-    """Say on which share of the judged samples each flag stood on any channel."""
+    """Return on which share of the judged samples each flag stood on any channel."""
     union = np.bitwise_or.reduce(played.flags[stream.judged], axis=1)
     return {f"flag_{flag.name}": float(np.mean((union & int(flag)) != 0)) for flag in Flag}
 

@@ -40,8 +40,8 @@ class Stream:
         began: When the walk began, or anything moved, in s.
         faults: What befell its channels.
         fell: Whether the walk ended in a fall; the log then ends before it.
-        cop: Centre of pressure to score against in m, where it is known better than the true forces tell
-            it, shape (N, 2).
+        cop: Centre of pressure to score against in m, where it is known better than from the
+            true forces, shape (N, 2).
     """
 
     log: Log

@@ -20,7 +20,7 @@ from surefoot.sensors.presets import HX711_LOAD_CELLS
 __all__ = ["CHIPS", "INSTANT", "Walk", "log_paths", "record_missing"]
 
 INSTANT = Condition("instant", "converted when the host reads", LoadCells(rate=None), "nominal")
-"""The bad start: gains off by 12 %, zeros by 1.5 N, drifting by 2 % and 1 N per square root of a minute."""
+"""The bad start: scales off by 12 %, offsets by 1.5 N, drifting by 2 % and 1 N per square root of a minute."""
 
 CHIPS = Condition("chips", "on the chips' own clocks", HX711_LOAD_CELLS, "nominal")
 """The same cells behind converters that run at 78 to 94 Hz, each on its own, as HX711 chips do."""
@@ -37,7 +37,7 @@ class Walk:
         env: Further options of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
         sensors: IMU, encoders and link, as options of :class:`~surefoot.wrappers.FootSensors`.
         beliefs: Errors of the robot about itself, as options of :class:`~surefoot.wrappers.SelfCalibration`.
-        clock_error: By how many s telemetry is later (even seeds) or earlier (odd seeds) than believed.
+        clock_error: By how many s telemetry is later (even seeds) or earlier (odd seeds) than assumed.
         conditions: What cells read it.
     """
 
@@ -51,7 +51,7 @@ class Walk:
     conditions: tuple[Condition, ...] = (INSTANT,)
 
     def lasting(self, duration: float) -> float:
-        """Tell how long it takes in s, where the arena's walks take ``duration``."""
+        """Return how long it takes in s, where the arena's walks take ``duration``."""
         return duration if self.duration is None else self.duration
 
 

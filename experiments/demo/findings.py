@@ -200,7 +200,7 @@ def amount(interval: Interval, factor: float, unit: str) -> str:
 
 def _difference(gap: Interval, factor: float, unit: str) -> str:
     word = "further off" if gap.mean > 0 else "nearer"
-    sure = "" if gap.apart else ", which the interval does not tell from nothing"
+    sure = "" if gap.apart else ", which is no clear difference"
     return f"{amount(Interval(abs(gap.mean), gap.half, gap.n), factor, unit)} {word}{sure}"
 
 

@@ -174,5 +174,5 @@ def record_walk(
 
 
 def _earlier(env: SelfCalibration, reference: Reference, early: float) -> Reference:
-    """Say what the robot believes of a moment that lies ``early`` s before that of a reference."""
+    """Return what the robot assumes of a moment that lies ``early`` s before that of a reference."""
     return env.beliefs.reference(env.reference_time - early, reference.stance, reference.swing)
