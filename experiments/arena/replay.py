@@ -111,7 +111,7 @@ def _undone(stream: Stream) -> NDArray[np.float64]:
     own: NDArray[np.float64] = truth.scale * held(log.raw) + truth.offset
     if "truth_cross_talk" not in log.about:
         return own
-    # Each axis's own scale g and offset are undone: (I + X / g) w is left, besides the weight beyond the sensor.
+    # Each axis's own scale g and offset are undone: (I + X / g) w is left, besides the weight beyond it.
     talk, preload = np.array(log.about["truth_cross_talk"]), np.array(log.about["truth_preload"])
     mixed = np.eye(len(talk)) + (truth.scale / log.nominal.scale)[..., None] * talk
     undone: NDArray[np.float64] = np.linalg.solve(mixed, (own - preload)[..., None])[..., 0] + preload

@@ -1,8 +1,8 @@
 """The arena's scenarios: what is walked, what is wrong, and which question that answers.
 
-One line a scenario. The bad start, unless a scenario says otherwise, is that of all comparisons: scales off by
-12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute, a centre of mass off by 3 mm, a mass
-off by 0.5 %, noise and bias of a NAO's IMU, and telemetry 20 +- 4 ms late.
+One line a scenario. The bad start, unless a scenario says otherwise, is that of all comparisons: scales off
+by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute, a centre of mass off by 3 mm, a
+mass off by 0.5 %, noise and bias of a NAO's IMU, and telemetry 20 +- 4 ms late.
 """
 
 from collections.abc import Mapping
@@ -220,8 +220,8 @@ _TABLE = (
     Scenario(
         "ankle-ft",
         "six-axis sensors in the ankles",
-        "Ankle force-torque sensors in place of the cells: scales off by 8 %, cross-talk of 1 %, offsets off by "
-        "5 N and 0.1 N m.",
+        "Ankle force-torque sensors in place of the cells: scales off by 8 %, cross-talk of 1 %, offsets off "
+        "by 5 N and 0.1 N m.",
         Walk("ankle", conditions=(_ANKLE, _BOTH)),
         _ANKLE.name,
         options=_FOOT_LENGTH,

@@ -20,7 +20,7 @@ from surefoot.sensors.presets import HX711_LOAD_CELLS
 __all__ = ["CHIPS", "INSTANT", "Walk", "log_paths", "record_missing"]
 
 INSTANT = Condition("instant", "converted when the host reads", LoadCells(rate=None), "nominal")
-"""The bad start: scales off by 12 %, offsets by 1.5 N, drifting by 2 % and 1 N per square root of a minute."""
+"""The bad start: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute."""
 
 CHIPS = Condition("chips", "on the chips' own clocks", HX711_LOAD_CELLS, "nominal")
 """The same cells behind converters that run at 78 to 94 Hz, each on its own, as HX711 chips do."""

@@ -98,8 +98,8 @@ def cells_of(severity: float) -> LoadCells:
     """Scale how far the preset ``hx711-load-cells`` is off, and how fast it drifts.
 
     Args:
-        severity: 1 for the preset: gains 12 % and zeros 1.5 N off, drifting by 2 % and 1 N per square root of
-            a minute. 3 for three times as bad.
+        severity: 1 for the preset: scales 12 % and offsets 1.5 N off, drifting by 2 % and 1 N per square root
+            of a minute. 3 for three times as bad.
 
     Raises:
         ValueError: If the severity is negative or not finite.

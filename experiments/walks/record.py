@@ -63,7 +63,7 @@ CONDITIONS = (
     Condition("bad-start", "bad start", HX711_LOAD_CELLS, "nominal"),
 )
 """The CoP paper's, calibrated from weights and then drifting mildly (0.5 % and 0.2 N per square root of a
-minute); and a bad start: never calibrated (gains 12 % off, zeros 1.5 N) and drifting by 2 % and 1 N."""
+minute); and a bad start: never calibrated (scales 12 % off, offsets 1.5 N) and drifting by 2 % and 1 N."""
 
 
 def record_walk(
