@@ -7,7 +7,7 @@ from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
 
 
-class PendingColumns(NamedTuple):
+class BlockColumns(NamedTuple):
     """The places of the parts of a sample that waits until its block is full."""
 
     force: slice
@@ -26,7 +26,7 @@ class MomentState(NamedTuple):
         step: Samples seen.
         pending: The newest samples, oldest first: F0, the flat reference, which channels were read, which
             feet surely swing, whether any surely stands, whether the reference is sound, shape
-            (..., every + 2 settle, P); see :class:`PendingColumns`.
+            (..., every + 2 settle, P); see :class:`BlockColumns`.
         mean: The unknowns, shape (..., N).
         covariance: Their covariance, shape (..., N, N).
         learnt: Covariance of (a, b) of each channel, shape (..., 2K, 2K).

@@ -20,7 +20,7 @@ from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.parity import Parity
 from surefoot.calibration.moment.rows import Block, Residuals, Rows
-from surefoot.calibration.moment.state import MomentState, PendingColumns
+from surefoot.calibration.moment.state import BlockColumns, MomentState
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty
 from surefoot.calibration.moment.unknowns import Unknowns
@@ -86,7 +86,7 @@ class MomentStream:
         self._keep_every = max(1, round(_KEPT / (config.every * setup.dt)))
         channels, feet = setup.layout.channels, len(setup.layout.feet)
         motion = self._front_end.motions.columns.size
-        self._pending = PendingColumns(*in_a_row(channels, motion, channels, feet, 1, 1))
+        self._pending = BlockColumns(*in_a_row(channels, motion, channels, feet, 1, 1))
         scale, offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
         self._constants = Constants(
             start=unknowns.start,

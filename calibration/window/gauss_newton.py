@@ -88,7 +88,7 @@ def _linearise(
     return Linearised(residual, jacobian)
 
 
-class Solution(NamedTuple):
+class WindowSolution(NamedTuple):
     """What came of the iterations.
 
     Attributes:
@@ -111,7 +111,7 @@ def gauss_newton(
     bound: Array,
     identity: Array,
     iterations: int,
-) -> Solution:
+) -> WindowSolution:
     """Minimise Eq. 14 by Gauss-Newton steps of bounded length.
 
     In units of the spread, phi = (theta - theta_last) / s, the normal equations are (H + I) dphi = -g:
@@ -145,7 +145,7 @@ def gauss_newton(
         safe = solvable[..., None, None]
         change = xp.linalg.solve(xp.where(safe, H, 0.0) + identity, xp.where(safe, g, 0.0))[..., 0]
         theta = theta - shorten(spread * change, bound)
-    return Solution(theta, solvable)
+    return WindowSolution(theta, solvable)
 
 
 def shorten(change: Array, bound: Array) -> Array:
