@@ -109,6 +109,7 @@ def test_a_quadric_that_is_no_ellipsoid_starts_from_a_sphere(unknowns):
         assert spread < np.std(np.sum((centred + 0.1 * axis) ** 2, axis=1))
 
 
+@pytest.mark.slow
 def test_covariance_agrees_with_the_errors(model):
     rng, runs, n = np.random.default_rng(4), 200, 120
     entries = MATRICES[model]

@@ -100,6 +100,7 @@ def test_information_is_the_fall_of_the_goals_uncertainty(prior, goal):
         assert plan.pose_information[orientation, mass] == pytest.approx(wanted, rel=1e-4, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", ["calibration", "mass", "offset"])
 def test_a_block_is_near_the_best_of_all(prior, goal):
     gravity, masses = grid(3), [MASSES[0]]
@@ -123,6 +124,7 @@ def raster_poses(gravity, count):
     ]
 
 
+@pytest.mark.slow
 def test_planned_poses_leave_less_uncertainty_than_random_or_raster_ones(prior):
     gravity, rng = grid(7), np.random.default_rng(0)
     plan = plan_excitation(prior, gravity, MASSES, count=30, samples=20)

@@ -41,6 +41,7 @@ def test_is_exact_without_noise(sensor):
     np.testing.assert_allclose(wrench, expected, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_errors_agree_with_the_covariance(sensor):
     squares = []
     for seed in range(40):
@@ -132,6 +133,7 @@ def test_finds_the_rotation_of_the_accelerometer():
     np.testing.assert_allclose(fit.matrix @ np.linalg.inv(SENSORS["leg"][0]), np.eye(6), atol=0.02)
 
 
+@pytest.mark.slow
 def test_masses_in_one_plane_leave_the_rotation_open():
     sets, turn = turned_sets(np.random.default_rng(8))
     options = InSituOptions(estimate_rotation=True)
@@ -229,6 +231,7 @@ def test_leans_on_the_factory_matrix_where_one_set_shows_nothing():
     assert (ours[:3] < 0.5 * theirs[:3]).all()
 
 
+@pytest.mark.slow
 def test_a_good_factory_matrix_helps_and_a_bad_one_does_not_hurt():
     matrix = SENSORS["foot"][0]
     near = np.diag([1.01, 0.99, 1.01, 0.99, 1.01, 0.99]) @ matrix

@@ -54,6 +54,7 @@ def tracked(learn):
     return walked(InSituTracker(make_fit(), learn=learn), 150, 80, 1.0, seed=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learn", ["offset", "axes", "matrix"])
 def test_offsets_are_off_by_as_much_as_is_claimed(learn):
     runs = 150
@@ -99,6 +100,7 @@ def test_a_perfect_sensor_is_left_as_it_is(learn):
     np.testing.assert_allclose(estimate.wrench, weight_of(g), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_heat_is_followed_through_the_drift():
     tracker, rng = InSituTracker(make_fit()), np.random.default_rng(3)
     slope = RESPONSE @ np.array([5e-4, -5e-4, 5e-4, 1e-5, 1e-5, -1e-5])

@@ -180,6 +180,7 @@ def test_an_outlier_leaves_the_other_rows_their_say():
     assert away[0] < 0.1 * away[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learnt", [np.ones(12), np.array([1.0] * 10 + [0.0] * 2)])
 def test_ten_thousand_steps_in_single_precision_stay_positive(learnt):
     rng = np.random.default_rng(9)

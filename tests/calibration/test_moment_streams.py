@@ -17,6 +17,7 @@ def ankle_fleet():
     return matched(on_ankles(3, 0.1, 6.0), ANKLES, MomentFilterConfig(cross_talk=0.01), 3, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cross_talk", [0.0, 0.01])
 def test_ankle_sensors_are_calibrated_from_walking(cross_talk):
     truth = on_ankles(3, 0.1, 20.0)

@@ -24,6 +24,7 @@ def test_offsets_behind_wrong_gains_are_found_as_well():
     np.testing.assert_array_equal(estimate.scale, np.broadcast_to(NOMINAL.scale, estimate.scale.shape))
 
 
+@pytest.mark.slow
 def test_with_noise_the_zero_is_the_mean_over_a_swing():
     faults = Faults(offset=1.0, noise=0.1)
     found, swing = [], 0

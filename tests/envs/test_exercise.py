@@ -77,6 +77,7 @@ def test_gymnasium_finds_nothing_wrong(path):
         check_env(env, skip_render_check=True)
 
 
+@pytest.mark.slow
 def test_a_whole_cycle_goes_as_planned(env):
     env.reset(seed=3)
     error, swung, cop_foot = [], np.zeros(2), []

@@ -165,6 +165,7 @@ def test_scenarios_are_the_ones_that_were_asked_for() -> None:
     assert {swapped.faults_of(seed, 18.0)[0].channel for seed in range(60)} == set(range(8))
 
 
+@pytest.mark.slow
 def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
     instant = (walks.INSTANT,)
     right = record_walk(0.1, 2, STAND_TIME + 2.0, instant)["instant"]

@@ -76,6 +76,7 @@ def test_sets_that_were_kept_aside_agree(result: CalibratedSensor) -> None:
     assert all(abs(float(row[5])) < 1.5 for row in places.rows if "kept aside" in row[0])
 
 
+@pytest.mark.slow
 def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> None:
     config = dataclasses.replace(config_beside(short), limb_mass=6.0)
     result = calibrate_in_situ_log(short, config, folder=tmp_path, stem="leg")

@@ -424,6 +424,7 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("surefoot.experiments.episodes.run.check_episode", lambda episode: None)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("swept")
 def test_a_sweeps_page_is_one_file_with_everything(tmp_path: Path) -> None:
     plan = EpisodePlan(scenarios=("stand",), severities=(1.0, 3.0), seeds=tuple(range(4)))

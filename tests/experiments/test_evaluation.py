@@ -294,6 +294,7 @@ def test_the_order_of_what_is_compared_makes_no_other_evaluation(tmp_path, inven
         run_plan(evaluation_plan(("zero",), ("true", "none"), (1.0, 2.0), seeds=3), tmp_path)
 
 
+@pytest.mark.slow
 def test_the_command_compares_and_makes_a_page(tmp_path, invented, undrawn):
     out = tmp_path / "out"
     arguments = ["evaluate", "zero", "shipped", "--feed", "true", "--feed", "none", "--feed", "moment",

@@ -8,6 +8,7 @@ import pytest
 EXAMPLE = Path(__file__).parents[2] / "examples" / "in_situ_planner.py"
 
 
+@pytest.mark.slow
 def test_planned_poses_leave_less_unknown_than_a_raster_sweep():
     if not EXAMPLE.is_file():
         pytest.skip("the examples are not part of the wheel")

@@ -82,6 +82,7 @@ def test_finished_cases_are_read_and_give_the_same(results):
     assert not results.failures
 
 
+@pytest.mark.slow
 def test_the_page_holds_all_tables_and_the_printed_numbers(results):
     page = InSituStudyPage(results)
     text = page.write().read_text(encoding="utf-8")

@@ -194,6 +194,7 @@ def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: _Recorded, tmp_pa
     assert np.sqrt(np.mean(difference**2)) < 2e-4
 
 
+@pytest.mark.slow
 def test_the_command_calibrates_it(recorded: _Recorded, tmp_path: Path) -> None:
     arguments = ["calibrate", "walk", str(recorded.path), "--method", "tare", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)

@@ -194,6 +194,7 @@ def test_bad_input_is_refused_with_the_reason(log):
         make("windows")
 
 
+@pytest.mark.slow
 def test_the_example_calibrates(toy):
     before, after = toy.main(robots=8, seconds=6.0)
     assert before > 8.0
