@@ -37,19 +37,21 @@ def bare(name: str) -> gym.Env[Any, Any]:
     return AsItWas(env) if name.startswith("surefoot/") else env
 
 
+@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("name", "config"),
     [
         ("Humanoid-v5", PERFECT_FORCE_TORQUE),
         ("Walker2d-v5", PERFECT_FORCE_TORQUE),
         ("surefoot/NaoWalk-v0", "perfect"),
+        pytest.param("surefoot/NaoStand-v0", "perfect", marks=pytest.mark.slow),
     ],
 )
-def test_a_null_sensor_changes_nothing(name: str, config: Any) -> None:
+def test_a_null_sensor_changes_nothing(name: str, config: Any, count: int) -> None:
     env = gym.make(name, **(NAO if "Walk-" in name else {}))
     sensed = AsItWas(FootSensors(env, config, measure_state=False))
     comparison = "skip" if name.startswith("surefoot/") else "superset"
-    check_environments_match(bare(name), sensed, num_steps=300, seed=3, info_comparison=comparison)
+    check_environments_match(bare(name), sensed, num_steps=count, seed=3, info_comparison=comparison)
 
 
 def test_a_null_sensor_reads_the_truth_about_the_ankles() -> None:
