@@ -75,7 +75,7 @@ _LOOKS = {
     "floor": Look("floor (true map)", "#7f7f7f", ":", ".", "floor"),
     "reference": Look("reference", "#882255", ":", "*", "reference"),
     "none": Look("raw (none)", "#D55E00", "-", "X", "raw"),
-    "weights": _BEFORE._replace(label="calibrated just before", short="weights"),
+    "weights": _BEFORE._replace(label="weights just before", short="weights"),
     "tare": Look("swing tare", "#999933", "--", "^", "tare"),
     "quasi-static": Look("quasi-static (Han)", "#CC79A7", "-", "s", "quasi-static"),
     "window": Look("window (CoP paper)", "#009E73", "-", "o", "window"),

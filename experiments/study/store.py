@@ -228,7 +228,7 @@ class Store:
                 f"{name} {software.get(name)}" for name in versions if software.get(name) != versions[name]
             ]
             raise StudyError(
-                f"'{self.folder}' was begun with {', '.join(other)}, which is not what runs now. Give "
+                f"'{self.folder}' was started with {', '.join(other)}, which is not what runs now. Give "
                 "another folder with --out, or go on regardless with --any-version: rows say what made them."
             )
 

@@ -279,7 +279,7 @@ def test_a_plan_is_taken_up_again_by_the_same_versions_alone(
     assert [one.seed for one in invented] == [7, 7, 7, 8]
     with monkeypatch.context() as patched:
         patched.setattr("surefoot.experiments.episodes.run.versions", lambda: {"numpy": "1.0"})
-        with pytest.raises(StudyError, match=r"was begun with numpy [\d.]+, which is not what runs now"):
+        with pytest.raises(StudyError, match=r"was started with numpy [\d.]+, which is not what runs now"):
             run_plan(SHORT, tmp_path)
         assert run_plan(SHORT, tmp_path, any_version=True).computed == 2
         # What is whole is not run again, whatever made it.
