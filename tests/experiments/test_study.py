@@ -171,7 +171,7 @@ def test_a_folder_with_a_plan_refuses_others(tmp_path: Path) -> None:
         pass
     refused = [
         ({**plan, "seeds": [0]}, now, r"holds another study: seeds \[0, 1\] and not \[0\]"),
-        (plan, {"numpy": "3"}, "begun with numpy 2, which is not what runs now"),
+        (plan, {"numpy": "3"}, "started with numpy 2, which is not what runs now"),
     ]
     for other, versions, match in refused:
         with pytest.raises(StudyError, match=match), Store(tmp_path).opened(other, versions):
