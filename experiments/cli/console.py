@@ -40,12 +40,6 @@ def one_line_errors(out: Path | None = None, cure: str = "give another folder wi
         fail(str(error))
     except OSError as error:
         fail(str(error) if out is None else f"cannot write to '{out}': {error.strerror or error}; {cure}")
-    except Exception as error:
-        from surefoot.experiments.study.store import StudyError
-
-        if not isinstance(error, StudyError):
-            raise
-        fail(str(error))
 
 
 def show(tables: Iterable[Any], report: Path | None = None) -> None:
