@@ -1,9 +1,10 @@
 """From where the feet and the centre of mass should be to what the joints have to do.
 
-Differential inverse kinematics through :mod:`mink`. Two legs with one common hip-yaw-pitch motor have eleven
-degrees of freedom and the floating torso six; both soles (12), the centre of mass (3) and an upright torso
-(2) use up all seventeen, so that nothing is left to a posture. The torso's heading follows from the common
-motor, which turns both legs outward alike: it is near the mean heading of the soles.
+Newton's method on the errors and Jacobians of :mod:`mink`. Two legs with one common hip-yaw-pitch motor have
+eleven degrees of freedom and the floating torso six; both soles (12), the centre of mass (3) and an upright
+torso (2) use up all seventeen: nothing is left to a posture, and a step is one small linear system. The
+torso's heading follows from the common motor, which turns both legs outward alike: it is near the mean
+heading of the soles.
 """
 
 from typing import NamedTuple
@@ -19,10 +20,17 @@ TOLERANCE = 2e-6
 ITERATIONS = 30
 """Newton steps before a posture counts as out of reach; a few suffice."""
 
+DAMPING = 1e-9
+"""Keeps a step finite where a leg is stretched; the costs of the tasks are 3 and more."""
+
 MEMO_GRID = 1e-6
 """Postures whose feet and centre of mass agree to this, in m and rad, are solved once."""
 
 ARM_AND_HEAD_JOINTS = ("Head", "Shoulder", "Elbow", "Wrist")
+
+# Of the errors of both soles (position, orientation), the centre of mass and the torso's orientation.
+_PLACES = [0, 1, 2, 6, 7, 8, 12, 13, 14]
+_ANGLES = [3, 4, 5, 9, 10, 11, 18, 19]
 
 
 class JointTrack(NamedTuple):
@@ -54,16 +62,20 @@ class WholeBodyKinematics:
         ]
         self._com = mink.ComTask(cost=10.0)
         self._upright = mink.FrameTask("torso", "body", position_cost=0.0, orientation_cost=[1.0, 1.0, 0.0])
+        self._tasks = (*self._soles, self._com, self._upright)
+        self._cost = np.concatenate([task.cost for task in self._tasks])
+        # Motion of all joints by motion of the free ones: the arms and the head rest, the hips' yaw is one.
+        joints = range(model.njnt)
         still = [
-            int(model.jnt_dofadr[joint])
-            for joint in range(model.njnt)
-            if any(word in model.joint(joint).name for word in ARM_AND_HEAD_JOINTS)
+            joint for joint in joints if any(word in model.joint(joint).name for word in ARM_AND_HEAD_JOINTS)
         ]
-        self._constraints = [
-            mink.DofFreezingTask(model, dof_indices=still),
-            mink.EqualityConstraintTask(model, cost=1.0),
-        ]
-        self._limits = [mink.ConfigurationLimit(model)]
+        follows = {int(one): int(other) for one, other in zip(model.eq_obj1id, model.eq_obj2id, strict=True)}
+        self._motion = np.eye(model.nv)
+        for one, other in follows.items():
+            self._motion[model.jnt_dofadr[one], model.jnt_dofadr[other]] = 1.0
+        self._motion = np.delete(self._motion, model.jnt_dofadr[[*still, *follows]], axis=1)
+        hinge = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+        self._angles, self._range = model.jnt_qposadr[hinge], model.jnt_range[hinge].T
 
     def solve(
         self,
@@ -100,26 +112,23 @@ class WholeBodyKinematics:
             task.set_target(mink.SE3.from_rotation_and_translation(rotation, position))
         self._com.set_target(com)
         self._upright.set_target(mink.SE3.from_rotation(mink.SO3.from_z_radians(float(np.mean(yaw_sole)))))
-        tasks = [*self._soles, self._com, self._upright]
-        error = self._errors()
         for _ in range(ITERATIONS):
-            if max(error) < TOLERANCE:
-                return self._configuration.q.copy(), error[0]
-            velocity = mink.solve_ik(
-                self._configuration,
-                tasks,
-                1.0,
-                "daqp",
-                damping=1e-9,
-                limits=self._limits,
-                constraints=self._constraints,
-            )
-            self._configuration.integrate_inplace(velocity, 1.0)
-            error = self._errors()
+            error = np.concatenate([task.compute_error(self._configuration) for task in self._tasks])
+            place, angle = np.abs(error[_PLACES]).max(), np.abs(error[_ANGLES]).max()
+            if max(place, angle) < TOLERANCE:
+                return self._configuration.q.copy(), float(place)
+            jacobian = np.concatenate([task.compute_jacobian(self._configuration) for task in self._tasks])
+            weighted = self._cost[:, None] * (jacobian @ self._motion)
+            normal = weighted.T @ weighted
+            normal.flat[:: len(normal) + 1] += DAMPING
+            step = self._motion @ np.linalg.solve(normal, -weighted.T @ (self._cost * error))
+            posture = self._configuration.integrate(step, 1.0)
+            posture[self._angles] = posture[self._angles].clip(*self._range)
+            self._configuration.update(posture)
         raise ValueError(
             f"The legs cannot place the soles at {np.round(position_sole, 4).tolist()} m, headings "
             f"{np.round(yaw_sole, 4).tolist()} rad, under a centre of mass at {np.round(com, 4).tolist()} m: "
-            f"{1e3 * error[0]:.2f} mm remain. Walk or turn more slowly, or lower the centre of mass."
+            f"{1e3 * place:.2f} mm remain. Walk or turn more slowly, or lower the centre of mass."
         )
 
     def track(
@@ -170,15 +179,6 @@ class WholeBodyKinematics:
         qpos[:, :3] = np.einsum("kij,kj->ki", R_world_left, qpos[:, :3]) + origin
         qpos[:, 3:7] = _turn(heading, qpos[:, 3:7])
         return JointTrack(qpos, worst + MEMO_GRID)
-
-    def _errors(self) -> tuple[float, float]:
-        """Largest errors of a position in m and of an orientation in rad."""
-        sole = [task.compute_error(self._configuration) for task in self._soles]
-        com = self._com.compute_error(self._configuration)
-        tilt = self._upright.compute_error(self._configuration)[3:5]
-        position = max(np.abs(com).max(), *(np.abs(error[:3]).max() for error in sole))
-        angle = max(np.abs(tilt).max(), *(np.abs(error[3:]).max() for error in sole))
-        return float(position), float(angle)
 
 
 def _turn(yaw: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
