@@ -1,0 +1,455 @@
+"""Spoilt in-situ logs: is each answered rightly, warned about or refused, and is the true cause named first?
+
+    python benchmarks/in_situ_spoilt.py
+    python benchmarks/in_situ_spoilt.py --only push --verbose
+
+Each log is of the rig's leg (four masses, a minute each, all errors of the sensor and of its IMU) with one
+thing wrong, with and without a gyroscope, with and without the factory matrix. An answer is wrong if its wrenches,
+over sets that it has not seen, are off by more than three of its own standard deviations and by more than
+3 % of the load. Sound logs of other seeds must be answered without a warning. Kinds that nothing in a log can
+show, as both sides of the model change alike, are counted by themselves.
+"""
+
+import argparse
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ.fit import ErrorColumns, error_covariance
+from surefoot.calibration.results import CalibrationRefused
+from surefoot.envs.leg_rig.recording import record_rig
+from surefoot.experiments.in_situ.instruments import (
+    SensorTruth,
+    moving_sets,
+    read_imus,
+    read_sensors,
+    sensor_config,
+    static_sets,
+)
+from surefoot.sensors import Imu
+
+Floats = NDArray[np.float64]
+
+SEED = 2
+SOUND_SEEDS = (*range(3, 10), 11, 12)
+RATE, DURATION, SPEED_DEG = 10.0, 60.0, 12.0
+FITTED = 4
+OFF, SIGMAS = 0.03, 3.0
+"""An answer is wrong that is off by more than this share of the load and by more than so many deviations."""
+
+IMU = Imu(accelerometer_bias_std=0.005, averaged=True)
+"""That of a small robot after its zeros were taken, as in the sample log."""
+
+POUND = 0.45359237
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a calibration is given, and the truth beside it."""
+
+    sets: tuple[InSituSet, ...]
+    factory: Floats | None
+    truth: SensorTruth
+    loads: Floats
+    options: InSituOptions
+    limb: KnownLimb | None = None
+
+
+@cache
+def recorded(seed: int, gyroscope: bool, sensor: str = "leg", **rig: Any) -> Log:
+    """Return a sound log of a rig, with the factory matrix."""
+    how: dict[str, Any] = {"duration": DURATION, "rate": RATE, "speed_deg": SPEED_DEG, "seed": seed} | rig
+    recordings = record_rig(range(1, FITTED + 1), **how)
+    unseen = record_rig(range(FITTED + 1, 9), duration=DURATION, rate=1.0, speed_deg=SPEED_DEG, seed=seed)
+    config = sensor_config(sensor)
+    counts, truth = read_sensors(config, sensor, [recordings], [seed])[0]
+    felt = read_imus([recordings], [seed], IMU)[0]
+    window = max(7, 2 * round(0.15 * how["rate"]) + 1)
+    if gyroscope:
+        sets = moving_sets(sensor, recordings, counts, felt, np.zeros(3), window)
+    else:
+        sets = static_sets(sensor, recordings, counts, felt[..., :3])
+    loads = np.concatenate([getattr(one, f"wrench_{sensor}") for one in unseen])
+    return Log(sets, config.nominal_matrix, truth, loads, InSituOptions(code_range=config.code_range))
+
+
+Change = Callable[[Log], Log]
+
+
+@dataclass(frozen=True)
+class Spoilt:
+    """A thing that goes wrong, in some sizes.
+
+    Attributes:
+        cause: Words by which a message names it.
+        sizes: What happens to a log, by the size in words.
+        rig: Options of the rig, where the recording itself is spoilt.
+        factory, without: Whether it is tried with and without the factory matrix.
+        gyroscope: With and without.
+        unknowable: Whether nothing in a log without a factory matrix can show it.
+    """
+
+    cause: str
+    sizes: dict[str, Change]
+    factory: tuple[bool, ...] = (False, True)
+    gyroscope: tuple[bool, ...] = (False, True)
+    rig: dict[str, dict[str, Any]] | None = None
+    unknowable: bool = False
+
+
+def each(change: Callable[[InSituSet], InSituSet], chosen: tuple[int, ...] = (0, 1, 2, 3)) -> Change:
+    """Change some sets of a log."""
+    return lambda log: replace(
+        log, sets=tuple(change(one) if j in chosen else one for j, one in enumerate(log.sets))
+    )
+
+
+def vectors(change: Callable[[Floats], Floats]) -> Change:
+    """Change what the accelerometer shows."""
+    return each(lambda one: replace(one, gravity=change(one.gravity)))
+
+
+def factory(change: Callable[[Floats], Floats]) -> Change:
+    """Change the factory matrix."""
+    return lambda log: replace(log, factory=None if log.factory is None else change(log.factory))
+
+
+def read(wrench: list[float], chosen: int, begin: float, end: float) -> Change:
+    """Let a set read a wrench more between two shares of its time."""
+
+    def change(log: Log) -> Log:
+        one = log.sets[chosen]
+        raw, rows = one.raw.copy(), len(one.raw)
+        raw[round(begin * rows) : round(end * rows)] += log.truth.response @ wrench
+        return each(lambda data: replace(data, raw=raw), (chosen,))(log)
+
+    return change
+
+
+def clipped(share: float, chosen: int, channel: int) -> Change:
+    """Let a channel of a set end below the converter's rail."""
+
+    def change(one: InSituSet) -> InSituSet:
+        raw = one.raw.copy()
+        raw[:, channel] = np.minimum(raw[:, channel], np.quantile(raw[:, channel], 1.0 - share))
+        return replace(one, raw=raw)
+
+    return each(change, (chosen,))
+
+
+def turned(angles: list[float]) -> Change:
+    """Let the IMU be built in turned, by degrees about x, y and z."""
+    R = Rotation.from_euler("xyz", angles, degrees=True).as_matrix().T
+
+    def change(one: InSituSet) -> InSituSet:
+        spin, rate = one.angular_velocity, one.angular_acceleration
+        if spin is None or rate is None:
+            return replace(one, gravity=one.gravity @ R)
+        return replace(one, gravity=one.gravity @ R, angular_velocity=spin @ R, angular_acceleration=rate @ R)
+
+    return each(change)
+
+
+def added(mass: float, place: float = 1.0, chosen: tuple[int, ...] = (0, 1, 2, 3)) -> Change:
+    """Scale the added masses, and their places."""
+    return each(
+        lambda one: replace(one, added_mass=mass * one.added_mass, added_com=place * one.added_com), chosen
+    )
+
+
+def moved(step: list[float], chosen: int) -> Change:
+    return each(lambda one: replace(one, added_com=one.added_com + step), (chosen,))
+
+
+def swapped(i: int, j: int) -> Change:
+    """Exchange what was added in two sets."""
+
+    def change(log: Log) -> Log:
+        sets = list(log.sets)
+        for to, of in ((i, j), (j, i)):
+            it = log.sets[of]
+            sets[to] = replace(sets[to], added_mass=it.added_mass, added_com=it.added_com)
+        return replace(log, sets=tuple(sets))
+
+    return change
+
+
+def entry(row: int, column: int, factor: float) -> Change:
+    def change(matrix: Floats) -> Floats:
+        spoilt = matrix.copy()
+        spoilt[row, column] *= factor
+        return spoilt
+
+    return factory(change)
+
+
+def unit_rows(matrix: Floats) -> Floats:
+    return np.concatenate([matrix[:3], 1000.0 * matrix[3:]])
+
+
+SAME: Change = replace
+PUSH = [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]
+"""8 N and 1.1 N m."""
+
+ZERO = r"zero|step|leap|jump"
+TOUCH = r"touch|push"
+CLIP = r"clip|saturat|\bends at"
+MASS_UNIT = r"in (g|grams|lb|pounds)\b|mass\w* .*(unit|grams|pounds)"
+PLACE_UNIT = r"\bmm\b|\bcm\b|places .*unit"
+GRAVITY_UNIT = r"m/s\^2|gravity is"
+ROTATION = r"estimate_rotation|turned|rotat"
+BIAS = r"calibrate the accelerometer|bias"
+SCALE = r"calibrate the accelerometer|accelerometer's scale|gravity is"
+WHOLE = r"transpos|invers|rows of the factory|units of (its|the factory)|order of"
+ENTRY = r"[Ee]ntry \["
+SPEED = r"too fast|fast"
+SOFT = r"bend|not rigid|gives"
+PLACES = r"place|negat|lever"
+SIGN = r"sign"
+
+SPOILTS: dict[str, Spoilt] = {
+    "step of a zero": Spoilt(
+        ZERO,
+        {
+            "5 N, set 2": read([3.0, 2.0, 3.5, 0.2, 0.3, 0.1], 1, 0.5, 1.0),
+            "15 N, set 3": read([9.0, 6.0, 10.0, 0.6, 0.9, 0.3], 2, 0.3, 1.0),
+            "40 N, set 1": read([24.0, 16.0, 28.0, 1.8, 2.7, 0.9], 0, 0.6, 1.0),
+        },
+    ),
+    "push": Spoilt(
+        TOUCH,
+        {
+            "8 N for 3 s": read(PUSH, 2, 0.4, 0.45),
+            "8 N for 9 s": read(PUSH, 1, 0.2, 0.35),
+            "8 N for 18 s": read(PUSH, 3, 0.5, 0.8),
+        },
+    ),
+    "clipped channel": Spoilt(
+        CLIP, {"3 %": clipped(0.03, 1, 3), "10 %": clipped(0.1, 2, 0), "25 %": clipped(0.25, 0, 5)}
+    ),
+    "masses in g": Spoilt(MASS_UNIT, {"": added(1000.0)}),
+    "masses in lb": Spoilt(MASS_UNIT, {"": added(1.0 / POUND)}, (True,)),
+    "places in mm": Spoilt(PLACE_UNIT, {"": added(1.0, 1000.0)}),
+    "places in cm": Spoilt(PLACE_UNIT, {"": added(1.0, 100.0)}),
+    "gravity in cm/s^2": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: 100.0 * g)}),
+    "gravity in mg": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: g / 9.80665e-3)}),
+    "gravity in g": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: g / 9.80665)}),
+    "IMU turned": Spoilt(
+        ROTATION,
+        {"5 deg": turned([3.0, -4.0, 0.0]), "10 deg": turned([6.0, 4.0, -7.0]), "90 deg": turned([0, 0, 90])},
+    ),
+    "accelerometer's bias": Spoilt(
+        BIAS,
+        {
+            "0.3": vectors(lambda g: np.add(g, [0.2, -0.1, 0.2])),
+            "1": vectors(lambda g: np.add(g, [0.0, 0.6, -0.8])),
+        },
+    ),
+    "accelerometer's scale": Spoilt(
+        SCALE,
+        {f"{100 * s - 100:+.0f} %": vectors(lambda g, s=s: s * g) for s in (1.05, 1.12, 0.88)},  # type: ignore[misc]
+    ),
+    "factory transposed": Spoilt(WHOLE, {"": factory(lambda F: F.T)}, (True,)),
+    "factory inverted": Spoilt(WHOLE, {"": factory(np.linalg.inv)}, (True,)),
+    "factory torques first": Spoilt(WHOLE, {"": factory(lambda F: np.roll(F, 3, axis=0))}, (True,)),
+    "factory in N mm": Spoilt(WHOLE, {"": factory(unit_rows)}, (True,)),
+    "factory negated": Spoilt(SIGN, {"": factory(np.negative)}, (True,)),
+    "gravity negated": Spoilt(SIGN, {"": vectors(np.negative)}, (True,)),
+    "factory entry": Spoilt(
+        ENTRY,
+        {"sign": entry(2, 4, -1.0), "times 10": entry(0, 5, 10.0), "a tenth": entry(1, 1, 0.1)},
+        (True,),
+    ),
+    "one mass": Spoilt(
+        r"mass of 'set 3'", {f"{100 * s - 100:+.0f} %": added(s, 1.0, (2,)) for s in (0.8, 1.1, 1.2)}
+    ),
+    "one place": Spoilt(
+        r"mass of 'set 4'",
+        {"4 cm": moved([0.0, 0.04, 0.0], 3), "10 cm": moved([0.06, 0.0, -0.08], 3)},
+    ),
+    "two sets swapped": Spoilt(r"swap|exchang", {"2, 3": swapped(1, 2), "1, 4": swapped(0, 3)}),
+    "all places negated": Spoilt(PLACES, {"": added(1.0, -1.0)}, (True,)),
+    "fast without a gyroscope": Spoilt(
+        SPEED,
+        {"38 deg/s": SAME, "76 deg/s": SAME, "swings": SAME},
+        gyroscope=(False,),
+        rig={
+            "38 deg/s": {"speed_deg": 38.0, "rate": 50.0},
+            "76 deg/s": {"speed_deg": 76.0, "rate": 50.0},
+            "swings": {"fast_motion": True, "rate": 100.0},
+        },
+    ),
+    "limb not rigid": Spoilt(
+        SOFT,
+        {"0.005": SAME, "0.02": SAME, "0.06": SAME},
+        rig={name: {"knee_slack": float(name)} for name in ("0.005", "0.02", "0.06")},
+    ),
+    "foot on the floor": Spoilt(TOUCH, {"": SAME}, rig={"": {"floor": True}}),
+    "places times 1.2": Spoilt(PLACES, {"": added(1.0, 1.2)}, unknowable=True),
+    "gravity negated, no factory": Spoilt(SIGN, {"": vectors(np.negative)}, (False,), unknowable=True),
+    "places negated, no factory": Spoilt(PLACES, {"": added(1.0, -1.0)}, (False,), unknowable=True),
+    "masses in lb, no factory": Spoilt(MASS_UNIT, {"": added(1.0 / POUND)}, (False,), unknowable=True),
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a log."""
+
+    answer: str
+    off: float
+    sigmas: float
+    first: str
+    seconds: float
+
+    @property
+    def wrong(self) -> bool:
+        """Whether a number is wrong beyond what was said of it."""
+        return self.answer != "refused" and self.off > OFF and self.sigmas > SIGMAS
+
+
+def outcome(log: Log) -> Outcome:
+    """Calibrate, and compare with the truth."""
+    begun = time.process_time()
+    try:
+        fit = calibrate_in_situ(log.sets, factory_matrix=log.factory, limb=log.limb, options=log.options)
+    except CalibrationRefused as refusal:
+        return Outcome("refused", np.nan, np.nan, str(refusal), time.process_time() - begun)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return Outcome("crashed", np.nan, np.nan, f"{type(error).__name__}: {error}", 0.0)
+    seconds = time.process_time() - begun
+    off, sigmas = errors(fit, log)
+    return Outcome("warned" if fit.warnings else "answered", off, sigmas, " ".join(fit.warnings), seconds)
+
+
+def errors(fit: InSituFit, log: Log) -> tuple[float, float]:
+    """Return how far wrenches are off, as a share of the load and in stated deviations; the worse of both."""
+    C, A = fit.matrix, log.truth.response
+    zero = C @ (log.truth.offset - fit.offset)
+    off = log.loads @ (C @ A - np.eye(6)).T + zero
+    to = ErrorColumns.of(len(fit.offset))
+    covariance = error_covariance(fit)
+    slopes = np.zeros((len(log.loads), 6, len(covariance)))
+    slopes[:, :, to.offset] = C
+    for axis in range(6):
+        slopes[:, axis, to.response.start + 6 * axis : to.response.start + 6 * axis + 6] = log.loads
+    stated = np.einsum("nac,cd,nad->na", slopes, covariance, slopes)
+    shares, sigmas = [], []
+    for block in (slice(0, 3), slice(3, 6)):
+        size = np.sqrt(np.mean(off[:, block] ** 2))
+        shares.append(size / np.sqrt(np.mean(log.loads[:, block] ** 2)))
+        sigmas.append(size / np.sqrt(np.mean(stated[:, block])))
+    worst = int(np.argmax([s if z > SIGMAS else 0.0 for s, z in zip(shares, sigmas, strict=True)]))
+    return float(shares[worst]), float(sigmas[worst])
+
+
+def main() -> None:
+    """Print the table and its totals."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default="", help="kinds whose name contains this")
+    parser.add_argument("--verbose", action="store_true", help="messages whole")
+    parser.add_argument("--seed", type=int, default=SEED)
+    arguments = parser.parse_args()
+    console = Console(width=250 if arguments.verbose else 150)
+    table = Table("kind", "size", "gyro", "factory", "came out", "off", "sigmas", "named", "first message")
+    totals: dict[str, list[tuple[bool, bool]]] = {}
+    seconds = 0.0
+    for kind, spoilt in SPOILTS.items():
+        if arguments.only not in kind:
+            continue
+        for size, change in spoilt.sizes.items():
+            for gyroscope in spoilt.gyroscope:
+                for with_factory in spoilt.factory:
+                    rig = (spoilt.rig or {}).get(size, {})
+                    log = change(recorded(arguments.seed, gyroscope, **rig))
+                    log = log if with_factory else replace(log, factory=None)
+                    came = outcome(log)
+                    seconds += came.seconds
+                    named = came.answer != "crashed" and bool(
+                        re.search(spoilt.cause, _first_cause(came.first))
+                    )
+                    right = came.answer == "answered" and not came.wrong
+                    totals.setdefault(kind, []).append(
+                        (came.answer == "answered" and came.wrong, named or right)
+                    )
+                    shown = (
+                        (f"{100 * came.off:.1f} %", f"{came.sigmas:.1f}")
+                        if np.isfinite(came.off)
+                        else ("", "")
+                    )
+                    table.add_row(
+                        kind,
+                        size,
+                        "yes" if gyroscope else "",
+                        "yes" if with_factory else "",
+                        ("WRONG " if came.wrong and came.answer == "answered" else "") + came.answer,
+                        *shown,
+                        "yes" if named else ("right" if right else "NO"),
+                        came.first if arguments.verbose else came.first[:110],
+                    )
+    console.print(table)
+    console.print(totals_of(totals))
+    if not arguments.only:
+        console.print(sound())
+    console.print(f"{seconds:.1f} s of CPU in all fits that ended")
+
+
+def _first_cause(message: str) -> str:
+    """Return the likeliest cause of a message, or all of it where it has none."""
+    found = re.search(r"Likeliest: (.*?)(?:; then |\.(?: |$))", message)
+    return found.group(1) if found else message
+
+
+def totals_of(totals: dict[str, list[tuple[bool, bool]]]) -> Table:
+    table = Table("kind", "logs", "wrong without a warning", "true cause first, or rightly answered")
+    sums = {True: [0, 0, 0], False: [0, 0, 0]}
+    for kind, rows in totals.items():
+        counts = [len(rows), sum(wrong for wrong, _ in rows), sum(named for _, named in rows)]
+        sums[SPOILTS[kind].unknowable] = [
+            a + b for a, b in zip(sums[SPOILTS[kind].unknowable], counts, strict=True)
+        ]
+        table.add_row(kind, *map(str, counts))
+    for unknowable, counts in sums.items():
+        table.add_row("nothing can show it" if unknowable else "ALL", *map(str, counts))
+    return table
+
+
+def sound() -> Table:
+    """Calibrate sound logs of other seeds."""
+    table = Table("sound log", "seed", "gyro", "factory", "came out", "off", "sigmas", "message")
+    bad = count = 0
+    for seed in SOUND_SEEDS:
+        for gyroscope in (False, True):
+            for with_factory in (False, True):
+                log = recorded(seed, gyroscope, "leg" if seed % 3 else "foot")
+                came = outcome(log if with_factory else replace(log, factory=None))
+                count += 1
+                if came.answer == "answered" and not came.wrong:
+                    continue
+                bad += 1
+                table.add_row(
+                    "leg" if seed % 3 else "foot",
+                    str(seed),
+                    str(gyroscope),
+                    str(with_factory),
+                    came.answer,
+                    f"{100 * came.off:.1f} %",
+                    f"{came.sigmas:.1f}",
+                    came.first[:150],
+                )
+    table.add_row("bad", f"{bad} of {count}")
+    return table
+
+
+if __name__ == "__main__":
+    main()
