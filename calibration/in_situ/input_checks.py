@@ -21,6 +21,43 @@ _GRAVITY = (8.8, 10.8)
 _LENGTH_OFF = 0.01
 """Share by which gravity's length may be off or spread without a warning."""
 
+_UNITS = {
+    1.0: "g (1 g = 9.80665 m/s^2)",
+    1e3: "thousandths of g",
+    1e2 * GRAVITY: "cm/s^2",
+    1e3 * GRAVITY: "mm/s^2",
+    GRAVITY**2: "m/s^2 already, and was converted once more",
+}
+"""What gravity of such a length is likely to be in."""
+
+_SAME_UNIT = 0.2
+"""Share by which a length may be off that of a unit."""
+
+_EXPLAINS = 0.7
+"""A bias or a scale is named if it leaves less than this share of what gravity's length is off by."""
+
+_SPEEDING = 0.05
+"""Spread of gravity's length, as a share, that only motion makes."""
+
+_SHOWN = 1000
+"""Samples of a set from which the accelerometer is judged."""
+
+_PIVOT = 1.0
+"""How far in m the point is likely to be about which a limb turns."""
+
+_LENGTH_NOISE = 0.05
+"""Noise of gravity's length in m/s^2 beside which that expectation counts."""
+
+_HEAVIEST, _FARTHEST = 100.0, 5.0
+"""Added masses in kg, and places in m, that nobody hangs on a limb."""
+
+_TIES, _TIES_RATIO = 5, 5.0
+"""Equal readings at the end of a channel that show that it is clipped, and how many times more than at the
+next values."""
+
+_NEXT = 20
+"""Values next to the end that are counted."""
+
 _TILT = 0.02
 """Gravity's direction must spread by this share of its length in all three directions."""
 
@@ -36,6 +73,9 @@ _MOST_BENDS, _SOME_BENDS = 0.7, 0.2
 
 _WORST = 2.0
 """Rows that leave more than this multiple of the median are named."""
+
+_ROUNDS = 4
+"""Steps of Gauss and Newton by which gravity's length is fitted."""
 
 _LEAST_SAMPLES = 4
 """Whole samples that a set must have."""
@@ -56,7 +96,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
 
     With ``leaning`` a factory matrix stands in for what gravity does not show.
     """
-    factors, samples, lengths, warnings = [], 0, [], []
+    factors, samples, sizes, rows = [], 0, [], []
     for data in sets:
         whole = np.asarray(np.isfinite(data.raw).all(axis=1))
         for one in (data.gravity, data.angular_velocity, data.angular_acceleration, data.temperature):
@@ -68,25 +108,16 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
                 "Check which columns hold no number, and record for longer.",
             )
         _check_channels(data, options)
+        _check_added(data)
         gravity = data.gravity[whole]
-        sizes = np.linalg.norm(gravity, axis=1)
-        lengths.append(float(np.median(sizes)))
-        if not data.moves and not _GRAVITY[0] < lengths[-1] < _GRAVITY[1]:
-            raise CalibrationRefused(
-                f"'{data.name}': gravity is {lengths[-1]:.3g} m/s^2 long, where 9.81 is expected.",
-                "Give it in m/s^2 (1 g = 9.80665 m/s^2), and calibrate the accelerometer first.",
-            )
-        off = max(abs(lengths[-1] / GRAVITY - 1.0), float(np.std(sizes)) / GRAVITY)
-        if not data.moves and off > _LENGTH_OFF:
-            warnings.append(
-                f"'{data.name}': gravity is {lengths[-1]:.2f} m/s^2 long and spreads by {np.std(sizes):.2f}; "
-                "calibrate the accelerometer first, or forces and offsets will be off by as much."
-            )
+        sizes.append(float(np.median(np.linalg.norm(gravity, axis=1))))
+        rows.append(np.flatnonzero(whole)[:: max(len(gravity) // _SHOWN, 1)])
         factors.append(np.linalg.qr(gravity - gravity.mean(axis=0), mode="r"))
         samples += len(gravity)
-    spread = gravity_spread(np.concatenate(factors), float(np.mean(lengths) * np.sqrt(samples)))
+    warnings = _check_accelerometer(sets, rows)
+    spread = gravity_spread(np.concatenate(factors), float(np.mean(sizes) * np.sqrt(samples)))
     if spread[2] >= _TILT:
-        return tuple(warnings)
+        return warnings
     seen = "along one line" if spread[1] < _TILT else "in one plane"
     reason = (
         f"Gravity was seen to turn {seen} only: its direction spreads by {spread[0]:.3f}, "
@@ -99,18 +130,132 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
     )
 
 
+def _check_added(data: InSituSet) -> None:
+    """Raise CalibrationRefused if nobody hangs such a mass, or at such a place, on a limb."""
+    if data.added_mass > _HEAVIEST:
+        raise CalibrationRefused(
+            f"'{data.name}': {data.added_mass:g} kg were added, and no limb bears that: the mass is likely "
+            "in grams.",
+            "Give masses in kg.",
+        )
+    reach = float(np.linalg.norm(data.added_com))
+    if reach > _FARTHEST:
+        raise CalibrationRefused(
+            f"'{data.name}': the added mass hangs {reach:.3g} m away from the sensor: its place is likely in "
+            "mm or cm.",
+            "Give places in m, in the sensor's frame.",
+        )
+
+
+def _check_accelerometer(sets: Sequence[InSituSet], rows: Sequence[NDArray[np.int_]]) -> tuple[str, ...]:
+    """Return a warning if gravity's length is off; raise CalibrationRefused if it cannot be gravity.
+
+    A limb that turns about a fixed point p feels g - (dw x p + w x (w x p)): its own acceleration is taken
+    off, whatever p is. What is left of the length is a bias's or a scale's.
+    """
+    for data, there in zip(sets, rows, strict=True):
+        _check_unit(data, float(np.median(np.linalg.norm(data.gravity[there], axis=1))))
+    felt = np.concatenate([data.gravity[there] for data, there in zip(sets, rows, strict=True)])
+    circling = np.concatenate([_circling(data, there) for data, there in zip(sets, rows, strict=True)])
+    plain, _, _ = _length_fit(felt, circling, bias=False)
+    last = np.cumsum([len(there) for there in rows])
+    for data, of_set in zip(sets, np.split(plain, last[:-1]), strict=True):
+        _check_length(data, of_set + GRAVITY)
+    off = float(np.sqrt(np.mean(plain**2)))
+    if max(abs(float(np.median(plain))), float(np.std(plain))) <= _LENGTH_OFF * GRAVITY:
+        return ()
+    moves = any(data.moves for data in sets)
+    size = plain + GRAVITY
+    scale = float(np.mean(size) / GRAVITY)
+    by_scale = float(np.std(size)) / scale
+    by_bias, _, bias = _length_fit(felt, circling, bias=True)
+    left = float(np.sqrt(np.mean(by_bias**2)))
+    what = f"Gravity is {np.median(size):.2f} m/s^2 long and spreads by {np.std(size):.2f}"
+    cure = "calibrate the accelerometer first, or forces and offsets will be off by as much."
+    if min(left, by_scale) < _EXPLAINS * off:
+        if by_scale <= left:
+            return (f"{what}: the accelerometer's scale is off by {100.0 * (scale - 1.0):+.1f} %; {cure}",)
+        shown = ", ".join(f"{value:.2f}" for value in bias)
+        return (f"{what}: the accelerometer has a bias of about ({shown}) m/s^2; {cure}",)
+    # A base that moves as well is no fault of the accelerometer's.
+    return () if moves else (f"{what}: the limb moved too fast to be taken as at rest, or {cure}",)
+
+
+def _length_fit(
+    felt: NDArray[np.float64], circling: NDArray[np.float64], bias: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return by how much gravity is too long, shape (n,), the arm of the turning and the bias, (3,) each."""
+    arm, offset = np.zeros(3), np.zeros(3)
+    prior = np.eye(6 if bias else 3) * _LENGTH_NOISE / _PIVOT
+    for _ in range(_ROUNDS):
+        g = felt + circling @ arm - offset
+        size = np.linalg.norm(g, axis=1)
+        towards = g / np.maximum(size, np.finfo(float).tiny)[:, None]
+        columns = np.einsum("ni,nij->nj", towards, circling)
+        known = arm
+        if bias:
+            columns, known = np.concatenate([columns, -towards], axis=1), np.concatenate([arm, offset])
+        step = np.linalg.lstsq(
+            np.concatenate([columns, prior]), np.concatenate([GRAVITY - size, -prior @ known]), rcond=None
+        )[0]
+        arm = arm + step[:3]
+        offset = offset + step[3:] if bias else offset
+    size = np.linalg.norm(felt + circling @ arm - offset, axis=1)
+    return np.asarray(size - GRAVITY), arm, offset
+
+
+def _circling(data: InSituSet, rows: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Return [dw]x + [w]x [w]x, shape (n, 3, 3): the acceleration at an arm from what a limb turns about."""
+    if data.angular_velocity is None or data.angular_acceleration is None:
+        return np.zeros((len(rows), 3, 3))
+    spin, rate = data.angular_velocity[rows], data.angular_acceleration[rows]
+    eye = np.eye(3)
+    turn = np.stack([np.cross(rate, axis) + np.cross(spin, np.cross(spin, axis)) for axis in eye], axis=2)
+    return np.asarray(turn)
+
+
+def _check_unit(data: InSituSet, length: float) -> None:
+    """Raise CalibrationRefused if gravity's length is that of another unit."""
+    looks = [text for value, text in _UNITS.items() if abs(length / value - 1.0) < _SAME_UNIT]
+    if looks:
+        raise CalibrationRefused(
+            f"{_length_reason(data, length)} Give it in m/s^2; it looks like {looks[0]}.",
+            "Convert it, and calibrate the accelerometer first.",
+        )
+
+
+def _length_reason(data: InSituSet, length: float) -> str:
+    return f"'{data.name}': gravity is {length:.4g} m/s^2 long, where 9.81 is expected."
+
+
+def _check_length(data: InSituSet, sizes: NDArray[np.float64]) -> None:
+    """Raise CalibrationRefused if a set's gravity is of a length that gravity does not have."""
+    length, spread = float(np.median(sizes)), float(np.std(sizes))
+    if _GRAVITY[0] < length < _GRAVITY[1]:
+        return
+    if spread > _SPEEDING * length and not data.moves:
+        raise CalibrationRefused(
+            f"{_length_reason(data, length)} It spreads by {spread:.2g}: the limb moved too fast to be taken "
+            "as at rest.",
+            "Give the gyroscope's readings as well, or move slowly.",
+        )
+    raise CalibrationRefused(
+        f"{_length_reason(data, length)} Give it in m/s^2; or the accelerometer's scale is off by "
+        f"{length / GRAVITY - 1.0:+.0%}.",
+        "Calibrate the accelerometer first.",
+    )
+
+
 def _check_channels(data: InSituSet, options: InSituOptions) -> None:
     """Raise CalibrationRefused if a channel is dead or saturated."""
-    for channel, counts in enumerate(data.raw.T):
-        counts = counts[np.isfinite(counts)]
+    for channel, of_channel in enumerate(data.raw.T):
+        counts = of_channel[np.isfinite(of_channel)]
         if len(counts) and np.ptp(counts) == 0.0:
             raise CalibrationRefused(
                 f"'{data.name}': channel {channel} reads {counts[0]:g} throughout.",
                 "Check its wiring and that the sensor was switched on.",
             )
-        if options.code_range is None:
-            continue
-        low, high = options.code_range
+        low, high = options.code_range or (-np.inf, np.inf)
         stuck = float(np.mean((counts <= low) | (counts >= high))) if len(counts) else 0.0
         if stuck > _SATURATED:
             raise CalibrationRefused(
@@ -118,6 +263,38 @@ def _check_channels(data: InSituSet, options: InSituOptions) -> None:
                 f"(at or beyond {low:g} or {high:g}).",
                 "Take the load off or set the hardware's offset again: a clipped reading shows nothing.",
             )
+        _check_ends(data, channel, of_channel)
+
+
+def _check_ends(data: InSituSet, channel: int, counts: NDArray[np.float64]) -> None:
+    """Raise CalibrationRefused if a channel stays at its highest or lowest reading while its load goes on."""
+    for end, sign in ((np.nanmax(counts), 1.0), (np.nanmin(counts), -1.0)):
+        held = counts == end
+        if np.sum(held) < _TIES:
+            continue
+        values, times = np.unique(sign * counts[np.isfinite(counts)], return_counts=True)
+        if len(values) <= _NEXT or times[-1] <= _TIES_RATIO * np.mean(times[-1 - _NEXT : -1]):
+            continue
+        beyond, deviation = _beyond(data, counts, held, sign)
+        if beyond > deviation + values[-1] - values[-2]:
+            raise CalibrationRefused(
+                f"'{data.name}': channel {channel} is clipped: {times[-1]} samples read exactly {end:g}"
+                f"{_when(data, held)}, none reads beyond, and gravity went on turning.",
+                "Take the load off, set the hardware's offset again, or lower the gain: a clipped reading "
+                "shows nothing.",
+            )
+
+
+def _beyond(
+    data: InSituSet, counts: NDArray[np.float64], held: NDArray[np.bool_], sign: float
+) -> tuple[float, float]:
+    """Return how far held samples should read beyond their end by gravity, and the others' deviation."""
+    columns = np.column_stack([np.ones(len(counts)), data.gravity])
+    whole = np.isfinite(columns).all(axis=1) & np.isfinite(counts)
+    others = whole & ~held
+    slope = np.linalg.lstsq(columns[others], counts[others], rcond=None)[0]
+    left = counts - columns @ slope
+    return -sign * float(np.mean(left[whole & held])), float(np.std(left[others]))
 
 
 def check_within(

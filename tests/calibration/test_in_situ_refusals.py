@@ -325,6 +325,54 @@ def test_an_uncalibrated_accelerometer_is_reported():
     assert "calibrate the accelerometer first" in calibrate_in_situ(biased).warnings[0]
 
 
+def test_a_gyroscope_does_not_hide_the_accelerometer():
+    sets, _ = moving_sets(np.random.default_rng(5), noise=1.0)
+    assert calibrate_in_situ(sets).warnings == ()
+    fit = calibrate_in_situ([replace(one, gravity=np.add(one.gravity, [0.0, 0.6, -0.8])) for one in sets])
+    assert "the accelerometer has a bias of about (0.0" in fit.warnings[0]
+    with pytest.raises(CalibrationRefused, match="the accelerometer's scale is off by"):
+        calibrate_in_situ([replace(one, gravity=1.12 * one.gravity) for one in sets])
+
+
+def test_a_channel_that_is_clipped_below_its_rail_is_named():
+    def clip(raw):
+        raw[:, 4] = np.minimum(raw[:, 4], np.quantile(raw[:, 4], 0.95))
+
+    sets = leg_sets()
+    with pytest.raises(CalibrationRefused, match="'data set 2': channel 4 is clipped: 30 samples"):
+        calibrate_in_situ([sets[0], with_raw(sets[1], clip), *sets[2:]])
+
+
+@pytest.mark.parametrize("dwell", [0.0, 0.3])
+def test_a_limb_that_rests_at_its_turns_is_not_clipped(dwell):
+    # Counts without noise, the same for as long as the limb rests at the end of its sweep.
+    turn = np.clip(np.linspace(-1.0 - dwell, 1.0 + dwell, 1500), -1.0, 1.0)
+    angles = np.radians([[30.0 * a, 25.0 * np.sin(7.0 * a)] for a in turn])
+    gravity = 9.81 * np.stack(
+        [np.sin(angles[:, 0]), np.sin(angles[:, 1]), np.cos(angles[:, 0]) * np.cos(angles[:, 1])], axis=1
+    )
+    gravity *= 9.81 / np.linalg.norm(gravity, axis=1, keepdims=True)
+    sets = [
+        make_set(MATRIX, 0.0, (MASS, COM), (added, place), gravity)
+        for added, place in zip(ADDED_MASS, ADDED_COM_LEG, strict=True)
+    ]
+    fit = calibrate_in_situ([replace(one, raw=np.round(one.raw)) for one in sets])
+    assert fit.result is FitResult.DETERMINED
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"added_mass": 703.0}, "likely in grams"),
+        ({"added_com": [-21.5, 108.3, 367.4]}, "likely in mm or cm"),
+    ],
+)
+def test_masses_and_places_that_nobody_hangs_are_refused(change, message):
+    sets = leg_sets()
+    with pytest.raises(CalibrationRefused, match=message):
+        calibrate_in_situ([sets[0], replace(sets[1], **change), *sets[2:]])
+
+
 def test_a_scale_that_is_the_makers_is_as_unsure_as_makers_are():
     fit = calibrate_in_situ(
         leg_sets()[:1], factory_matrix=1.15 * MATRIX, options=InSituOptions(scale_tolerance=0.5)
