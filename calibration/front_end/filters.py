@@ -11,11 +11,10 @@ in transposed direct form II, written as one matrix that takes (input, two state
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from surefoot.calibration.arrays import Array, Constants, namespace_of
 
@@ -89,10 +88,12 @@ def zero_phase(values: NDArray[np.float64], cutoff: float, dt: float) -> NDArray
         seen = known[:, column]
         flat[~seen, column] = np.interp(index[~seen], index[seen], flat[seen, column])
     flat[:, ~known.any(axis=0)] = 0.0
-    sections = signal.butter(2, cutoff, fs=1.0 / dt, output="sos")
-    filtered = signal.sosfiltfilt(
-        sections, flat, axis=0, padlen=min(len(flat) - 1, round(1.0 / (cutoff * dt)))
-    )
+    # Imported here: it takes a second, and a robot in its loop never needs it.
+    from scipy.signal import sosfiltfilt
+
+    b, a = _butterworth(cutoff, dt)
+    padding = min(len(flat) - 1, round(1.0 / (cutoff * dt)))
+    filtered = sosfiltfilt(np.concatenate([b, a])[None], flat, axis=0, padlen=padding)
     filtered[~known] = np.nan
     result: NDArray[np.float64] = filtered.reshape(np.shape(values))
     return result
@@ -101,8 +102,7 @@ def zero_phase(values: NDArray[np.float64], cutoff: float, dt: float) -> NDArray
 def _coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Write the filter as its matrix, shape (3, 3), and its state per unit of a constant, shape (2, 1)."""
     _check(cutoff, dt)
-    coefficients: Any = signal.butter(2, cutoff, fs=1.0 / dt)
-    b, a = coefficients
+    b, a = _butterworth(cutoff, dt)
     transition = np.array(
         [
             [b[0], 1.0, 0.0],
@@ -112,6 +112,13 @@ def _coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArra
     )
     steady = np.array([[1.0 - b[0]], [b[2] - a[2]]])
     return transition, steady
+
+
+def _butterworth(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return b and a of the difference equation: the bilinear transform of 1 / (s² + √2 s + 1)."""
+    k = np.tan(np.pi * cutoff * dt)
+    a = np.array([1.0 + np.sqrt(2.0) * k + k * k, 2.0 * (k * k - 1.0), 1.0 - np.sqrt(2.0) * k + k * k])
+    return k * k * np.array([1.0, 2.0, 1.0]) / a[0], a / a[0]
 
 
 def _check(cutoff: float, dt: float) -> None:

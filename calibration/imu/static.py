@@ -7,7 +7,6 @@ it looks into the future and serves logs only.
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import savgol_filter
 
 from surefoot.calibration.checks import check_value
 
@@ -57,6 +56,9 @@ def savitzky_golay(
             f"{bad} of {len(values)} samples are not finite, and the filter would spread them over a window: "
             "cut the log at its gaps or fill them first."
         )
+    # Imported here: it takes a second, and most users of the package never need it.
+    from scipy.signal import savgol_filter
+
     return np.asarray(savgol_filter(values, window, order, deriv=derivative, delta=dt, axis=0))
 
 

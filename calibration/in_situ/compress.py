@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import signals
@@ -297,7 +297,7 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     """
     floor = _FLOOR * np.std(raw, axis=0) + np.finfo(float).tiny
     weight = np.ones(len(columns))
-    limit = float(chi2.isf(_GATE, raw.shape[1]))
+    limit = float(chdtri(raw.shape[1], _GATE))
     distance = np.zeros(len(columns))
     for i in range(_ROUNDS):
         root = weight[:, None]

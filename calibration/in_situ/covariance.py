@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.compress import CompressedSet
@@ -88,7 +88,7 @@ def persistence(sets: Sequence[CompressedSet], whitening: Matrix) -> float:
 
 
 def _beyond_chance(ratio: float, terms: int) -> bool:
-    return terms > 0 and ratio * terms > chi2.isf(_CHANCE, terms)
+    return terms > 0 and ratio * terms > chdtri(terms, _CHANCE)
 
 
 def _between_stretches(sets: Sequence[CompressedSet], whitening: Matrix, stretches: int) -> tuple[float, int]:

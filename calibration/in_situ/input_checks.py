@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from surefoot.calibration.imu.gravity_spread import gravity_spread
 from surefoot.calibration.in_situ.compress import CompressedSet
@@ -369,7 +369,7 @@ def _bending(data: InSituSet, part: CompressedSet) -> float:
     explained = float(np.sum((basis.T @ part.residual) ** 2))
     left = float(np.sum(part.residual**2)) - explained
     terms, channels = squares.shape[1], part.residual.shape[1]
-    by_chance = float(chi2.isf(_CHANCE, terms * channels)) / channels
+    by_chance = float(chdtri(terms * channels, _CHANCE)) / channels
     chance = left * by_chance / max(part.rows - basis.shape[1], 1)
     return _share_of_spread(explained - chance, part)
 

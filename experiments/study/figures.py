@@ -105,6 +105,9 @@ def figure_at(path: Path, width: float, height: float) -> Iterator[Figure]:
     with mpl.rc_context(_RC):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
+        # Laid out here; to save a figure with a layout engine draws everything once more for nothing.
+        figure.get_layout_engine().execute(figure)
+        figure.set_layout_engine("none")
         # Without a date the same figure is the same file.
         metadata: Any = {"Date": None} if path.suffix == ".svg" else None
         with atomic_path(path) as part:

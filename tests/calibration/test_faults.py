@@ -1,6 +1,6 @@
 """Channels that break under a walking robot: what the estimator says of them, and what it goes on with.
 
-Faults are put into the readings of many robots at 20 s, by arrays; every robot breaks another channel.
+Faults are put into the readings of many robots at 14 s, by arrays; every robot breaks another channel.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
 from surefoot.calibration import GRAVITY, Flag, Parameters, Reference, replay
 
 ROBOTS = 8
-AT = round(20.0 / DT)
+AT = round(14.0 / DT)
 EARLY = round(8.0 / DT)
 IN_TIME = round(1.2 / DT)
 SETTLED = round(1.5 / DT)
@@ -64,7 +64,7 @@ class Broken:
     """Estimates of all robots with all faults, from one batch."""
 
     def __init__(self):
-        logs = [walk(seed, 0.1, 24.0, 2.0, BAD) for seed in WHO]
+        logs = [walk(seed, 0.1, 18.0, 2.0, BAD) for seed in WHO]
         self.true_cop = np.stack([log.cop for log in logs], axis=1)
         self.truth = np.stack([log.force for log in logs], axis=1)
         reference = Reference(
@@ -209,7 +209,7 @@ def test_exchanged_channels_are_put_right(broken, kind):
     ("share", "ahead", "at"), [(0.06, 0.03, AT), (0.12, 0.06, AT), (0.12, -0.06, AT), (0.12, 0.03, EARLY)]
 )
 def test_a_load_that_is_put_on_is_no_fault(broken, share, ahead, at):
-    logs = [walk(seed, 0.1, 24.0, 2.0, BAD) for seed in WHO]
+    logs = [walk(seed, 0.1, 18.0, 2.0, BAD) for seed in WHO]
     more = np.stack([added_load(log, share, ahead) / log.correction.scale for log in logs], axis=1)
     raw, cop = broken.healthy.copy(), broken.true_cop.copy()
     raw[at:] += more[at:]

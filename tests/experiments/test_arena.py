@@ -228,7 +228,7 @@ def test_an_ankle_tells_what_the_cells_tell(ankles: dict[str, Log]) -> None:
 
 
 def test_what_fails_is_left_out_and_named(
-    results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None
 ) -> None:
     original = cases.play
 

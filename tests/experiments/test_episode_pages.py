@@ -83,7 +83,7 @@ def test_targets_are_met_or_not_by_the_numbers():
     assert reached(frame_of(episodes(fell=1)))["survives on true CoP (%)"] == "yes"
 
 
-def test_what_was_not_run_is_left_out(tmp_path):
+def test_what_was_not_run_is_left_out(tmp_path, undrawn):
     rows = reached(frame_of(episodes(means={"true": 100.0, "moment": 97.0})))
     assert list(rows) == ["survives on true CoP (%)"]
     assert reached(frame_of(episodes(means={"none": 50.0, "window": 60.0}))) == {}

@@ -49,7 +49,7 @@ def test_each_robot_is_calibrated_as_it_would_be_alone():
         FootCalibrator(batch._setup.layout, mass=batch._mass, initial=start, dt=1 / 80, lag=batch.lag)
         for start in starts
     ]
-    for _ in range(150):
+    for _ in range(100):
         seen, *_, infos = env.step(ACTIONS)
         reference, raw = infos["surefoot"]["reference"], env._sensors.stepped.raw
         for i, own in enumerate(alone):
@@ -98,22 +98,22 @@ def test_robots_learn_their_centre_of_pressure():
         env = _vector(method=method)
         env.reset(seed=8)
         found = []
-        for _ in range(480):
+        for _ in range(360):
             seen, _, terminated, *_, infos = env.step(ACTIONS)
             truth = infos["surefoot"]["truth"]["cop_foot"]
             found.append(np.linalg.norm(seen["cop_foot"] - truth, axis=-1))
             assert not terminated.any()
-        errors[method] = np.nanmedian(found[240:], axis=(0, 2))
+        errors[method] = np.nanmedian(found[200:], axis=(0, 2))
     assert (errors["moment"] < 0.006).all(), errors
     assert errors["moment"].mean() < 0.4 * errors["none"].mean(), errors
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_what_was_learnt_outlives_episodes_in_all_modes(mode):
-    env = _vector(40, mode)
+    env = _vector(25, mode)
     seen, _ = env.reset(seed=2)
     batch, ends, before = env.calibration, 0, None
-    for _ in range(130):
+    for _ in range(80):
         assert seen in env.observation_space
         learnt = batch._state.mean
         seen, _, terminated, truncated, infos = env.step(ACTIONS)
@@ -172,7 +172,7 @@ def test_nothing_is_learnt_from_a_robot_that_is_not_upright():
         return upright(reference, bias) & np.array([True, False, True])
 
     batch._upright.at = lying
-    for _ in range(150):
+    for _ in range(100):
         *_, infos = env.step(ACTIONS)
         assert np.isnan(infos["surefoot"]["reference"].com[1]).all()
         assert not infos["surefoot"]["reference"].stance[1].any()
