@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 # Small matrices run faster on one thread, and parallel runs do not fight for the cores.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Where Python keeps no bytecode, as in many containers, every worker compiles all tests anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test slow results check format wheel-test clean
 

@@ -27,7 +27,7 @@ from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait.preview import CartTable, track_zmp
 from surefoot.envs.gait.route import Leg, plan_legs
 from surefoot.envs.gait.swing import checked_roll
-from surefoot.envs.robots.nao import load_nao_spec
+from surefoot.envs.robots.nao import nao_model
 
 LIFT_HEIGHT = 0.015
 """How high a foot is lifted, in m."""
@@ -218,7 +218,7 @@ def _plan(
     com_height: float,
 ) -> Pattern:
     ground = lay_out(walks, timing, ticks, lift_height, half_width, foot_roll)
-    model = load_nao_spec().compile()
+    model = nao_model()
     kinematics = WholeBodyKinematics(model)
     table = CartTable(com_height, 1.0 / CONTROL_RATE)
     height = np.full((len(ground.cop), 1), com_height)

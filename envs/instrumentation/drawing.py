@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.geometry import below
 from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name
-from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names, load_nao_spec
+from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names, nao_model
 
 Placed = tuple[str, NDArray[np.float64], NDArray[np.float64]]
 """A site's body, its place there in m and its quaternion."""
@@ -80,7 +80,7 @@ class RobotDrawing:
 @functools.cache
 def draw_nao() -> RobotDrawing:
     """Draw nao.xml."""
-    model = load_nao_spec().compile()
+    model = nao_model()
     soles = tuple(f"{foot}_sole" for foot in FEET)
     sites = {}
     for name in ("imu", *soles):

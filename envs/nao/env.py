@@ -28,9 +28,9 @@ from surefoot.envs.robots.nao import (
     LEG_MOTORS,
     cell_positions,
     hinge_joint_names,
-    load_nao_spec,
     motor_names,
     motor_of_joint,
+    nao_model,
     place_on_ground,
 )
 
@@ -206,7 +206,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._steps = None if duration is None else round(positive("duration", duration) / CONTROL_STEP)
         check_render_mode(render_mode, self.metadata["render_modes"])
 
-        self.model = load_nao_spec().compile()
+        self.model = nao_model()
         self.data = mujoco.MjData(self.model)
         self._renderer = SceneRenderer(self.model, self.data, camera, width, height)
         self.joint_names = hinge_joint_names(self.model)

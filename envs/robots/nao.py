@@ -4,6 +4,8 @@ The numbers are those of nao.xml alone; what this module adds are the orders in 
 speaks of joints, motors and feet.
 """
 
+import copy
+import functools
 from importlib.resources import files
 
 import mujoco
@@ -40,6 +42,16 @@ def load_nao_spec() -> mujoco.MjSpec:
     """
     xml = files("surefoot.envs.robots").joinpath("nao.xml").read_text(encoding="utf-8")
     return mujoco.MjSpec.from_string(xml)
+
+
+def nao_model() -> mujoco.MjModel:
+    """Return a model of nao.xml of its own; it is compiled once in a process."""
+    return copy.copy(_compiled())
+
+
+@functools.cache
+def _compiled() -> mujoco.MjModel:
+    return load_nao_spec().compile()
 
 
 def hinge_joint_names(model: mujoco.MjModel) -> tuple[str, ...]:

@@ -38,8 +38,14 @@ def calibrated(raw, reference, faults=BAD, name="moment", **options):
 
 
 def robot(estimate, i):
-    """One robot's share of a batch."""
-    return type(estimate)(*(None if part is None else part[:, i] for part in estimate))
+    """One robot's share of a batch; ``i`` is an index, or one of each axis of the batch."""
+    which = (slice(None), *np.atleast_1d(i))
+    return type(estimate)(*(None if part is None else part[which] for part in estimate))
+
+
+def repeated(reference, times, axis):
+    """The same reference several times side by side along a new axis."""
+    return Reference(*(np.stack([part] * times, axis=axis) for part in reference))
 
 
 def rows_between(reference, start, end):

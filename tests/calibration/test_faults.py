@@ -5,6 +5,7 @@ Faults are put into the readings of many robots at 14 s, by arrays; every robot 
 
 import numpy as np
 import pytest
+from _robots import repeated, robot
 from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
 
 from surefoot.calibration import GRAVITY, Flag, Parameters, Reference, replay
@@ -205,19 +206,19 @@ def test_exchanged_channels_are_put_right(broken, kind):
     assert broken.wrong_cop(kind)[found].max() < PUT_RIGHT
 
 
-@pytest.mark.parametrize(
-    ("share", "ahead", "at"), [(0.06, 0.03, AT), (0.12, 0.06, AT), (0.12, -0.06, AT), (0.12, 0.03, EARLY)]
-)
-def test_a_load_that_is_put_on_is_no_fault(broken, share, ahead, at):
+def test_a_load_that_is_put_on_is_no_fault(broken):
+    loads = [(0.06, 0.03, AT), (0.12, 0.06, AT), (0.12, -0.06, AT), (0.12, 0.03, EARLY)]
     logs = [walk(seed, 0.1, 18.0, 2.0, BAD) for seed in WHO]
-    more = np.stack([added_load(log, share, ahead) / log.correction.scale for log in logs], axis=1)
-    raw, cop = broken.healthy.copy(), broken.true_cop.copy()
-    raw[at:] += more[at:]
-    cop[at:, :, 0] += share / (1.0 + share) * ahead
-    estimate = calibrated(raw, broken.reference)
+    raw, cop = (np.stack([part] * len(loads), axis=1) for part in (broken.healthy, broken.true_cop))
+    for i, (share, ahead, at) in enumerate(loads):
+        more = np.stack([added_load(log, share, ahead) / log.correction.scale for log in logs], axis=1)
+        raw[at:, i] += more[at:]
+        cop[at:, i, :, 0] += share / (1.0 + share) * ahead
+    estimate = calibrated(raw, repeated(broken.reference, len(loads), axis=1))
     assert not (estimate.flags & int(WRONG)).any()
-    away = estimate.cop[at + SETTLED :] - cop[at + SETTLED :]
-    assert 1e3 * np.sqrt((away**2).sum(axis=-1).mean(axis=0)).max() < PUT_RIGHT
+    for i, (*load, at) in enumerate(loads):
+        away = (estimate.cop - cop)[at + SETTLED :, i]
+        assert 1e3 * np.sqrt((away**2).sum(axis=-1).mean(axis=0)).max() < PUT_RIGHT, load
 
 
 def test_a_channel_that_comes_back_is_taken_in_again(broken):
@@ -236,8 +237,9 @@ def test_a_channel_that_comes_back_is_taken_in_again(broken):
 def test_a_single_spike_changes_nothing_but_its_own_sample(broken):
     raw, at = broken.healthy.copy(), AT + 37
     raw[at, WHO, CHANNEL] += 80.0
-    clean, spoilt = (calibrated(part[: at + 40], head(broken.reference, at + 40))
-                     for part in (broken.healthy, raw))  # fmt: skip
+    both = np.stack([broken.healthy, raw], axis=1)[: at + 40]
+    estimate = calibrated(both, repeated(head(broken.reference, at + 40), 2, axis=1))
+    clean, spoilt = (robot(estimate, i) for i in range(2))
     flagged = np.argwhere(spoilt.flags & int(Flag.SPIKE))
     np.testing.assert_array_equal(flagged, np.stack([np.full(ROBOTS, at), WHO, CHANNEL], axis=1))
     # The sample before is held in its place, on its own channel alone.

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _robots import BAD, calibrated, fleet, robot, rows_between, rows_of, stream
+from _robots import BAD, calibrated, fleet, repeated, robot, rows_between, rows_of, stream
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, errors, walk
 
 from surefoot.calibration import FeetLayout, Flag, FootLayout, OnlineSetup, Parameters, Reference, replay
@@ -71,35 +71,32 @@ def test_the_swing_tare_finds_every_offset_and_the_warp():
     assert np.abs(blind.reshape(2, 4) @ warp).max() > 0.5, "what only a swing shows, nothing else may find"
 
 
-@pytest.mark.parametrize("feet", [(True, True), (True, False), (False, True)])
-def test_a_loaded_foot_that_claims_to_swing_is_refused(feet):
+def test_a_loaded_foot_that_claims_to_swing_is_refused():
     faults = replace(BAD, gain_drift=0.0, offset_drift=0.0)
     log = walk(0, duration=0.0, stand=10.0, faults=faults)
-    claims = log.reference._replace(swing=np.broadcast_to(feet, log.reference.swing.shape).copy())
-    honest, lied_to = (calibrated(log.raw, reference, faults) for reference in (log.reference, claims))
-    np.testing.assert_allclose(lied_to.scale, honest.scale, rtol=1e-12)
-    np.testing.assert_allclose(lied_to.offset, honest.offset, rtol=1e-12)
-    assert not (honest.flags & Flag.REJECTED).any()
-    assert (lied_to.flags[80:] & Flag.REJECTED).all()
+    claims = [(False, False), (True, True), (True, False), (False, True)]
+    reference = repeated(log.reference, len(claims), axis=1)
+    reference = reference._replace(swing=np.broadcast_to(claims, reference.swing.shape).copy())
+    estimate = calibrated(np.stack([log.raw] * len(claims), axis=1), reference, faults)
+    for lied_to in (1, 2, 3):
+        np.testing.assert_allclose(estimate.scale[:, lied_to], estimate.scale[:, 0], rtol=1e-12)
+        np.testing.assert_allclose(estimate.offset[:, lied_to], estimate.offset[:, 0], rtol=1e-12)
+    assert not (estimate.flags[:, 0] & Flag.REJECTED).any()
+    assert (estimate.flags[80:, 1:] & Flag.REJECTED).all()
 
 
-@pytest.mark.parametrize(
-    ("stance", "swing"),
-    [
-        (False, False),
-        (True, False),
-        (True, True),
-    ],
-)
-def test_a_walking_robot_with_wrong_contacts_is_not_poisoned(stance, swing):
+def test_a_walking_robot_with_wrong_contacts_is_not_poisoned():
     logs, raw, reference = fleet(range(4), speeds=(0.04,))
-    lied = reference._replace(
-        stance=np.full_like(reference.stance, stance), swing=np.full_like(reference.swing, swing)
-    )
+    told = np.array([(False, False), (True, False), (True, True)])
+    lied = repeated(reference, len(told), axis=1)
+    stance, swing = (np.broadcast_to(part[:, None, None], lied.stance.shape).copy() for part in told.T)
+    lied = lied._replace(stance=stance, swing=swing)
+    raw = np.stack([raw] * len(told), axis=1)
     estimate, start = calibrated(raw, lied), calibrated(raw, lied, name="none")
-    for i, log in enumerate(logs):
+    for i in np.ndindex(len(told), len(logs)):
         # Without any swing the offsets of single cells stay unknown, and with them the best of it.
-        assert errors(robot(estimate, i), log, 10.0)[0] < 1.1 * errors(robot(start, i), log, 10.0)[0]
+        found, before = (errors(robot(each, i), logs[i[1]], 10.0)[0] for each in (estimate, start))
+        assert found < 1.1 * before, i
 
 
 def test_lifted_off_the_ground_for_a_while_nothing_is_learnt_and_nothing_lost():
@@ -203,17 +200,17 @@ def test_a_plate_alone_is_calibrated_by_who_moves_on_it():
     assert errors(start, log, 8.0)[0] > 4.0
 
 
-@pytest.mark.parametrize("change", [0.05, -0.05])
-def test_a_load_that_is_picked_up_goes_to_the_mass_and_not_to_the_gains(change):
+def test_a_load_that_is_picked_up_or_put_down_goes_to_the_mass_and_not_to_the_gains():
     faults = replace(BAD, gain_drift=0.0, offset_drift=0.0)
     logs, raw, reference = fleet(range(8), speeds=(0.1,), faults=faults, duration=31.0, stand=2.0)
+    change = np.repeat([0.05, -0.05], 4)
     at, settled = round(25.0 / DT), round(27.0 / DT)
     force = NOMINAL.force(raw)
     true = np.stack([log.vgrf for log in logs], axis=1)
     true[at:] *= 1.0 + change
     for i, log in enumerate(logs):
         # Cells report the load besides, each by its own gain; the reference knows nothing of it.
-        force[at:, i] += change * log.force[at:] / log.correction.scale[at:]
+        force[at:, i] += change[i] * log.force[at:] / log.correction.scale[at:]
     initial = Parameters(np.ones(8), np.zeros(8))
     setup = OnlineSetup(layout=LAYOUT, mass=believed_mass(faults), initial=initial)
     method, unknowns = moment_filter(setup), Unknowns(setup, MomentFilterConfig())
