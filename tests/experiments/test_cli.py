@@ -100,7 +100,7 @@ def test_calibrating_a_walk(log: Log, tmp_path: Path) -> None:
     assert "Errors from 0 s on" in result.stdout
 
 
-def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path) -> None:
+def test_calibrating_a_walk_of_a_real_robot(log: Log, tmp_path: Path, undrawn: None) -> None:
     path = write_log(dataclasses.replace(log, truth=None, seed=None), tmp_path / "walk.csv")
     result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output

@@ -516,7 +516,7 @@ def test_junk_in_joints_and_imu_is_refused_or_not_known(log: Log, tmp_path: Path
     table = pd.read_csv(side)
     rng = np.random.default_rng(3)
     read, reasons = 0, []
-    for _ in range(60):
+    for _ in range(30):
         spoilt = table.copy()
         for _ in range(rng.integers(1, 4)):
             value = (np.nan, np.inf, 1e300, -1e300, 1e6, 0.0, -3.0)[rng.integers(7)]
@@ -532,7 +532,7 @@ def test_junk_in_joints_and_imu_is_refused_or_not_known(log: Log, tmp_path: Path
         known = np.isfinite(reference.com).all(axis=1)
         assert known.any()
         assert not (reference.stance | reference.swing)[~known].any()
-    assert read > 10
+    assert read > 4
     assert all(reason.startswith("walk.motion.csv: ") for reason in reasons)
 
 

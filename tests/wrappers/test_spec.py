@@ -107,7 +107,7 @@ def test_the_wrapped_truth_is_the_bare_one_bit_for_bit(name: str, make_bare) -> 
     bare.reset(seed=5)
     wrapped.reset(seed=5)
     rng = np.random.default_rng(0)
-    for _ in range(60):
+    for _ in range(30):
         action = rng.uniform(-0.2, 0.2, bare.action_space.shape).astype(np.float32)
         _, reward, *_ = bare.step(action)
         _, wrapped_reward, *_ = wrapped.step(action)
