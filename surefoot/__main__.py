@@ -8,6 +8,7 @@ NEEDED = (
     "rich",
     "pandas",
     "pyarrow",
+    "pydantic",
     "matplotlib",
     "jinja2",
     "joblib",

@@ -89,7 +89,7 @@ def ft(
 ) -> None:
     """Calibrate a six-axis F/T sensor where it is built in: counts, gravity and known masses in."""
     from surefoot.experiments.force_torque.calibrate import SAMPLE, calibrate_in_situ_log
-    from surefoot.experiments.force_torque.log import config_beside, read_config
+    from surefoot.experiments.force_torque.config import config_beside, read_config
 
     if bool(logs) == sample:
         fail("give the log of a sensor, or --sample for the one that ships with surefoot.")

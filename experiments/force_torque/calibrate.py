@@ -10,9 +10,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused
+from surefoot.experiments.force_torque.config import InSituConfig
 from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
 from surefoot.experiments.force_torque.icub import write_icub_matrix
-from surefoot.experiments.force_torque.log import InSituConfig, InSituLog, read_in_situ_log
+from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
 from surefoot.experiments.force_torque.page import write_in_situ_page
 from surefoot.experiments.force_torque.tables import Calibrated, shown_tables
 from surefoot.experiments.study.tables import Table
@@ -70,26 +71,31 @@ def calibrate_in_situ_log(
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console or Console(quiet=True), transient=True) as progress:
         task = progress.add_task("reading the log", total=4)
+
+        def now(what: str) -> None:
+            progress.update(task, advance=1, description=what)
+
         log = read_in_situ_log(paths, config)
-        progress.update(task, advance=1, description=f"fitting {len(log.fitted)} sets")
+        now(f"fitting {len(log.fitted)} sets")
         fit = _fit(log)
         notices = [*_doubt_of_weight(log, fit), *log.notices]
-        progress.update(task, advance=1, description="writing the calibration")
+        now("writing the calibration")
         files = _write(log, fit, folder / f"{stem}.in_situ", notices)
-        progress.update(task, advance=1, description="drawing the report")
+        now("drawing the report")
         found = Calibrated(dataclasses.replace(log, notices=tuple(notices)), fit)
         files["report"] = write_in_situ_page(folder / f"{stem}.in_situ.html", found)
-        progress.update(task, advance=1, description="done")
+        now("done")
     return CalibratedSensor(fit, files, shown_tables(found), (*fit.warnings, *notices))
 
 
 def _fit(log: InSituLog) -> InSituFit:
-    known, std = log.config.limb_mass, log.config.limb_mass_std
+    config = log.config
+    mass, std = config.limb.mass_kg, config.limb.mass_std_kg
     fit = calibrate_in_situ(
         log.fitted,
-        factory_matrix=log.config.factory_matrix,
-        limb=None if known is None or std is None else KnownLimb(known, std),
-        options=log.config.options,
+        factory_matrix=config.factory.matrix,
+        limb=None if mass is None or std is None else KnownLimb(mass, std),
+        options=config.fit.options(config.sensor.range_count),
         refuse=False,
     )
     if fit.refusals:
@@ -101,7 +107,7 @@ def _fit(log: InSituLog) -> InSituFit:
 
 def _doubt_of_weight(log: InSituLog, fit: InSituFit) -> list[str]:
     """Return a notice where the limb's fitted mass is not the known one."""
-    known = log.config.limb_mass
+    known = log.config.limb.mass_kg
     if known is None:
         return []
     off = fit.limb.mass / known - 1.0
@@ -115,18 +121,19 @@ def _doubt_of_weight(log: InSituLog, fit: InSituFit) -> list[str]:
 
 
 def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> dict[str, Path]:
+    def at(ending: str) -> Path:
+        return stem.with_name(f"{stem.name}.{ending}")
+
     files: dict[str, Path] = {}
-    if log.config.full_scale is not None:
+    sensor, temperature = log.config.sensor, log.fitted[-1].temperature
+    if sensor.full_scale is not None:
         try:
-            path = stem.with_name(f"{stem.name}.icub.txt")
-            files["icub"] = write_icub_matrix(fit.matrix, log.config.full_scale, path)
+            files["icub"] = write_icub_matrix(fit.matrix, sensor.full_scale, at("icub.txt"))
         except ValueError as error:
             notices.append(f"No matrix in the iCub's format was written. {error}")
-    facts = {"channels": log.channels, "sensor": log.config.sensor, "notices": tuple(notices)}
-    files["calibration"] = write_json(fit, stem.with_name(f"{stem.name}.json"), **facts)
-    files["yaml"] = write_yaml(fit, stem.with_name(f"{stem.name}.yaml"), **facts)
-    last = log.fitted[-1].temperature
-    temperature = None if last is None else float(last[-1])
-    ros2 = stem.with_name(f"{stem.name}.ros2.yaml")
-    files["ros2"] = write_ros2_parameters(fit, ros2, temperature=temperature)
+    facts = {"channels": log.channels, "sensor": sensor.name, "notices": tuple(notices)}
+    files["calibration"] = write_json(fit, at("json"), **facts)
+    files["yaml"] = write_yaml(fit, at("yaml"), **facts)
+    last = None if temperature is None else float(temperature[-1])
+    files["ros2"] = write_ros2_parameters(fit, at("ros2.yaml"), temperature=last)
     return files

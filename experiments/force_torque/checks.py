@@ -1,7 +1,7 @@
 """What would mislead an in-situ fit, and what it can do without.
 
-A check either refuses with file, column, what was found and the cure, or adds a notice and returns what is
-left.
+A check either refuses with file, set, column, what was found and the cure, or adds a notice and returns what
+is left. Units and signs are compared with gravity and the factory matrix.
 """
 
 from dataclasses import replace
@@ -10,10 +10,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration import GRAVITY
 from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.table import LogError
 
-__all__ = ["check_channels", "check_times", "check_values", "contiguous"]
+__all__ = ["check_against_factory", "checked", "contiguous"]
 
 FEWEST = 8
 """Samples without which a set is no set: an affine map of gravity has four unknowns a channel."""
@@ -36,14 +37,47 @@ POSES = 0.1
 SLOWEST_GYROSCOPE = 0.5
 """Time in s between two rows from which a gyroscope cannot be followed."""
 
+TURNED = 0.5
+"""Time in s over which both sides of dg/dt = -w x g are summed."""
 
-def check_values(samples: Samples, notices: list[str]) -> Samples:
-    """Return the rows with gravity, rotation, temperature and time; a missing reading stays NaN.
+CLEAR = 0.5
+"""Correlation from which two signals have a common sign."""
+
+LARGEST = 1e9
+"""Magnitude at which absurd values are clipped, so that their squares stay finite."""
+
+_LOOKS = {
+    1.0: "it looks like g: say units.acceleration = 'g'",
+    1000.0: "it looks like thousandths of g: say units.acceleration = 'mg'",
+    GRAVITY**2: "it looks like m/s^2 already: say units.acceleration = 'm/s^2'",
+    1e-3 * GRAVITY**2: "it looks like m/s^2 already: say units.acceleration = 'm/s^2'",
+    1e3 * GRAVITY: "it looks like mm/s^2: convert the columns to m/s^2",
+    1e2 * GRAVITY: "it looks like cm/s^2: convert the columns to m/s^2",
+}
+"""What an acceleration at rest of that length in m/s^2 is likely to be."""
+
+
+def checked(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
+    """Return what a fit can use of a set.
+
+    Args:
+        samples: The set.
+        range_count: Ends of the converter, if they are known.
+        notices: Is added to.
 
     Raises:
-        LogError: If a value is infinite, or a column holds none in most rows.
+        LogError: If a value, a time, a channel, a unit or a sign is not as it must be, or too little is left.
     """
-    columns, file = samples.columns, samples.file
+    samples = _check_times(_check_values(samples, notices), notices)
+    samples = _check_channels(samples, range_count, notices)
+    _check_acceleration(samples)
+    _check_spin(samples)
+    return samples
+
+
+def _check_values(samples: Samples, notices: list[str]) -> Samples:
+    """Return the rows with gravity, rotation, temperature and time; a missing reading stays NaN."""
+    columns = samples.columns
     keep = np.ones(len(samples.rows), dtype=bool)
     for names, values in (
         (samples.acceleration_names, samples.acceleration),
@@ -55,49 +89,36 @@ def check_values(samples: Samples, notices: list[str]) -> Samples:
         if values is None or names is None:
             continue
         for name, column in zip(names, values.reshape(len(keep), -1).T, strict=True):
-            at, missing = f"{file}: column '{name}'", np.isnan(column)
-            share = float(missing.mean())
+            at, missing = f"{samples}: column '{name}'", np.isnan(column)
+            share = f"{missing.sum()} of {len(column)} rows ({100 * missing.mean():.2g} %)"
             if np.isinf(column).any():
-                row = int(samples.rows[int(np.argmax(np.isinf(column)))])
+                row = samples.rows[np.argmax(np.isinf(column))]
                 raise LogError(
                     f"{at} is infinite at row {row}; leave the cell empty where no sample arrived."
                 )
-            if missing.all():
+            if missing.mean() > MOSTLY:
                 raise LogError(
-                    f"{at} holds no value in any of the {len(column)} rows of set '{samples.name}'; check "
-                    "its cable and the column's name."
-                )
-            if share > MOSTLY:
-                raise LogError(
-                    f"{at} holds no value in {100 * share:.0f} % of the rows of set '{samples.name}'; "
-                    "record the set again, or leave the column out."
+                    f"{at} holds no value in {share}; check its cable and the column's name, and record the "
+                    "set again, or leave the column out."
                 )
             if missing.any():
-                notices.append(
-                    f"{at} holds no value in {missing.sum()} of {len(column)} rows ({100 * share:.2g} %) of "
-                    f"set '{samples.name}'; the fit does without these samples."
-                )
+                notices.append(f"{at} holds no value in {share}; the fit does without these samples.")
             if values is not samples.raw:
                 keep &= ~missing
     return _enough(samples if keep.all() else samples.take(keep))
 
 
-def check_times(samples: Samples, notices: list[str]) -> Samples:
-    """Return the samples without rows that repeat the one before.
-
-    Raises:
-        LogError: If times go back, stand still or are in other units.
-    """
+def _check_times(samples: Samples, notices: list[str]) -> Samples:
+    """Return the samples without rows that repeat the one before; refuse times in disorder or other units."""
     time = samples.time
     if time is None:
         return samples
-    at = f"{samples.file}: column '{samples.columns.time}'"
-    step = np.diff(time)
+    at, rows, step = f"{samples}: column '{samples.columns.time}'", samples.rows, np.diff(time)
     if (step < 0.0).any():
         i = int(np.argmax(step < 0.0)) + 1
         raise LogError(
-            f"{at} goes back at row {samples.rows[i]} of set '{samples.name}' ({time[i - 1]:.6g} s, then "
-            f"{time[i]:.6g} s); sort the rows, or give each recording a set of its own."
+            f"{at} goes back at row {rows[i]} ({time[i - 1]:.6g} s, then {time[i]:.6g} s); sort the rows, or "
+            "give each recording a set of its own."
         )
     again = np.concatenate([[False], step == 0.0])
     if again.any():
@@ -105,27 +126,23 @@ def check_times(samples: Samples, notices: list[str]) -> Samples:
         if wrong.any():
             i = int(np.argmax(wrong))
             raise LogError(
-                f"{at} is {time[i]:.6g} s at rows {samples.rows[i - 1]} and {samples.rows[i]} of set "
-                f"'{samples.name}', and the rows differ; give each sample its own time, with more digits if "
-                "they were rounded away."
+                f"{at} is {time[i]:.6g} s at rows {rows[i - 1]} and {rows[i]}, which differ; give each "
+                "sample its own time, with more digits if they were rounded away."
             )
-        notices.append(
-            f"{samples.file}: {again.sum()} rows of set '{samples.name}' repeat the row before them; they "
-            "were dropped."
-        )
+        notices.append(f"{samples}: {again.sum()} rows repeat the row before them; they were dropped.")
         samples, step = _enough(samples.take(~again)), np.diff(time[~again])
     usual = float(np.median(step))
     if samples.angular_velocity is not None and usual > SLOWEST_GYROSCOPE:
         near = min((1e3, "ms"), (1e6, "us"), (1e9, "ns"), key=lambda u: abs(np.log(usual / u[0] / 0.01)))
         raise LogError(
-            f"{at} steps by {usual:.4g} s in set '{samples.name}', too slowly to follow a gyroscope; it "
-            f"looks like {near[1]}: say units.time = '{near[1]}'."
+            f"{at} steps by {usual:.4g} s, too slowly to follow a gyroscope; it looks like {near[1]}: say "
+            f"units.time = '{near[1]}'."
         )
     gaps = step > GAP * usual
     if gaps.any() and gaps.mean() < POSES:
         notices.append(
-            f"{at} leaps {gaps.sum()} times in set '{samples.name}', the longest by {step.max():.3g} s "
-            f"where rows are {usual:.3g} s apart; the fit does without what is missing."
+            f"{at} leaps {gaps.sum()} times, the longest by {step.max():.3g} s where rows are {usual:.3g} s "
+            "apart; the fit does without what is missing."
         )
     return samples
 
@@ -137,40 +154,33 @@ def contiguous(time: NDArray[np.float64]) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(edges)]
 
 
-def check_channels(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Return the samples without readings that only graze the end of the range.
-
-    Raises:
-        LogError: If a channel is stuck, saturated, or beyond its range.
-    """
+def _check_channels(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
+    """Return the samples without readings that only graze the end of the range."""
     raw = samples.raw.copy()
     low, high = range_count or (-np.inf, np.inf)
     for name, column in zip(samples.channels, raw.T, strict=True):
-        at = f"{samples.file}: column '{name}'"
-        there = column[np.isfinite(column)]
+        at, there = f"{samples}: column '{name}'", column[np.isfinite(column)]
         if np.ptp(there) == 0.0:
             raise LogError(
-                f"{at} is {there[0]:g} in all {len(there)} readings of set '{samples.name}', and a channel "
-                "that lives follows gravity; check its cable and its converter."
+                f"{at} is {there[0]:g} in all {len(there)} readings, and a channel that lives follows "
+                "gravity; check its cable and its converter."
             )
         if there.max() > high or there.min() < low:
             worst = there.max() if there.max() > high else there.min()
             raise LogError(
-                f"{at} reads {worst:g} in set '{samples.name}', outside sensor.range_count = [{low:g}, "
-                f"{high:g}]; correct the range, or give the columns in counts."
+                f"{at} reads {worst:g}, outside sensor.range_count = [{low:g}, {high:g}]; correct the range, "
+                "or give the columns in counts."
             )
         stuck = np.isin(column, range_count or RAILS)
-        share = float(stuck.sum() / len(there))
+        share = stuck.sum() / len(there)
         if share > MANY:
             raise LogError(
-                f"{at} stands at {column[stuck][0]:g}, the end of its range, in {100 * share:.2g} % of the "
-                f"readings of set '{samples.name}'; hang less on the limb, or lower the amplifier's gain or "
-                "offset."
+                f"{at} stands at {column[stuck][0]:g}, the end of its range, in {100 * share:.2g} % of its "
+                "readings; hang less on the limb, or lower the amplifier's gain or offset."
             )
         if stuck.any():
             notices.append(
-                f"{at} touches the end of its range in {stuck.sum()} readings of set '{samples.name}'; the "
-                "fit does without them."
+                f"{at} touches the end of its range in {stuck.sum()} readings; the fit does without them."
             )
             column[stuck] = np.nan
     return _enough(replace(samples, raw=raw))
@@ -180,8 +190,8 @@ def _enough(samples: Samples) -> Samples:
     whole = int(np.isfinite(samples.raw).all(axis=1).sum())
     if whole < FEWEST:
         raise LogError(
-            f"{samples.file}: set '{samples.name}' has {whole} whole samples, and a set needs at least "
-            f"{FEWEST}; record it for longer, or leave its rows out."
+            f"{samples}: has {whole} whole samples, and a set needs at least {FEWEST}; record it for longer, "
+            "or leave its rows out."
         )
     return samples
 
@@ -189,6 +199,117 @@ def _enough(samples: Samples) -> Samples:
 def _same_as_before(samples: Samples) -> NDArray[np.bool_]:
     parts = (samples.raw, samples.acceleration, samples.angular_velocity, samples.temperature)
     values = np.column_stack([part for part in parts if part is not None])
-    same = np.zeros(len(values), dtype=bool)
-    same[1:] = ((values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))).all(axis=1)
-    return same
+    # A missing reading is the same as another one.
+    values = np.nan_to_num(values, nan=np.inf)
+    return np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
+
+
+def _check_acceleration(samples: Samples) -> None:
+    """Raise LogError if accelerations cannot be in the unit that was given."""
+    size = np.linalg.norm(np.clip(samples.acceleration, -LARGEST, LARGEST), axis=1)
+    felt = float(np.median(size))
+    if 0.8 * GRAVITY < felt < 1.2 * GRAVITY:
+        return
+    looks = [text for value, text in _LOOKS.items() if 0.8 < felt / value < 1.2]
+    looks += ["give m/s^2 with gravity in it, or say units.acceleration"]
+    raise LogError(
+        f"{samples}: {_named(samples.acceleration_names)} have a median length of {felt:.4g} m/s^2, and a "
+        f"limb that hangs still feels {GRAVITY:.4g}; {looks[0]}."
+    )
+
+
+def _check_spin(samples: Samples) -> None:
+    """Raise LogError if a gyroscope is in other units or of other signs: gravity must turn as it says.
+
+    Seen from the limb gravity turns by dg/dt = -w x g. The slope of its change on the integral of the right
+    side is one where units and signs agree.
+    """
+    spin, time = samples.angular_velocity, samples.time
+    if spin is None or time is None:
+        return
+    expected, seen = [], []
+    stride = max(1, round(TURNED / float(np.median(np.diff(time)))))
+    for part in contiguous(time):
+        if part.stop - part.start <= stride:
+            continue
+        a, t = samples.acceleration[part], time[part]
+        rate = -np.cross(spin[part], a)
+        total = np.zeros_like(a)
+        total[1:] = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)[:, None], axis=0)
+        expected.append(total[stride:] - total[:-stride])
+        seen.append(a[stride:] - a[:-stride])
+    if not expected:
+        return
+    x, y = np.concatenate(expected).ravel(), np.concatenate(seen).ravel()
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    if xx == 0.0 or yy == 0.0 or abs(xy) < CLEAR * np.sqrt(xx * yy):
+        return
+    slope = xy / xx
+    at = f"{samples}: {_named(samples.columns.angular_velocity or ())}"
+    if slope < 0.0:
+        raise LogError(
+            f"{at} turn gravity the wrong way round; turn their signs, or give both of the IMU's vectors in "
+            "one right-handed frame."
+        )
+    if not 0.5 < slope < 2.0:
+        cure = (
+            "they look like deg/s: say units.angular_velocity = 'deg/s'"
+            if 0.01 < slope < 0.03
+            else "give rad/s, and time in seconds"
+        )
+        raise LogError(f"{at} say {1 / slope:.2g} times the rate at which gravity turns; {cure}.")
+
+
+def check_against_factory(
+    sets: list[tuple[Samples, NDArray[np.float64]]], matrix: NDArray[np.float64] | None, notices: list[str]
+) -> None:
+    """Compare gravity with the force by the factory matrix: what hangs is pulled down.
+
+    Args:
+        sets: Each with gravity in the sensor's frame, shape (n, 3).
+        matrix: The factory's, shape (6, k), if it is known.
+        notices: Is added to.
+
+    Raises:
+        LogError: If the force is along minus gravity: one of the two signs is wrong.
+    """
+    first = sets[0][0]
+    if matrix is None:
+        notices.append(
+            f"{first.file}: there is no factory matrix to check the accelerometer's sign with, and a wrong "
+            "one would turn the calibrated wrench round; see that a limb that hangs pulls along gravity."
+        )
+        return
+    channels = len(first.channels)
+    if matrix.shape[1] != channels:
+        raise LogError(
+            f"{first.file}: has {channels} channels and the factory matrix {matrix.shape[1]} columns; name "
+            "the channels under columns.raw in the matrix's order."
+        )
+    forces, pulls = [], []
+    for samples, gravity in sets:
+        whole = np.isfinite(samples.raw).all(axis=1)
+        force = samples.raw[whole] @ matrix[:3].T
+        forces.append(force - force.mean(axis=0))
+        pulls.append(gravity[whole] - gravity[whole].mean(axis=0))
+    force, pull = np.concatenate(forces).ravel(), np.concatenate(pulls).ravel()
+    alike = float(force @ pull / max(np.linalg.norm(force) * np.linalg.norm(pull), 1e-300))
+    columns = _named(first.acceleration_names)
+    if alike < -CLEAR:
+        other = "gravity" if first.columns.gravity is None else "specific_force"
+        raise LogError(
+            f"{first.file}: by the factory matrix the limb pulls against gravity (correlation {alike:.2f}): "
+            f"{columns} have the other sign. Name them under columns.{other} (at rest specific force points "
+            "up and gravity down); if the matrix gives the wrench of the robot on the limb, turn its signs "
+            "instead."
+        )
+    if alike < CLEAR:
+        notices.append(
+            f"{first.file}: by the factory matrix the limb's pull and gravity hardly agree (correlation "
+            f"{alike:.2f}); {columns} may be in other axes than the sensor's (accelerometer."
+            "R_sensor_accelerometer), channels may be in another order, or the matrix may be another's."
+        )
+
+
+def _named(columns: tuple[str, ...]) -> str:
+    return f"columns '{columns[0]}' to '{columns[-1]}'"

@@ -20,7 +20,6 @@ from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import write_text
 
 __all__ = [
-    "calibration_facts",
     "offset_wrench",
     "read_calibration",
     "write_json",
@@ -56,57 +55,69 @@ _NAMES = {
 }
 
 
-def calibration_facts(
-    fit: InSituFit, *, channels: tuple[str, ...] = (), sensor: str = "", notices: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    """Return a calibration as values that JSON can hold; NaN becomes null.
+def _facts(
+    fit: InSituFit, channels: tuple[str, ...] = (), sensor: str = "", notices: tuple[str, ...] = ()
+) -> Any:
+    """Return a calibration as values that JSON can hold, with the sensor's name and what the log lacked."""
+    return _plain(
+        {
+            "format": FORMAT,
+            "format_version": VERSION,
+            "made_with": f"surefoot {surefoot.__version__}",
+            "sensor": sensor,
+            "channels": channels,
+            "conventions": _CONVENTIONS,
+            "result": fit.result.value,
+            "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
+            "warnings": fit.warnings,
+            "notices": notices,
+            **{name: getattr(fit, field) for field, name in _NAMES.items()},
+            "matrix_std_N_Nm_per_count": fit.matrix_std,
+            "offset_std_count": fit.offset_std,
+            "temperature_reference_degC": fit.temperature_reference,
+            "limb": {
+                "mass_kg": fit.limb.mass,
+                "mass_std_kg": fit.limb_mass_std,
+                "mass_com_kg_m": fit.limb.mass_com,
+                "inertia_kg_m2": fit.limb.inertia,
+            },
+            "sets": [
+                {"name": name, **dataclasses.asdict(stats)}
+                for name, stats in zip(fit.set_names, fit.set_stats, strict=True)
+            ],
+            "all_sets": dataclasses.asdict(fit.stats),
+        }
+    )
 
-    Args:
-        fit: The calibration.
-        channels: Names of the raw columns.
-        sensor: The sensor's name.
-        notices: What the log lacked.
-    """
-    facts: dict[str, Any] = {
-        "format": FORMAT,
-        "format_version": VERSION,
-        "made_with": f"surefoot {surefoot.__version__}",
-        "sensor": sensor,
-        "channels": list(channels),
-        "conventions": list(_CONVENTIONS),
-        "result": fit.result.value,
-        "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
-        "warnings": list(fit.warnings),
-        "notices": list(notices),
-    }
-    for field, name in _NAMES.items():
-        facts[name] = _plain(getattr(fit, field))
-    facts["matrix_std_N_Nm_per_count"] = _plain(fit.matrix_std)
-    facts["offset_std_count"] = _plain(fit.offset_std)
-    facts["temperature_reference_degC"] = fit.temperature_reference
-    facts["limb"] = {
-        "mass_kg": _plain(fit.limb.mass),
-        "mass_std_kg": _plain(fit.limb_mass_std),
-        "mass_com_kg_m": _plain(fit.limb.mass_com),
-        "inertia_kg_m2": _plain(fit.limb.inertia),
-    }
-    facts["sets"] = [
-        {"name": name, **_stats(stats)} for name, stats in zip(fit.set_names, fit.set_stats, strict=True)
-    ]
-    facts["all_sets"] = _stats(fit.stats)
-    return facts
+
+def _plain(value: Any) -> Any:
+    """Turn arrays into lists and what is not finite into null."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def write_json(fit: InSituFit, path: Path, **facts: Any) -> Path:
-    """Write a calibration whole as JSON, with ``facts`` as :func:`calibration_facts` takes them."""
-    write_text(path, json.dumps(calibration_facts(fit, **facts), indent=1, allow_nan=False) + "\n")
+    """Write a calibration whole as JSON.
+
+    Args:
+        fit: The calibration.
+        path: Where.
+        **facts: ``channels``, names of the raw columns; ``sensor``, its name; ``notices``, what the log
+            lacked.
+    """
+    write_text(path, json.dumps(_facts(fit, **facts), indent=1, allow_nan=False) + "\n")
     return path
 
 
 def write_yaml(fit: InSituFit, path: Path, **facts: Any) -> Path:
     """Write the same as YAML."""
     layout: dict[str, Any] = {"default_flow_style": None, "sort_keys": False, "width": 160}
-    write_text(path, yaml.safe_dump(calibration_facts(fit, **facts), allow_unicode=True, **layout))
+    write_text(path, yaml.safe_dump(_facts(fit, **facts), allow_unicode=True, **layout))
     return path
 
 
@@ -120,51 +131,20 @@ def read_calibration(path: Path) -> InSituFit:
         raise LogError(f"{path}: no such file; 'surefoot calibrate ft' writes one.")
     try:
         given = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LogError(f"{path.name}: not JSON: {error}.") from None
-    if not isinstance(given, dict) or given.get("format") != FORMAT:
-        raise LogError(f"{path.name}: no in-situ calibration (its 'format' is not '{FORMAT}').")
-    if given.get("format_version") != VERSION:
-        raise LogError(
-            f"{path.name}: format_version {given.get('format_version')!r}, and this surefoot reads "
-            f"{VERSION}; calibrate again."
-        )
-    try:
+        if (given["format"], given["format_version"]) != (FORMAT, VERSION):
+            raise ValueError(f"{given['format']} {given['format_version']}")
         return _fit_of(given)
-    except KeyError as error:
-        raise LogError(f"{path.name}: key {error} is missing; calibrate again.") from None
-    except (TypeError, ValueError) as error:
-        raise LogError(f"{path.name}: holds what a calibration cannot: {error}; calibrate again.") from None
-
-
-def _plain(value: Any) -> Any:
-    """Turn arrays into lists and what is not finite into null."""
-    if value is None:
-        return None
-    if isinstance(value, np.ndarray):
-        return [_plain(part) for part in value] if value.ndim else _plain(value.item())
-    return float(value) if np.isfinite(value) else None
-
-
-def _stats(stats: FitStats) -> dict[str, Any]:
-    return {
-        key: _plain(value) if isinstance(value, float) else value
-        for key, value in dataclasses.asdict(stats).items()
-    }
+    except (KeyError, TypeError, ValueError) as error:
+        raise LogError(
+            f"{path.name}: is no {FORMAT} {VERSION}, which this surefoot reads ({error!r}); calibrate again."
+        ) from None
 
 
 def _fit_of(given: dict[str, Any]) -> InSituFit:
-    values: dict[str, Any] = {
-        field: _array(given[name]) for field, name in _NAMES.items() if given[name] is not None
-    }
+    values = {field: _array(given[name]) for field, name in _NAMES.items() if given[name] is not None}
     limb = given["limb"]
-    mass = limb["mass_kg"]
     return InSituFit(
-        limb=Limb(
-            np.nan if mass is None else float(mass),
-            _array(limb["mass_com_kg_m"]),
-            None if limb["inertia_kg_m2"] is None else _array(limb["inertia_kg_m2"]),
-        ),
+        limb=Limb(_number(limb["mass_kg"]), _array(limb["mass_com_kg_m"]), _array(limb["inertia_kg_m2"])),
         result=FitResult(given["result"]),
         refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in given["refusals"]),
         warnings=tuple(given["warnings"]),
@@ -176,15 +156,18 @@ def _fit_of(given: dict[str, Any]) -> InSituFit:
     )
 
 
-def _array(value: Any) -> NDArray[np.float64]:
-    return np.array(value, dtype=object).astype(np.float64)
+def _array(value: Any) -> Any:
+    return None if value is None else np.array(value, dtype=object).astype(np.float64)
+
+
+def _number(value: float | None, absent: float = np.nan) -> float:
+    return absent if value is None else float(value)
 
 
 def _stats_of(given: dict[str, Any]) -> FitStats:
-    given = {key: value for key, value in given.items() if key != "name"}
-    for key, absent in (("residual_rms", np.nan), ("condition", np.inf)):
-        given[key] = absent if given[key] is None else given[key]
-    return FitStats(**given)
+    rms, condition = _number(given["residual_rms"]), _number(given["condition"], np.inf)
+    rest = {key: value for key, value in given.items() if key != "name"}
+    return FitStats(**rest | {"residual_rms": rms, "condition": condition})
 
 
 def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[np.float64]:
@@ -197,13 +180,12 @@ def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[n
     Raises:
         ValueError: If the temperature is needed and missing.
     """
-    if fit.temperature_coefficient is None:
-        return np.asarray(-fit.matrix @ fit.offset)
-    if temperature is None:
-        raise ValueError("The offset follows the temperature; give the one at which it shall hold.")
-    return np.asarray(
-        -fit.matrix @ (fit.offset + (temperature - fit.temperature_reference) * fit.temperature_coefficient)
-    )
+    offset = fit.offset
+    if fit.temperature_coefficient is not None:
+        if temperature is None:
+            raise ValueError("The offset follows the temperature; give the one at which it shall hold.")
+        offset = offset + (temperature - fit.temperature_reference) * fit.temperature_coefficient
+    return np.asarray(-fit.matrix @ offset)
 
 
 def write_ros2_parameters(
@@ -228,19 +210,12 @@ def write_ros2_parameters(
         frame_id: Frame of the sensor.
     """
     rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in fit.matrix)
-    add = offset_wrench(fit, temperature)
-    axes = ("x", "y", "z")
-    parameters = {
-        node: {
-            "ros__parameters": {
-                "frame_id": frame_id,
-                "offset": {
-                    "force": {axis: float(add[i]) for i, axis in enumerate(axes)},
-                    "torque": {axis: float(add[3 + i]) for i, axis in enumerate(axes)},
-                },
-            }
-        }
+    add = offset_wrench(fit, temperature).tolist()
+    offset = {
+        "force": dict(zip("xyz", add[:3], strict=True)),
+        "torque": dict(zip("xyz", add[3:], strict=True)),
     }
+    parameters = {node: {"ros__parameters": {"frame_id": frame_id, "offset": offset}}}
     text = (
         f"# Made with surefoot {surefoot.__version__}. The broadcaster adds 'offset' (N, N m) to what the "
         "driver\n# reports. The driver must report the matrix below times the raw counts, without an offset "

@@ -1,14 +1,105 @@
-"""Figures of one in-situ calibration: ellipsoids in space, and residuals over time."""
+"""Figures of points in space and the ellipsoids that gravity draws (in-situ paper, Figs. 5, 6); residuals."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
 
-from surefoot.experiments.force_torque.ellipsoids import COUNTS, FORCES, Cloud, Panel, draw_ellipsoids
+from surefoot.calibration.in_situ.validation import force_ellipsoid
 from surefoot.experiments.force_torque.tables import Calibrated
-from surefoot.experiments.study.figures import figure_at, grid_of, look_of
+from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
 
-__all__ = ["force_ellipsoids", "raw_ellipsoids", "residuals_over_time"]
+__all__ = [
+    "COUNTS",
+    "FORCES",
+    "Cloud",
+    "Panel",
+    "draw_ellipsoids",
+    "force_ellipsoids",
+    "raw_ellipsoids",
+    "residuals_over_time",
+]
+
+FORCES = ("x (N)", "y (N)", "z (N)")
+COUNTS = ("1st (1000 counts)", "2nd", "3rd")
+"""Labels of the axes. Counts of mixed directions may differ in size by tens: forces alone share a scale."""
+
+_SHOWN = 400
+"""Points of a cloud."""
+
+_GREY = "#7f7f7f"
+
+
+class Cloud(NamedTuple):
+    """Points and the gravity that belongs to them.
+
+    Attributes:
+        points: In the axes' unit, shape (n, 3); rows that are not finite are left out.
+        gravity: In m/s^2, shape (n, 3).
+        look: Its colour and label.
+        mark: A point to mark with a cross, shape (3,).
+    """
+
+    points: NDArray[np.float64]
+    gravity: NDArray[np.float64]
+    look: Look
+    mark: NDArray[np.float64] | None = None
+
+
+class Panel(NamedTuple):
+    """Axes in space: a title and what is drawn there."""
+
+    title: str
+    clouds: Sequence[Cloud]
+
+
+def draw_ellipsoids(path: Path, panels: Sequence[Panel], labels: tuple[str, str, str]) -> Path:
+    """Draw clouds with the ellipsoids of :func:`force_ellipsoid`, four panels a row, and return the path.
+
+    Args:
+        path: Where to save the figure.
+        panels: What to draw.
+        labels: :data:`FORCES` or :data:`COUNTS`.
+    """
+    rows, columns = -(-len(panels) // 4), min(len(panels), 4)
+    forces = labels is FORCES
+    with figure_at(path, 10.4, 0.4 + 2.9 * rows) as figure:
+        for i, panel in enumerate(panels):
+            axes: Any = figure.add_subplot(rows, columns, i + 1, projection="3d")
+            for cloud in panel.clouds:
+                _draw_cloud(axes, cloud, cloud.look.colour if forces else _GREY)
+            axes.set_title(panel.title)
+            # Without a zoom the label of the vertical axis is cut off.
+            axes.set_box_aspect((1.0, 1.0, 1.0), zoom=0.86)
+            if forces:
+                axes.set_aspect("equal", adjustable="datalim")
+            unit = 1.0 if forces else 1e-3
+            for axis, label in zip((axes.xaxis, axes.yaxis, axes.zaxis), labels, strict=True):
+                axis.set_label_text(label, fontsize=7)
+                axis.labelpad = -7 if forces else -4
+                axis.set_major_locator(MaxNLocator(3, prune="both"))
+                axis.set_major_formatter(FuncFormatter(lambda value, _, unit=unit: f"{unit * value:g}"))
+            axes.tick_params(labelsize=7, pad=-2)
+        if forces and figure.axes:
+            legend_below(figure, figure.axes, columns=3, markerscale=4.0)
+    return path
+
+
+def _draw_cloud(axes: Any, cloud: Cloud, shell: str) -> None:
+    """Draw points, and their ellipsoid as a net of thin lines of a colour."""
+    points, look = cloud.points[np.isfinite(cloud.points).all(axis=1)], cloud.look
+    shown = points[:: max(1, len(points) // _SHOWN)]
+    axes.scatter(*shown.T, s=2.0, color=look.colour, alpha=0.7, depthshade=False, label=look.label)
+    ellipsoid = force_ellipsoid(cloud.points, cloud.gravity)
+    u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
+    unit = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
+    x, y, z = np.tensordot(ellipsoid.axes, unit, axes=1) + ellipsoid.centre[:, None, None]
+    axes.plot_wireframe(x, y, z, color=shell, linewidth=0.35, alpha=0.55)
+    if cloud.mark is not None:
+        axes.scatter(*cloud.mark, s=18.0, color="#000000", marker="+")
 
 
 def raw_ellipsoids(path: Path, found: Calibrated) -> Path:
@@ -25,15 +116,15 @@ def raw_ellipsoids(path: Path, found: Calibrated) -> Path:
 
 def force_ellipsoids(path: Path, found: Calibrated) -> Path:
     """Draw each set's forces, calibrated and by the factory matrix, and their ellipsoids (paper, Fig. 6)."""
-    looks = (
-        look_of("moment")._replace(label="calibrated"),
-        look_of("none")._replace(label="factory matrix"),
-    )
+    looks = {
+        "calibrated": look_of("moment")._replace(label="calibrated"),
+        "factory": look_of("none")._replace(label="factory matrix"),
+    }
     panels = []
     for i, data in enumerate(found.sets):
         clouds = [
-            Cloud(found.wrench(i, matrix)[:, :3], data.gravity, look)
-            for matrix, look in zip(found.matrices(), looks, strict=False)
+            Cloud(found.wrench(i, matrix)[:, :3], data.gravity, looks[name])
+            for name, matrix in found.matrices.items()
         ]
         panels.append(Panel(f"set {found.label(i)}: {data.added_mass:.3f} kg", clouds))
     return draw_ellipsoids(path, panels, FORCES)
@@ -41,16 +132,16 @@ def force_ellipsoids(path: Path, found: Calibrated) -> Path:
 
 def residuals_over_time(path: Path, found: Calibrated) -> Path:
     """Draw what the fit leaves of every channel, set after set."""
-    channels = found.log.channels
+    channels, colour = found.log.channels, look_of("moment").colour
     with figure_at(path, 10.0, 0.8 + 1.15 * len(channels)) as figure:
         panels = grid_of(figure, len(channels), 1, sharex=True)[:, 0]
         start, middles = 0.0, []
         for i, data in enumerate(found.sets):
-            rows = np.arange(len(data.raw), dtype=np.float64)
-            time = rows if data.time is None else data.time - data.time[0]
+            time = (
+                np.arange(len(data.raw), dtype=np.float64) if data.time is None else data.time - data.time[0]
+            )
             length = float(time[-1]) + float(np.median(np.diff(time)))
             for axes, column in zip(panels, found.residual(i).T, strict=True):
-                colour = look_of("moment").colour
                 axes.plot(start + time, column, color=colour, linewidth=0.6, rasterized=True)
                 if i % 2:
                     axes.axvspan(start, start + length, color="#000000", alpha=0.05, linewidth=0)

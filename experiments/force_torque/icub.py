@@ -14,14 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path
 
-__all__ = ["read_icub_matrix", "read_matrix", "write_icub_matrix"]
+__all__ = ["read_matrix", "write_icub_matrix"]
 
 ICUB_COUNTS = 32767.0
 """Counts at the end of an FTSens's converter."""
 
 _UNIT = 2**15
-_ENTRIES = 36
-_LINES = 43
 
 
 def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> Path:
@@ -64,25 +62,12 @@ def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> P
     return path
 
 
-def read_icub_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read C and the full scales from an FTSens file.
-
-    Returns:
-        C in N and N m per count, shape (6, 6), and the full scales in N and N m, shape (6,).
-
-    Raises:
-        LogError: If the file is not there or not of the format.
-    """
-    if not path.is_file():
-        raise LogError(f"{path}: no such file; give an FTSens matrix of 43 lines.")
-    return _parse_icub(path.read_text(encoding="utf-8", errors="replace"), path.name)
-
-
 def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Read a factory matrix: six rows of numbers (commas or spaces between them), or an iCub's file.
 
     Returns:
-        C in N and N m per count, shape (6, k), and the full scales, shape (6,), where the file has them.
+        C in N and N m per count, shape (6, k), and the full scales in N and N m, shape (6,), where the file
+        has them.
 
     Raises:
         LogError: If the file is not there or holds neither.
@@ -91,42 +76,28 @@ def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | 
         raise LogError(f"{path}: no such file; factory.file gives its path from the configuration.")
     text = path.read_text(encoding="utf-8", errors="replace")
     rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
-    if rows and all(len(row) == 1 for row in rows):
-        return _parse_icub(text, path.name)
-    widths = sorted({len(row) for row in rows})
-    if len(rows) != 6 or len(widths) != 1 or widths[0] < 6:
-        raise LogError(
-            f"{path.name}: a factory matrix has six rows (fx fy fz tx ty tz) of a number a channel, at least "
-            f"six of them; got {len(rows)} rows of {' or '.join(map(str, widths)) or 'no'} numbers."
-        )
     try:
+        if rows and all(len(row) == 1 for row in rows):
+            return _parse_icub([row[0] for row in rows])
         matrix = np.array(rows, dtype=np.float64)
-    except ValueError:
+        if matrix.ndim != 2 or len(matrix) != 6 or matrix.shape[1] < 6 or not np.isfinite(matrix).all():
+            raise ValueError(f"got shape {matrix.shape}")
+    except ValueError as error:
         raise LogError(
-            f"{path.name}: a factory matrix holds numbers only; remove headings and text."
+            f"{path.name}: a factory matrix has six rows (fx fy fz tx ty tz) of a finite number a channel, "
+            "at least six of them, or an iCub's 43 lines (36 entries of up to four hexadecimal digits, a "
+            f"gain, six full scales); {error}."
         ) from None
-    if not np.isfinite(matrix).all():
-        raise LogError(f"{path.name}: the factory matrix has an entry that is not finite; write all of it.")
     return matrix, None
 
 
-def _parse_icub(text: str, file: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return C and the full scales of an FTSens file."""
-    lines = text.split()
-    if len(lines) != _LINES:
-        raise LogError(
-            f"{file}: an iCub matrix has {_LINES} lines (36 entries, a gain, six full scales), got "
-            f"{len(lines)}; give the sensor's own file, or six rows of numbers."
-        )
-    try:
-        if any(len(line) > 4 for line in lines[:_ENTRIES]):
-            raise ValueError
-        entries = np.array([int(line, 16) for line in lines[:_ENTRIES]], dtype=np.float64)
-        gain, scale = float(lines[_ENTRIES]), np.array([float(line) for line in lines[_ENTRIES + 1 :]])
-    except ValueError:
-        raise LogError(
-            f"{file}: an iCub matrix begins with 36 entries of up to four hexadecimal digits and ends with "
-            "decimal numbers; check the file."
-        ) from None
+def _parse_icub(lines: list[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return C and the full scales of an FTSens file; raise ValueError if it is none."""
+    if len(lines) != 43:
+        raise ValueError(f"got {len(lines)} lines")
+    if any(len(line) > 4 for line in lines[:36]):
+        raise ValueError("an entry is longer than four digits")
+    entries = np.array([int(line, 16) for line in lines[:36]], dtype=np.float64)
+    gain, scale = float(lines[36]), np.array([float(line) for line in lines[37:]])
     share = np.where(entries >= _UNIT, entries - 2 * _UNIT, entries).reshape(6, 6) / _UNIT
     return gain * scale[:, None] * share / ICUB_COUNTS, scale

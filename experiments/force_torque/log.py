@@ -5,9 +5,10 @@ a set. What the table leaves open (other names, units, the added masses, frames)
 TOML file beside it. ``docs/in-situ-log.md`` lists all columns and keys.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +17,26 @@ from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituSet
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.force_torque.checks import check_channels, check_times, check_values, contiguous
-from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, read_config
-from surefoot.experiments.force_torque.signs import check_acceleration, check_against_factory, check_spin
+from surefoot.experiments.force_torque.checks import check_against_factory, checked, contiguous
+from surefoot.experiments.force_torque.config import (
+    Accelerometer,
+    AddedMass,
+    InSituConfig,
+    config_beside,
+    read_config,
+)
 from surefoot.experiments.force_torque.table import Samples, read_samples
 from surefoot.experiments.logs.table import LogError
 
-__all__ = ["InSituConfig", "InSituLog", "config_beside", "read_config", "read_in_situ_log"]
+__all__ = ["InSituLog", "read_in_situ_log"]
 
 SMOOTHED = 0.3
 """Time in s over which the gyroscope's rate of change is taken, if that is rows enough."""
 
 _FEWEST_ROWS = 7
 
-_ALIKE_KG = 1e-6
-_ALIKE_M = 1e-6
+_ALIKE = 1e-6
+"""In kg or m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +60,8 @@ class InSituLog:
     @property
     def fitted(self) -> tuple[InSituSet, ...]:
         """The sets that make the fit, without those that are kept aside."""
-        chosen = self.config.fit_sets
+        chosen = self.config.fit.sets
         return self.sets if chosen is None else tuple(one for one in self.sets if one.name in chosen)
-
-
-def config_beside(log: Path) -> InSituConfig:
-    """Read the TOML file of the log's name beside it; defaults if there is none."""
-    beside = log.with_suffix(".toml")
-    return read_config(beside) if beside.is_file() else InSituConfig()
 
 
 def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path | None = None) -> InSituLog:
@@ -88,21 +88,16 @@ def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path |
     _check_names(parts, config)
     notices: list[str] = []
     added = [_added_mass(samples, config, notices) for samples in parts]
-    sound = []
-    for part in parts:
-        samples = check_channels(
-            check_times(check_values(part, notices), notices), config.range_count, notices
-        )
-        check_acceleration(samples)
-        check_spin(samples)
-        sound.append(samples)
-    if config.accelerometer_model is not None:
-        sound = _calibrated(sound, config.accelerometer_model, notices)
-    found = [_to_set(samples, config, mass, notices) for samples, mass in zip(sound, added, strict=True)]
-    sets = [one for one, _ in found]
-    check_against_factory([(used, one.gravity) for one, used in found], config.factory_matrix, notices)
+    sound = [checked(samples, config.sensor.range_count, notices) for samples in parts]
+    if config.accelerometer.calibrate is not None:
+        sound = _calibrated(sound, config.accelerometer.calibrate, notices)
+    found = [
+        _to_set(samples, config.accelerometer, mass, notices)
+        for samples, mass in zip(sound, added, strict=True)
+    ]
+    check_against_factory([(used, one.gravity) for one, used in found], config.factory.matrix, notices)
     return InSituLog(
-        sets=tuple(sets),
+        sets=tuple(one for one, _ in found),
         channels=parts[0].channels,
         config=config,
         files=tuple(path.name for path in paths),
@@ -115,9 +110,9 @@ def _check_names(parts: list[Samples], config: InSituConfig) -> None:
     first: dict[str, Samples] = {}
     for samples in parts:
         if samples.name in first:
+            other = first[samples.name].file
             raise LogError(
-                f"{samples.file}: holds set '{samples.name}', and so does {first[samples.name].file}; name "
-                "each set once."
+                f"{samples.file}: holds set '{samples.name}', and so does {other}; name each set once."
             )
         first[samples.name] = samples
         if samples.channels != parts[0].channels:
@@ -125,79 +120,63 @@ def _check_names(parts: list[Samples], config: InSituConfig) -> None:
                 f"{samples.file}: has the channels {', '.join(samples.channels)} where {parts[0].file} has "
                 f"{', '.join(parts[0].channels)}; name the same channels in every file."
             )
-    there = ", ".join(f"'{name}'" for name in first)
-    for name in config.fit_sets or ():
+    listed = None if config.sets is None else [one.name for one in config.sets]
+    for name in (*(config.fit.sets or ()), *(listed or ())):
         if name not in first:
             raise LogError(
-                f"{config.file}: 'fit.sets' names set '{name}', which is not in the log; there are {there}."
-            )
-    if config.sets is None:
-        return
-    for name in config.sets:
-        if name not in first:
-            raise LogError(
-                f"{config.file}: set '{name}' is not in the log; there are {there}. Correct its name, or "
-                "take it out."
+                f"{parts[0].file}: the TOML file names set '{name}', which is not in the log; there are "
+                f"{_quoted(first)}. Correct its name, or take it out."
             )
     for name, samples in first.items():
-        if name not in config.sets and samples.added_mass is None:
-            listed = ", ".join(f"'{known}'" for known in config.sets)
+        if listed is not None and name not in listed and samples.added_mass is None:
             raise LogError(
-                f"{samples.file}: set '{name}' is not among those of {config.file} ({listed}); say there "
-                "what was added, or added_mass_kg = 0."
+                f"{samples}: is not among the sets of the TOML file ({_quoted(listed)}); say there what was "
+                "added, or added_mass_kg = 0."
             )
+
+
+def _quoted(names: Iterable[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
 
 
 def _added_mass(samples: Samples, config: InSituConfig, notices: list[str]) -> AddedMass:
     """Return the added mass of columns or TOML; raise LogError if the two, or two rows, disagree."""
-    listed = None if config.sets is None else config.sets.get(samples.name)
+    listed = {one.name: one for one in config.sets or ()}.get(samples.name)
     if samples.added_mass is None:
         if listed is None:
             notices.append(
-                f"{samples.file}: nothing tells what was added in set '{samples.name}'; it counts as the "
-                "bare limb. Give added_mass_kg and added_com_m under [[sets]], or as columns."
+                f"{samples}: nothing tells what was added; it counts as the bare limb. Give added_mass_kg "
+                "and added_com_m under [[sets]], or as columns."
             )
-        return listed or AddedMass()
-    at = f"{samples.file}: column '{samples.columns.added_mass}'"
-    mass = _constant(samples.added_mass, _ALIKE_KG)
-    if mass is None:
-        values = samples.added_mass
-        raise LogError(
-            f"{at} goes from {np.nanmin(values):g} to {np.nanmax(values):g} kg within set '{samples.name}'; "
-            "give one mass for each set, and another set for another mass."
-        )
-    if mass < 0.0:
-        raise LogError(
-            f"{at} is {mass:g} in set '{samples.name}'; a mass is at least 0 (take the limb without its part "
-            "as the bare one)."
-        )
-    com = (0.0, 0.0, 0.0)
+        return listed or AddedMass(name=samples.name)
+    columns = samples.columns
+    mass = _constant(samples, columns.added_mass, samples.added_mass)
+    given: dict[str, Any] = {"name": samples.name, "added_mass_kg": mass}
     if samples.added_com is not None:
-        place = [_constant(column, _ALIKE_M) for column in samples.added_com.T]
-        if any(value is None for value in place):
-            raise LogError(
-                f"{samples.file}: columns 'added_com' change within set '{samples.name}'; give one place for "
-                "each set, and another set for another place."
-            )
-        com = (float(place[0] or 0.0), float(place[1] or 0.0), float(place[2] or 0.0))
-    elif mass > 0.0 and listed is None:
-        raise LogError(
-            f"{at} is {mass:g} in set '{samples.name}' and its place is missing; give added_com_x_m, "
-            "added_com_y_m, added_com_z_m, or added_com_m under [[sets]]."
-        )
+        place = zip(columns.added_com or (), samples.added_com.T, strict=True)
+        given["added_com_m"] = [_constant(samples, name, column) for name, column in place]
+    elif listed is not None:
+        given["added_com_m"] = listed.added_com_m
+    added = AddedMass.read(given, str(samples))
     if listed is None:
-        return AddedMass(mass, com)
-    if abs(listed.mass - mass) > _ALIKE_KG:
+        return added
+    both = [np.array([one.added_mass_kg, *one.added_com_m]) for one in (added, listed)]
+    if np.abs(both[0] - both[1]).max() > _ALIKE:
+        said = [f"{values[0]:g} kg at {values[1:].tolist()} m" for values in both]
         raise LogError(
-            f"{at} is {mass:g} kg in set '{samples.name}', and {config.file} says {listed.mass:g} kg; "
-            "correct one of them."
-        )
-    if samples.added_com is not None and np.abs(np.subtract(listed.com, com)).max() > _ALIKE_M:
-        raise LogError(
-            f"{samples.file}: columns 'added_com' say {list(com)} m in set '{samples.name}', and "
-            f"{config.file} says {list(listed.com)} m; correct one of them."
+            f"{samples}: the columns say {said[0]}, and the TOML file {said[1]}; correct one of them."
         )
     return listed
+
+
+def _constant(samples: Samples, name: str | None, values: NDArray[np.float64]) -> float:
+    """Return the one value of a column; raise LogError if it has several, or none in some row."""
+    if np.isnan(values).any() or np.ptp(values) > _ALIKE:
+        raise LogError(
+            f"{samples}: column '{name}' goes from {values.min():g} to {values.max():g}; give one value for "
+            "each set, and another set for another one."
+        )
+    return float(values[0])
 
 
 def _calibrated(parts: list[Samples], model: AccelerometerModel, notices: list[str]) -> list[Samples]:
@@ -219,19 +198,12 @@ def _calibrated(parts: list[Samples], model: AccelerometerModel, notices: list[s
     return [replace(samples, acceleration=fit.correct(samples.acceleration)) for samples in parts]
 
 
-def _constant(values: NDArray[np.float64], alike: float) -> float | None:
-    """Return the one value of a column; ``None`` if it has several, or none in some row."""
-    if np.isnan(values).any() or np.ptp(values) > alike:
-        return None
-    return float(values[0])
-
-
 def _to_set(
-    samples: Samples, config: InSituConfig, added: AddedMass, notices: list[str]
+    samples: Samples, accelerometer: Accelerometer, added: AddedMass, notices: list[str]
 ) -> tuple[InSituSet, Samples]:
     """Return a set with gravity in the sensor's frame and at its origin, and the samples behind it."""
-    R = config.R_sensor_accelerometer
-    up = -samples.acceleration if samples.points_down else samples.acceleration
+    R = accelerometer.R_sensor_accelerometer
+    up = samples.acceleration if samples.columns.gravity is None else -samples.acceleration
     spin = rate = None
     if samples.angular_velocity is None:
         gravity = -up @ R.T
@@ -252,22 +224,22 @@ def _to_set(
                 up[part],
                 samples.angular_velocity[part],
                 dt=dt,
-                position_imu=np.asarray(config.position_imu),
+                position_imu=accelerometer.position_m,
                 R_sensor_imu=R,
                 window=window,
             )
         known = np.asarray(np.isfinite(gravity).all(axis=1))
         if not known.all():
             notices.append(
-                f"{samples.file}: {(~known).sum()} rows of set '{samples.name}' stand between gaps too close "
-                "together for an angular acceleration; the fit does without them."
+                f"{samples}: {(~known).sum()} rows stand between gaps too close together for an angular "
+                "acceleration; the fit does without them."
             )
             samples, gravity, spin, rate = samples.take(known), gravity[known], spin[known], rate[known]
     found = InSituSet(
         raw=samples.raw,
         gravity=gravity,
-        added_mass=added.mass,
-        added_com=added.com,
+        added_mass=added.added_mass_kg,
+        added_com=added.added_com_m,
         angular_velocity=spin,
         angular_acceleration=rate,
         temperature=samples.temperature,

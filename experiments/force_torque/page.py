@@ -24,7 +24,7 @@ def write_in_situ_page(path: Path, found: Calibrated) -> Path:
     log = found.log
     return write_log_page(
         path,
-        f"{log.config.sensor or 'Six-axis sensor'}, calibrated in situ",
+        f"{log.config.sensor.name or 'Six-axis sensor'}, calibrated in situ",
         f"from {', '.join(log.files)}",
         "A limb hung on the sensor and was turned about with different known masses on it. Gravity gives "
         "what the sensor should have read; matrix and offset are those that agree with it best.",
@@ -58,7 +58,9 @@ def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
                 force_ellipsoids(folder / "forces.png", found),
                 "Figure 1",
                 "Force of each set in N while the limb turned, with its fitted ellipsoid: "
-                + ("calibrated." if found.factory is None else "calibrated, and by the factory matrix."),
+                + (
+                    "calibrated, and by the factory matrix." if "factory" in found.matrices else "calibrated."
+                ),
             ),
         ),
     )

@@ -9,15 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.force_torque.config import Columns, InSituConfig
+from surefoot.experiments.force_torque.config import SI, Columns, InSituConfig
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
 
 __all__ = ["Samples", "read_samples"]
 
 Floats = NDArray[np.float64]
 
-_RAW = re.compile(r"raw_(.+)_count")
-_ABSENT = "'surefoot calibrate ft --sample' shows one that works."
+_VECTORS = {"gravity": "m_s2", "specific_force": "m_s2", "angular_velocity": "rad_s", "added_com": "m"}
+_SCALARS = {"time": "time_s", "set": "set", "temperature": "temperature_degC", "added_mass": "added_mass_kg"}
+"""Names of the columns by quantity; vectors have three, with the unit."""
+
+_PURPOSES = {
+    "time": 'the time (or say time = "" for samples without an order)',
+    "raw": "the sensor's channels",
+    "specific_force": "the accelerometer",
+    "angular_velocity": "the gyroscope",
+}
+
 _LISTED = 24
 """Columns of the file that a message names."""
 
@@ -52,10 +61,9 @@ class Samples:
     added_mass: Floats | None
     added_com: Floats | None
 
-    @property
-    def points_down(self) -> bool:
-        """Whether the acceleration is gravity (down) rather than specific force (up at rest)."""
-        return self.columns.gravity is not None
+    def __str__(self) -> str:
+        """What messages call it."""
+        return f"{self.file}, set '{self.name}'"
 
     @property
     def acceleration_names(self) -> tuple[str, ...]:
@@ -80,30 +88,31 @@ def read_samples(path: Path, config: InSituConfig) -> list[Samples]:
     Raises:
         LogError: If it is no table, lacks a column, or holds what is not a number.
     """
-    table = read_table(path, _ABSENT, separator=config.separator, decimal=config.decimal)
+    absent = "'surefoot calibrate ft --sample' shows one that works."
+    table = read_table(path, absent, separator=config.csv.separator, decimal=config.csv.decimal)
     found = _found(table, config.columns)
     if len(table) == 0:
         raise LogError(f"{path.name}: holds no rows; record the limb's samples, one a row.")
+    units = {name: SI[unit] for name, unit in config.units}
 
-    def vectors(columns: Sequence[str] | None, factor: float = 1.0) -> Floats | None:
-        return None if columns is None else table.stacked(columns) * factor
+    def values(names: str | Sequence[str] | None, factor: float = 1.0) -> Any:
+        if names is None:
+            return None
+        return factor * (table.numbers(names) if isinstance(names, str) else table.stacked(names))
 
-    def scalars(column: str | None, factor: float = 1.0) -> Floats | None:
-        return None if column is None else table.numbers(column) * factor
-
-    temperature = scalars(found.temperature)
+    temperature = values(found.temperature)
     whole = Samples(
         name=path.stem,
         file=path.name,
         columns=found,
         rows=np.arange(len(table)),
-        raw=table.stacked(found.raw or ()),
-        acceleration=table.stacked(found.gravity or found.specific_force or ()) * config.unit("acceleration"),
-        time=scalars(found.time, config.unit("time")),
-        angular_velocity=vectors(found.angular_velocity, config.unit("angular_velocity")),
-        temperature=None if temperature is None else temperature + config.unit("temperature"),
-        added_mass=scalars(found.added_mass),
-        added_com=vectors(found.added_com),
+        raw=values(found.raw),
+        acceleration=values(found.gravity or found.specific_force, units["acceleration"]),
+        time=values(found.time, units["time"]),
+        angular_velocity=values(found.angular_velocity, units["angular_velocity"]),
+        temperature=None if temperature is None else temperature + units["temperature"],
+        added_mass=values(found.added_mass),
+        added_com=values(found.added_com),
     )
     if found.set is None:
         return [whole]
@@ -113,63 +122,42 @@ def read_samples(path: Path, config: InSituConfig) -> list[Samples]:
 
 def _found(table: LogTable, columns: Columns) -> Columns:
     """Return the names of the columns that are there, by their given or default names."""
-    names = table.names
-    shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
-    shown += f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    shown += " (if the separator is not ',', say csv.separator)" if len(names) == 1 else ""
-    cure = f"there are {shown}. Name your columns under [columns] in the TOML file, or on the command line."
-
-    def optional(given: Sequence[str] | None, default: Sequence[str], what: str) -> tuple[str, ...] | None:
-        if given is None and not any(name in table for name in default):
-            return None
-        return table.require(default if given is None else given, cure, what)
-
-    def one(given: str | None, default: str, what: str) -> str | None:
-        found = optional(None if given is None else (given,), (default,), what)
-        return None if found is None else found[0]
-
-    gravity = optional(columns.gravity, _vector("gravity", "m_s2"), "gravity")
-    force = optional(columns.specific_force, _vector("specific_force", "m_s2"), "specific force")
-    if columns.gravity is None and columns.specific_force is not None:
-        gravity = None
-    elif columns.specific_force is None and columns.gravity is not None:
-        force = None
-    if gravity is not None and force is not None:
+    names = ", ".join(f"'{name}'" for name in table.names[:_LISTED])
+    names += f" and {len(table.names) - _LISTED} more" if len(table.names) > _LISTED else ""
+    names += " (if the separator is not ',', say csv.separator)" if len(table.names) == 1 else ""
+    cure = f"there are {names}. Name yours under [columns] in the TOML file, or on the command line."
+    defaults: dict[str, Any] = {
+        key: tuple(f"{key}_{axis}_{unit}" for axis in "xyz") for key, unit in _VECTORS.items()
+    }
+    defaults |= _SCALARS | {"raw": _channels(table.names)}
+    needed = {"time", "raw"}
+    if columns.gravity is None and not any(name in table for name in defaults["gravity"]):
+        needed.add("specific_force")
+    elif (columns.gravity is None) != (columns.specific_force is None):
+        # The one that is named is meant, whatever else is there.
+        defaults.pop("specific_force" if columns.specific_force is None else "gravity")
+    found = {}
+    for key, default in defaults.items():
+        given = getattr(columns, key)
+        wanted = default if given is None else given
+        listed = (wanted,) if isinstance(wanted, str) else wanted
+        if wanted and (given or key in needed or any(name in table for name in listed)):
+            table.require(listed, cure, _PURPOSES.get(key, key.replace("_", " ")))
+            found[key] = wanted
+    if "gravity" in found and "specific_force" in found:
         raise LogError(
-            f"{table.file}: has both {gravity[0]} and {force[0]}, which say the same with opposite signs; "
-            "name the one to use under [columns]."
+            f"{table.file}: has both {found['gravity'][0]} and {found['specific_force'][0]}, which say the "
+            "same with opposite signs; name the one to use under [columns]."
         )
-    if gravity is None and force is None:
-        force = table.require(_vector("specific_force", "m_s2"), cure, "the accelerometer")
-    time = None
-    if columns.time != "":
-        what = 'the time (or say time = "" for samples without an order)'
-        time = table.require((columns.time or "time_s",), cure, what)[0]
-    return Columns(
-        time=time,
-        set=one(columns.set, "set", "the sets"),
-        raw=table.require(columns.raw or _channels(names), cure, "the sensor's channels"),
-        specific_force=force,
-        gravity=gravity,
-        angular_velocity=optional(
-            columns.angular_velocity, _vector("angular_velocity", "rad_s"), "the gyroscope"
-        ),
-        temperature=one(columns.temperature, "temperature_degC", "the temperature"),
-        added_mass=one(columns.added_mass, "added_mass_kg", "the added mass"),
-        added_com=optional(columns.added_com, _vector("added_com", "m"), "the added mass's place"),
-    )
+    return Columns(**found)
 
 
 def _channels(names: Sequence[str]) -> tuple[str, ...]:
     """Return the columns that are named as channels, by number where they are numbered; at least six."""
-    found = [(match[1], name) for name in names if (match := _RAW.fullmatch(name))]
+    found = [(match[1], name) for name in names if (match := re.fullmatch(r"raw_(.+)_count", name))]
     if found and all(key.isdigit() for key, _ in found):
         found.sort(key=lambda pair: int(pair[0]))
     return tuple(name for _, name in found) if len(found) >= 6 else tuple(f"raw_{i}_count" for i in range(6))
-
-
-def _vector(stem: str, unit: str) -> tuple[str, ...]:
-    return tuple(f"{stem}_{axis}_{unit}" for axis in "xyz")
 
 
 def _labels(table: LogTable, name: str) -> NDArray[np.object_]:

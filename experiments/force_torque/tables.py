@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
 from surefoot.calibration.in_situ.validation import (
-    AddedMassEstimate,
     added_mass,
     expected_wrench,
     force_ellipsoid,
@@ -30,6 +29,8 @@ __all__ = [
     "weighing_tables",
 ]
 
+Floats = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
@@ -46,14 +47,13 @@ class Calibrated:
     @cached_property
     def sets(self) -> tuple[InSituSet, ...]:
         """The sets with gravity in the sensor's frame, and with what the temperature does taken off."""
-        fit, R = self.fit, self.fit.rotation
-        found = []
+        fit, found = self.fit, []
         for data in self.log.sets:
             raw = data.raw
             if fit.temperature_coefficient is not None and data.temperature is not None:
                 warmer = data.temperature[:, None] - fit.temperature_reference
                 raw = raw - warmer * fit.temperature_coefficient
-            found.append(replace(data, raw=raw, gravity=data.gravity @ R.T))
+            found.append(replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T))
         return tuple(found)
 
     @cached_property
@@ -63,23 +63,20 @@ class Calibrated:
         return tuple(order.get(data.name) for data in self.log.sets)
 
     @cached_property
-    def offsets(self) -> NDArray[np.float64]:
+    def offsets(self) -> Floats:
         """Offset of each set in counts that its forces are shown with, shape (J, k).
 
         Fitted to each set alike, made it the fit or not, with the calibrated response and whatever hangs
         there: the fit's own follow drift and hysteresis within the set.
         """
-        fit = self.fit
-        still = (data.raw - motion_wrench(data, fit.limb) @ fit.response.T for data in self.sets)
-        return np.array(
-            [
-                offset_of_set(raw, data.gravity, fit.response, fit.noise)
-                for raw, data in zip(still, self.sets, strict=True)
-            ]
-        )
+        fit, found = self.fit, []
+        for data in self.sets:
+            still = data.raw - motion_wrench(data, fit.limb) @ fit.response.T
+            found.append(offset_of_set(still, data.gravity, fit.response, fit.noise))
+        return np.array(found)
 
     @cached_property
-    def affine_residual(self) -> NDArray[np.float64]:
+    def affine_residual(self) -> Floats:
         """Share of each set's spread that leaves the three-space of Lemma 1, shape (J,)."""
         return np.array(
             [
@@ -90,17 +87,18 @@ class Calibrated:
             ]
         )
 
+    @property
+    def matrices(self) -> dict[str, Floats]:
+        """The calibrated matrix and, where there is one, the factory's, in N and N m per count, (6, k)."""
+        factory = self.log.config.factory.matrix
+        return {"calibrated": self.fit.matrix} | ({} if factory is None else {"factory": factory})
+
     def label(self, index: int) -> str:
         """What tables call a set."""
         name = self.log.sets[index].name
         return name if self.numbers[index] is not None else f"{name} (kept aside)"
 
-    @property
-    def factory(self) -> NDArray[np.float64] | None:
-        """The factory's matrix, shape (6, k), if the log came with one."""
-        return self.log.config.factory_matrix
-
-    def wrench(self, index: int, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    def wrench(self, index: int, matrix: Floats) -> Floats:
         """Return the wrench of a set's counts by a matrix, less the set's offset and brought to rest.
 
         Args:
@@ -114,19 +112,11 @@ class Calibrated:
         wrench = (data.raw - self.offsets[index]) @ matrix.T
         return np.asarray(wrench - motion_wrench(data, self.fit.limb))
 
-    def residual(self, index: int) -> NDArray[np.float64]:
+    def residual(self, index: int) -> Floats:
         """Return what a set's counts leave of the fit with a constant offset, shape (n, k)."""
         data = self.sets[index]
         expected = expected_wrench(data, self.fit.limb) @ self.fit.response.T
         return np.asarray(data.raw - self.offsets[index] - expected)
-
-    def weighed(self, index: int, matrix: NDArray[np.float64]) -> AddedMassEstimate:
-        """Return a set's added mass by a matrix, with the fitted limb taken off."""
-        return added_mass(self.wrench(index, matrix), self.sets[index].gravity, self.fit.limb)
-
-    def matrices(self) -> list[NDArray[np.float64]]:
-        """Return the calibrated matrix and, where there is one, the factory's."""
-        return [self.fit.matrix] if self.factory is None else [self.fit.matrix, self.factory]
 
 
 def shown_tables(found: Calibrated) -> tuple[Table, ...]:
@@ -140,89 +130,67 @@ def semi_axes_table(found: Calibrated) -> Table:
     for i, data in enumerate(found.sets):
         weight = (found.fit.limb.mass + data.added_mass) * GRAVITY
         cells = [found.label(i), f"{data.added_mass:.3f}", number(weight)]
-        for matrix in found.matrices():
+        for matrix in found.matrices.values():
             ellipsoid = force_ellipsoid(found.wrench(i, matrix)[:, :3], data.gravity)
-            cells += [*(number(length) for length in ellipsoid.semi_axes), f"{ellipsoid.ratio:.3f}"]
+            cells += [*map(number, ellipsoid.semi_axes), f"{ellipsoid.ratio:.3f}"]
         rows.append(tuple(cells))
-    names = ("calibrated", "factory")[: len(found.matrices())]
     columns = ["set", "added mass (kg)", "weight (N)"]
-    for name in names:
+    for name in found.matrices:
         columns += [f"{name}, longest (N)", "middle", "shortest", "longest / shortest"]
-    return Table(
-        "semi_axes",
-        "Semi-axes of the force ellipsoid",
-        tuple(columns),
-        tuple(rows),
-        "A sensor that measures true forces draws a sphere whose radius is the weight. "
-        + (
-            "Sets that made the fit prove no more than that it holds together; keep some aside (fit.sets)."
-            if None not in found.numbers
-            else "Sets kept aside took no part in the fit of matrix and limb."
-        ),
+    note = "A sensor that measures true forces draws a sphere whose radius is the weight. "
+    note += (
+        "Sets kept aside took no part in the fit of matrix and limb."
+        if None in found.numbers
+        else "Sets that made the fit prove no more than that it holds together; keep some aside (fit.sets)."
     )
+    return Table("semi_axes", "Semi-axes of the force ellipsoid", tuple(columns), tuple(rows), note)
 
 
 def weighing_tables(found: Calibrated) -> tuple[Table, ...]:
     """Return the added masses and their places as the sensor weighs them (in-situ paper, Tables II, III)."""
-    sets, matrices = found.sets, found.matrices()
-    if not any(data.added_mass > 0.0 for data in sets):
+    if not any(data.added_mass > 0.0 for data in found.sets):
         return ()
-    names = ("calibrated", "factory")[: len(matrices)]
-    weighed = [[found.weighed(i, matrix) for matrix in matrices] for i in range(len(sets))]
-    masses = Table(
-        "added_mass",
-        "Added mass (kg)",
-        ("set", "given", *names, "error, calibrated"),
-        tuple(
-            (
-                found.label(i),
-                f"{data.added_mass:.3f}",
-                *(f"{one.mass:.3f}" for one in ones),
-                f"{ones[0].mass - data.added_mass:+.3f}",
-            )
-            for i, (data, ones) in enumerate(zip(sets, weighed, strict=True))
-        ),
-        "What the sensor weighs less the calibrated limb, with an offset that is fitted to each set.",
+    masses, places = [], []
+    for i, data in enumerate(found.sets):
+        weighed = [
+            added_mass(found.wrench(i, matrix), data.gravity, found.fit.limb)
+            for matrix in found.matrices.values()
+        ]
+        mass = [one.mass for one in weighed]
+        error = f"{mass[0] - data.added_mass:+.3f}"
+        masses.append((found.label(i), f"{data.added_mass:.3f}", *(f"{m:.3f}" for m in mass), error))
+        for a, axis in enumerate("xyz" if data.added_mass > 0.0 else ""):
+            given, place = 100 * data.added_com[a], [100 * one.position[a] for one in weighed]
+            error = f"{place[0] - given:+.2f}"
+            places.append((found.label(i), axis, f"{given:.2f}", *(f"{x:.2f}" for x in place), error))
+    columns = ("given", *found.matrices, "error, calibrated")
+    note = "What the sensor weighs less the calibrated limb, with an offset that is fitted to each set."
+    title = "Place of the added mass (cm, in the sensor's frame)"
+    return (
+        Table("added_mass", "Added mass (kg)", ("set", *columns), tuple(masses), note),
+        Table("added_com", title, ("set", "axis", *columns), tuple(places)),
     )
-    places = Table(
-        "added_com",
-        "Place of the added mass (cm, in the sensor's frame)",
-        ("set", "axis", "given", *names, "error, calibrated"),
-        tuple(
-            (
-                found.label(i),
-                axis,
-                f"{100 * data.added_com[a]:.2f}",
-                *(f"{100 * one.position[a]:.2f}" for one in ones),
-                f"{100 * (ones[0].position[a] - data.added_com[a]):+.2f}",
-            )
-            for i, (data, ones) in enumerate(zip(sets, weighed, strict=True))
-            if data.added_mass > 0.0
-            for a, axis in enumerate("xyz")
-        ),
-    )
-    return masses, places
 
 
 def limb_table(found: Calibrated) -> Table:
     """Return the limb, and its mass against the known one where the log gives it."""
-    fit, known = found.fit, found.log.config.limb_mass
-    rows = [
-        ("mass (kg)", f"{fit.limb.mass:.4f}", f"{fit.limb_mass_std:.2g}"),
-        *(
-            (f"centre of mass, {axis} (cm)", f"{100 * fit.limb.com[a]:.2f}", "–")
-            for a, axis in enumerate("xyz")
-        ),
-    ]
+    fit, known = found.fit, found.log.config.limb
+    rows = [("mass (kg)", f"{fit.limb.mass:.4f}", f"{fit.limb_mass_std:.2g}")]
     note = "No known mass of the limb (limb.mass_kg) was given to hold the scale against."
-    if known is not None:
-        rows.insert(1, ("known mass (kg)", f"{known:.4f}", number(found.log.config.limb_mass_std or np.nan)))
-        rows.insert(2, ("fitted / known - 1 (%)", f"{100 * (fit.limb.mass / known - 1.0):+.2f}", "–"))
+    if known.mass_kg is not None:
+        off = 100 * (fit.limb.mass / known.mass_kg - 1.0)
+        rows += [
+            ("known mass (kg)", f"{known.mass_kg:.4f}", number(known.mass_std_kg or np.nan)),
+            ("fitted / known - 1 (%)", f"{off:+.2f}", "–"),
+        ]
         note = (
             "The known mass did not enter the fit: it is a check of the absolute scale."
-            if found.log.config.limb_mass_std is None
+            if known.mass_std_kg is None
             else "The known mass entered the fit (limb.mass_std_kg): it is no independent check of the scale."
         )
+    rows += [
+        (f"centre of mass, {axis} (cm)", f"{100 * fit.limb.com[a]:.2f}", "–") for a, axis in enumerate("xyz")
+    ]
     return Table("limb", "The limb beyond the sensor", ("what", "value", "± (one sigma)"), tuple(rows), note)
 
 
@@ -250,16 +218,20 @@ def offset_table(found: Calibrated) -> Table:
 def set_table(found: Calibrated) -> Table:
     """Return what each set gave."""
     rows = []
-    for i, data in enumerate(found.sets):
-        place = found.numbers[i]
-        used, left, rms = "–", "–", "–"
-        if place is not None:
-            stats = found.fit.set_stats[place]
-            used, left, rms = str(stats.samples), str(stats.dropped + stats.gated), number(stats.residual_rms)
-        length = "–" if data.time is None else f"{data.time[-1] - data.time[0]:.1f}"
-        whole = number(float(np.sqrt(np.nanmean(found.residual(i) ** 2))))
-        off = f"{100 * found.affine_residual[i]:.2f}"
-        rows.append((found.label(i), f"{data.added_mass:.3f}", length, used, left, rms, whole, off))
+    for i, (data, place) in enumerate(zip(found.sets, found.numbers, strict=True)):
+        stats = None if place is None else found.fit.set_stats[place]
+        rows.append(
+            (
+                found.label(i),
+                f"{data.added_mass:.3f}",
+                "–" if data.time is None else f"{data.time[-1] - data.time[0]:.1f}",
+                "–" if stats is None else str(stats.samples),
+                "–" if stats is None else str(stats.dropped + stats.gated),
+                "–" if stats is None else number(stats.residual_rms),
+                number(float(np.sqrt(np.nanmean(found.residual(i) ** 2)))),
+                f"{100 * found.affine_residual[i]:.2f}",
+            )
+        )
     columns = (
         "set", "added mass (kg)", "duration (s)", "samples used", "left out", "residual of the fit (counts)",
         "residual with one offset (counts)", "off the three-space of Lemma 1 (%)",

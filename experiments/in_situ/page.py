@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.calibration.in_situ import estimate_offset
-from surefoot.experiments.force_torque.ellipsoids import COUNTS, FORCES, Cloud, Panel, draw_ellipsoids
+from surefoot.experiments.force_torque.figures import COUNTS, FORCES, Cloud, Panel, draw_ellipsoids
 from surefoot.experiments.in_situ.cases import DRAWN
 from surefoot.experiments.in_situ.claims import (
     bound_findings,

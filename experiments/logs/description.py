@@ -1,147 +1,177 @@
-"""The description of the robot that goes with a log's table."""
+"""The description of the robot that goes with a log's table, as JSON."""
 
-from typing import Any
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import AliasChoices, ConfigDict, Field, PlainValidator, model_validator
 
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
-from surefoot.experiments.logs.table import LogError
+from surefoot.experiments.logs.settings import Number, Positive, Settings
 
-__all__ = ["describe", "read_description"]
+__all__ = ["Description", "MotionFacts", "describe"]
 
-FORMAT_VERSION = 1
+_UNITS = {"position_cell_sole": "_m", "mass_below": "_kg", "com_below_sole": "_m"}
+"""What keys end in besides the name of a field of a foot or a sensor."""
+
+_MAP = ("scale_N_per_count", "offset_N")
+
+_FIELDS = {
+    "layout": "layout", "mass_kg": "mass", "nominal": "nominal", "calibrated": "calibrated", "dt_s": "dt",
+    "lag_samples": "lag", "seed": "seed", "about": "about",
+}  # fmt: skip
+"""Fields of a log by their keys in the description."""
+
+Seconds = Annotated[Number, Field(ge=0.0, lt=10.0)]
+
+
+class MotionFacts(Settings):
+    """What a description holds under ``motion``: how references are made of joints and IMU.
+
+    Attributes:
+        model: The robot's drawing, MJCF or URDF; paths are from the log's folder.
+        torso: Its floating body.
+        imu: Site or body of the IMU, which is fixed to the torso.
+        soles: Sites or bodies of the left and of the right sole frame.
+        table: A table with joints and IMU at a rate of their own, or ``None`` if they are in the log.
+        dt_s: Nominal time between two rows of them; by default that of the log.
+        delay_s: How long before their ``time_s`` joints and IMU were measured.
+        readings_age_s: How long before their ``time_s`` the feet were measured.
+        averaged: Whether a row of the IMU is the mean since the row before.
+        held_rad: Angles of joints that have no column.
+    """
+
+    model: Path
+    torso: str
+    imu: str
+    soles: tuple[str, str]
+    table: Path | None = None
+    dt_s: Annotated[Seconds, Field(gt=0.0)] = np.nan
+    delay_s: Seconds = 0.0
+    readings_age_s: Seconds = 0.0
+    averaged: bool = False
+    held_rad: dict[str, Number] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _two_places(self) -> Self:
+        if self.soles[0] == self.soles[1]:
+            raise ValueError(f"'soles' must name two places, left then right, got {list(self.soles)}")
+        return self
+
+    def of_log(self, folder: Path, dt: float) -> "MotionFacts":
+        """Return it with paths from a log's folder and, where it has none, the log's time between rows."""
+        found: dict[str, Any] = {"model": folder / self.model}
+        if self.table is not None:
+            found["table"] = folder / self.table
+        if np.isnan(self.dt_s):
+            found["dt_s"] = dt
+        return self.model_copy(update=found)
+
+
+def _layout(given: Any) -> FeetLayout:
+    try:
+        return FeetLayout(tuple(_record(FootLayout, foot) for foot in given))
+    except (AttributeError, TypeError) as error:
+        raise ValueError(f"describes no feet: {error}") from None
+
+
+def _map(given: Any) -> Parameters:
+    try:
+        return Parameters(*(np.asarray(given[key], dtype=np.float64) for key in _MAP))
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"is no map, {type(error).__name__} {error}") from None
+
+
+class Description(Settings):
+    """A log's description; other keys than these are left alone.
+
+    Attributes:
+        layout: The feet.
+        mass_kg: As the robot assumes it.
+        nominal: The map that is known of the sensors' type alone.
+        calibrated: The map that a calibration before the session gave; older logs call it "bench".
+        dt_s: Nominal time between rows.
+        lag_samples: By how many rows the reference is late.
+        seed: Of a simulated walk.
+        about: Anything else.
+        motion: How references are made, if the log has none.
+    """
+
+    model_config = ConfigDict(extra="ignore")
+
+    format: Literal["surefoot-log"]
+    format_version: Literal[1]
+    layout: Annotated[FeetLayout, PlainValidator(_layout)]
+    mass_kg: Positive
+    nominal: Annotated[Parameters, PlainValidator(_map)]
+    calibrated: Annotated[Parameters, PlainValidator(_map)] | None = Field(
+        None, validation_alias=AliasChoices("calibrated", "bench")
+    )
+    dt_s: Positive
+    lag_samples: Annotated[int, Field(ge=0)] = 0
+    seed: int | None = None
+    about: dict[str, Any] = Field(default_factory=dict)
+    motion: MotionFacts | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        channels = self.layout.channels
+        for values in (*self.nominal, *(self.calibrated or ())):
+            if values.shape != (channels,) or not np.isfinite(values).all():
+                raise ValueError(f"a map needs {channels} finite scales and offsets, one a channel")
+        if self.motion is None and "lag_samples" not in self.model_fields_set:
+            raise ValueError("lacks 'lag_samples', by how many rows the reference is late")
+        if self.motion is not None and self.lag_samples != 0:
+            raise ValueError(
+                f"'lag_samples' is {self.lag_samples} beside 'motion', whose references are made for the "
+                "very moment of each row; leave it out and give motion.delay_s in seconds"
+            )
+        return self
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a log holds of it, by the names of the log's fields."""
+        return {field: getattr(self, key) for key, field in _FIELDS.items()}
 
 
 def describe(log: Any) -> dict[str, Any]:
     """Return a log's description, for the file's header."""
-    return {
-        "format": "surefoot-log",
-        "format_version": FORMAT_VERSION,
-        "layout": [
-            {
-                "name": foot.name,
-                "channel_names": list(foot.channel_names),
-                "wrench_map": foot.wrench_map.tolist(),
-                "position_cell_sole_m": (
-                    None if foot.position_cell_sole is None else foot.position_cell_sole.tolist()
-                ),
-                "sensors": [_describe_sensor(sensor) for sensor in foot.sensors],
-            }
-            for foot in log.layout.feet
-        ],
-        "mass_kg": log.mass,
-        "nominal": _describe_parameters(log.nominal),
-        "calibrated": None if log.calibrated is None else _describe_parameters(log.calibrated),
-        "dt_s": log.dt,
-        "lag_samples": log.lag,
-        "seed": log.seed,
-        "about": log.about,
-    }
+    facts = {key: _plain(getattr(log, field)) for key, field in _FIELDS.items()}
+    return {"format": "surefoot-log", "format_version": 1, **facts}
 
 
-def _describe_sensor(sensor: FootSensor) -> dict[str, Any]:
-    return {
-        "channels": [sensor.channels.start, sensor.channels.stop],
-        "wrench_map": sensor.wrench_map.tolist(),
-        "six_axis": sensor.six_axis,
-        "share": sensor.share.tolist(),
-        "mass_below_kg": sensor.mass_below,
-        "com_below_sole_m": sensor.com_below_sole.tolist(),
-    }
-
-
-def _describe_parameters(parameters: Parameters) -> dict[str, list[float]]:
-    return {
-        "scale_N_per_count": np.asarray(parameters.scale, dtype=float).tolist(),
-        "offset_N": np.asarray(parameters.offset, dtype=float).tolist(),
-    }
-
-
-def read_description(description: Any, name: str) -> dict[str, Any]:
-    """Return a description, checked.
-
-    Raises:
-        LogError: If it is not a header of a log.
-    """
-    if not isinstance(description, dict) or description.get("format") != "surefoot-log":
-        raise LogError(f'{name}: the description lacks "format": "surefoot-log".')
-    version = description.get("format_version")
-    if version != FORMAT_VERSION:
-        raise LogError(
-            f"{name}: log format version {version!r} is not {FORMAT_VERSION}, which this surefoot reads."
-        )
-    required = ["layout", "mass_kg", "nominal", "dt_s"]
-    # References that are made of joints and IMU describe their own row.
-    required += [] if "motion" in description else ["lag_samples"]
-    missing = [key for key in required if key not in description]
-    if missing:
-        raise LogError(f"{name}: the description lacks {missing}; see docs/log-format.md.")
-    try:
-        layout = FeetLayout(tuple(_foot(foot) for foot in description["layout"]))
-        facts: dict[str, Any] = {
-            "layout": layout,
-            "mass": float(description["mass_kg"]),
-            "nominal": _parameters(description["nominal"], layout, "nominal"),
-            "calibrated": None,
-            "dt": float(description["dt_s"]),
-            "lag": int(description.get("lag_samples", 0)),
-            "seed": None if description.get("seed") is None else int(description["seed"]),
-            "about": dict(description.get("about") or {}),
+def _plain(value: Any) -> Any:
+    """Return feet, sensors and maps as values that JSON can hold."""
+    if isinstance(value, FeetLayout):
+        value = value.feet
+    if isinstance(value, Parameters):
+        return {key: np.asarray(part, dtype=float).tolist() for key, part in zip(_MAP, value, strict=True)}
+    if is_dataclass(value):
+        return {
+            f"{field.name}{_UNITS.get(field.name, '')}": _plain(getattr(value, field.name))
+            for field in fields(value)
         }
-        # Older logs call it "bench".
-        calibrated = description.get("calibrated", description.get("bench"))
-        if calibrated is not None:
-            facts["calibrated"] = _parameters(calibrated, layout, "calibrated")
-    except (TypeError, KeyError, ValueError) as error:
-        what = f"key {error} is missing" if isinstance(error, KeyError) else str(error)
-        raise LogError(f"{name}: the description cannot be used: {what}") from None
-    if "motion" in description and facts["lag"] != 0:
-        raise LogError(
-            f"{name}: the description's lag_samples is {facts['lag']} beside motion, whose references are "
-            "made for the very moment of each row; leave it out and give motion.delay_s in seconds."
-        )
-    positive = {
-        "mass_kg": facts["mass"] > 0,
-        "dt_s": facts["dt"] > 0,
-        "lag_samples": facts["lag"] >= 0,
-    }
-    for key, fine in positive.items():
-        if not fine:
-            raise LogError(f"{name}: the description's {key} is {description[key]}; it must be positive.")
-    return facts
+    if isinstance(value, slice):
+        return [value.start, value.stop]
+    if isinstance(value, tuple):
+        return [_plain(part) for part in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _foot(description: dict[str, Any]) -> FootLayout:
-    position = description.get("position_cell_sole_m")
-    return FootLayout(
-        name=str(description["name"]),
-        wrench_map=np.asarray(description["wrench_map"], dtype=np.float64),
-        channel_names=tuple(description["channel_names"]),
-        position_cell_sole=None if position is None else np.asarray(position, dtype=np.float64),
-        sensors=tuple(_sensor(sensor) for sensor in description.get("sensors") or ()),
-    )
-
-
-def _sensor(description: dict[str, Any]) -> FootSensor:
-    first, last = description["channels"]
-    return FootSensor(
-        channels=slice(int(first), int(last)),
-        wrench_map=np.asarray(description["wrench_map"], dtype=np.float64),
-        six_axis=bool(description["six_axis"]),
-        share=np.asarray(description["share"], dtype=np.float64),
-        mass_below=float(description["mass_below_kg"]),
-        com_below_sole=np.asarray(description["com_below_sole_m"], dtype=np.float64),
-    )
-
-
-def _parameters(description: dict[str, Any], layout: FeetLayout, what: str) -> Parameters:
-    scale = np.asarray(description["scale_N_per_count"], dtype=np.float64)
-    offset = np.asarray(description["offset_N"], dtype=np.float64)
-    for value in (scale, offset):
-        if value.shape != (layout.channels,) or not np.isfinite(value).all():
-            raise ValueError(
-                f"the {what} map needs {layout.channels} finite scales and offsets, one a channel, "
-                f"got shape {value.shape}."
-            )
-    return Parameters(scale, offset)
+def _record(kind: type[Any], given: Any) -> Any:
+    """Return the foot or the sensor of which :func:`_plain` made this."""
+    values: dict[str, Any] = {}
+    for field in fields(kind):
+        value = given.get(f"{field.name}{_UNITS.get(field.name, '')}")
+        if field.name == "channels":
+            value = slice(*value)
+        elif field.name == "sensors":
+            value = tuple(_record(FootSensor, one) for one in value or ())
+        elif field.name == "channel_names":
+            value = tuple(value)
+        elif isinstance(value, list):
+            value = np.asarray(value, dtype=np.float64)
+        if value is not None:
+            values[field.name] = value
+    return kind(**values)

@@ -35,8 +35,8 @@ from surefoot.experiments.logs.columns import (
     truth_of,
 )
 from surefoot.experiments.logs.contacts import contacts
-from surefoot.experiments.logs.description import describe, read_description
-from surefoot.experiments.logs.motion import read_motion, read_motion_facts
+from surefoot.experiments.logs.description import Description, describe
+from surefoot.experiments.logs.motion import read_motion
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
 from surefoot.experiments.study.files import atomic_path, write_text
 
@@ -147,20 +147,20 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
     """
     path = Path(path)
     table = read_table(path, "'surefoot demo' records logs under out/demo/logs.")
-    description = _description(path, table)
-    facts = read_description(description, path.name)
-    layout: FeetLayout = facts["layout"]
-    makes = "motion" in description
+    description = Description.read(_description(path, table), f"{path.name}: the description")
+    facts = description.facts()
+    layout = description.layout
     has_truth = any(name.startswith("truth_") for name in table.names)
-    names = ["time_s", *raw_names_of(layout)] if makes else names_of(layout)
+    names = names_of(layout) if description.motion is None else ["time_s", *raw_names_of(layout)]
     values = check_columns(table, [*names, *(truth_names_of(layout) if has_truth else [])])
     time = values["time_s"]
-    check_time(time, facts["dt"], max_gap, path.name)
-    if makes:
-        reference = _made_reference(path, table, description["motion"], facts, time)
-    else:
+    check_time(time, description.dt_s, max_gap, path.name)
+    if description.motion is None:
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
+    else:
+        reference, about = _made_reference(path, table, description, time)
+        facts["about"] = facts["about"] | about
     return Log(
         time=time,
         raw=stack(values, raw_names_of(layout)),
@@ -171,16 +171,16 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
 
 
 def _made_reference(
-    path: Path, table: LogTable, description: Any, facts: dict[str, Any], time: NDArray[np.float64]
-) -> Reference:
-    """Return references that are made of joints and IMU, and note in ``about`` where they come from."""
-    motion_facts = read_motion_facts(description, path.parent, facts["dt"], path.name)
-    layout: FeetLayout = facts["layout"]
-    if len(layout.feet) != 2:
+    path: Path, table: LogTable, description: Description, time: NDArray[np.float64]
+) -> tuple[Reference, dict[str, Any]]:
+    """Return references that are made of joints and IMU, and where they come from."""
+    feet, dt = description.layout.feet, description.dt_s
+    if description.motion is None or len(feet) != 2:
         raise LogError(
-            f"{path.name}: motion needs the layout of two feet, got {len(layout.feet)}; "
+            f"{path.name}: motion needs the layout of two feet, got {len(feet)}; "
             "give the reference columns of a single plate."
         )
+    facts = description.motion.of_log(path.parent, dt)
     try:
         from surefoot.experiments.logs.model import load_model
         from surefoot.experiments.logs.reference import check_spin, make_reference
@@ -189,22 +189,21 @@ def _made_reference(
             f"{path.name}: joints and IMU need a model of the robot, for which {error.name} is missing; "
             'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
         ) from None
-    model = load_model(motion_facts, path.name)
+    model = load_model(facts, path.name)
     moved = table
-    if motion_facts.table is not None:
-        moved = read_table(motion_facts.table, "motion.table gives its path from the log.")
-    motion = read_motion(moved, motion_facts, model.joint_names)
+    if facts.table is not None:
+        moved = read_table(facts.table, "motion.table gives its path from the log.")
+    motion = read_motion(moved, facts, model.joint_names)
     check_spin(motion, model, moved.file)
-    reference = make_reference(time, motion, motion_facts, model, facts["mass"])
+    reference = make_reference(time, motion, facts, model, description.mass_kg)
     if not np.isfinite(reference.com).all(axis=-1).any():
         raise LogError(
             f"{moved.file}: joints and IMU reach from {motion.time[0]:.6g} to {motion.time[-1]:.6g} s, and "
             f"the feet from {time[0]:.6g} to {time[-1]:.6g} s; give both on one clock, and motion.delay_s."
         )
-    left, right = layout.feet
-    stance, swing, source = contacts(table, (left.name, right.name), reference, facts["dt"])
-    facts["about"] |= {"contacts": source, "model": motion_facts.model.name, "model_mass_kg": model.mass}
-    return reference._replace(stance=stance, swing=swing)
+    stance, swing, source = contacts(table, (feet[0].name, feet[1].name), reference, dt)
+    about = {"contacts": source, "model": facts.model.name, "model_mass_kg": model.mass}
+    return reference._replace(stance=stance, swing=swing), about
 
 
 def _description(path: Path, table: LogTable) -> Any:

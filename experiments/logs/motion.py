@@ -6,17 +6,17 @@ where joints and IMU come at a rate of their own, in a second table beside it.
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.experiments.logs.checks import LISTED, check_increasing
+from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError, LogTable
 
-__all__ = ["Motion", "MotionFacts", "read_motion", "read_motion_facts"]
+__all__ = ["Motion", "read_motion"]
 
 CLOCK_SPAN = 257
 """Rows over which the times of joints and IMU are averaged: they come at an even rate, but late by chance."""
@@ -41,34 +41,6 @@ ACCELEROMETER = tuple(f"accelerometer_{axis}_m_s2" for axis in "xyz")
 GYROSCOPE = tuple(f"gyroscope_{axis}_rad_s" for axis in "xyz")
 
 
-class MotionFacts(NamedTuple):
-    """What a description holds under ``motion``.
-
-    Attributes:
-        model: The robot's drawing, MJCF or URDF.
-        torso: Its floating body.
-        imu: Site or body of the IMU, which is fixed to the torso.
-        soles: Sites or bodies of the left and of the right sole frame.
-        table: A table with joints and IMU at a rate of their own, or ``None`` if they are in the log.
-        period: Nominal time between two rows of them in s.
-        delay: How long before their ``time_s`` joints and IMU were measured, in s.
-        age: How long before their ``time_s`` the feet were measured, in s.
-        averaged: Whether a row of the IMU is the mean since the row before.
-        held: Angles in rad of joints that have no column.
-    """
-
-    model: Path
-    torso: str
-    imu: str
-    soles: tuple[str, str]
-    table: Path | None
-    period: float
-    delay: float
-    age: float
-    averaged: bool
-    held: dict[str, float]
-
-
 class Motion(NamedTuple):
     """Joints and IMU over M rows at an even rate, some of which may be missing.
 
@@ -90,58 +62,6 @@ class Motion(NamedTuple):
     gyroscope: NDArray[np.float64]
 
 
-def read_motion_facts(description: Any, folder: Path, dt: float, file: str) -> MotionFacts:
-    """Read the description's ``motion``.
-
-    Args:
-        description: What stands there.
-        folder: Where the log lies; paths are relative to it.
-        dt: Time between rows of the log in s.
-        file: The log's name in messages.
-
-    Raises:
-        LogError: If a key is missing, unknown or of the wrong kind.
-    """
-    if not isinstance(description, dict):
-        raise LogError(f"{file}: the description's motion must be an object, got {description!r}.")
-    required = ("model", "torso", "imu", "soles")
-    optional = ("table", "dt_s", "delay_s", "readings_age_s", "averaged", "held_rad")
-    missing = [key for key in required if key not in description]
-    unknown = [key for key in description if key not in required + optional]
-    if missing or unknown:
-        what = f"lacks {missing}" if missing else f"has the unknown {unknown}"
-        raise LogError(f"{file}: the description's motion {what}; it may hold {[*required, *optional]}.")
-    soles = description["soles"]
-    if not isinstance(soles, list) or len(soles) != 2 or soles[0] == soles[1]:
-        raise LogError(
-            f"{file}: the description's motion.soles must name two places, left then right, got {soles!r}."
-        )
-    table = description.get("table")
-    times = {"dt_s": dt, "delay_s": 0.0, "readings_age_s": 0.0}
-    try:
-        times = {key: float(description.get(key, value)) for key, value in times.items()}
-        held = {str(name): float(angle) for name, angle in dict(description.get("held_rad") or {}).items()}
-    except (TypeError, ValueError) as error:
-        raise LogError(f"{file}: the description's motion cannot be used: {error}.") from None
-    for key, value in times.items():
-        if not 0.0 <= value < 10.0 or (key == "dt_s" and value == 0.0):
-            raise LogError(
-                f"{file}: the description's motion.{key} is {value:g}; it is a time in seconds, from 0 to 10."
-            )
-    return MotionFacts(
-        model=folder / str(description["model"]),
-        torso=str(description["torso"]),
-        imu=str(description["imu"]),
-        soles=(str(soles[0]), str(soles[1])),
-        table=None if table is None else folder / str(table),
-        period=times["dt_s"],
-        delay=times["delay_s"],
-        age=times["readings_age_s"],
-        averaged=bool(description.get("averaged", False)),
-        held=held,
-    )
-
-
 def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> Motion:
     """Return joints and IMU of a table.
 
@@ -156,10 +76,10 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
         LogError: If a column is missing, not of numbers or of another unit, or if time is not as it must be.
     """
     file = table.file
-    unknown = [name for name in facts.held if name not in joints]
+    unknown = [name for name in facts.held_rad if name not in joints]
     if unknown:
         raise LogError(f"{file}: motion.held_rad names {unknown}; the model's hinges are {list(joints)}.")
-    measured = [name for name in joints if name not in facts.held]
+    measured = [name for name in joints if name not in facts.held_rad]
     names = [*(f"joint_{name}_rad" for name in measured), *ACCELEROMETER, *GYROSCOPE]
     values = {name: table.numbers(name) for name in table.require(["time_s", *names], LISTED)}
     check_increasing(values["time_s"], file, repeats=True)
@@ -179,7 +99,7 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
     number, time, period = _clock(values["time_s"], packet, facts, file)
     joint = np.stack(
         [
-            values[f"joint_{name}_rad"] if name in measured else np.full(len(time), facts.held[name])
+            values[f"joint_{name}_rad"] if name in measured else np.full(len(time), facts.held_rad[name])
             for name in joints
         ],
         axis=-1,
@@ -206,7 +126,7 @@ def _clock(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
     """Return numbers of the rows, their times without chance, and the period."""
     if packet is None:
-        number = _count(time, facts.period)
+        number = _count(time, facts.dt_s)
     else:
         rising = (
             np.isfinite(packet).all() and (np.diff(packet) > 0).all() and (packet == packet.round()).all()
@@ -217,13 +137,13 @@ def _clock(
             )
         number = (packet - packet[0]).astype(np.int64)
     period = float(np.polyfit(number, time, 1)[0])
-    if abs(period / facts.period - 1.0) > 0.1:
+    if abs(period / facts.dt_s - 1.0) > 0.1:
         raise LogError(
             f"{file}: joints and IMU come every {period:.4g} s where the description says "
-            f"{facts.period:.4g} s; give motion.dt_s, the time between two of their rows in seconds."
+            f"{facts.dt_s:.4g} s; give motion.dt_s, the time between two of their rows in seconds."
         )
     late = np.asarray(uniform_filter1d(time - period * number, CLOCK_SPAN, mode="nearest"), dtype=np.float64)
-    return number, np.asarray(period * number + late - facts.delay, dtype=np.float64), period
+    return number, np.asarray(period * number + late - facts.delay_s, dtype=np.float64), period
 
 
 def _count(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:

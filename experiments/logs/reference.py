@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Reference
+from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.model import LogModel
-from surefoot.experiments.logs.motion import Motion, MotionFacts
+from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers.beliefs import Beliefs
@@ -49,7 +50,7 @@ def make_reference(
     where = TelemetryLayout(len(model.joint_names))
     beliefs = Beliefs(model, where, motion.period, 0.0, facts.averaged)  # type: ignore[arg-type]
     force, spin = (part @ model.R_torso_imu.T for part in (motion.accelerometer, motion.gyroscope))
-    moments = time - facts.age
+    moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
     known = _surrounded(motion, place)
     nobody = np.zeros(2, dtype=bool)

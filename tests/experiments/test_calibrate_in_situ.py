@@ -1,6 +1,5 @@
 """From a log of in-situ sets to a calibration, its files and its page."""
 
-import dataclasses
 import html
 import json
 from collections.abc import Callable
@@ -15,9 +14,9 @@ import pytest
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque import calibrate as module
 from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
+from surefoot.experiments.force_torque.config import InSituConfig, config_beside
 from surefoot.experiments.force_torque.export import read_calibration
-from surefoot.experiments.force_torque.icub import read_icub_matrix
-from surefoot.experiments.force_torque.log import config_beside
+from surefoot.experiments.force_torque.icub import read_matrix
 
 Script = Callable[[str], ModuleType]
 
@@ -38,6 +37,11 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def changed(config: InSituConfig, **tables: dict[str, object]) -> InSituConfig:
+    """Put other tables in place of some."""
+    return InSituConfig.read(config.model_dump() | tables, "other")
+
+
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the page out, whose figures take seconds."""
@@ -49,7 +53,7 @@ def test_all_files_are_written(result: CalibratedSensor) -> None:
     folder = result.files["report"].parent
     assert sorted(folder.iterdir()) == sorted(result.files.values())
     np.testing.assert_array_equal(read_calibration(result.files["calibration"]).matrix, result.fit.matrix)
-    found, scale = read_icub_matrix(result.files["icub"])
+    found, scale = read_matrix(result.files["icub"])
     assert np.abs(found - result.fit.matrix).max() <= scale.max() / 2**16 / 32767 * (1 + 1e-9)
     told = json.loads(result.files["calibration"].read_text())
     assert told["sensor"] == "FTSens in a leg (simulated)"
@@ -78,7 +82,7 @@ def test_sets_that_were_kept_aside_agree(result: CalibratedSensor) -> None:
 
 @pytest.mark.slow
 def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> None:
-    config = dataclasses.replace(config_beside(short), limb_mass=6.0)
+    config = changed(config_beside(short), limb={"mass_kg": 6.0})
     result = calibrate_in_situ_log(short, config, folder=tmp_path, stem="leg")
     assert any("and weighs 6 kg (-2" in notice for notice in result.notices)
     assert "and weighs 6 kg" in result.files["report"].read_text()
@@ -88,9 +92,7 @@ def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> No
 
 def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Path, no_page: None) -> None:
     """One column a table less, no iCub file, and a notice that the sign cannot be checked."""
-    config = dataclasses.replace(
-        config_beside(short), factory_matrix=None, full_scale=None, limb_mass=None, fit_sets=None
-    )
+    config = changed(config_beside(short), factory={}, sensor={}, limb={}, fit={})
     result = calibrate_in_situ_log(short, config, folder=tmp_path)
     assert "icub" not in result.files
     assert any("no factory matrix" in notice for notice in result.notices)
@@ -99,14 +101,14 @@ def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Pat
 
 
 def test_a_matrix_that_an_icub_cannot_hold_is_left_out(short: Path, tmp_path: Path, no_page: None) -> None:
-    config = dataclasses.replace(config_beside(short), full_scale=np.array([100.0, 100, 100, 35, 35, 25]))
+    config = changed(config_beside(short), sensor={"full_scale": [100.0, 100, 100, 35, 35, 25]})
     result = calibrate_in_situ_log(short, config, folder=tmp_path)
     assert "icub" not in result.files
     assert any("No matrix in the iCub's format was written" in notice for notice in result.notices)
 
 
 def test_what_is_refused_leaves_nothing_behind(short: Path, tmp_path: Path) -> None:
-    config = dataclasses.replace(config_beside(short), fit_sets=("1", "2"), factory_matrix=None)
+    config = changed(config_beside(short), fit={"sets": ["1", "2"]}, factory={})
     with pytest.raises(CalibrationRefused, match=r"in_situ_leg\.parquet: .*mass"):
         calibrate_in_situ_log(short, config, folder=tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
@@ -126,6 +128,6 @@ def test_the_sample_is_what_its_script_makes(tmp_path: Path, benchmark_script: S
 def test_the_sample_holds_no_truth(benchmark_script: Script) -> None:
     columns, _, truth = benchmark_script("in_situ_sample").make_sample()
     assert not any("truth" in name for name in columns)
-    factory = config_beside(SAMPLE).factory_matrix
+    factory = config_beside(SAMPLE).factory.matrix
     assert factory is not None
     assert np.abs(factory @ truth.response - np.eye(6)).max() > 0.05

@@ -152,22 +152,30 @@ def test_a_bad_table_is_refused(log: Log, tmp_path: Path, case: str) -> None:
 
 
 BAD_DESCRIPTIONS: dict[str, tuple[dict[str, object], str]] = {
-    "another format": ({"format": "rosbag"}, 'the description lacks "format": "surefoot-log".'),
-    "another version": ({"format_version": 9}, "log format version 9 is not 1, which this surefoot reads."),
-    "negative mass": ({"mass_kg": -5.3}, "the description's mass_kg is -5.3; it must be positive."),
-    "negative lag": ({"lag_samples": -1}, "the description's lag_samples is -1; it must be positive."),
+    "another format": (
+        {"format": "rosbag"},
+        "the description: format: Input should be 'surefoot-log', got 'rosbag'.",
+    ),
+    "another version": ({"format_version": 9}, "the description: format_version: Input should be 1, got 9."),
+    "negative mass": (
+        {"mass_kg": -5.3},
+        "the description: mass_kg: Input should be greater than 0, got -5.3.",
+    ),
+    "negative lag": (
+        {"lag_samples": -1},
+        "the description: lag_samples: Input should be greater than or equal to 0, got -1.",
+    ),
     "a mass in words": (
         {"mass_kg": "heavy"},
-        "the description cannot be used: could not convert string to float: 'heavy'",
+        "the description: mass_kg: Input should be a valid number, got 'heavy'.",
     ),
     "too few scales": (
         {"nominal": {"scale_N_per_count": [1.0], "offset_N": [0.0]}},
-        "the description cannot be used: the nominal map needs 8 finite scales and offsets, one a channel, "
-        "got shape (1,).",
+        "the description: a map needs 8 finite scales and offsets, one a channel.",
     ),
     "no offsets": (
         {"nominal": {"scale_N_per_count": [1.0] * 8}},
-        "the description cannot be used: key 'offset_N' is missing",
+        "the description: nominal: is no map, KeyError 'offset_N'.",
     ),
 }
 
@@ -188,10 +196,10 @@ def test_feet_that_no_robot_has_are_refused(log: Log, tmp_path: Path) -> None:
     side = path.with_suffix(".json")
     description = json.loads(side.read_text())
     side.write_text(json.dumps(description | {"layout": []}))
-    with pytest.raises(LogError, match=r"^walk\.csv: the description cannot be used: A layout has two feet"):
+    with pytest.raises(LogError, match=r"^walk\.csv: the description: layout: A layout has two feet"):
         read_log(path)
     side.write_text(json.dumps(description | {"layout": [description["layout"][0]] * 2}))
-    with pytest.raises(LogError, match=r"Both feet are named 'left'; give each its own name\."):
+    with pytest.raises(LogError, match=r"Both feet are named 'left'; give each its own name"):
         read_log(path)
 
 

@@ -290,12 +290,12 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "no torso": (
         {"torso": "chest"},
-        "the description's motion.torso 'chest' is no body of the model; it has "
+        "the description's motion.torso 'chest' is not in the model; it has the bodies "
         "['base', 'right_leg', 'left_leg'].",
     ),
     "no site": (
         {"imu": "gyro"},
-        "the description's motion.imu 'gyro' is neither a site nor a body of the model; it has the sites "
+        "the description's motion.imu 'gyro' is not in the model; it has the sites "
         "['imu', 'right_sole', 'left_sole'] and the bodies ['base', 'right_leg', 'left_leg'].",
     ),
     "an IMU on a leg": (
@@ -305,20 +305,20 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "one sole": (
         {"soles": ["left_sole"]},
-        "the description's motion.soles must name two places, left then right, got ['left_sole'].",
+        "the description: motion.soles.1: Field required, got ['left_sole'].",
     ),
     "an unknown key": (
         {"delay": 0.02},
-        "the description's motion has the unknown ['delay']; it may hold ['model', 'torso', 'imu', 'soles', "
-        "'table', 'dt_s', 'delay_s', 'readings_age_s', 'averaged', 'held_rad'].",
+        "the description: motion: unknown key 'delay'; there are model, torso, imu, soles, table, dt_s, "
+        "delay_s, readings_age_s, averaged, held_rad.",
     ),
     "milliseconds": (
         {"delay_s": 20},
-        "the description's motion.delay_s is 20; it is a time in seconds, from 0 to 10.",
+        "the description: motion.delay_s: Input should be less than 10, got 20.",
     ),
     "a delay in words": (
         {"delay_s": "short"},
-        "the description's motion cannot be used: could not convert string to float: 'short'.",
+        "the description: motion.delay_s: Input should be a valid number, got 'short'.",
     ),
     "no table": (
         {"table": "gone.csv"},
@@ -432,8 +432,8 @@ def test_a_lag_beside_motion_is_refused(log: Log, tmp_path: Path) -> None:
     side = path.with_suffix(".json")
     side.write_text(json.dumps(json.loads(side.read_text()) | {"lag_samples": 2}))
     assert refusal_of(path) == (
-        "walk.csv: the description's lag_samples is 2 beside motion, whose references are made for the very "
-        "moment of each row; leave it out and give motion.delay_s in seconds."
+        "walk.csv: the description: 'lag_samples' is 2 beside 'motion', whose references are made for the "
+        "very moment of each row; leave it out and give motion.delay_s in seconds."
     )
 
 

@@ -1,0 +1,86 @@
+"""What a TOML or JSON file states beside a table: the types of fields say what may stand there."""
+
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    model_validator,
+)
+
+from surefoot.experiments.logs.table import LogError
+
+__all__ = ["Number", "Positive", "Settings", "array_of", "must_be"]
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0.0)]
+
+
+class Settings(BaseModel):
+    """A table of keys; one that is not a field is refused: misspelt, it would leave a default standing."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", arbitrary_types_allowed=True, coerce_numbers_to_str=True
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        unknown = [key for key in given if key not in cls.model_fields] if isinstance(given, Mapping) else []
+        if unknown and cls.model_config["extra"] == "forbid":
+            raise ValueError(f"unknown key '{unknown[0]}'; there are {', '.join(cls.model_fields)}")
+        return given
+
+    @classmethod
+    def read(cls, given: Any, where: str) -> Self:
+        """Return the settings that ``where``, a file, states.
+
+        Raises:
+            LogError: With the file, the key, what is wrong there and what was given.
+        """
+        try:
+            return cls.model_validate(given)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key, value = ".".join(map(str, first["loc"])), first["input"]
+            wrong = first["msg"].removeprefix("Value error, ").rstrip(".")
+            found = f", got {value!r}" if isinstance(value, str | int | float | list) else ""
+            raise LogError(f"{where}: {f'{key}: ' if key else ''}{wrong}{found}.") from None
+
+
+def must_be(what: str, holds: Callable[[Any], Any]) -> AfterValidator:
+    """Return what refuses a value of which something does not hold."""
+
+    def check(value: Any) -> Any:
+        if not holds(value):
+            raise ValueError(f"must be {what}")
+        return value
+
+    return AfterValidator(check)
+
+
+def array_of(*shape: int | None) -> PlainValidator:
+    """Return what makes finite numbers an array of a shape: ``None`` is any length, no shape any shape."""
+
+    def check(value: Any) -> NDArray[np.float64]:
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError("must hold numbers, as many in each row") from None
+        if isinstance(value, str | bool) or not np.isfinite(array).all():
+            raise ValueError("must hold finite numbers")
+        fits = array.ndim == len(shape) and all(
+            wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
+        )
+        if shape and not fits:
+            raise ValueError(f"must have shape {shape}, and has {array.shape}")
+        return array
+
+    return PlainValidator(check)
