@@ -14,15 +14,13 @@ from surefoot.experiments.cli import calibrate, compare, demo, evaluate, sweep, 
 
 __all__ = ["app"]
 
-ORDER = ("demo", "view", "compare", "calibrate", "train", "evaluate", "sweep", "replay", "bench")
-
 
 class _InOrder(TyperGroup):
-    """Shows commands in the order of :data:`ORDER`, groups among them."""
+    """Shows commands in this order, groups among them."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in order."""
-        return sorted(super().list_commands(ctx), key=ORDER.index)
+        return ["demo", "view", "compare", "calibrate", "train", "evaluate", "sweep", "replay"]
 
 
 app = typer.Typer(
@@ -33,15 +31,10 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command()(demo.demo)
-app.command()(demo.view)
 app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
-app.command()(train.train)
-app.command()(evaluate.evaluate)
-app.command()(sweep.sweep)
-app.command()(sweep.replay)
-app.add_typer(compare.old_app, name="bench", hidden=True)
+for command in (demo.demo, demo.view, train.train, evaluate.evaluate, sweep.sweep, sweep.replay):
+    app.command()(command)
 
 
 def _version(wanted: bool) -> None:

@@ -1,12 +1,12 @@
 """``surefoot calibrate``: from the logs of a robot."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import console, fail, keep_old_name, one_line_errors, show
+from surefoot.experiments.cli.console import console, fail, one_line_errors, show
 
 __all__ = ["app"]
 
@@ -16,39 +16,22 @@ app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=Tr
 @app.command()
 def walk(
     log: Annotated[Path, Argument(help="A log, .parquet or .csv; see docs/log-format.md.")],
-    method: Annotated[
-        str | None, Option(help="moment, window, quasi-static, tare or none; by default as FootCalibrator.")
-    ] = None,
-    start: Annotated[
-        str | None, Option(help="Start from the nominal or the calibrated map; by default as in the log.")
-    ] = None,
+    method: Annotated[str, Option(help="moment, window, quasi-static, tare or none.")] = "moment",
+    start: Annotated[str | None, Option(help="Start from the nominal or the calibrated map.")] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,
-    zero_phase: Annotated[
-        bool, Option("--zero-phase", help="Filter with hindsight, as the paper did.")
-    ] = False,
-    split_gaps: Annotated[
-        bool, Option("--split-gaps", help="Go on after gaps in time; filters start again.")
-    ] = False,
+    zero_phase: Annotated[bool, Option("--zero-phase", help="Filter with hindsight, as the paper.")] = False,
+    split_gaps: Annotated[bool, Option("--split-gaps", help="Go on after gaps in time.")] = False,
 ) -> None:
     """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
     from surefoot.experiments.logs.format import MAX_GAP, read_log
-    from surefoot.experiments.walking.calibrate import DEFAULT_METHOD, calibrate_log
+    from surefoot.experiments.walking.calibrate import calibrate_log
 
     with one_line_errors():
-        result = calibrate_log(
-            read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP),
-            DEFAULT_METHOD if method is None else method,
-            start,
-            folder=(log.parent if out is None else out),
-            stem=log.stem,
-            settle=settle,
-            zero_phase=zero_phase,
-            file=log.name,
-        )
-    for notice in result.notices:
-        typer.echo(f"Note: {notice}")
-    show(result.tables)
+        read = read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP)
+        where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
+        result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, **where)
+    _tell(result)
     typer.echo(f"Calibrated walk: {result.walk}\nParameters:      {result.parameters}")
     typer.echo(f"Report:          {result.page}")
 
@@ -70,18 +53,12 @@ def weights(
 @app.command()
 def ft(
     logs: Annotated[
-        list[Path] | None,
-        Argument(help="A log with all sets, or one file a set, .parquet or .csv; docs/in-situ-log.md."),
+        list[Path] | None, Argument(help="A log, or one file a set; docs/in-situ-log.md.")
     ] = None,
-    config: Annotated[
-        Path | None,
-        Option(help="TOML with columns, units and added masses; by default beside the first log."),
-    ] = None,
+    config: Annotated[Path | None, Option(help="TOML; by default the one beside the first log.")] = None,
     sample: Annotated[bool, Option("--sample", help="Calibrate surefoot's own sample.")] = False,
     raw: Annotated[str | None, Option(help="Columns of the channels, separated by commas.")] = None,
-    specific_force: Annotated[
-        str | None, Option(help="Columns of the accelerometer: x,y,z; up at rest.")
-    ] = None,
+    specific_force: Annotated[str | None, Option(help="Columns of it: x,y,z; up at rest.")] = None,
     gravity: Annotated[str | None, Option(help="Columns of gravity in its place: x,y,z; down.")] = None,
     time: Annotated[str | None, Option(help="Column of time.")] = None,
     set_: Annotated[str | None, Option("--set", help="Column that names the sets.")] = None,
@@ -97,25 +74,20 @@ def ft(
     folder = out if out is not None else (Path("out/in-situ") if sample else paths[0].parent)
     with one_line_errors():
         given = read_config(config) if config is not None else config_beside(paths[0])
-        given = given.override(
-            raw=_names(raw),
-            specific_force=_names(specific_force),
-            gravity=_names(gravity),
-            time=time,
-            set=set_,
-        )
+        vectors = {"raw": raw, "specific_force": specific_force, "gravity": gravity}
+        parts = {
+            key: None if names is None else tuple(name.strip() for name in names.split(","))
+            for key, names in vectors.items()
+        }
+        given = given.override(time=time, set=set_, **parts)
         result = calibrate_in_situ_log(paths, given, folder=folder, console=console)
-    for notice in result.notices:
-        typer.echo(f"Note: {notice}")
-    show(result.tables)
+    _tell(result)
     for what, path in result.files.items():
         typer.echo(f"{what.capitalize() + ':':<13}{path}")
 
 
-def _names(listed: str | None) -> tuple[str, ...] | None:
-    """Part names of columns at their commas."""
-    return None if listed is None else tuple(name.strip() for name in listed.split(","))
-
-
-for _old, _command, _new in (("walking", walk, "walk"), ("bench", weights, "weights"), ("in-situ", ft, "ft")):
-    keep_old_name(app, _old, _command, f"surefoot calibrate {_old}", f"surefoot calibrate {_new}")
+def _tell(result: Any) -> None:
+    """Print what a log lacks, and the tables of its calibration."""
+    for notice in result.notices:
+        typer.echo(f"Note: {notice}")
+    show(result.tables)

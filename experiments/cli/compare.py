@@ -1,14 +1,14 @@
 """``surefoot compare``: studies that hold calibrators against each other."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Option
 
-from surefoot.experiments.cli.console import Jobs, Names, Out, fail, keep_old_name, one_line_errors, show
+from surefoot.experiments.cli.console import Jobs, Names, Out, fail, one_line_errors, show
 
-__all__ = ["app", "old_app"]
+__all__ = ["app"]
 
 app = typer.Typer(help="Compare calibrators in simulation, and report.", no_args_is_help=True)
 
@@ -16,20 +16,12 @@ app = typer.Typer(help="Compare calibrators in simulation, and report.", no_args
 @app.command()
 def walking(
     out: Out = Path("out/compare-walking"),
-    seeds: Annotated[
-        int | None, Option(help="Walks of each scenario; 20 by default, 10 with --full.", min=1)
-    ] = None,
-    scenario: Annotated[
-        Names, Option(help="A scenario to run; give it again for more. All by default.")
-    ] = None,
-    method: Annotated[Names, Option(help="A method to run; give it again for more. All by default.")] = None,
+    seeds: Annotated[int | None, Option(help="Walks of each; 20 by default, 10 with --full.", min=1)] = None,
+    scenario: Annotated[Names, Option(help="A scenario to run; again for more. All by default.")] = None,
+    method: Annotated[Names, Option(help="A method to run; again for more. All by default.")] = None,
     jobs: Jobs = 2,
-    quick: Annotated[
-        bool, Option("--quick", help="Two seeds, short walks, no scenario that takes minutes.")
-    ] = False,
-    full: Annotated[
-        bool, Option("--full", help="The CoP paper's study instead: its tables, a bad start, closed loops.")
-    ] = False,
+    quick: Annotated[bool, Option("--quick", help="Two seeds, short walks, only fast scenarios.")] = False,
+    full: Annotated[bool, Option("--full", help="The CoP paper's study instead, with closed loops.")] = False,
 ) -> None:
     """Compare the online calibrators on the same walks, in every scenario."""
     if full:
@@ -46,13 +38,8 @@ def walking(
         from surefoot.experiments.arena.page import compare_walking
 
         with one_line_errors(out):
-            options = ArenaOptions(
-                out=out,
-                seeds=20 if seeds is None else seeds,
-                scenarios=tuple(scenario or ()),
-                methods=tuple(method or ()),
-                jobs=jobs,
-            )
+            chosen: Any = {"scenarios": tuple(scenario or ()), "methods": tuple(method or ())}
+            options = ArenaOptions(out=out, seeds=20 if seeds is None else seeds, jobs=jobs, **chosen)
             report = compare_walking(options.quickly() if quick else options)
     show(report.tables, report.page)
 
@@ -91,15 +78,3 @@ def weights(
     show(tables)
     if out is not None:
         save_tables(out, tables)
-
-
-old_app = typer.Typer(invoke_without_command=True, help="Now 'surefoot compare'.")
-keep_old_name(old_app, "calibration", walking, "surefoot bench calibration", "surefoot compare walking")
-keep_old_name(old_app, "in-situ", in_situ, "surefoot bench in-situ", "surefoot compare in-situ")
-
-
-@old_app.callback()
-def _bench(context: typer.Context, seed: int = 0, out: Path | None = None) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo("surefoot: 'surefoot bench' is now 'surefoot compare weights'.", err=True)
-        weights(seed, out)

@@ -1,7 +1,6 @@
-"""What all commands share: output, one-line errors, old names, common options."""
+"""What all commands share: output, one-line errors, common options."""
 
-import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -10,12 +9,16 @@ import typer
 from rich.console import Console
 from typer import Option
 
-__all__ = ["Jobs", "Names", "Out", "console", "fail", "keep_old_name", "one_line_errors", "show"]
+__all__ = ["CONTROLLERS", "Jobs", "Names", "Out", "console", "fail", "one_line_errors", "show"]
 
 console = Console()
 if not console.is_terminal:
     console = Console(width=160)
 
+CONTROLLERS = (
+    "shipped, shipped-randomised, stabiliser, zero, a policy file .npz, or module:function, which is "
+    "imported and run"
+)
 Names = list[str] | None
 Out = Annotated[Path, Option(help="Folder for everything that is made.")]
 Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]
@@ -48,14 +51,3 @@ def show(tables: Iterable[Any], report: Path | None = None) -> None:
         console.print(table.to_rich())
     if report is not None:
         typer.echo(f"Report: {report}")
-
-
-def keep_old_name(app: typer.Typer, name: str, command: Callable[..., None], old: str, new: str) -> None:
-    """Let a command's old name work, hidden from --help, saying the new one."""
-
-    @functools.wraps(command)
-    def renamed(*args: Any, **options: Any) -> None:
-        typer.echo(f"surefoot: '{old}' is now '{new}'.", err=True)
-        command(*args, **options)
-
-    app.command(name, hidden=True)(renamed)

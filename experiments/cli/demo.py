@@ -1,7 +1,7 @@
 """``surefoot demo`` and ``surefoot view``: a first picture."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Option
@@ -31,32 +31,29 @@ def view(
     feed: Annotated[
         Names,
         Option(
-            help="CoP fed back: true, none (drifting raw), tare, quasi-static, window or moment; window by "
-            "default. Give it again to film several side by side."
+            help="true, none (drifting raw), tare, quasi-static, window (default) or moment; again for more."
         ),
     ] = None,
     speed: Annotated[float, Option(help="Walking speed in m/s.")] = 0.04,
     seed: Annotated[int, Option(help="Seed of the walk and its sensors.")] = 0,
     duration: Annotated[float, Option(help="Duration in s, 4 s of standing included.")] = 20.0,
     severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
-    video: Annotated[
-        Path | None, Option(help="Write an .mp4, .webp or .gif here in place of a window.")
-    ] = None,
+    video: Annotated[Path | None, Option(help="Film into this .mp4, .webp or .gif: no window.")] = None,
 ) -> None:
     """Watch the walker in a window, or film it."""
     from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
 
     prepare_rendering()
     feeds = feed or ["window"]
+    options: dict[str, Any] = {"speed": speed, "seed": seed, "duration": duration, "severity": severity}
     if video is not None and video.suffix not in (".mp4", *ANIMATIONS):
         fail(f"'{video}' must end in .mp4, .webp or .gif.")
     if video is None and len(feeds) > 1:
         fail("a window shows one feed; film several side by side with --video walk.mp4.")
     try:
         if video is None:
-            watch_walk(feeds[0], speed=speed, seed=seed, duration=duration, severity=severity)
+            watch_walk(feeds[0], **options)
         else:
-            film = film_walks(video, feeds, speed=speed, seed=seed, duration=duration, severity=severity)
-            typer.echo(f"Film: {film}")
+            typer.echo(f"Film: {film_walks(video, feeds, **options)}")
     except (ValueError, OSError, ImportError) as error:
         fail(str(error))

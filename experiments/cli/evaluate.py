@@ -6,20 +6,14 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import Jobs, Names, console, fail, one_line_errors, show
+from surefoot.experiments.cli.console import CONTROLLERS, Jobs, Names, console, fail, one_line_errors, show
 
 __all__ = ["evaluate"]
 
 
 def evaluate(
     ctx: typer.Context,
-    controllers: Annotated[
-        Names,
-        Argument(
-            help="shipped, shipped-randomised, stabiliser, zero, a policy file .npz, or module:function, "
-            "which is imported and run; the shipped policy by default."
-        ),
-    ] = None,
+    controllers: Annotated[Names, Argument(help=f"{CONTROLLERS}; the shipped policy by default.")] = None,
     task: Annotated[str, Option(help="balance or walk.")] = "balance",
     feed: Annotated[
         Names,
@@ -32,22 +26,13 @@ def evaluate(
     ] = None,
     seeds: Annotated[int, Option(help="Episodes of each.", min=1)] = 50,
     first_seed: Annotated[int, Option(help="Seed of the first of them.", min=0)] = 20_000,
-    uses_cop: Annotated[
-        bool, Option("--uses-cop", help="Also freeze, swap and shuffle the CoP that it is given.")
-    ] = False,
+    uses_cop: Annotated[bool, Option("--uses-cop", help="Also freeze, swap and shuffle the CoP.")] = False,
     out: Annotated[
         Path | None,
-        Option(
-            help="Folder for episodes, scores, a page and, beside the policy that is evaluated, its card; an "
-            "interrupted evaluation goes on."
-        ),
+        Option(help="Folder for episodes, scores, a page and the policy's card; an interrupted one goes on."),
     ] = None,
     page_of: Annotated[
-        Names,
-        Option(
-            help="Run nothing: make a page in --out of episodes that are there, FILE or CONTROLLER=FILE; "
-            "again for more."
-        ),
+        Names, Option(help="Run nothing: a page in --out of FILE or CONTROLLER=FILE; again for more.")
     ] = None,
     jobs: Jobs = 1,
 ) -> None:

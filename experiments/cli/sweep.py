@@ -6,26 +6,18 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import Names, fail, one_line_errors, show
+from surefoot.experiments.cli.console import CONTROLLERS, Names, fail, one_line_errors, show
 
 __all__ = ["replay", "sweep"]
 
 
 def sweep(
-    plan: Annotated[
-        Path | None, Argument(help="A TOML file that says what to sweep; options go before it.")
-    ] = None,
-    controller: Annotated[
-        Names,
-        Option(
-            help="zero, stabiliser, shipped, a policy file .npz, or module:function, which is imported and "
-            "run; again for more."
-        ),
-    ] = None,
+    plan: Annotated[Path | None, Argument(help="TOML that says what to sweep; options go before it.")] = None,
+    controller: Annotated[Names, Option(help=f"{CONTROLLERS}; again for more.")] = None,
     feed: Annotated[Names, Option(help="What is fed back as the CoP; again for more.")] = None,
     scenario: Annotated[Names, Option(help="A scenario; again for more.")] = None,
     severity: Annotated[
-        list[float] | None, Option(help="Factor of the load cells' errors; again for more.")
+        list[float] | None, Option(help="Factor of the cells' errors; again for more.")
     ] = None,
     seeds: Annotated[int | None, Option(help="Episodes of each combination.", min=1)] = None,
     first_seed: Annotated[int, Option(help="The first of the seeds.", min=0)] = 0,
@@ -35,9 +27,7 @@ def sweep(
     backend: Annotated[str, Option(help="local, dask or ray; or here, in this very process.")] = "local",
     address: Annotated[str | None, Option(help="Of a running scheduler of dask or head of ray.")] = None,
     retry_failed: Annotated[bool, Option("--retry-failed", help="Run failed episodes again.")] = False,
-    any_version: Annotated[
-        bool, Option("--any-version", help="Go on with results of other versions.")
-    ] = False,
+    any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' results.")] = False,
     films: Annotated[int, Option(help="How many of the worst episodes to film.", min=0)] = 0,
     scenarios: Annotated[bool, Option("--scenarios", help="List the scenarios, and end.")] = False,
 ) -> None:
@@ -61,15 +51,9 @@ def sweep(
     if first_seed and not seeds:
         fail("--first-seed needs --seeds, how many.")
     with one_line_errors(out, "what is finished is kept."):
-        results = run_plan(
-            EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes),
-            out,
-            backend=backend,
-            jobs=jobs,
-            address=address,
-            retry_failed=retry_failed,
-            any_version=any_version,
-        )
+        chosen = EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes)
+        where: Any = {"backend": backend, "jobs": jobs, "address": address}
+        results = run_plan(chosen, out, retry_failed=retry_failed, any_version=any_version, **where)
         page = SweepPage(results, films=films)
         report = page.write()
     show(page.tables)
@@ -79,10 +63,8 @@ def sweep(
 
 
 def replay(
-    results: Annotated[
-        Path, Argument(help="The folder of a sweep or an evaluation, or its episodes.parquet.")
-    ],
-    case: Annotated[int, Option("--case", "--cell", help="Number of the episode.", min=0)],
+    results: Annotated[Path, Argument(help="Folder of a sweep or an evaluation, or its episodes.parquet.")],
+    case: Annotated[int, Option(help="Number of the episode.", min=0)],
     video: Annotated[Path | None, Option(help="Film it into this .mp4 as well.")] = None,
 ) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""

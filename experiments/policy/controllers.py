@@ -16,8 +16,8 @@ given the environment's and returns what answers. What has a ``reset`` is reset 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import gymnasium as gym
@@ -58,8 +58,6 @@ _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomi
 _FILES = (".npz", ".zip")
 """Endings of files: a zip of Stable-Baselines3 is refused, with what to do, and not taken for a module."""
 
-_HASH_DIGITS = 16
-
 _LONGEST_DRAWN = 40
 """Characters of a name for which a figure has room."""
 
@@ -95,16 +93,10 @@ def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = Fals
 
 
 def check_fits(policy: Any, env: gym.Env[Any, Any], name: str = "", *, same_task: bool = True) -> None:
-    """Raise ValueError if a policy was made for another robot, or for another task.
+    """Raise ValueError if a policy was made for another robot or, if that counts, for another task.
 
     Observations of two tasks may have the same sizes, so that the notes of a policy's making decide. Policies
     from elsewhere need not have such notes; without any nothing is refused.
-
-    Args:
-        policy: What acts.
-        env: What it will control.
-        name: What to call it, if it has a name.
-        same_task: Whether the task counts.
     """
     notes = getattr(policy, "notes", None)
     made_for = notes.get("task") if isinstance(notes, Mapping) else None
@@ -133,24 +125,20 @@ def controller_hash(name: str, env_id: str = "") -> str:
         return ""
     if name in _SHIPPED:
         tasks = [task.name for task in TASKS.values() if env_id in ("", task.env_id)]
-        found = (shipped_file(task, _SHIPPED[name]) for task in tasks)
-        return _digits(b"".join(file.read_bytes() for file in found if file.is_file()))
-    if name.endswith(_FILES):
-        return _digits(_file(name).read_bytes())
-    path = inspect.getsourcefile(inspect.unwrap(_imported(name)))
-    return _digits(Path(path).read_bytes()) if path and Path(path).is_file() else ""
+        found = [shipped_file(task, _SHIPPED[name]) for task in tasks]
+        content = b"".join(file.read_bytes() for file in found if file.is_file())
+    elif name.endswith(_FILES):
+        content = _file(name).read_bytes()
+    else:
+        path = Path(inspect.getsourcefile(inspect.unwrap(_imported(name))) or "")
+        if not path.is_file():
+            return ""
+        content = path.read_bytes()
+    return sha256(content).hexdigest()[:16]
 
 
 def trained_on(name: str) -> str:
-    """Return what a policy was trained on.
-
-    Args:
-        name: Of a controller.
-
-    Returns:
-        One of :data:`surefoot.experiments.policy.options.SENSORS`, or nothing where nobody wrote it down or
-        the controller was not trained at all.
-    """
+    """Return which of the sensors a policy was trained on; nothing if nobody wrote it down, or it was not."""
     if name in _SHIPPED:
         return _SHIPPED[name]
     if not (name.endswith(_FILES) and Path(name).is_file()):
@@ -199,10 +187,6 @@ def _cut(text: str, ending: str) -> str:
     return (text if len(text) <= room else f"…{text[1 - room :]}") + ending
 
 
-def _digits(content: bytes) -> str:
-    return sha256(content).hexdigest()[:_HASH_DIGITS]
-
-
 def _id_of(env: gym.Env[Any, Any]) -> str:
     spec = env.unwrapped.spec
     return "" if spec is None else spec.id
@@ -226,23 +210,21 @@ def _file(name: str) -> Path:
 
 
 def _imported(name: str) -> Callable[..., Any]:
-    module, colon, attribute = name.partition(":")
-    if not (colon and module and attribute):
+    module, _, function = name.partition(":")
+    if not (module and function):
         available = ", ".join(map(repr, (*_BUILT_IN, *_SHIPPED)))
         raise ValueError(
             f"There is no controller '{name}'. Available: {available}, a policy file 'path.npz', or "
             "'module:function'."
         )
     try:
-        found: Any = import_module(module)
-    except ImportError as error:
+        found = resolve_name(name)
+    except (ImportError, AttributeError) as error:
         raise ValueError(
-            f"Controller '{name}': module '{module}' cannot be imported ({error}); it must be on the Python "
-            "path of every worker."
+            f"Controller '{name}' cannot be imported ({error}); its module must be on the Python path of "
+            "every worker."
         ) from error
-    for part in attribute.split("."):
-        found = getattr(found, part, None)
     if not callable(found):
-        raise ValueError(f"Controller '{name}': module '{module}' has no function '{attribute}'.")
-    function: Callable[..., Any] = found
-    return function
+        raise ValueError(f"Controller '{name}' is {type(found).__name__}, and no function.")
+    imported: Callable[..., Any] = found
+    return imported

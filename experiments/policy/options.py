@@ -1,10 +1,10 @@
 """What a training of a policy is made of."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from surefoot.calibration.checks import check_count
 from surefoot.experiments.policy.tasks import task_named
 
 __all__ = ["SENSORS", "TRAINING_SEEDS", "TrainOptions"]
@@ -20,8 +20,6 @@ LARGEST_SEVERITY = 2.0
 
 REWARD_SCALE = 0.05
 """What rewards are multiplied by, so that returns are of the order of ten."""
-
-_COUNTS = ("steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore")
 
 
 @dataclass(frozen=True)
@@ -70,9 +68,7 @@ class TrainOptions:
         task_named(self.task)
         if self.sensors not in SENSORS:
             raise ValueError(f"'sensors' must be one of {SENSORS}, got {self.sensors!r}.")
-        for name in _COUNTS:
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
+        check_count(self, "steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore")
         if not 0 <= self.seed < 1000:
             raise ValueError(f"'seed' must lie in 0 to 999, got {self.seed}.")
         if self.rollout * self.environments < 2:
@@ -97,7 +93,3 @@ class TrainOptions:
     def segment_seed(self, update: int) -> int:
         """Return the seed of what follows the checkpoint after some updates."""
         return TRAINING_SEEDS + self.seed * 1_000_000 + update * self.environments
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the options as plain numbers and names."""
-        return asdict(self)

@@ -9,11 +9,14 @@ is executed.
 import json
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import pandas as pd
 
 from surefoot.controllers.policy import PolicyNetwork
@@ -68,49 +71,46 @@ class Trainer:
             if restart:
                 remove_training(out)
             self._claim()
-            self._model, self._envs = self._ppo()
+            self._model = self._ppo()
+            self._envs = self._model.env
             if (out / CHECKPOINT).exists():
                 self._restore()
             self._claimed = claimed.pop_all()
 
-    def _ppo(self) -> tuple[Any, Any]:
-        """Return the model, and its environments, one for each severity."""
+    def _ppo(self) -> Any:
+        """Return the model, with an environment for each severity."""
         import torch
         from stable_baselines3 import PPO
         from stable_baselines3.common.monitor import Monitor
         from stable_baselines3.common.vec_env import DummyVecEnv
 
         torch.set_num_threads(1)
-        options = self.options
-        feed, task = "true" if options.sensors == "true" else "none", options.task
+        options, task = self.options, task_named(self.options.task)
 
-        def maker(severity: float) -> Callable[[], gym.Env[Any, Any]]:
-            def make() -> gym.Env[Any, Any]:
-                env, _ = make_task(feed, severity=severity, task=task, **task_named(task).training)
-                return Monitor(PolicyView(env, task, reward_scale=REWARD_SCALE))
+        def make(severity: float) -> gym.Env[Any, Any]:
+            feed = "true" if options.sensors == "true" else "none"
+            env, _ = make_task(feed, severity=severity, task=task.name, **task.training)
+            return Monitor(PolicyView(env, task.name, reward_scale=REWARD_SCALE))
 
-            return make
-
-        envs = DummyVecEnv([maker(severity) for severity in options.severities()])
-        model = PPO(
+        hidden = [options.hidden] * 2
+        return PPO(
             "MlpPolicy",
-            envs,
+            DummyVecEnv([partial(make, severity) for severity in options.severities()]),
             use_sde=True,
             sde_sample_freq=options.explore,
             n_steps=options.rollout,
             batch_size=options.batch,
             n_epochs=options.epochs,
             gamma=options.discount,
-            learning_rate=lambda _: self._learning_rate(),
+            learning_rate=lambda _: options.learning_rate * max(1.0 - self.updates / options.updates, 0.05),
             policy_kwargs={
-                "net_arch": {"pi": [options.hidden] * 2, "vf": [options.hidden] * 2},
+                "net_arch": {"pi": hidden, "vf": hidden},
                 "activation_fn": torch.nn.Tanh,
                 "log_std_init": options.initial_log_std,
             },
             seed=options.seed,
             device="cpu",
         )
-        return model, envs
 
     @property
     def view(self) -> PolicyView:
@@ -121,21 +121,14 @@ class Trainer:
         return view
 
     def run(self, progress: Progress | None = None) -> PolicyNetwork:
-        """Train to the end, writing a checkpoint now and then.
-
-        Args:
-            progress: What shows how far it is.
-
-        Returns:
-            The policy, which lies in the folder as ``policy.npz`` as well.
-        """
+        """Train to the end, with checkpoints; return the policy, which lies in the folder as well."""
         options = self.options
         while self.updates < options.updates:
             self._reseed()
             until = min(self.updates + options.every, options.updates)
             self._model.learn(
                 (until - self.updates) * options.steps_per_update,
-                callback=_curve_keeper(self, self._model.policy, progress),
+                callback=_curve_keeper(self, progress),
                 reset_num_timesteps=False,
             )
             self._checkpoint()
@@ -150,13 +143,9 @@ class Trainer:
         self._envs.close()
         self._claimed.close()
 
-    def _learning_rate(self) -> float:
-        done = self.updates / self.options.updates
-        return self.options.learning_rate * max(1.0 - done, 0.05)
-
     def _claim(self) -> None:
         """Make the folder this training's, or raise TrainingError if it holds another one."""
-        mine = json.loads(json.dumps(self.options.to_json()))
+        mine = asdict(self.options)
         path = self.out / OPTIONS
         if not path.exists():
             if (self.out / CHECKPOINT).exists():
@@ -166,13 +155,9 @@ class Trainer:
             write_text(path, json.dumps(mine, indent=2) + "\n")
             return
         try:
-            theirs = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
+            theirs = dict(json.loads(path.read_text(encoding="utf-8")))
+        except (ValueError, TypeError) as error:
             raise TrainingError(f"'{path}' is damaged: {error}; give another folder.") from error
-        if isinstance(theirs, dict):
-            # A training older than the choice of a task was one for balance.
-            theirs = {"task": "balance", **theirs}
-        theirs = theirs if isinstance(theirs, dict) else {}
         if theirs != mine:
             changed = {
                 name: (theirs.get(name), value) for name, value in mine.items() if theirs.get(name) != value
@@ -199,11 +184,9 @@ class Trainer:
         with atomic_path(self.out / CURVE) as part:
             pd.DataFrame(self.curve).to_csv(part, index=False)
         held = {
-            "policy": self._model.policy.state_dict(),
-            "optimizer": self._model.policy.optimizer.state_dict(),
+            "parameters": self._model.get_parameters(),
             "updates": self.updates,
             "steps": int(self._model.num_timesteps),
-            "next_seed": self.options.segment_seed(self.updates),
             "curve": self.curve,
         }
         # Given a path, torch reports a full disk as an error of its own.
@@ -218,16 +201,14 @@ class Trainer:
         path = self.out / CHECKPOINT
         try:
             held = torch.load(path, weights_only=True, map_location="cpu")
-            self._model.policy.load_state_dict(held["policy"])
-            self._model.policy.optimizer.load_state_dict(held["optimizer"])
-            self.updates, steps = int(held["updates"]), int(held["steps"])
+            self._model.set_parameters(held["parameters"], device="cpu")
+            self.updates, self._model.num_timesteps = int(held["updates"]), int(held["steps"])
             self.curve = [dict(row) for row in held["curve"]]
         except Exception as error:  # Whatever a damaged archive raises.
             raise TrainingError(
                 f"'{path}' cannot be read as a checkpoint of this training: {error}. Restore it from a copy, "
                 "or delete it to start again."
             ) from error
-        self._model.num_timesteps = steps
 
     def _notes(self) -> dict[str, Any]:
         from importlib.metadata import version
@@ -235,13 +216,13 @@ class Trainer:
         packages = ("surefoot", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
         return {
             "task": self.view.task.env_id,
-            "options": self.options.to_json(),
+            "options": asdict(self.options),
             "steps": int(self._model.num_timesteps),
             "versions": {name: version(name) for name in packages},
         }
 
 
-def _curve_keeper(trainer: Trainer, policy: Any, progress: Progress | None) -> Any:
+def _curve_keeper(trainer: Trainer, progress: Progress | None) -> Any:
     """Return the callback of one segment: it adds a row to the curve before each update."""
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -260,15 +241,14 @@ def _curve_keeper(trainer: Trainer, policy: Any, progress: Progress | None) -> A
 
         def _on_rollout_end(self) -> None:
             frame = pd.DataFrame(self.ended, columns=["return", "length", "fell"]).astype(float)
-            self.ended = []
+            self.ended, mean = [], frame.mean()
+            policy: Any = self.model.policy
             row = {
                 "steps": float(self.model.num_timesteps),
                 "episodes": float(len(frame)),
-                "return": float(frame["return"].mean()),
-                "reward_per_decision": float(frame["return"].sum() / frame["length"].sum())
-                if len(frame)
-                else float("nan"),
-                "fell": float(frame["fell"].mean()),
+                "return": float(mean["return"]),
+                "reward_per_decision": float(frame["return"].sum() / (frame["length"].sum() or np.nan)),
+                "fell": float(mean["fell"]),
                 "action_std": float(policy.log_std.detach().exp().mean()),
             }
             trainer.curve.append(row)

@@ -16,7 +16,7 @@ from surefoot.envs.robots.nao import motor_of_joint
 from surefoot.experiments.policy.tasks import Task, calibration_of, task_named
 from surefoot.experiments.walks.walkers import TruthTap, feed_named, on_feet
 
-__all__ = ["PARTS", "PolicyView", "input_matrix", "input_names", "make_task"]
+__all__ = ["PARTS", "PolicyView", "input_names", "make_task"]
 
 PARTS = ("state", "cop", "cop_valid")
 """Parts of an observation that a policy sees, in this order."""
@@ -37,16 +37,13 @@ _COP_UNIT, _ERROR_UNIT = 0.03, 0.01
 def make_task(
     feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return the environment of a task on the feet of a feed.
+    """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath.
 
     Args:
         feed: One of :data:`~surefoot.experiments.walks.walkers.FEEDS`.
         severity: Factor of all errors of the feet's sensors.
         task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
         **env_options: Of the task's environment.
-
-    Returns:
-        The environment to step, and the tap that sees the truth beneath its sensors.
 
     Raises:
         ValueError: If there is no such feed or task, or an option is refused.
@@ -56,22 +53,14 @@ def make_task(
     return on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
 
 
-def input_matrix(
+def _input_matrix(
     state_layout: Mapping[str, slice], standing: NDArray[np.float64], task: Task
 ) -> NDArray[np.float64]:
-    """Return the matrix that picks and scales the numbers that a policy sees.
+    """Return the matrix that picks and scales what a policy sees of (state, cop, cop_valid, 1), (N, S + 6).
 
     Legs' joints, the parts of the state that the task names, the felt centre of pressure, its difference to
     the commanded one, and whether it is felt. Not the joints' velocities, which encoders measure badly, nor
     arms and head.
-
-    Args:
-        state_layout: Where the parts of the state lie.
-        standing: Hinge joints of the standing posture in rad, shape (J,).
-        task: Says which parts of the state are seen.
-
-    Returns:
-        Inputs = matrix @ (state, cop, cop_valid, 1), shape (N, S + 6).
     """
     size = max(where.stop for where in state_layout.values())
     all_parts = np.eye(size + _COP_PARTS)
@@ -86,47 +75,35 @@ def input_matrix(
 
 def input_names(task: Task) -> list[str]:
     """Return a task's inputs in words, in their order."""
-    return [
-        f"joint_position of the {_LEGS} leg joints",
-        *task.scales,
-        "cop, and cop less cop_reference",
-        "cop_valid",
-    ]
+    feet = ["cop, and cop less cop_reference", "cop_valid"]
+    return [f"joint_position of the {_LEGS} leg joints", *task.scales, *feet]
 
 
 class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
     """Show a policy its inputs as one vector, and let it command speeds of postures.
 
-    The observation becomes ``Box(-inf, inf, (N,))`` of scaled numbers (see :func:`input_matrix`), the action
-    ``Box(-1, 1, (4,))``, the speeds of :data:`surefoot.controllers.posture.POSTURES`.
+    The observation becomes ``Box(-inf, inf, (N,))`` of scaled numbers, the action ``Box(-1, 1, (4,))``, the
+    speeds of :data:`surefoot.controllers.posture.POSTURES`.
 
     Args:
         env: The task's environment, see :func:`make_task`.
         task: The task.
         reward_scale: What rewards are multiplied by.
-        hold: Steps of the environment for which an action holds, in place of the task's; their rewards are
-            added up.
 
     Attributes:
         task: As given.
-        inputs: Matrix that makes inputs of an observation, shape (N, S + 6).
+        hold: Steps of the environment for which an action holds; their rewards are added up.
+        inputs: Matrix that makes inputs of (state, cop, cop_valid, 1), shape (N, S + 6).
         drive: Turns actions into residuals.
     """
 
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        task: str = "balance",
-        *,
-        reward_scale: float = 1.0,
-        hold: int | None = None,
-    ) -> None:
+    def __init__(self, env: gym.Env[Any, Any], task: str = "balance", *, reward_scale: float = 1.0) -> None:
         super().__init__(env)
         self.task = task_named(task)
-        self.hold = self.task.hold if hold is None else hold
+        self.hold = self.task.hold
         bare: Any = env.unwrapped
         standing = bare.model.key("stand").ctrl[motor_of_joint(bare.model)]
-        self.inputs = input_matrix(bare.state_layout, standing, self.task)
+        self.inputs = _input_matrix(bare.state_layout, standing, self.task)
         self.drive = PostureDrive(posture_matrix(), self.task.speed, self.task.memory, bare.dt)
         self._reward_scale = reward_scale
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.inputs),), dtype=np.float32)

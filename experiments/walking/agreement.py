@@ -40,13 +40,7 @@ class Ground(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """Root mean square distances between two sides.
-
-    Attributes:
-        vgrf: Of the vertical force in N.
-        cop: Of the centre of pressure in m.
-        rows: How many rows count.
-    """
+    """Root mean square distances between two sides: force in N, CoP in m, over how many rows."""
 
     vgrf: float
     cop: float
@@ -54,11 +48,7 @@ class Agreement(NamedTuple):
 
 
 def asked_of(log: Log) -> Ground:
-    """Return what the motion asks of the ground.
-
-    Args:
-        log: The log.
-    """
+    """Return what the motion asks of the ground."""
     reference = _late(log)
     height = np.asarray(reference.position_sole)[..., 2].min(axis=-1)
     asked = ground_reference(reference, log.mass, height=height)
@@ -66,12 +56,7 @@ def asked_of(log: Log) -> Ground:
 
 
 def carried_by(log: Log, force: NDArray[np.float64]) -> Ground:
-    """Return what the feet carry by forces of their channels.
-
-    Args:
-        log: The log.
-        force: Forces of the channels, shape (N, K).
-    """
+    """Return what the feet carry by forces of their channels in N, shape (N, K)."""
     reference = _late(log)
     wrench = sole_wrenches(force[: len(log) - log.lag], log.layout)
     vgrf, moment = level_moments(wrench, reference.position_sole, reference.R_level_sole)
@@ -79,16 +64,7 @@ def carried_by(log: Log, force: NDArray[np.float64]) -> Ground:
 
 
 def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
-    """Compare two sides.
-
-    Args:
-        one: One side.
-        other: The other one, of the same log.
-        settle: Rows before this time in s do not count.
-
-    Returns:
-        The distances; NaN if no row counts.
-    """
+    """Compare two sides of one log, from a time in s on; NaN if no row counts."""
     counted = np.isfinite(one.cop).all(axis=-1) & np.isfinite(other.cop).all(axis=-1) & (one.time >= settle)
     if not counted.any():
         return Agreement(np.nan, np.nan, 0)
@@ -101,15 +77,15 @@ def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
 def _late(log: Log) -> Reference:
     """Return the references from the first that describes a row, without those that cannot be."""
     late = Reference(*(np.asarray(part)[log.lag :] for part in log.reference))
-    parts = [part.reshape(len(part), -1) for part in late]
-    sound = np.all(np.abs(np.concatenate(parts, axis=1)) <= LARGEST, axis=1)
+    sound = np.ones(len(log) - log.lag, dtype=bool)
+    for part in late:
+        sound &= np.all(np.abs(part.reshape(len(part), -1)) <= LARGEST, axis=1)
 
     def blank(part: NDArray[Any]) -> NDArray[Any]:
-        if part.dtype == bool:
-            return part
-        return np.where(sound.reshape(-1, *[1] * (part.ndim - 1)), part, np.nan)
+        keep = sound.reshape(-1, *[1] * (part.ndim - 1))
+        return part if part.dtype == bool else np.where(keep, part, np.nan)
 
-    return Reference(*(blank(part) for part in late))
+    return Reference(*map(blank, late))
 
 
 def _ground(log: Log, vgrf: NDArray[np.float64], moment: NDArray[np.float64]) -> Ground:
@@ -119,11 +95,7 @@ def _ground(log: Log, vgrf: NDArray[np.float64], moment: NDArray[np.float64]) ->
     moment = moment - middle * vgrf[:, None]
     both = np.column_stack([vgrf, moment])
     parts = np.split(both, np.flatnonzero(np.diff(time) > MAX_GAP) + 1)
-    both = np.concatenate([_filtered(part, log.dt) for part in parts])
+    if 0.5 / log.dt > CUTOFF:
+        parts = [zero_phase(part, CUTOFF, log.dt) if len(part) > 1 else part for part in parts]
+    both = np.concatenate(parts)
     return Ground(time, both[:, 0], np.asarray(cop_of_moments(both[:, 0], both[:, 1:], FORCE_THRESHOLD)))
-
-
-def _filtered(values: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-    if 0.5 / dt <= CUTOFF or len(values) < 2:
-        return values
-    return zero_phase(values, CUTOFF, dt)

@@ -1,6 +1,5 @@
 """Calibrate one log by one method, and write what came of it: a table, the last parameters and a page."""
 
-import inspect
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from surefoot.calibration import Estimate, FootCalibrator, Parameters, replay
+from surefoot.calibration import Estimate, Parameters, replay
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
@@ -23,10 +22,7 @@ from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
 from surefoot.experiments.walks.replay import starting_map
 
-__all__ = ["DEFAULT_METHOD", "CalibratedLog", "calibrate_log"]
-
-DEFAULT_METHOD = str(inspect.signature(FootCalibrator).parameters["method"].default)
-"""The method that a log is calibrated by unless another one is asked for: the robot's own default."""
+__all__ = ["CalibratedLog", "calibrate_log"]
 
 
 @dataclass(frozen=True)
@@ -50,14 +46,14 @@ class CalibratedLog:
 
 def calibrate_log(
     log: Log,
-    method: str = DEFAULT_METHOD,
+    method: str,
     start: str | None = None,
     *,
     folder: Path,
     stem: str,
+    file: str,
     settle: float = 0.0,
     zero_phase: bool = False,
-    file: str | None = None,
 ) -> CalibratedLog:
     """Replay a log, and write the result.
 
@@ -67,17 +63,16 @@ def calibrate_log(
         start: ``"nominal"`` or ``"calibrated"``; by default as in the log, else ``"nominal"``.
         folder: Where the files go.
         stem: How their names begin.
+        file: What messages call the log.
         settle: Samples before this time in s do not count in a score.
         zero_phase: Whether to filter with hindsight.
-        file: What messages call the log; by default the stem.
 
     Raises:
         LogError: If there is no such starting map, or the feet's total cannot be in newtons.
         ValueError: If there is no such method, or nothing to score after ``settle``.
     """
-    method = method_name(method)
-    file = stem if file is None else file
-    start = str(log.about.get("start", "nominal")) if start is None else start
+    method, about = method_name(method), log.about
+    start = str(about.get("start", "nominal")) if start is None else start
     initial = starting_map(log, start)
     if zero_phase and (np.diff(log.time) > MAX_GAP).any():
         raise LogError(
@@ -85,7 +80,6 @@ def calibrate_log(
         )
     check_weight(log, start, initial, file)
     notices = log_notices(log, file)
-    about = log.about
     estimate = replay(
         log.layout,
         method,
@@ -108,22 +102,20 @@ def calibrate_log(
     return CalibratedLog(walk, parameters, page, tables, notices)
 
 
-def _units(log: Log) -> list[str]:
-    """Return the unit of each calibrated channel as columns end in it."""
-    return [
-        "Nm" if name.rpartition("/")[2] in ("tx", "ty", "tz") else "N" for name in log.layout.channel_names
-    ]
-
-
 def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
     log, estimate = facts.log, facts.estimate
     columns: dict[str, NDArray[Any]] = {"time_s": log.time}
-    slugs, units = channel_slugs(log.layout), _units(log)
+    torques = [name.rpartition("/")[2] in ("tx", "ty", "tz") for name in log.layout.channel_names]
     spread = standard_deviations(estimate, facts.initial)
-    for i, (name, unit) in enumerate(zip(slugs, units, strict=True)):
-        columns[f"force_{name}_{unit}"] = estimate.force[:, i]
-        if estimate.force_std is not None:
-            columns[f"force_{name}_std_{unit}"] = estimate.force_std[:, i]
+
+    def add(parts: dict[str, NDArray[Any] | None]) -> None:
+        """Add columns of every channel by their form: 0 stands for the channel, 1 for its unit."""
+        for i, (name, torque) in enumerate(zip(channel_slugs(log.layout), torques, strict=True)):
+            for form, values in parts.items():
+                if values is not None:
+                    columns[form.format(name, "Nm" if torque else "N")] = values[:, i]
+
+    add({"force_{0}_{1}": estimate.force, "force_{0}_std_{1}": estimate.force_std})
     for i, axis in enumerate("xy"):
         columns[f"cop_level_{axis}_m"] = estimate.cop[:, i]
         if estimate.cop_covariance is not None:
@@ -134,29 +126,24 @@ def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
         for i, axis in enumerate("xy"):
             columns[f"cop_{foot.name}_sole_{axis}_m"] = estimate.cop_foot[:, f, i]
         columns[f"cop_{foot.name}_sole_valid"] = estimate.cop_foot_valid[:, f]
-    for i, (name, unit) in enumerate(zip(slugs, units, strict=True)):
-        columns[f"scale_{name}_{unit}_per_count"] = estimate.scale[:, i]
-        columns[f"offset_{name}_{unit}"] = estimate.offset[:, i]
-        if spread is not None:
-            columns[f"scale_{name}_std_{unit}_per_count"] = spread.scale[:, i]
-            columns[f"offset_{name}_std_{unit}"] = spread.offset[:, i]
-        columns[f"flags_{name}"] = estimate.flags[:, i]
+    add(
+        {
+            "scale_{0}_{1}_per_count": estimate.scale,
+            "offset_{0}_{1}": estimate.offset,
+            "scale_{0}_std_{1}_per_count": spread and spread.scale,
+            "offset_{0}_std_{1}": spread and spread.offset,
+            "flags_{0}": estimate.flags,
+        }
+    )
     if estimate.nis is not None:
         columns["nis"], columns["nis_rows"] = estimate.nis, np.asarray(estimate.nis_rows)
     return {name: np.ascontiguousarray(values) for name, values in columns.items()}
 
 
 def standard_deviations(estimate: Estimate, initial: Parameters) -> Parameters | None:
-    """Return how sure a method is of its map.
+    """Return how sure a method is of its map in N per count and N, (N, K) each; ``None`` if it is silent.
 
-    The map in counts is c = a c0, d = a d0 + b, of which the method reports the covariance of (a, b).
-
-    Args:
-        estimate: N samples.
-        initial: The map (c0, d0) that it started from.
-
-    Returns:
-        Standard deviations of scale and offset, shape (N, K) each; ``None`` if the method claims none.
+    From (c0, d0) the map in counts is c = a c0, d = a d0 + b, of which it reports the covariance of (a, b).
     """
     if estimate.covariance is None:
         return None

@@ -34,14 +34,11 @@ _CLOSE_UP = 0.6, 20.0
 def force_of_feet(path: Path, facts: Facts) -> Path:
     """Draw the vertical force of both feet and of each, by the starting map and calibrated."""
     log, asked = facts.log, asked_of(facts.log)
-    sides = [(facts.before, _before(facts)), (facts.estimate.force, look_of(facts.method))]
-    if log.truth is not None:
-        sides.append((log.truth.force, look_of("truth")))
     feet = [foot.name for foot in log.layout.feet]
     with figure_at(path, 10.0, 2.0 + 1.7 * (1 + len(feet))) as figure:
         panels = grid_of(figure, 1 + len(feet), 1, sharex=True)[:, 0]
         _line(panels[0], asked.time, asked.vgrf, _ASKED)
-        for force, look in sides:
+        for force, look in _sides(facts):
             vertical = sole_wrenches(force, log.layout)[..., 2]
             for axes, part in zip(panels, (vertical.sum(axis=-1), *vertical.T), strict=True):
                 _line(axes, log.time, part, look)
@@ -54,17 +51,15 @@ def force_of_feet(path: Path, facts: Facts) -> Path:
 
 def cells_over_time(path: Path, facts: Facts) -> Path:
     """Draw every channel by the starting map and calibrated."""
-    log, before = facts.log, facts.before
+    log, sides = facts.log, _sides(facts)
     rows = max(foot.channels for foot in log.layout.feet)
     with figure_at(path, 10.0, 1.0 + 1.4 * rows) as figure:
         panels = grid_of(figure, rows, len(log.layout.feet), sharex=True)
         for column, foot, where in zip(panels.T, log.layout.feet, log.layout.slices, strict=True):
             channels = range(where.start, where.stop)
             for axes, name, i in zip(column, foot.channel_names, channels, strict=False):
-                _line(axes, log.time, before[:, i], _before(facts))
-                _line(axes, log.time, facts.estimate.force[:, i], look_of(facts.method))
-                if log.truth is not None:
-                    _line(axes, log.time, log.truth.force[:, i], look_of("truth"))
+                for force, look in sides:
+                    _line(axes, log.time, force[:, i], look)
                 axes.set_title(f"{foot.name}, {name}")
             column[-1].set_xlabel("time (s)")
             for axes in column[foot.channels :]:
@@ -77,8 +72,7 @@ def cells_over_time(path: Path, facts: Facts) -> Path:
 def cop_against_motion(path: Path, facts: Facts) -> Path:
     """Draw the centre of pressure beside the one that the motion asks for, and their distance."""
     log, asked = facts.log, asked_of(facts.log)
-    before, after = carried_by(log, facts.before), carried_by(log, facts.estimate.force)
-    sides = ((before, _before(facts)), (after, look_of(facts.method)))
+    sides = [(carried_by(log, force), look) for force, look in _sides(facts)[:2]]
     with figure_at(path, 10.0, 6.6) as figure:
         panels = grid_of(figure, 3, 1, sharex=True)[:, 0]
         for axis, (axes, name) in enumerate(zip(panels, ("x, forward", "y, left"), strict=False)):
@@ -124,13 +118,12 @@ def flags_over_time(path: Path, facts: Facts) -> Path | None:
     log, flags = facts.log, np.asarray(facts.estimate.flags)
     lines: list[tuple[str, NDArray[np.bool_]]] = []
     for flag in Flag:
-        raised = (flags & flag.value) != 0
-        label = str(flag.name).lower().replace("_", " ")
+        raised, label = (flags & flag.value) != 0, str(flag.name).lower().replace("_", " ")
         if raised.any() and (raised == raised[:, :1]).all():
             lines.append((label, raised[:, 0]))
-        else:
-            names = log.layout.channel_names
-            lines += [(f"{label}: {names[i]}", raised[:, i]) for i in np.flatnonzero(raised.any(axis=0))]
+            continue
+        names = log.layout.channel_names
+        lines += [(f"{label}: {names[i]}", raised[:, i]) for i in np.flatnonzero(raised.any(axis=0))]
     if not lines:
         return None
     with figure_at(path, 10.0, 0.9 + 0.28 * len(lines)) as figure:
@@ -147,8 +140,11 @@ def flags_over_time(path: Path, facts: Facts) -> Path | None:
     return path
 
 
-def _before(facts: Facts) -> Look:
-    return look_of("none")._replace(label=f"by the {facts.start} map")
+def _sides(facts: Facts) -> list[tuple[NDArray[np.float64], Look]]:
+    """Return forces by the starting map, calibrated and, where the log has them, true."""
+    before = look_of("none")._replace(label=f"by the {facts.start} map")
+    sides = [(facts.before, before), (facts.estimate.force, look_of(facts.method))]
+    return sides if facts.log.truth is None else [*sides, (facts.log.truth.force, look_of("truth"))]
 
 
 def _line(axes: Axes, time: NDArray[np.float64], values: NDArray[np.float64], look: Look) -> None:

@@ -26,23 +26,16 @@ ALIKE = 0.03
 """Relative difference between the mass in the description and the drawing's that needs no word."""
 
 _UNITS = {
-    1000.0: "a map in millinewtons or a mass in tonnes would look so",
-    1.0 / 1000.0: "a map in kilonewtons or a mass in grams would look so",
-    1000.0 / GRAVITY: "a map in grams-force would look so",
-    1.0 / GRAVITY: "a map in kilograms-force would look so",
-    0.2248: "a map in pounds-force would look so",
+    1000.0: "millinewtons or a mass in tonnes",
+    1.0 / 1000.0: "kilonewtons or a mass in grams",
+    1000.0 / GRAVITY: "grams-force",
+    1.0 / GRAVITY: "kilograms-force",
+    0.2248: "pounds-force",
 }
 
 
 def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
-    """Raise LogError if the feet carry by far more or less than the robot weighs, or pull.
-
-    Args:
-        log: The log.
-        start: What the map to start from is called.
-        initial: That map.
-        file: The log's name in messages.
-    """
+    """Raise LogError if by the starting map the feet carry far from what the robot weighs, or pull."""
     if not np.isfinite(log.raw).any():
         raise LogError(
             f"{file}: columns 'raw_..._count' hold no reading in any of the {len(log)} rows; "
@@ -60,30 +53,21 @@ def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
         )
     ratio = float(high / weight)
     if not 1.0 / MOST <= ratio <= MOST:
-        near = [text for factor, text in _UNITS.items() if 0.67 < ratio / factor < 1.5]
-        hint = f"{near[0]}. " if near else ""
+        near = [
+            f"A map in {text} would look so. "
+            for factor, text in _UNITS.items()
+            if 0.67 < ratio / factor < 1.5
+        ]
         raise LogError(
             f"{file}: by the {start} map the feet carry {high:.4g} N where they carry most, {given}: "
-            f"{ratio:.3g} times as much. {hint[:1].upper()}{hint[1:]}"
+            f"{ratio:.3g} times as much. {near[0] if near else ''}"
             "Give scale_N_per_count and offset_N in newtons, mass_kg in kilograms, and a log in which the "
             "robot stands on its feet."
         )
 
 
 def log_notices(log: Log, file: str) -> tuple[str, ...]:
-    """Return what a log lacks.
-
-    Args:
-        log: The log.
-        file: Its name.
-
-    Returns:
-        One sentence each: what is so in which column, what it means, and what would help.
-    """
-    return tuple(f"{file}: {text}" for text in (*_channels(log), *_rows(log), *_motion(log)))
-
-
-def _channels(log: Log) -> list[str]:
+    """Return what a log lacks, a sentence each: what is so, what it means, and what would help."""
     found = []
     for name, readings in zip(raw_names_of(log.layout), log.raw.T, strict=True):
         there = readings[np.isfinite(readings)]
@@ -98,17 +82,11 @@ def _channels(log: Log) -> list[str]:
                 f"column '{name}' is {there[0]:g} in all of its {len(there)} readings, and a channel that "
                 "lives makes some noise: nothing can be learnt of it. Check its cable and its converter."
             )
-    return found
-
-
-def _rows(log: Log) -> list[str]:
-    found = []
-    gaps = np.diff(log.time) > MAX_GAP
-    if gaps.any():
-        longest = float(np.diff(log.time).max())
+    step = np.diff(log.time)
+    if (step > MAX_GAP).any():
         found.append(
-            f"column 'time_s' leaps {gaps.sum()} times by more than {MAX_GAP:g} s, the longest by "
-            f"{longest:.3g} s; after each the filters start again, and what was learnt is kept."
+            f"column 'time_s' leaps {(step > MAX_GAP).sum()} times by more than {MAX_GAP:g} s, the longest "
+            f"by {step.max():.3g} s; after each the filters start again, and what was learnt is kept."
         )
     unknown = ~np.isfinite(log.reference.com).all(axis=-1)
     if unknown.any():
@@ -122,20 +100,14 @@ def _rows(log: Log) -> list[str]:
             f"mass_kg = {log.mass:.4g} is not the model's {model:.4g} kg; its centre of mass and angular "
             "momentum are the model's. Weigh the robot, and correct the model."
         )
-    return found
-
-
-def _motion(log: Log) -> list[str]:
-    found = []
     swing = np.asarray(log.reference.swing)
-    if len(log.layout.feet) == 2:
-        for i, foot in enumerate(log.layout.feet):
-            if not swing[:, i].any():
-                found.append(
-                    f"the {foot.name} foot is never surely in the air ('reference_{foot.name}_swing' is 0 in "
-                    f"all {len(log)} rows), so that its offsets cannot be separated from its scales; let it "
-                    "swing, or lift it for a second."
-                )
+    for i, foot in enumerate(log.layout.feet if len(log.layout.feet) == 2 else ()):
+        if not swing[:, i].any():
+            found.append(
+                f"the {foot.name} foot is never surely in the air ('reference_{foot.name}_swing' is 0 in all "
+                f"{len(log)} rows), so that its offsets cannot be separated from its scales; let it swing, "
+                "or lift it for a second."
+            )
     spread = _spread(log)
     if not swing.any() and spread < STILL:
         found.append(
@@ -143,7 +115,7 @@ def _motion(log: Log) -> list[str]:
             f"{1e3 * spread:.1f} mm, so that only the weight and its place can be learnt and single channels "
             "cannot; walk, or shift the weight over each corner."
         )
-    return found
+    return tuple(f"{file}: {text}" for text in found)
 
 
 def _spread(log: Log) -> float:

@@ -1,6 +1,7 @@
 """Tables of a calibrated walk: the log, the map, the agreement with the motion, flags, and errors."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -47,12 +48,9 @@ FLAG_WORDS = {
 
 
 class MapChange(NamedTuple):
-    """How a map differs from the one at the start, F = a F_start + b.
+    """How a map differs from the first, F = a F_start + b: (a - 1) in percent and b in N, shape (N, K) each.
 
-    Attributes:
-        scale: a - 1 in percent, shape (N, K).
-        offset: b in N, shape (N, K).
-        std: Standard deviations of both in these units; ``None`` if the method claims none.
+    Standard deviations of both are ``None`` if the method claims none.
     """
 
     scale: Floats
@@ -84,7 +82,7 @@ class Facts:
     file: str = ""
     notices: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def before(self) -> Floats:
         """Forces by the starting map in N, shape (N, K).
 
@@ -104,12 +102,12 @@ class Facts:
         """Return how the map changes along the log."""
         estimate, initial = self.estimate, self.initial
         ratio = estimate.scale / initial.scale
-        shift = estimate.offset - ratio * initial.offset
-        if estimate.covariance is None:
-            return MapChange(100 * (ratio - 1), shift, (None, None))
-        K = ratio.shape[1]
-        std = np.sqrt(np.maximum(np.diagonal(np.asarray(estimate.covariance), axis1=1, axis2=2), 0.0))
-        return MapChange(100 * (ratio - 1), shift, (100 * std[:, :K], std[:, K:]))
+        std: tuple[Floats | None, Floats | None] = (None, None)
+        if estimate.covariance is not None:
+            variance, K = np.diagonal(np.asarray(estimate.covariance), axis1=1, axis2=2), ratio.shape[1]
+            both = np.sqrt(np.maximum(variance, 0.0))
+            std = (100 * both[:, :K], both[:, K:])
+        return MapChange(100 * (ratio - 1), estimate.offset - ratio * initial.offset, std)
 
 
 def shown_tables(facts: Facts) -> tuple[Table, ...]:
@@ -168,10 +166,7 @@ def parameter_table(facts: Facts) -> Table:
 
 
 def nis_per_row(estimate: Estimate) -> float | None:
-    """Return the sum of the normalised innovations squared over that of their degrees of freedom.
-
-    It is 1 where the noise is as the method assumes; ``None`` if the method claims none, or never had one.
-    """
+    """Return normalised innovations squared per row, 1 where noise is as assumed; ``None`` without any."""
     if estimate.nis is None:
         return None
     seen = np.isfinite(estimate.nis)
@@ -196,11 +191,7 @@ def agreement_table(facts: Facts) -> Table:
 
 
 def score_table(facts: Facts) -> Table:
-    """Return errors against the truth of a simulated log.
-
-    Raises:
-        ValueError: If there is nothing to score.
-    """
+    """Return errors against the truth of a simulated log; raise ValueError if there is nothing to score."""
     log, truth = facts.log, facts.log.truth
     assert truth is not None
     rows = []

@@ -1,6 +1,7 @@
 """What comes out of a calibrated log, and what is said of a log that cannot tell all."""
 
 import dataclasses
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,11 @@ from typer.testing import CliRunner
 from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, FootLayout, Parameters, replay
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.cli.app import app
+from surefoot.experiments.cli.calibrate import walk
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
-from surefoot.experiments.walking.calibrate import (
-    DEFAULT_METHOD,
-    CalibratedLog,
-    calibrate_log,
-    standard_deviations,
-)
+from surefoot.experiments.walking.calibrate import CalibratedLog, calibrate_log, standard_deviations
 from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.tables import Facts, shown_tables
 
@@ -53,7 +50,8 @@ def balanced(log: Log) -> Log:
 
 
 def test_the_default_is_that_of_a_calibrator_in_a_loop(log: Log) -> None:
-    assert FootCalibrator(log.layout, mass=log.mass).method == DEFAULT_METHOD
+    default = inspect.signature(walk).parameters["method"].default
+    assert FootCalibrator(log.layout, mass=log.mass).method == default
 
 
 def test_what_is_written(log: Log, tmp_path: Path) -> None:

@@ -30,8 +30,6 @@ def test_version_and_help() -> None:
     places = [shown.find(f"│ {command} ") for command in COMMANDS]
     assert places == sorted(places)
     assert places[0] > 0
-    assert "bench" not in shown
-    assert "walking" not in RUNNER.invoke(app, ["calibrate", "--help"]).stdout
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -49,25 +47,6 @@ def test_help_imports_nothing_heavy() -> None:
     assert "calibrate" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("bench calibration", "compare walking"),
-        ("bench in-situ", "compare in-situ"),
-        ("calibrate walking", "calibrate walk"),
-        ("calibrate bench", "calibrate weights"),
-        ("calibrate in-situ", "calibrate ft"),
-    ],
-)
-def test_an_old_name_works_as_the_new_one_and_says_it(old: str, new: str, tmp_path: Path) -> None:
-    blocked = tmp_path / "file"
-    blocked.touch()
-    rest = ["gone.csv"] if old.startswith("calibrate") else ["--out", str(blocked / "out")]
-    by_old, by_new = (RUNNER.invoke(app, [*name.split(), *rest]) for name in (old, new))
-    assert by_old.exit_code == by_new.exit_code == 2
-    assert by_old.stderr == f"surefoot: 'surefoot {old}' is now 'surefoot {new}'.\n{by_new.stderr}"
-
-
 def test_the_full_study_chooses_its_scenarios_itself() -> None:
     fails(
         ["compare", "walking", "--full", "--method", "tare"],
@@ -75,14 +54,12 @@ def test_the_full_study_chooses_its_scenarios_itself() -> None:
     )
 
 
-@pytest.mark.parametrize("command", ["compare weights", "bench"])
-def test_weights_print_the_papers_tables(tmp_path: Path, command: str) -> None:
-    result = RUNNER.invoke(app, [*command.split(), "--out", str(tmp_path)])
+def test_weights_print_the_papers_tables(tmp_path: Path) -> None:
+    result = RUNNER.invoke(app, ["compare", "weights", "--out", str(tmp_path)])
     assert result.exit_code == 0
     assert "Table 2: the paper's counts, fitted again" in result.stdout
     assert "Table 3: before and after calibration from weights" in result.stdout
     assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
-    assert ("is now 'surefoot compare weights'" in result.stderr) == (command == "bench")
 
 
 def test_calibrating_a_walk(log: Log, tmp_path: Path) -> None:

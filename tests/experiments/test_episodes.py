@@ -52,8 +52,8 @@ SHORT = EpisodePlan(
             "There is no controller 'pid'. Available: 'zero', 'stabiliser', 'shipped', 'shipped-rand",
         ),
         ({"controllers": ("gone.npz",)}, "There is no policy file 'gone.npz'"),
-        ({"controllers": ("no_module:f",)}, "module 'no_module' cannot be imported"),
-        ({"controllers": ("math:no",)}, "module 'math' has no function 'no'"),
+        ({"controllers": ("no_module:f",)}, "'no_module:f' cannot be imported (No module named"),
+        ({"controllers": ("math:no",)}, "'math:no' cannot be imported (module 'math' has no attribute 'no')"),
         ({"severities": (-1.0,)}, "A severity must be finite and not negative, got -1.0."),
         ({"severities": (float("nan"),)}, "A severity must be finite and not negative, got nan."),
         ({"severities": ("1",)}, "A severity must be finite and not negative, got '1'."),
@@ -159,7 +159,7 @@ def test_sweeping_and_repeating_an_episode(tmp_path: Path, monkeypatch: pytest.M
     assert by_severity[0.0] == 0.0 < by_severity[1.0] < by_severity[2.0]
     replayed = replay_episode(tmp_path / EPISODES, 5)
     assert replayed.different == replayed.other_versions == ()
-    shown = RUNNER.invoke(app, ["replay", str(tmp_path), "--cell", "5"])
+    shown = RUNNER.invoke(app, ["replay", str(tmp_path), "--case", "5"])
     assert shown.exit_code == 0
     assert shown.stdout.endswith("Identical.\n")
 
