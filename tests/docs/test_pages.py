@@ -68,7 +68,7 @@ def recorded_leg(_: Any = None) -> dict[str, Any]:
 def calibrated_leg(_: Any = None) -> dict[str, Any]:
     """What the command leaves behind, and a reading."""
     log = read_in_situ_log(SAMPLE)
-    fit = calibrate_in_situ(log.fitted, factory_matrix=log.config.factory_matrix)
+    fit = calibrate_in_situ(log.fitted, factory_matrix=log.config.factory.matrix)
     Path("out/in-situ").mkdir(parents=True)
     write_json(fit, Path("out/in-situ/in_situ_leg.in_situ.json"))
     return {"raw": log.fitted[0].raw[0]}
