@@ -14,7 +14,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter
 
 from surefoot.experiments.study.files import atomic_path
@@ -104,12 +103,8 @@ def short_label(name: str) -> str:
 def figure_at(path: Path, width: float, height: float) -> Iterator[Figure]:
     """Lend a figure of some size in inches and save it: drawn without pyplot, so that nothing is global."""
     with mpl.rc_context(_RC):
-        engine = ConstrainedLayoutEngine()
-        figure = Figure(figsize=(width, height), layout=engine)
+        figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
-        # Laid out here; to save a figure with a layout engine draws everything once more for nothing.
-        engine.execute(figure)
-        figure.set_layout_engine("none")
         # Without a date the same figure is the same file.
         metadata: Any = {"Date": None} if path.suffix == ".svg" else None
         with atomic_path(path) as part:

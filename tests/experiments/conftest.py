@@ -8,7 +8,6 @@ from types import ModuleType
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
@@ -98,5 +97,4 @@ def invented(monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Figures that are not drawn: only the words of a page count."""
-    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda engine, figure: None)
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(b"<svg/>"))
