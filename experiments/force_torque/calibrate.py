@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused
@@ -68,23 +67,16 @@ def calibrate_in_situ_log(
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
     stem = paths[0].stem if stem is None else stem
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console or Console(quiet=True), transient=True) as progress:
-        task = progress.add_task("reading the log", total=4)
-
-        def now(what: str) -> None:
-            progress.update(task, advance=1, description=what)
-
+    with (console or Console(quiet=True)).status("reading the log") as status:
         log = read_in_situ_log(paths, config)
-        now(f"fitting {len(log.fitted)} sets")
+        status.update(f"fitting {len(log.fitted)} sets")
         fit = _fit(log)
         notices = [*_doubt_of_weight(log, fit), *log.notices]
-        now("writing the calibration")
+        status.update("writing the calibration")
         files = _write(log, fit, folder / f"{stem}.in_situ", notices)
-        now("drawing the report")
+        status.update("drawing the report")
         found = Calibrated(dataclasses.replace(log, notices=tuple(notices)), fit)
         files["report"] = write_in_situ_page(folder / f"{stem}.in_situ.html", found)
-        now("done")
     return CalibratedSensor(fit, files, shown_tables(found), (*fit.warnings, *notices))
 
 

@@ -58,12 +58,7 @@ _LOOKS = {
 
 
 def checked(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Return what a fit can use of a set.
-
-    Args:
-        samples: The set.
-        range_count: Ends of the converter, if they are known.
-        notices: Is added to.
+    """Return what a fit can use of a set, and add to the notices what is left out.
 
     Raises:
         LogError: If a value, a time, a channel, a unit or a sign is not as it must be, or too little is left.
@@ -263,15 +258,9 @@ def _check_spin(samples: Samples) -> None:
 def check_against_factory(
     sets: list[tuple[Samples, NDArray[np.float64]]], matrix: NDArray[np.float64] | None, notices: list[str]
 ) -> None:
-    """Compare gravity with the force by the factory matrix: what hangs is pulled down.
+    """Compare gravity in the sensor's frame, (n, 3) a set, with the force by the factory matrix, (6, k).
 
-    Args:
-        sets: Each with gravity in the sensor's frame, shape (n, 3).
-        matrix: The factory's, shape (6, k), if it is known.
-        notices: Is added to.
-
-    Raises:
-        LogError: If the force is along minus gravity: one of the two signs is wrong.
+    What hangs is pulled down: raise LogError if the force is along minus gravity, as one sign is wrong.
     """
     first = sets[0][0]
     if matrix is None:

@@ -173,12 +173,8 @@ def _stats_of(given: dict[str, Any]) -> FitStats:
 def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[np.float64]:
     """Return what the broadcaster of ROS 2 must add to the wrench C r of a driver: -C o, shape (6,).
 
-    Args:
-        fit: The calibration.
-        temperature: Of the sensor, in the unit of the fit's; needed where the fit knows its effect.
-
     Raises:
-        ValueError: If the temperature is needed and missing.
+        ValueError: If the fit knows what the temperature does, and none is given.
     """
     offset = fit.offset
     if fit.temperature_coefficient is not None:
@@ -200,14 +196,7 @@ def write_ros2_parameters(
 
     The broadcaster publishes (reported + offset) x multiplier axis by axis and takes no matrix: C has to be
     applied by the driver, which reports C r. The offset in this file is then -C o, so that C r - C o = C (r -
-    o) is published. A comment holds C.
-
-    Args:
-        fit: The calibration.
-        path: Where.
-        temperature: As :func:`offset_wrench` takes it.
-        node: Name of the broadcaster.
-        frame_id: Frame of the sensor.
+    o) is published, at a temperature as :func:`offset_wrench` takes it. A comment holds C.
     """
     rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in fit.matrix)
     add = offset_wrench(fit, temperature).tolist()

@@ -57,13 +57,7 @@ class Panel(NamedTuple):
 
 
 def draw_ellipsoids(path: Path, panels: Sequence[Panel], labels: tuple[str, str, str]) -> Path:
-    """Draw clouds with the ellipsoids of :func:`force_ellipsoid`, four panels a row, and return the path.
-
-    Args:
-        path: Where to save the figure.
-        panels: What to draw.
-        labels: :data:`FORCES` or :data:`COUNTS`.
-    """
+    """Draw clouds and their :func:`force_ellipsoid`, four panels a row; labels are FORCES or COUNTS."""
     rows, columns = -(-len(panels) // 4), min(len(panels), 4)
     forces = labels is FORCES
     with figure_at(path, 10.4, 0.4 + 2.9 * rows) as figure:

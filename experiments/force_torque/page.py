@@ -3,23 +3,14 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from surefoot.experiments.force_torque.figures import force_ellipsoids, raw_ellipsoids, residuals_over_time
-from surefoot.experiments.force_torque.tables import (
-    Calibrated,
-    limb_table,
-    matrix_table,
-    offset_table,
-    semi_axes_table,
-    set_table,
-    weighing_tables,
-)
+from surefoot.experiments.force_torque import figures, tables
 from surefoot.experiments.logs.page import write_log_page
 from surefoot.experiments.study.page import ReportFigure, Section
 
 __all__ = ["write_in_situ_page"]
 
 
-def write_in_situ_page(path: Path, found: Calibrated) -> Path:
+def write_in_situ_page(path: Path, found: tables.Calibrated) -> Path:
     """Write the page of a calibrated log, with its figures inside, and return its path."""
     log = found.log
     return write_log_page(
@@ -28,13 +19,13 @@ def write_in_situ_page(path: Path, found: Calibrated) -> Path:
         f"from {', '.join(log.files)}",
         "A limb hung on the sensor and was turned about with different known masses on it. Gravity gives "
         "what the sensor should have read; matrix and offset are those that agree with it best.",
-        set_table(found),
+        tables.set_table(found),
         (*found.fit.warnings, *log.notices),
         lambda folder: _sections(folder, found),
     )
 
 
-def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
+def _sections(folder: Path, found: tables.Calibrated) -> Iterator[Section]:
     yield Section(
         "weight",
         "Weight of the limb",
@@ -43,7 +34,7 @@ def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
             "pair of scales can check the absolute scale: forces that look like perfect spheres may be wrong "
             "by a common factor.",
         ),
-        tables=(limb_table(found),),
+        tables=(tables.limb_table(found),),
     )
     yield Section(
         "spheres",
@@ -52,10 +43,10 @@ def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
             "A limb of constant weight draws a sphere of force as it turns. A matrix that is off draws an "
             "ellipsoid (in-situ paper, Table I and Fig. 6).",
         ),
-        tables=(semi_axes_table(found),),
+        tables=(tables.semi_axes_table(found),),
         figures=(
             ReportFigure(
-                force_ellipsoids(folder / "forces.png", found),
+                figures.force_ellipsoids(folder / "forces.png", found),
                 "Figure 1",
                 "Force of each set in N while the limb turned, with its fitted ellipsoid: "
                 + (
@@ -64,7 +55,7 @@ def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
             ),
         ),
     )
-    if weighed := weighing_tables(found):
+    if weighed := tables.weighing_tables(found):
         text = (
             "With the limb taken off, what is left weighs and locates the added masses (in-situ paper, "
             "Tables II and III).",
@@ -78,7 +69,7 @@ def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
             "sensor's frame. Standard deviations are the fit's own; they know nothing of masses or places "
             "that were given wrongly.",
         ),
-        tables=(matrix_table(found), offset_table(found)),
+        tables=(tables.matrix_table(found), tables.offset_table(found)),
     )
     yield Section(
         "raw",
@@ -90,7 +81,7 @@ def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
         ),
         figures=(
             ReportFigure(
-                raw_ellipsoids(folder / "raw.png", found),
+                figures.raw_ellipsoids(folder / "raw.png", found),
                 "Figure 2",
                 "Counts of each set along their three main directions with the ellipsoid that gravity draws, "
                 "and the share of their spread that lies outside these three.",
@@ -106,7 +97,7 @@ def _sections(folder: Path, found: Calibrated) -> Iterator[Section]:
         ),
         figures=(
             ReportFigure(
-                residuals_over_time(folder / "residuals.svg", found),
+                figures.residuals_over_time(folder / "residuals.svg", found),
                 "Figure 3",
                 "What the fit leaves of every channel, with one offset a set.",
             ),

@@ -99,14 +99,9 @@ class Calibrated:
         return name if self.numbers[index] is not None else f"{name} (kept aside)"
 
     def wrench(self, index: int, matrix: Floats) -> Floats:
-        """Return the wrench of a set's counts by a matrix, less the set's offset and brought to rest.
+        """Return the wrench of a set by a matrix, (6, k), less its offset and brought to rest, shape (n, 6).
 
-        Args:
-            index: Number of the set.
-            matrix: C in N and N m per count, shape (6, k).
-
-        Returns:
-            N and N m, NaN where a reading is missing, shape (n, 6).
+        In N and N m; NaN where a reading is missing.
         """
         data = self.sets[index]
         wrench = (data.raw - self.offsets[index]) @ matrix.T

@@ -20,11 +20,9 @@ LARGEST = 1e9
 
 
 def check_columns(table: LogTable, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns that a log must have as floats.
+    """Return columns as floats; raise LogError if one is missing or holds what it must not.
 
-    Raises:
-        LogError: If a column is missing, not of numbers, not finite (a raw reading may be NaN: no sample
-            arrived), if a stance or swing flag is neither 0 nor 1, or if a quaternion is not of length one.
+    A raw reading may be NaN: no sample arrived.
     """
     table.require(names, LISTED)
     values = {name: table.numbers(name, flags=True) for name in names}
@@ -58,14 +56,7 @@ def _check_quaternion(values: dict[str, NDArray[np.float64]], stem: str, file: s
 
 
 def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) -> None:
-    """Raise LogError if times do not increase, leap, or are not in seconds.
-
-    Args:
-        time: Column ``time_s``, shape (N,).
-        dt: Time between samples in s that the description states.
-        max_gap: Longest time in s allowed between two rows.
-        file: Its name in messages.
-    """
+    """Raise LogError if times in s, shape (N,), leap or do not step as the description says."""
     check_increasing(time, file)
     step = np.diff(time)
     median = float(np.median(step))
@@ -85,10 +76,7 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
 def check_increasing(time: NDArray[np.float64], file: str, *, repeats: bool = False) -> None:
     """Raise LogError if there are fewer than two times, or one is missing, repeated or out of order.
 
-    Args:
-        time: Column ``time_s``, shape (N,).
-        file: Its name in messages.
-        repeats: Whether two rows may have one time: packets that were held up arrive together.
+    With ``repeats`` two rows may have one time: packets that were held up arrive together.
     """
     if len(time) < 2:
         raise LogError(f"{file}: {len(time)} rows are no walk; a log needs at least two.")

@@ -1,5 +1,6 @@
 """The columns of a log: their names with units, and the arrays behind them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -116,7 +117,7 @@ def _poses(values: dict[str, Floats], stem: str, layout: FeetLayout) -> tuple[Fl
     return poses[..., :3], R.reshape(*poses.shape[:2], 3, 3)
 
 
-def stack(values: dict[str, Floats], names: list[str]) -> Floats:
+def stack(values: dict[str, Floats], names: Sequence[str]) -> Floats:
     """Return columns side by side, shape (samples, columns)."""
     return np.stack([values[name] for name in names], axis=-1)
 

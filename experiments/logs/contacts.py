@@ -43,16 +43,7 @@ Bools = NDArray[np.bool_]
 def contacts(
     table: LogTable, names: tuple[str, str], reference: Reference, dt: float
 ) -> tuple[Bools, Bools, str]:
-    """Return of every row which feet surely stand and which surely swing.
-
-    Args:
-        table: The log's.
-        names: What the log calls its feet.
-        reference: The robot's beliefs; poses and acceleration are used, N rows.
-        dt: Time between rows in s.
-
-    Returns:
-        Stance and swing, shape (N, 2) each, and in words where they come from.
+    """Return which feet surely stand, which surely swing, shape (N, 2) each, and in words how it is known.
 
     Raises:
         LogError: If only some of the columns for contacts are there, or one holds other than 0 and 1.
@@ -80,14 +71,8 @@ def contacts(
 def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
     """Guess contacts from how high the soles are and how fast they move against each other.
 
-    A foot that is held up without moving may as well stand on a stair: it is neither.
-
-    Args:
-        reference: The robot's beliefs, N rows; NaN where there are none.
-        dt: Time between rows in s.
-
-    Returns:
-        Stance and swing, shape (N, 2) each.
+    A foot that is held up without moving may as well stand on a stair: it is neither. Stance and swing have
+    shape (N, 2) each.
     """
     apart = reference.position_sole[:, 0] - reference.position_sole[:, 1]
     known = np.isfinite(apart).all(axis=-1) & np.isfinite(reference.com_acceleration[:, 2])

@@ -31,15 +31,10 @@ Floats = NDArray[np.float64]
 class LogModel:
     """The robot of a log as it believes itself to be; postures are those of :class:`NominalModel`.
 
-    Args:
-        nominal: The model.
-        right_first: Whether its first sole is the right one.
-        R_torso_imu: Rotation from the IMU's axes to the torso's, shape (3, 3).
-
     Attributes:
         joint_names: Names of the hinges, in the order of joint angles.
         mass: Mass of the drawing in kg.
-        R_torso_imu: As given.
+        R_torso_imu: Rotation from the IMU's axes to the torso's, shape (3, 3).
     """
 
     def __init__(self, nominal: NominalModel, right_first: bool, R_torso_imu: Floats) -> None:
@@ -60,15 +55,7 @@ class LogModel:
 
 
 def load_model(facts: MotionFacts, file: str) -> LogModel:
-    """Load a drawing.
-
-    Args:
-        facts: Which, and what its parts are called.
-        file: The log's name in messages.
-
-    Raises:
-        LogError: If the drawing is not there, cannot be read, lacks a part, or is no robot on hinges.
-    """
+    """Load a drawing; raise LogError if it cannot be read, lacks a part, or is no robot on hinges."""
     if not facts.model.is_file():
         raise LogError(
             f"{file}: the description's motion.model '{facts.model}' is not there; give its path from the "

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.experiments.logs.checks import LISTED, check_increasing
+from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError, LogTable
 
@@ -66,11 +67,7 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
     """Return joints and IMU of a table.
 
     A row in which one of their columns is NaN, or what no IMU reads, carries none of them: it is left out.
-
-    Args:
-        table: The table.
-        facts: What the description holds of it.
-        joints: Names of the model's hinges, in its order.
+    Joints are those of the model, in its order.
 
     Raises:
         LogError: If a column is missing, not of numbers or of another unit, or if time is not as it must be.
@@ -97,14 +94,9 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
     values = _rows_within(values, limits, file)
     packet = values.get(PACKET)
     number, time, period = _clock(values["time_s"], packet, facts, file)
-    joint = np.stack(
-        [
-            values[f"joint_{name}_rad"] if name in measured else np.full(len(time), facts.held_rad[name])
-            for name in joints
-        ],
-        axis=-1,
-    )
-    force, spin = (np.stack([values[name] for name in part], axis=-1) for part in (ACCELEROMETER, GYROSCOPE))
+    held = {f"joint_{name}_rad": np.full(len(time), angle) for name, angle in facts.held_rad.items()}
+    joint = stack(values | held, [f"joint_{name}_rad" for name in joints])
+    force, spin = stack(values, ACCELEROMETER), stack(values, GYROSCOPE)
     return Motion(number, time, period, joint, force, spin)
 
 

@@ -20,7 +20,7 @@ def write_log_page(
     notices: tuple[str, ...],
     sections: Callable[[Path], Iterable[Section]],
 ) -> Path:
-    """Write the page.
+    """Write the page, and return its path.
 
     Args:
         path: Where.
@@ -30,9 +30,6 @@ def write_log_page(
         log: What was calibrated.
         notices: What the log lacks, and warnings.
         sections: Returns what follows, with figures drawn into a folder that it is given.
-
-    Returns:
-        The path.
     """
     quiet = () if notices else ("Nothing in the log calls for a warning.",)
     first = Section("log", "The log", paragraphs=quiet, findings=notices, tables=(log,))

@@ -35,17 +35,9 @@ NEEDED = 2
 def make_reference(
     time: NDArray[np.float64], motion: Motion, facts: MotionFacts, model: LogModel, mass: float
 ) -> Reference:
-    """Return the references of the feet's samples; contacts are left open.
+    """Return references for times of the feet in s, (N,); NaN where joints and IMU do not reach.
 
-    Args:
-        time: When the feet were read in s, shape (N,).
-        motion: Joints and IMU.
-        facts: What the description holds of them.
-        model: The robot.
-        mass: Its mass in kg as the log has it: the drawing's angular momentum is scaled to it.
-
-    Returns:
-        N rows; NaN where joints and IMU do not reach.
+    Contacts are left open. The drawing's angular momentum is scaled to the log's mass in kg.
     """
     where = TelemetryLayout(len(model.joint_names))
     beliefs = Beliefs(model, where, motion.period, 0.0, facts.averaged)  # type: ignore[arg-type]
@@ -84,13 +76,7 @@ def _unknown(reference: Reference) -> Reference:
 
 
 def check_spin(motion: Motion, model: LogModel, file: str) -> None:
-    """Raise LogError if a gyroscope is far faster than the torso over the sole that turns less under it.
-
-    Args:
-        motion: Joints and IMU.
-        model: The robot.
-        file: Their table's name in messages.
-    """
+    """Raise LogError if a gyroscope is far faster than the torso over the sole that turns less under it."""
     stride = max(round(APART / motion.period), 1)
     still = np.zeros(len(model.joint_names)), np.zeros(3)
     axes = np.array([model.evaluate(joint, *still)[3].copy() for joint in motion.joint[::stride]])

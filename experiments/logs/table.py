@@ -46,16 +46,7 @@ class LogTable:
         return list(self.data.column_names)
 
     def require(self, names: Sequence[str], cure: str, purpose: str = "") -> tuple[str, ...]:
-        """Return names of columns if all of them are there.
-
-        Args:
-            names: The names.
-            cure: What the message asks for where one is missing.
-            purpose: What they are for.
-
-        Raises:
-            LogError: If a column is missing.
-        """
+        """Return names of columns; raise LogError with their purpose and a cure if one is not there."""
         missing = [name for name in names if name not in self]
         if missing:
             more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
@@ -66,12 +57,8 @@ class LogTable:
     def numbers(self, name: str, *, flags: bool = False) -> NDArray[np.float64]:
         """Return a column as floats, NaN where a cell is empty, shape (rows,).
 
-        Args:
-            name: The column.
-            flags: Whether true and false count as 1 and 0.
-
         Raises:
-            LogError: If a cell holds anything else.
+            LogError: If a cell holds anything else; true and false are allowed as flags.
         """
         column = self.data.column(name)
         kind = column.type
@@ -123,17 +110,10 @@ def read_table(path: Path, absent: str, *, separator: str = ",", decimal: str = 
             data = csv.read_csv(path, parse_options=parse, convert_options=convert)
         names = data.column_names
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        text = str(error).splitlines()[0]
-        if "Empty CSV" in text:
-            reason = "is empty; record a line of column names and a row a sample."
-        elif "Expected" in text and "columns" in text:
-            reason = (
-                f"columns are of unequal length ({text}); write every row whole, and leave a cell empty "
-                "where no sample arrived."
-            )
-        else:
-            reason = f"not a readable table ({text})."
-        raise LogError(f"{path.name}: {reason}") from None
+        raise LogError(
+            f"{path.name}: not a readable table ({str(error).splitlines()[0]}); write a line of column names "
+            "and every row whole, and leave a cell empty where no sample arrived."
+        ) from None
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise LogError(f"{path.name}: column '{twice[0]}' is there twice; rename one of them.")

@@ -58,14 +58,9 @@ def draw_curve(curve: Frame, path: Path, most: float) -> Path:
 
 
 def own_scores(out: Path) -> Frame | None:
-    """Return the scores of the policy that lies in a folder.
+    """Return what an evaluation wrote of the very policy that lies in a folder, on the task it was made for.
 
-    Args:
-        out: The folder.
-
-    Returns:
-        What an evaluation wrote of a controller that is this very file, on the task that it was made for;
-        ``None`` if there is nothing of it: scores of an earlier policy, or of others, are not its own.
+    ``None`` if there is nothing of it: scores of an earlier policy, or of others, are not its own.
 
     Raises:
         FileNotFoundError: If there is no policy.
@@ -85,9 +80,6 @@ def own_scores(out: Path) -> Frame | None:
 
 def write_card(out: Path) -> Path:
     """Write the card of the policy in a folder, with its scores if they lie there, see :func:`own_scores`.
-
-    Args:
-        out: The folder of a finished training.
 
     Raises:
         FileNotFoundError: If there is no policy.

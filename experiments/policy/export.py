@@ -15,13 +15,8 @@ __all__ = ["export_zip", "network_of"]
 def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = None) -> PolicyNetwork:
     """Return the mean of a PPO policy as numbers, with the scaling of its inputs folded into the first layer.
 
-    Args:
-        model: A ``stable_baselines3.PPO`` with an ``MlpPolicy`` of tanh layers.
-        view: An environment such as it was trained on.
-        notes: What is known of its making.
-
     Raises:
-        ValueError: If its network is another, or was trained on another view.
+        ValueError: If it is no ``MlpPolicy`` of tanh layers, or was trained on another view.
     """
     policy = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]
@@ -56,13 +51,9 @@ def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = N
 
 
 def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bool = False) -> PolicyNetwork:
-    """Turn a Stable-Baselines3 zip into a policy file.
+    """Turn what ``PPO.save`` wrote of a model that was trained on :class:`PolicyView` into a policy file.
 
-    Args:
-        zip_path: What ``PPO.save`` wrote, for a model trained on :class:`PolicyView`.
-        path: The policy file to write.
-        task: What it was trained for.
-        trusted: Whether its maker is trusted: opening such a zip runs pickled code.
+    Opening such a zip runs pickled code: its maker must be trusted.
 
     Raises:
         FileNotFoundError: If there is no such file.

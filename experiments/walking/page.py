@@ -5,26 +5,12 @@ from pathlib import Path
 
 from surefoot.experiments.logs.page import write_log_page
 from surefoot.experiments.study.page import ReportFigure, Section
-from surefoot.experiments.walking.figures import (
-    cells_over_time,
-    cop_against_motion,
-    flags_over_time,
-    force_of_feet,
-    parameters_over_time,
-)
-from surefoot.experiments.walking.tables import (
-    Facts,
-    agreement_table,
-    flag_table,
-    log_table,
-    parameter_table,
-    score_table,
-)
+from surefoot.experiments.walking import figures, tables
 
 __all__ = ["write_walking_page"]
 
 
-def write_walking_page(path: Path, facts: Facts) -> Path:
+def write_walking_page(path: Path, facts: tables.Facts) -> Path:
     """Write the page of a calibrated log, with its figures inside, and return its path."""
     return write_log_page(
         path,
@@ -32,13 +18,13 @@ def write_walking_page(path: Path, facts: Facts) -> Path:
         f"by the method {facts.method!r}",
         "Raw readings and what the robot knows of its own motion went in; calibrated forces, centres of "
         "pressure and parameters came out, sample by sample, as the robot would have had them on its way.",
-        log_table(facts),
+        tables.log_table(facts),
         facts.notices,
         lambda folder: _sections(folder, facts),
     )
 
 
-def _sections(folder: Path, facts: Facts) -> Iterator[Section]:
+def _sections(folder: Path, facts: tables.Facts) -> Iterator[Section]:
     yield Section(
         "agreement",
         "Agreement with the robot's own motion",
@@ -47,10 +33,10 @@ def _sections(folder: Path, facts: Facts) -> Iterator[Section]:
             "that; what is left are the errors of both. If the robot's mass or centre of mass is wrong, the "
             "feet agree with a motion that is wrong: weigh the robot, and check the model.",
         ),
-        tables=(agreement_table(facts),),
+        tables=(tables.agreement_table(facts),),
         figures=(
             ReportFigure(
-                cop_against_motion(folder / "cop.svg", facts),
+                figures.cop_against_motion(folder / "cop.svg", facts),
                 "Figure 1",
                 "Centre of pressure of all feet from the middle between the soles, and its distance from the "
                 "one that the motion asks for.",
@@ -58,30 +44,36 @@ def _sections(folder: Path, facts: Facts) -> Iterator[Section]:
         ),
     )
     if facts.log.truth is not None:
-        yield Section("truth", "Errors against the truth", tables=(score_table(facts),))
-    forces = "Vertical force of all feet and of each."
-    cells = "Every channel by the map that the calibration started from, and calibrated."
+        yield Section("truth", "Errors against the truth", tables=(tables.score_table(facts),))
     yield Section(
         "forces",
         "Forces",
         figures=(
-            ReportFigure(force_of_feet(folder / "feet.svg", facts), "Figure 2", forces),
-            ReportFigure(cells_over_time(folder / "cells.svg", facts), "Figure 3", cells),
+            ReportFigure(
+                figures.force_of_feet(folder / "feet.svg", facts),
+                "Figure 2",
+                "Vertical force of all feet and of each.",
+            ),
+            ReportFigure(
+                figures.cells_over_time(folder / "cells.svg", facts),
+                "Figure 3",
+                "Every channel by the map that the calibration started from, and calibrated.",
+            ),
         ),
     )
-    parameters = "Scale and offset of every channel against the map that the calibration started from"
-    parameters += (
+    drawn = figures.parameters_over_time(folder / "parameters.svg", facts)
+    bands = (
         "; the method claims no uncertainty."
         if facts.estimate.covariance is None
         else ", with bands of ± one standard deviation."
     )
-    drawn = parameters_over_time(folder / "parameters.svg", facts)
+    text = f"Scale and offset of every channel against the map that the calibration started from{bands}"
     yield Section(
         "parameters",
         "Parameters",
-        tables=(parameter_table(facts),),
-        figures=(ReportFigure(drawn, "Figure 4", parameters),),
+        tables=(tables.parameter_table(facts),),
+        figures=(ReportFigure(drawn, "Figure 4", text),),
     )
-    flags = flags_over_time(folder / "flags.svg", facts)
+    flags = figures.flags_over_time(folder / "flags.svg", facts)
     shown = () if flags is None else (ReportFigure(flags, "Figure 5", "When each flag was raised."),)
-    yield Section("flags", "Flags", tables=(flag_table(facts),), figures=shown)
+    yield Section("flags", "Flags", tables=(tables.flag_table(facts),), figures=shown)

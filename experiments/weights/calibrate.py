@@ -19,12 +19,7 @@ def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
     The table has one weighing a row: the weight that every cell bore by itself as ``load_kg`` or ``load_N``,
     and each cell's reading as ``raw_<cell>_count``. A cell that was not weighed in a row is left empty there.
 
-    Args:
-        path: The table, a CSV or Parquet file.
-        out: Where to write the map, in JSON as a log's description holds it.
-
-    Returns:
-        What to show, and the path of the map.
+    Returns what to show, and the path of the map, which is JSON as a log's description holds it.
 
     Raises:
         LogError: If a column is missing or does not hold numbers.

@@ -17,8 +17,10 @@ of the vertical force, and have no centre of pressure to score.
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
+from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.cop import cop_of_cells
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
@@ -74,14 +76,9 @@ class WeighingSetup:
 
     def __post_init__(self) -> None:
         """Raise ValueError if a number is too small."""
-        for name in ("fitted_holes", "held_out_holes", "readings"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, got {getattr(self, name)}.")
-        if self.hole_pitch <= 0:
-            raise ValueError(f"'hole_pitch' must be positive, got {self.hole_pitch}.")
-        for name in ("cell_position_std", "nonlinearity", "hole_play", "seconds_per_weighing"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"'{name}' must not be negative, got {getattr(self, name)}.")
+        check_count(self, "fitted_holes", "held_out_holes", "readings")
+        check_positive(self, "hole_pitch")
+        check_not_negative(self, "cell_position_std", "nonlinearity", "hole_play", "seconds_per_weighing")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +90,12 @@ class Placements:
         load: The weights in N, shape (n,).
         cop_initial: Centres of pressure by the data sheet's map in m, shape (n, 2); NaN below 5 N.
         cop_calibrated: The same by the fitted channels and the fitted correction.
-        vgrf_initial: Vertical forces by the data sheet's map in N, shape (n,).
-        vgrf_calibrated: The same by the fitted channels.
     """
 
     hole: NDArray[np.float64]
     load: NDArray[np.float64]
     cop_initial: NDArray[np.float64]
     cop_calibrated: NDArray[np.float64]
-    vgrf_initial: NDArray[np.float64]
-    vgrf_calibrated: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +117,10 @@ class WeighingReport:
     channel_load: NDArray[np.float64]
     channel_code: NDArray[np.float64]
     channels: ChannelFit
-    corrections: tuple[CopCorrectionFit, CopCorrectionFit]
+    corrections: tuple[CopCorrectionFit, ...]
     initial: PlacementScore
     calibrated: PlacementScore
-    held_out: tuple[Placements, Placements]
+    held_out: tuple[Placements, ...]
 
 
 @dataclass(eq=False)
@@ -213,8 +206,6 @@ def run_weighing(
                 load=load[held_out],
                 cop_initial=cop_of_cells(before, _positions(foot)),
                 cop_calibrated=fit.cop(after),
-                vgrf_initial=before.sum(axis=1),
-                vgrf_calibrated=after.sum(axis=1),
             )
         )
     return WeighingReport(
@@ -222,10 +213,10 @@ def run_weighing(
         channel_load=np.array(setup.channel_loads),
         channel_code=code,
         channels=channels,
-        corrections=(corrections[0], corrections[1]),
+        corrections=tuple(corrections),
         initial=_pool(initial),
         calibrated=_pool([fit.score_held_out for fit in corrections]),
-        held_out=(placements[0], placements[1]),
+        held_out=tuple(placements),
     )
 
 
@@ -267,16 +258,15 @@ def _place(
 
 def _pool(scores: list[PlacementScore]) -> PlacementScore:
     """Return the scores of both feet together."""
-    placements, weighings = (np.array([getattr(s, n) for s in scores]) for n in ("placements", "weighings"))
+    both = pd.DataFrame(scores)
 
-    def pooled(name: str, count: NDArray[np.int64]) -> float:
-        error = np.array([getattr(score, name) for score in scores])
-        return float(np.sqrt(np.sum(count * error**2) / np.sum(count)))
+    def pooled(name: str, count: str) -> float:
+        return float(np.sqrt((both[count] * both[name] ** 2).sum() / both[count].sum()))
 
     return PlacementScore(
-        placements=int(np.sum(placements)),
-        weighings=int(np.sum(weighings)),
-        cop_raw=pooled("cop_raw", placements),
-        cop=pooled("cop", placements),
-        vgrf=pooled("vgrf", weighings),
+        placements=int(both["placements"].sum()),
+        weighings=int(both["weighings"].sum()),
+        cop_raw=pooled("cop_raw", "placements"),
+        cop=pooled("cop", "placements"),
+        vgrf=pooled("vgrf", "weighings"),
     )

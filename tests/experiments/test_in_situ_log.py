@@ -475,11 +475,11 @@ def test_a_set_that_the_file_does_not_list_is_refused(tmp_path: Path) -> None:
 def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
     config = InSituConfig()
     for name, text, said in (
-        ("empty.csv", "", "empty.csv: is empty"),
+        ("empty.csv", "", r"empty\.csv: not a readable table \(Empty CSV file\)"),
         (
             "ragged.csv",
             "a,b\n1,2\n3\n",
-            r"ragged.csv: columns are of unequal length .*Expected 2 columns, got 1",
+            r"ragged\.csv: not a readable table \(CSV parse error: Expected 2 columns, got 1.*whole",
         ),
         ("semicolon.csv", "time_s;set\n1;2\n", "if the separator is not ',', say csv.separator"),
         ("log.xlsx", "", "log.xlsx: a log ends in .parquet or .csv"),

@@ -86,9 +86,9 @@ def test_the_same_seed_is_the_same_weighing():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"readings": 0}, "'readings' must be at least 1, got 0."),
-        ({"hole_pitch": 0.0}, "'hole_pitch' must be positive, got 0.0."),
-        ({"nonlinearity": -1e-3}, "'nonlinearity' must not be negative, got -0.001."),
+        ({"readings": 0}, "'readings' must be a whole number from 1 on, got 0."),
+        ({"hole_pitch": 0.0}, "'hole_pitch' must be positive and finite, got 0.0."),
+        ({"nonlinearity": -1e-3}, "'nonlinearity' must not be negative and must be finite, got -0.001."),
     ],
 )
 def test_numbers_that_are_too_small_are_refused(changes, message):
