@@ -42,11 +42,8 @@ class Samples:
         rows: Numbers of the rows in the file, for messages, shape (n,).
         raw: Counts, shape (n, k).
         acceleration: Specific force (up at rest) or gravity (down) in m/s^2, shape (n, 3).
-        time: In s, shape (n,).
-        angular_velocity: In rad/s, shape (n, 3).
-        temperature: In degrees Celsius, shape (n,).
-        added_mass: In kg, shape (n,).
-        added_com: In m, shape (n, 3).
+        time: In s, as temperature (degrees Celsius) and added mass (kg) of shape (n,).
+        angular_velocity: In rad/s, as the place of the added mass (m) of shape (n, 3).
     """
 
     name: str

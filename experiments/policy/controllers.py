@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 
 from surefoot.controllers import Stabiliser, zero_action
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.policy.shipped import shipped_file, shipped_policy
-from surefoot.experiments.policy.tasks import TASKS, task_in
+from surefoot.experiments.policy.tasks import TASKS, shipped_file, shipped_policy, task_in
 
 __all__ = [
     "BUILT_IN",

@@ -5,12 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.calibration.checks import check_count
-from surefoot.experiments.policy.tasks import task_named
+from surefoot.experiments.policy.tasks import SENSORS, task_named
 
-__all__ = ["SENSORS", "TRAINING_SEEDS", "TrainOptions"]
-
-SENSORS = ("true", "randomised")
-"""What a policy may be trained on: the true centre of pressure, or drifting sensors of every severity."""
+__all__ = ["TRAINING_SEEDS", "TrainOptions"]
 
 TRAINING_SEEDS = 1_000_000_000
 """Training draws seeds from here on; evaluation takes those below."""
@@ -28,7 +25,7 @@ class TrainOptions:
 
     Attributes:
         task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
-        sensors: One of :data:`SENSORS`.
+        sensors: One of :data:`surefoot.experiments.policy.tasks.SENSORS`.
         steps: Decisions of the policy, of four steps each, in all environments together.
         seed: Of everything random, 0 to 999.
         environments: Environments that are stepped in turn.

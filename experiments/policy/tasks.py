@@ -1,13 +1,29 @@
-"""The tasks that a policy can be trained for, and what differs between them: one table."""
+"""The tasks that a policy can be trained for, what differs between them, and the policies that are shipped."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.abc import Traversable
+from importlib.resources import as_file, files
 from types import MappingProxyType
 from typing import Any
 
+from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.walks.walkers import FEEDS
 
-__all__ = ["EXPECTED_LOADS", "TASKS", "Task", "calibration_of", "task_in", "task_named"]
+__all__ = [
+    "EXPECTED_LOADS",
+    "SENSORS",
+    "TASKS",
+    "Task",
+    "calibration_of",
+    "shipped_file",
+    "shipped_policy",
+    "task_in",
+    "task_named",
+]
+
+SENSORS = ("true", "randomised")
+"""What a policy may be trained on: the true centre of pressure, or drifting sensors of every severity."""
 
 EXPECTED_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.08, "com_change": 0.015})
 """Options of a calibration: which loads the robot is to expect, but not which one an episode has."""
@@ -99,3 +115,23 @@ def calibration_of(feed: str) -> dict[str, Any] | None:
     if options is None:
         return None
     return {**options, **(EXPECTED_LOADS if feed == "moment" else {})}
+
+
+def shipped_file(task: str, sensors: str) -> Traversable:
+    """Return the file of a policy that comes with the package."""
+    return files("surefoot.experiments.policy").joinpath("files", f"{task}-{sensors}", "policy.npz")
+
+
+def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwork:
+    """Return the policy that comes with the package for a task, trained on one of :data:`SENSORS`.
+
+    Raises:
+        ValueError: If there is no such policy.
+    """
+    if sensors not in SENSORS:
+        available = ", ".join(map(repr, SENSORS))
+        raise ValueError(
+            f"There is no shipped policy '{sensors}' for the task '{task}'. Available: {available}."
+        )
+    with as_file(shipped_file(task_named(task).name, sensors)) as path:
+        return PolicyNetwork.load(path)

@@ -25,8 +25,7 @@ from surefoot.experiments.episodes.tables import score_table
 from surefoot.experiments.policy.card import own_scores, write_card
 from surefoot.experiments.policy.controllers import controller_hash, load_controller, trained_on
 from surefoot.experiments.policy.options import TRAINING_SEEDS
-from surefoot.experiments.policy.shipped import SHIPPED, shipped_policy
-from surefoot.experiments.policy.tasks import TASKS
+from surefoot.experiments.policy.tasks import SENSORS, TASKS, shipped_policy
 from surefoot.experiments.policy.view import make_task
 from surefoot.experiments.study.store import StudyError
 
@@ -237,7 +236,7 @@ def test_a_shipped_policy_is_that_of_its_task_and_fits_it():
     assert controller_hash("shipped") not in (balance, walk)
     assert evaluation_plan(feeds=("true",)).files == {"shipped": balance}
     for task, options in (("balance", SHORT), ("walk", WALK)):
-        for sensors in SHIPPED[task]:
+        for sensors in SENSORS:
             policy = shipped_policy(sensors, task)
             assert policy.notes["options"]["sensors"] == sensors
             row = run_episode(policy, "true", 4, task=task, **options)
@@ -372,8 +371,8 @@ def test_a_card_takes_the_scores_of_its_own_policy_alone(mine, invented, undrawn
 
 
 def test_what_is_shipped_has_the_scores_of_its_own_episodes():
-    for task, kinds in SHIPPED.items():
-        for sensors in kinds:
+    for task in TASKS:
+        for sensors in SENSORS:
             folder = Path(str(files("surefoot.experiments.policy") / "files" / f"{task}-{sensors}"))
             own = own_scores(folder)
             assert own is not None

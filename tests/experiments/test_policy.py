@@ -15,8 +15,7 @@ from surefoot.experiments.episodes import run_episode
 from surefoot.experiments.policy.card import write_card
 from surefoot.experiments.policy.export import export_zip, network_of
 from surefoot.experiments.policy.options import TRAINING_SEEDS, TrainOptions
-from surefoot.experiments.policy.shipped import shipped_policy
-from surefoot.experiments.policy.tasks import TASKS, task_named
+from surefoot.experiments.policy.tasks import TASKS, shipped_policy, task_named
 from surefoot.experiments.policy.train import Trainer, TrainingError, remove_training
 from surefoot.experiments.policy.view import PARTS, PolicyView, input_names, make_task
 from surefoot.experiments.walks.walkers import FEEDS
