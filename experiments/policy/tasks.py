@@ -1,4 +1,4 @@
-"""The tasks that a policy can be trained for, what differs between them, and the policies that are shipped."""
+"""The tasks that a policy can be trained for, what differs between them, and the shipped policies."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
