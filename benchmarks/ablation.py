@@ -59,7 +59,7 @@ def main() -> None:
         logs = [record_walk(speed, seed, 34.0, [INSTANT])[INSTANT.name] for seed in seeds]
         bounds = [bound_of(log, log.time >= SETTLE, {}) for log in logs]
         print(f"\n{speed} m/s, {len(logs)} seeds: rmse of CoP (mm), vGRF (N), single cells (N)", flush=True)
-        limit = [np.mean([getattr(bound, part) for bound in bounds]) for part in ("cop", "vgrf", "cell")]
+        limit = [np.mean([bound[part] for bound in bounds]) for part in ("cop", "vgrf", "cell")]
         print(f"  {'bound':38s} {1e3 * limit[0]:6.2f} {limit[1]:6.3f} {limit[2]:6.3f}")
         for name, (options, change) in VARIANTS.items():
             told = logs if change is None else [change(log) for log in logs]

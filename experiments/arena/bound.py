@@ -9,26 +9,24 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import OnlineSetup, Parameters, posterior_bound
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.experiments.arena.cases import LogBound
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walks.replay import starting_map
 
-__all__ = ["bound_of"]
 
-
-def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> LogBound:
-    """Compute what no estimator can go below on a walk with truth.
-
-    The bound of a recording of something else than a walking NAO is NaN.
+def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
+    """Compute what no estimator can go below on a walk with truth; NaN for what is no walk of a NAO.
 
     Args:
         log: The log.
         judged: Samples that are scored, shape (N,).
         options: Options of the moment filter besides the log.
+
+    Returns:
+        Bounds on the errors of the CoP in m, of the vertical force (``vgrf``) and of single cells in N.
     """
     walks = log.truth is not None and bool(log.about.get("speed_m_s"))
     if not walks or not judged.any() or not np.isfinite(log.raw).all():
-        return LogBound(float("nan"), float("nan"), float("nan"))
+        return dict.fromkeys(("cop", "vgrf", "cell"), float("nan"))
     assert log.truth is not None
     model = {field.name for field in fields(MomentFilterConfig)}
     setup = OnlineSetup(
@@ -42,8 +40,8 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
     config = MomentFilterConfig(**{name: value for name, value in options.items() if name in model})
     truth = Parameters(log.truth.scale, log.truth.offset)
     bound = posterior_bound(setup, log.raw, log.reference, truth, config)
-    return LogBound(
-        cop=float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
-        vgrf=float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
-        cell=float(np.sqrt(np.mean(bound.force[judged] ** 2))),
-    )
+    return {
+        "cop": float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
+        "vgrf": float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
+        "cell": float(np.sqrt(np.mean(bound.force[judged] ** 2))),
+    }

@@ -7,7 +7,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,6 @@ from surefoot.experiments.study.store import Case
 from surefoot.experiments.walks.closed_loop import run_loop
 from surefoot.experiments.walks.replay import starting_map
 
-__all__ = ["Bound", "LogBound", "bound_case", "loop_case", "score_case", "time_method"]
-
 SLICE = 2.0
 """Time in s between points of the errors that are drawn over time."""
 
@@ -41,40 +39,19 @@ PHASES = 4
 Tables = dict[str, list[dict[str, Any]]]
 
 
-@dataclass(frozen=True)
-class LogBound:
-    """What no estimator can go below on one log.
-
-    Attributes:
-        cop: Bound on the CoP error in m.
-        vgrf: Bound on that of the vertical force in N.
-        cell: Bound on that of single cells in N.
-    """
-
-    cop: float
-    vgrf: float
-    cell: float
-
-
-Bound = Callable[[Log, NDArray[np.bool_], Mapping[str, Any]], LogBound]
+Bound = Callable[[Log, NDArray[np.bool_], Mapping[str, Any]], dict[str, float]]
 """Computes the bound of a log over the samples that are judged, for an estimator that is given the options of
-a scenario; must survive pickling."""
+a scenario, see :func:`~surefoot.experiments.arena.bound.bound_of`; must survive pickling."""
 
 
 def score_case(
     scenario: Scenario, method: str, options: ArenaOptions, changes: Mapping[str, Any] | None = None
 ) -> Case:
-    """Return the case of one method on one scenario.
+    """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario.
 
     Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
-    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``.
-
-    Args:
-        scenario: The scenario.
-        method: A method, the true map, or for the paper's scenarios one of
-            :data:`~surefoot.experiments.arena.yardsticks.OTHER_WAYS`.
-        options: How much is done.
-        changes: Options of the method to change, besides the scenario's.
+    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``. Changes are options of the method,
+    besides the scenario's.
     """
     changed = dict(changes or {})
     name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
@@ -100,12 +77,7 @@ def loop_case(severity: float, feed: str, speed: float, seed: int, duration: flo
 
 
 def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Time one robot's updates on one walk.
-
-    Args:
-        path: A log.
-        method: A method.
-        options: Its options.
+    """Time one robot's updates on one log by a method with its options.
 
     Returns:
         ``method``, the median and the mean time in microseconds, and the median of the slowest of four
@@ -170,7 +142,7 @@ def _bound(scenario: Scenario, options: ArenaOptions, bound: Bound) -> Tables:
     for stream in streams_of(scenario, options)[0]:
         # A bound knows of no fault: what it says of a channel that fails would mean nothing.
         if not stream.faults:
-            limit = asdict(bound(stream.log, stream.judged, scenario.options_of("moment")))
+            limit = bound(stream.log, stream.judged, scenario.options_of("moment"))
             named = {f"bound_{part}": value for part, value in limit.items()}
             rows.append({"scenario": scenario.name, "seed": stream.seed, **named})
     return {"bounds": rows}

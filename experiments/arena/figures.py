@@ -1,18 +1,17 @@
 """Figures of the comparison: errors at a glance, errors over time, and how sure methods are of them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from surefoot.experiments.arena.scenarios import Scenario
 from surefoot.experiments.arena.tables import consistent
 from surefoot.experiments.study.figures import (
+    by_way,
     draw_curve,
+    draw_mean,
     figure_at,
     grid_of,
     in_order,
@@ -20,81 +19,76 @@ from surefoot.experiments.study.figures import (
     logarithmic,
     look_of,
 )
-from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["consistency", "detection", "draw_dot", "error_curves", "overview"]
-
-_PANELS = (
+METRICS = (
     ("cop", 1e3, "CoP rmse (mm)", 2.0),
     ("vgrf", 1.0, "vGRF rmse (N)", 0.4),
     ("cell", 1.0, "single cell rmse (N)", 0.4),
 )
+"""Errors with the factor to their unit, what to call them, and what was set out to be reached."""
 
-SMALLEST = 1e-9
-"""What is smaller than this is nothing, which a logarithmic axis cannot show."""
+Panel = tuple[str, float, Callable[[Axes, Frame, float, str], None]]
+"""A label, where a line is drawn, and what draws the runs of one method at a height."""
 
 
-def draw_dot(axes: Axes, values: Any, factor: float, at: float, name: str, *, upright: bool = False) -> None:
-    """Draw a mean with its 95 % interval on a logarithmic axis, in the look of a way to read the feet.
+def overview(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path:
+    """Draw mean errors with 95 % intervals: scenarios down, a panel a kind of error, colours for methods."""
 
-    Args:
-        axes: Where.
-        values: One number a run.
-        factor: To multiply them with.
-        at: Place on the other axis.
-        name: The way to read the feet.
-        upright: Whether the values go upwards, in place of to the right.
+    def panel(metric: str, factor: float, label: str, target: float) -> Panel:
+        return label, target, lambda axes, runs, at, name: draw_mean(axes, runs[metric], factor, at, name)
+
+    return _by_scenario(path, scores, _ran(scores, scenarios), [panel(*metric) for metric in METRICS])
+
+
+def consistency(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
+    """Draw the mean NEES at the ends of walks with the interval that a consistent estimator keeps to.
+
+    Returns:
+        The path, or ``None`` if no method claims an uncertainty.
     """
-    interval, look = mean_interval(values), look_of(name)
-    if interval.n == 0 or not interval.mean > SMALLEST:
-        return
-    mean, half = factor * interval.mean, 0.0 if np.isnan(interval.half) else factor * interval.half
-    # On a logarithmic axis an interval that reaches below zero is cut off near the mean.
-    reach = [[min(half, 0.9 * mean)], [half]]
-    place: dict[str, Any] = (
-        {"x": at, "y": mean, "yerr": reach} if upright else {"x": mean, "y": at, "xerr": reach}
-    )
-    axes.errorbar(**place, color=look.colour, marker=look.marker, markersize=4.5, capsize=2.0, linewidth=1.2)
+
+    def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
+        axes.plot(consistent(runs), [at, at], color="black", linewidth=5, alpha=0.25)
+        draw_mean(axes, runs["nees_end"], 1.0, at, name)
+
+    claims = scores[np.isfinite(scores["nees_end"])]
+    shown = _ran(claims, scenarios)
+    label = "NEES of scales and offsets over its degrees of freedom"
+    return _by_scenario(path, claims, shown, [(label, 1.0, draw)]) if shown else None
 
 
-def overview(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Path:
-    """Draw mean errors with 95 % intervals: scenarios down, one panel a kind of error, colours for methods.
+def detection(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
+    """Draw how long each fault went unfound, one dot a run.
 
-    Args:
-        path: Where to save the figure.
-        scores: One row a run, as :func:`surefoot.experiments.arena.run.run_arena` makes them.
-        scenarios: What to draw, from the top.
+    Returns:
+        The path, or ``None`` if no fault was ever found.
     """
-    shown = [s for s in scenarios if (scores["scenario"] == s.name).any()]
-    methods = in_order(scores["method"])
-    with figure_at(path, 11.0, 1.6 + 0.42 * len(shown)) as figure:
-        panels = grid_of(figure, 1, 3, sharey=True)[0]
-        for axes, (metric, factor, label, target) in zip(panels, _PANELS, strict=True):
-            for at, name, runs in _rows(scores, shown, methods, 0.7):
-                draw_dot(axes, runs[metric], factor, at, name)
-            axes.axvline(target, color="black", linestyle="--", linewidth=0.8)
-            _log_x(axes, label)
-        _by_scenario(figure, panels[0], shown, methods)
-    return path
+
+    def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
+        times, look = np.maximum(runs["found"], 0.01), look_of(name)
+        style = {"color": look.colour, "marker": look.marker, "linestyle": "none"}
+        axes.plot(times, np.full(len(times), at), alpha=0.5, markersize=4, **style)  # type: ignore[arg-type]
+
+    found = scores[np.isfinite(scores["found"])]
+    shown = _ran(scores, [scenario for scenario in scenarios if scenario.faults])
+    panel = ("time until a fault is found (s)", 1.0, draw)
+    return _by_scenario(path, found, shown, [panel]) if len(found) and shown else None
 
 
 def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> Path:
     """Draw the running CoP error over time, median and quartiles over runs.
 
-    Args:
-        path: Where to save the figure.
-        panels: By title: rows ``method``, ``seed``, ``time`` (s) and ``cop`` (m).
-        columns: Most panels side by side.
+    Panels are, by title, rows of ``method``, ``seed``, ``time`` (s) and ``cop`` (m).
     """
     across = min(columns, len(panels))
     down = -(-len(panels) // across)
     with figure_at(path, max(3.7 * across + 0.4, 6.4), 2.5 * down + 1.2) as figure:
         drawn = grid_of(figure, down, across, sharey=True)
         for axes, (title, part) in zip(drawn.flat, panels.items(), strict=False):
-            for method in in_order(part["method"]):
-                runs = part[part["method"] == method].groupby("time")["cop"]
-                low, middle, high = (1e3 * runs.quantile(q).clip(lower=1e-5) for q in (0.25, 0.5, 0.75))
+            for method, runs in by_way(part).items():
+                errors = runs.groupby("time")["cop"]
+                low, middle, high = (1e3 * errors.quantile(q).clip(lower=1e-5) for q in (0.25, 0.5, 0.75))
                 draw_curve(axes, middle.index, middle, look_of(method), low, high)
             axes.set_title(title)
             logarithmic(axes)
@@ -109,91 +103,24 @@ def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> P
     return path
 
 
-def consistency(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Path | None:
-    """Draw the mean NEES at the ends of walks with the interval that a consistent estimator keeps to.
+def _ran(scores: Frame, scenarios: Sequence[Scenario]) -> list[Scenario]:
+    return [scenario for scenario in scenarios if (scores["scenario"] == scenario.name).any()]
 
-    Args:
-        path: Where to save the figure.
-        scores: One row a run.
-        scenarios: What to draw, from the top.
 
-    Returns:
-        The path, or ``None`` if no method claims an uncertainty.
-    """
-    claims = scores[np.isfinite(scores["nees_end"])]
-    shown = [s for s in scenarios if (claims["scenario"] == s.name).any()]
-    if not shown:
-        return None
-    methods = in_order(claims["method"])
-    with figure_at(path, 8.0, 1.6 + 0.36 * len(shown)) as figure:
-        axes = grid_of(figure, 1, 1)[0, 0]
-        for at, name, runs in _rows(claims, shown, methods, 0.5):
-            axes.plot(consistent(runs), [at, at], color="black", linewidth=5, alpha=0.25)
-            draw_dot(axes, runs["nees_end"], 1.0, at, name)
-        axes.axvline(1.0, color="black", linewidth=0.8)
-        _log_x(axes, "NEES of scales and offsets over its degrees of freedom")
-        _by_scenario(figure, axes, shown, methods)
+def _by_scenario(path: Path, scores: Frame, shown: Sequence[Scenario], panels: Sequence[Panel]) -> Path:
+    """Draw a row a scenario, with the methods beside each other around it."""
+    methods = in_order(scores["method"])
+    with figure_at(path, 5.0 + 2.0 * len(panels) + (len(panels) == 1), 1.6 + 0.42 * len(shown)) as figure:
+        drawn = grid_of(figure, 1, len(panels), sharey=True)[0]
+        for axes, (label, line, draw) in zip(drawn, panels, strict=True):
+            for i, scenario in enumerate(shown):
+                for name, runs in by_way(scores[scores["scenario"] == scenario.name]).items():
+                    draw(axes, runs, i + 0.7 * ((methods.index(name) + 0.5) / len(methods) - 0.5), name)
+            axes.axvline(line, color="black", linestyle="--", linewidth=0.8)
+            logarithmic(axes, label)
+        drawn[0].set_yticks(range(len(shown)), [scenario.title for scenario in shown])
+        drawn[0].set_ylim(len(shown) - 0.4, -0.6)
+        for look in map(look_of, methods):
+            drawn[0].plot([], [], look.marker, color=look.colour, label=look.label)
+        legend_below(figure, drawn[0])
     return path
-
-
-def detection(path: Path, scores: Frame, scenarios: tuple[Scenario, ...]) -> Path | None:
-    """Draw how long each fault went unfound, one dot a run.
-
-    Args:
-        path: Where to save the figure.
-        scores: One row a run.
-        scenarios: What to draw, from the top; those without a fault are left out.
-
-    Returns:
-        The path, or ``None`` if no fault was ever found.
-    """
-    found = scores[np.isfinite(scores["found"])]
-    shown = [s for s in scenarios if s.faults and (scores["scenario"] == s.name).any()]
-    if not len(found) or not shown:
-        return None
-    methods = in_order(found["method"])
-    with figure_at(path, 8.0, 1.6 + 0.42 * len(shown)) as figure:
-        axes = grid_of(figure, 1, 1)[0, 0]
-        for at, name, runs in _rows(found, shown, methods, 0.7):
-            times = np.maximum(runs["found"], 0.01)
-            axes.plot(
-                times, np.full(len(times), at), linestyle="none", alpha=0.5, markersize=4, **_mark(name)
-            )
-        axes.axvline(1.0, color="black", linestyle="--", linewidth=0.8)
-        _log_x(axes, "time until a fault is found (s)")
-        _by_scenario(figure, axes, shown, methods)
-    return path
-
-
-def _rows(
-    scores: Frame, shown: list[Scenario], methods: list[str], spread: float
-) -> list[tuple[float, str, Frame]]:
-    """Return the place, the method and the runs of every row: scenarios one apart, methods around them."""
-    rows = []
-    for i, scenario in enumerate(shown):
-        part = scores[scores["scenario"] == scenario.name]
-        for j, method in enumerate(methods):
-            runs = part[part["method"] == method]
-            if len(runs):
-                rows.append((i + spread * ((j + 0.5) / len(methods) - 0.5), method, runs))
-    return rows
-
-
-def _log_x(axes: Axes, label: str) -> None:
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.set_xlabel(label)
-
-
-def _by_scenario(figure: Figure, axes: Axes, shown: list[Scenario], methods: list[str]) -> None:
-    """Name the scenarios from the top, and put a key to the methods below."""
-    axes.set_yticks(range(len(shown)), [s.title for s in shown])
-    axes.set_ylim(len(shown) - 0.4, -0.6)
-    for method in methods:
-        axes.plot([], [], linestyle="none", label=look_of(method).label, **_mark(method))
-    legend_below(figure, axes)
-
-
-def _mark(method: str) -> dict[str, Any]:
-    look = look_of(method)
-    return {"color": look.colour, "marker": look.marker}

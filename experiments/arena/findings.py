@@ -4,35 +4,29 @@ import numpy as np
 
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.scenarios import PLAIN, Scenario
-from surefoot.experiments.study.figures import in_order, short_label
+from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame, number, plural, with_interval
-
-__all__ = ["scenario_findings", "summary_findings"]
 
 START = "none"
 """The method that leaves the readings as the starting map gives them."""
 
 
 def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> tuple[str, ...]:
-    """Return what a scenario shows.
-
-    Args:
-        scores: One row a run, of all scenarios.
-        scenario: Which one.
-        left_out: Walks that ended in a fall before they were worth a score.
-    """
+    """Return what a scenario shows, from one row a run of all of them, and of how many were left out."""
     part = scores[scores["scenario"] == scenario.name]
     if not len(part):
         return (f"No walk lasted long enough to be scored: {left_out} of {left_out} ended in a fall.",)
     errors = part.pivot(index="seed", columns="method", values="cop")
-    said = [_ranking(errors)]
-    said += [_method(part, errors, m) for m in in_order(errors) if m not in (TRUE_MAP, START)]
-    special = scenario.name != PLAIN and not scenario.faults
-    if special and (scores["scenario"] == PLAIN).any():
-        said.append(_against_plain(scores, part))
+    methods = {name: runs for name, runs in by_way(part).items() if name not in (TRUE_MAP, START)}
+    said = [_ranking(errors), *(_method(runs, errors, name) for name, runs in methods.items())]
     if scenario.faults:
-        said += _faults(part)
+        said += [_fault(runs, name) for name, runs in methods.items()]
+    elif scenario.name != PLAIN and (scores["scenario"] == PLAIN).any():
+        plain = scores[scores["scenario"] == PLAIN].groupby("method")["cop"].mean()
+        ratios = {name: runs["cop"].mean() / plain.get(name, np.nan) for name, runs in methods.items()}
+        pieces = [f"{short_label(name)} {number(float(r))}" for name, r in ratios.items() if np.isfinite(r)]
+        said.append(f"CoP error over that of plain walking at 0.04 m/s: {', '.join(pieces)}.")
     falls = int(part.drop_duplicates("seed")["fell"].sum())
     if falls or left_out:
         said.append(
@@ -49,38 +43,33 @@ def summary_findings(scores: Frame) -> tuple[str, ...]:
     best = means.idxmin(axis=1)
     said = []
     for method in in_order(means.columns):
-        runs = scores[scores["method"] == method]
-        leads = int((best == method).sum())
-        text = f"{short_label(method)}: the smallest mean CoP error in {leads} of {len(means)} scenarios"
-        if method != START:
-            text += f"; {_harm(runs)}"
-        said.append(text + ".")
+        harm = "" if method == START else f"; {_harm(scores[scores['method'] == method])}"
+        said.append(
+            f"{short_label(method)}: the smallest mean CoP error in {int((best == method).sum())} of "
+            f"{len(means)} scenarios{harm}."
+        )
     return tuple(said)
 
 
 def _ranking(errors: Frame) -> str:
     """Return who is nearest to the truth, and whether that is clear of the next."""
-    methods = [m for m in errors.columns if m != TRUE_MAP]
-    ranked = sorted(methods, key=lambda m: float(errors[m].mean()))
+    ranked = sorted((m for m in errors.columns if m != TRUE_MAP), key=lambda m: float(errors[m].mean()))
     if not ranked:
         return "Only the true map was run."
     best = ranked[0]
-    text = (
-        f"Nearest to the truth is {short_label(best)} with {with_interval(errors[best], 1e3)} mm of CoP error"
-    )
+    error = with_interval(errors[best], 1e3)
+    text = f"Nearest to the truth is {short_label(best)} with {error} mm of CoP error"
     if TRUE_MAP in errors:
         text += f" (true map {with_interval(errors[TRUE_MAP], 1e3)} mm)"
     if len(ranked) > 1:
-        gap = mean_interval(errors[ranked[1]] - errors[best])
-        lead = with_interval(errors[ranked[1]] - errors[best], 1e3)
-        text += f"; {short_label(ranked[1])} is {lead} mm further off"
-        if not gap.mean > gap.half:
+        gap = errors[ranked[1]] - errors[best]
+        text += f"; {short_label(ranked[1])} is {with_interval(gap, 1e3)} mm further off"
+        if not mean_interval(gap).mean > mean_interval(gap).half:
             text += ", which is no clear difference"
     return text + "."
 
 
-def _method(part: Frame, errors: Frame, method: str) -> str:
-    runs = part[part["method"] == method]
+def _method(runs: Frame, errors: Frame, method: str) -> str:
     text = f"{short_label(method)}: CoP {with_interval(errors[method], 1e3)} mm"
     if START in errors:
         text += f", {_change(errors, method)}"
@@ -114,29 +103,11 @@ def _harm(runs: Frame) -> str:
     return text + (f" ({cells} with worse cells)" if cells else "")
 
 
-def _against_plain(scores: Frame, part: Frame) -> str:
-    """Return what the scenario costs each method against plain walking."""
-    plain = scores[scores["scenario"] == PLAIN]
-    pieces = []
-    for method in in_order(part["method"]):
-        here = part[part["method"] == method]["cop"].mean()
-        there = plain[plain["method"] == method]["cop"].mean()
-        if method not in (TRUE_MAP, START) and np.isfinite(there) and there > 0:
-            pieces.append(f"{short_label(method)} {number(float(here / there))}")
-    return f"CoP error over that of plain walking at 0.04 m/s: {', '.join(pieces)}."
-
-
-def _faults(part: Frame) -> list[str]:
-    said = []
-    for method in in_order(part["method"]):
-        runs = part[part["method"] == method]
-        if method in (TRUE_MAP, START):
-            continue
-        found = runs["found"].to_numpy()
-        within = int((found <= 1.0).sum())
-        text = f"{short_label(method)}: the fault is found within 1 s in {within} of {len(runs)} runs"
-        if np.isfinite(found).any():
-            text += f" (median {number(float(np.median(found[np.isfinite(found)])))} s where it is found)"
-            text += f", the right cell alone is accused in {int(runs['isolated'].sum())}"
-        said.append(text + f"; CoP afterwards {with_interval(runs['after'], 1e3)} mm.")
-    return said
+def _fault(runs: Frame, method: str) -> str:
+    found = runs["found"][np.isfinite(runs["found"])]
+    within = int((runs["found"] <= 1.0).sum())
+    text = f"{short_label(method)}: the fault is found within 1 s in {within} of {len(runs)} runs"
+    if len(found):
+        text += f" (median {number(float(found.median()))} s where it is found)"
+        text += f", the right cell alone is accused in {int(runs['isolated'].sum())}"
+    return f"{text}; CoP afterwards {with_interval(runs['after'], 1e3)} mm."

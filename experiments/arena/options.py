@@ -3,12 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from surefoot.calibration import METHODS
 from surefoot.experiments.walks.walkers import STAND_TIME
-
-__all__ = ["TRUE_MAP", "ArenaOptions"]
 
 TRUE_MAP = "floor"
 """Name of the row that no method reaches: the map that would undo the cells' errors at every moment."""
@@ -68,6 +65,11 @@ class ArenaOptions:
             raise ValueError(f"Method '{unknown[0]}' does not exist. Available: {available}.")
 
     @property
+    def logs(self) -> Path:
+        """The folder that recorded walks are kept in."""
+        return self.out / "logs"
+
+    @property
     def rows(self) -> tuple[str, ...]:
         """What is scored, in order: the true map and the methods."""
         return tuple(dict.fromkeys((TRUE_MAP, *(self.methods or METHODS))))
@@ -81,7 +83,3 @@ class ArenaOptions:
             settle=STAND_TIME + 6.0,
             quick=True,
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return them as plain data, for a file."""
-        return {name: str(v) if isinstance(v, Path) else v for name, v in vars(self).items()}

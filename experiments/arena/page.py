@@ -19,14 +19,12 @@ from surefoot.experiments.study.page import (
     ReportFigure,
     Section,
     failure_section,
-    flat,
+    repeat_section,
     save_tables,
     write_page,
 )
-from surefoot.experiments.study.tables import plural
+from surefoot.experiments.study.tables import flat, plural, sentence
 from surefoot.experiments.walks.walkers import STAND_TIME
-
-__all__ = ["compare_walking", "write_arena_page"]
 
 _INTRODUCTION = """
     A NAO-class biped walks in MuJoCo on feet whose scales and offsets are wrong and drift. Every walk is
@@ -42,41 +40,27 @@ _AMOUNT = """
     The row "floor (true map)" is what the map that undoes the errors at every moment would read: what is
     left of it is the sensors' own noise and age."""
 
+_REPEAT = """
+    All scores are in tables/scores.csv and .parquet, one row a run; tables/summary.csv holds their means,
+    tables/errors.parquet the errors over time, and logs/ the recorded streams."""
+
 _CAPTIONS = {
-    "overview": "Means and 95 % intervals of all scenarios; dashed, what was set out to be reached.",
-    "curves": "Rmse of the last 2 s: median over the walks, and quartiles shaded.",
-    "consistency": "How the errors of scales and offsets at the ends of the walks agree with the covariance "
+    "All scenarios": "Means and 95 % intervals of all scenarios; dashed, what was set out to be reached.",
+    "Error over time": "Rmse of the last 2 s: median over the walks, and quartiles shaded.",
+    "Consistency": "How the errors of scales and offsets at the ends of the walks agree with the covariance "
     "claimed: 1 is right, to the right of it a method is too sure. Grey, the 95 % interval of a consistent "
     "estimator.",
-    "detection": "Every dot is a walk in which the fault was found; dashed, one second.",
+    "Detection": "Every dot is a walk in which the fault was found; dashed, one second.",
 }
 
 
 def compare_walking(options: ArenaOptions, console: Console | None = None) -> Report:
-    """Run the comparison of all scenarios, and write its page.
-
-    Args:
-        options: How much.
-        console: Where progress is shown; the terminal's error output by default.
-
-    Returns:
-        The page, and the tables that sum it up.
-
-    Raises:
-        ValueError: If the study cannot be run, or nothing in it could be scored.
-    """
+    """Run the comparison of all scenarios, and write its page; refused is what :func:`run_arena` refuses."""
     return write_arena_page(run_arena(options, bound=bound_of, console=console))
 
 
 def write_arena_page(results: ArenaResults) -> Report:
-    """Draw the figures, save the tables as CSV, and write ``report.html``.
-
-    Args:
-        results: What the study found.
-
-    Returns:
-        The page, and the tables that sum it up.
-    """
+    """Draw the figures, save the tables as CSV, and write ``report.html``; return it with what sums it up."""
     options, scores, scenarios = results.options, results.scores, results.scenarios
     drawn = options.out / "figures"
     timing, alarms = tables.timing_table(results.timing, scores), tables.alarm_table(scores)
@@ -84,19 +68,21 @@ def write_arena_page(results: ArenaResults) -> Report:
     faults = tables.fault_table(scores, scenarios)
     claims = claims_of(scores, results.timing)
     targets = (claim_table(claims, "Set out to reach"),) if claims else ()
-    shown = [
-        (figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios", "overview"),
-        (figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency", "consistency"),
-    ]
+    shown = (
+        *_figure(figures.overview(drawn / "overview.svg", scores, scenarios), "All scenarios"),
+        *_figure(figures.consistency(drawn / "consistency.svg", scores, scenarios), "Consistency"),
+    )
     sections = [
-        Section("summary", "In short", (), summary_findings(scores), summary, figures=_figures(shown)),
+        Section("summary", "In short", (), summary_findings(scores), summary, figures=shown),
         *(_scenario_section(results, scenario, drawn) for scenario in scenarios),
     ]
     if faults is not None:
-        shown = [(figures.detection(drawn / "detection.svg", scores, scenarios), "Detection", "detection")]
-        title = "Faults side by side"
-        sections.append(Section("faults", title, tables=(faults,), figures=_figures(shown)))
-    sections += [*failure_section(results.failures), _repeat_section(results)]
+        shown = _figure(figures.detection(drawn / "detection.svg", scores, scenarios), "Detection")
+        sections.append(Section("faults", "Faults side by side", tables=(faults,), figures=shown))
+    quick = " --quick" if options.quick else ""
+    command = f"surefoot compare walking --scenario {scenarios[0].name} --seeds {options.seeds}{quick}"
+    sections += failure_section(results.failures)
+    sections.append(repeat_section((_REPEAT,), (f"{command} --out {options.out}",), results.seconds))
     if targets:
         sections.append(Section("targets", "What was set out to reach", tables=targets))
     _save_summary(results)
@@ -112,23 +98,22 @@ def write_arena_page(results: ArenaResults) -> Report:
     return Report(page, (*targets, *summary, *(() if faults is None else (faults,))))
 
 
-def _figures(drawn: list[tuple[Path | None, str, str]]) -> tuple[ReportFigure, ...]:
-    return tuple(ReportFigure(path, name, _CAPTIONS[key]) for path, name, key in drawn if path is not None)
+def _figure(path: Path | None, name: str) -> tuple[ReportFigure, ...]:
+    return () if path is None else (ReportFigure(path, name, _CAPTIONS[name]),)
 
 
 def _scenario_section(results: ArenaResults, scenario: Scenario, folder: Path) -> Section:
-    shown: list[tuple[Path | None, str, str]] = []
     curves = results.errors[results.errors["scenario"] == scenario.name]
+    path = None
     if curves["cop"].notna().any():
-        path = folder / f"curves_{scenario.name}.svg"
-        shown = [(figures.error_curves(path, {scenario.title: curves}), "Error over time", "curves")]
+        path = figures.error_curves(folder / f"curves_{scenario.name}.svg", {scenario.title: curves})
     return Section(
         scenario.name,
-        scenario.title[:1].upper() + scenario.title[1:],
+        sentence(scenario.title),
         (scenario.answers,),
         scenario_findings(results.scores, scenario, results.left_out.get(scenario.name, 0)),
         (tables.scenario_table(results.scores, scenario),),
-        figures=_figures(shown),
+        figures=_figure(path, "Error over time"),
     )
 
 
@@ -139,22 +124,3 @@ def _save_summary(results: ArenaResults) -> None:
     runs = groups.size().rename("runs")
     with atomic_path(results.options.out / "tables" / "summary.csv") as part:
         pd.concat([runs, groups[list(numbers)].mean()], axis=1).to_csv(part)
-
-
-def _repeat_section(results: ArenaResults) -> Section:
-    options = results.options
-    took = ", ".join(f"{what} {seconds:.0f} s" for what, seconds in results.seconds.items())
-    quick = " --quick" if options.quick else ""
-    return Section(
-        "repeat",
-        "Repeat any part",
-        (
-            "All scores are in tables/scores.csv and .parquet, one row a run; tables/summary.csv holds "
-            "their means, tables/errors.parquet the errors over time, and logs/ the recorded streams.",
-            f"This run took: {took}. What is finished is kept, so that a run goes on where it stopped.",
-        ),
-        commands=(
-            f"surefoot compare walking --scenario {results.scenarios[0].name} --seeds {options.seeds}{quick} "
-            f"--out {options.out}",
-        ),
-    )

@@ -18,8 +18,6 @@ from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream, held
 from surefoot.experiments.walks.replay import LogBatch, batches_of, starting_map
 
-__all__ = ["Consistency", "Played", "play"]
-
 SNAPSHOT = 1.0
 """Time between looks at a covariance in s."""
 
@@ -68,25 +66,14 @@ class Played:
 
 
 def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]:
-    """Run a method over streams.
-
-    Args:
-        streams: Streams of any lengths and robots.
-        method: A key of :data:`~surefoot.calibration.METHODS`, or the true map's name.
-        **options: Options of the method.
-
-    Returns:
-        What it made of each, in their order.
-    """
+    """Run a method, or the true map, over streams of any lengths and robots; each option is the method's."""
     if method == TRUE_MAP:
         return [_true_map(stream) for stream in streams]
     logs = [stream.log for stream in streams]
     played: dict[int, Played] = {}
     for batch in batches_of(logs, [starting_map(log) for log in logs]):
-        members = batch.members
-        played |= zip(
-            members, _play_batch([streams[i] for i in members], batch, method, options), strict=True
-        )
+        found = _play_batch([streams[i] for i in batch.members], batch, method, options)
+        played |= zip(batch.members, found, strict=True)
     return [played[i] for i in range(len(streams))]
 
 
@@ -141,21 +128,14 @@ def _play_batch(streams: list[Stream], batch: LogBatch, method: str, options: di
 
 
 class _Watch:
-    """Compares what a batch claims with the truth, as it goes.
-
-    Args:
-        streams: The streams of the batch.
-    """
+    """Compares what a batch of streams claims with the truth, as it goes."""
 
     def __init__(self, streams: list[Stream]) -> None:
         self._streams = streams
         self._every = max(round(SNAPSHOT / streams[0].log.dt), 1)
         self._time: list[float] = []
-        self._nees: list[NDArray[np.float64]] = []
-        self._cop: list[NDArray[np.float64]] = []
-        self._force: list[NDArray[np.float64]] = []
-        self._nis = np.zeros(len(streams))
-        self._rows = np.zeros(len(streams))
+        self._seen: list[NDArray[np.float64]] = []
+        self._nis, self._rows = np.zeros((2, len(streams)))
         truths = [Parameters(s.truth.scale, s.truth.offset).relative_to(starting_map(s.log)) for s in streams]
         # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
         self._healthy = np.array([not s.faults for s in streams])
@@ -171,36 +151,26 @@ class _Watch:
             self._rows += np.where(counted, rows, 0)
         if (k + 1) % self._every:
             return
-        self._time.append(float(self._streams[0].log.time[k]))
         error = np.hstack([estimate.scale, estimate.offset]) - self._map[k]
-        self._nees.append(np.where(self._healthy, _normalised(error, estimate.covariance), np.nan))
+        nees = np.where(self._healthy, _normalised(error, estimate.covariance), np.nan)
         true_force = np.stack([s.truth.force[k] for s in self._streams])
-        std = estimate.force_std
-        nothing = np.full(len(self._streams), np.nan)
-        self._force.append(
-            nothing if std is None else np.mean(((estimate.force - true_force) / std) ** 2, axis=-1)
-        )
-        cop = estimate.cop_covariance
-        if cop is None:
-            self._cop.append(nothing)
-            return
-        off = estimate.cop - self._true_cop(k, reference)
-        self._cop.append(np.where(estimate.cop_valid, _normalised(off, cop), np.nan))
+        force = cop = np.full(len(self._streams), np.nan)
+        if estimate.force_std is not None:
+            force = np.mean(((estimate.force - true_force) / estimate.force_std) ** 2, axis=-1)
+        if estimate.cop_covariance is not None:
+            # The true forces are placed under the soles that the estimate is placed under.
+            wrench = sole_wrenches(true_force, self._streams[0].log.layout)
+            true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
+            off = _normalised(estimate.cop - true_cop, estimate.cop_covariance)
+            cop = np.where(estimate.cop_valid, off, np.nan)
+        self._time.append(float(self._streams[0].log.time[k]))
+        self._seen.append(np.stack([nees, cop, force]))
 
     def of(self, robot: int) -> Consistency:
         """Return what was seen of one robot."""
-        time = np.array(self._time)
-        nees, cop, force = (
-            np.array([row[robot] for row in rows]) for rows in (self._nees, self._cop, self._force)
-        )
-        return Consistency(time, nees, cop, force, float(self._nis[robot]), float(self._rows[robot]))
-
-    def _true_cop(self, k: int, reference: Reference) -> NDArray[np.float64]:
-        """Place the true forces under the soles that the estimate is placed under, shape (B, 2)."""
-        force = np.stack([s.truth.force[k] for s in self._streams])
-        wrench = sole_wrenches(force, self._streams[0].log.layout)
-        cop: NDArray[np.float64] = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
-        return cop
+        nees, cop, force = np.array(self._seen).reshape(-1, 3, len(self._streams))[..., robot].T
+        nis, rows = float(self._nis[robot]), float(self._rows[robot])
+        return Consistency(np.array(self._time), nees, cop, force, nis, rows)
 
 
 def _normalised(error: NDArray[np.float64], covariance: Any) -> NDArray[np.float64]:

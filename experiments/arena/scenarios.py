@@ -17,8 +17,6 @@ from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
 
-__all__ = ["PAPER_SCENARIOS", "PLAIN", "SCENARIOS", "SPEEDS", "Scenario", "scenarios_named"]
-
 PLAIN = "speed-0.04"
 """The scenario without anything special, which others are held against."""
 
@@ -274,11 +272,7 @@ SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
 
 
 def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
-    """Return scenarios by their names.
-
-    Args:
-        names: Their names; none for those of :data:`SCENARIOS`.
-        quick: Whether long ones are left out of these.
+    """Return scenarios by their names; all of :data:`SCENARIOS` for none, but a quick run's are not long.
 
     Raises:
         ValueError: If there is none of a name; the message lists what there is.

@@ -26,20 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Flag
-from surefoot.calibration.cop import FORCE_THRESHOLD, sole_wrenches
+from surefoot.calibration.cop import FORCE_THRESHOLD
+from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.arena.replay import Played
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.walks.replay import starting_map
-from surefoot.experiments.walks.score import cop_world
-
-__all__ = ["FAULT_FLAGS", "run_errors", "running_rmse", "score_run"]
+from surefoot.experiments.walks.score import cop_world, rms, vertical_forces
 
 Floats = NDArray[np.float64]
 
-FAULT_FLAGS = reduce(
-    or_,
-    (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED),
-)
+_FLAGS = (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED)
+FAULT_FLAGS = reduce(or_, _FLAGS)
 """Flags that accuse a channel."""
 
 _NAMED = {
@@ -64,35 +61,27 @@ GRACE = 1.0
 
 
 def score_run(stream: Stream, played: Played) -> dict[str, Any]:
-    """Score one run.
-
-    Args:
-        stream: The stream.
-        played: What a method made of it.
-
-    Returns:
-        The numbers that the module describes, by name; NaN where there is nothing to say.
-    """
+    """Score what a method made of a stream: the numbers that the module describes; NaN for nothing to say."""
     log, judged = stream.log, stream.judged
     cop, vgrf, cell = run_errors(stream, played.force)
     start_cop, start_vgrf, start_cell = run_errors(stream, stream.start)
     final = log.time[judged][-1]
     last = judged & (log.time > final - min(END, (final - stream.began) / 3.0))
-    end, end_start = _rms(cop[last]), _rms(start_cop[last])
+    end, end_start = rms(cop[last]), rms(start_cop[last])
     running = running_rmse(log.time, cop)
     row: dict[str, Any] = {
         "seed": stream.seed,
         "fell": stream.fell,
         "walked": float(log.time[-1] - stream.began),
-        "cop": _rms(cop[judged]),
-        "vgrf": _rms(vgrf[judged]),
-        "cell": _rms(cell[judged]),
+        "cop": rms(cop[judged]),
+        "vgrf": rms(vgrf[judged]),
+        "cell": rms(cell[judged]),
         "finite": bool(np.isfinite(played.force).all()),
         "end": end,
         "end_start": end_start,
         "worse": _larger(end, end_start),
-        "worse_vgrf": _larger(_rms(vgrf[last]), _rms(start_vgrf[last])),
-        "worse_cell": _larger(_rms(cell[last]), _rms(start_cell[last])),
+        "worse_vgrf": _larger(rms(vgrf[last]), rms(start_vgrf[last])),
+        "worse_cell": _larger(rms(cell[last]), rms(start_cell[last])),
         "converged": _converged(log.time, running, end, stream.began),
         "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
         "batch_us": 1e6 * played.seconds,
@@ -104,14 +93,9 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
 
 
 def running_rmse(time: Floats, error: Floats) -> Floats:
-    """Take the rmse of the last 2 s at every sample.
+    """Return the rmse of the last 2 s at every sample, shape (N,), from times in s and sizes of errors.
 
-    Args:
-        time: Times in s, shape (N,).
-        error: Sizes of errors, NaN where there is none, shape (N,).
-
-    Returns:
-        The rmse, shape (N,); NaN before there were 2 s and where no sample of them counts.
+    NaN is no error; it is returned before there were 2 s, and where no sample of them counts.
     """
     there = np.isfinite(error)
     square = np.concatenate([[0.0], np.cumsum(np.where(there, error, 0.0) ** 2)])
@@ -127,19 +111,17 @@ def run_errors(stream: Stream, force: Floats) -> tuple[Floats, Floats, Floats]:
     """Size of the CoP error in m (N,), error of the vertical force in N (N,) and of the cells in N (N, C)."""
     log, truth = stream.log, stream.truth
     poses = (log.layout, truth.position_sole, truth.R_world_sole)
-    vgrf, true_vgrf = (_vgrf(part, log.layout, truth.R_world_sole) for part in (force, truth.force))
+    forces = (vertical_forces(part, log.layout, truth.R_world_sole) for part in (force, truth.force))
+    vgrf, true_vgrf = (of_feet.sum(axis=-1) for of_feet in forces)
     true_cop = cop_world(truth.force, *poses) if stream.cop is None else stream.cop
     off = np.linalg.norm(cop_world(force, *poses) - true_cop, axis=-1)
     cop: Floats = np.where(true_vgrf > FORCE_THRESHOLD, off, np.nan)
-    # Torques of a six-axis sensor are in another unit.
-    newtons = [not name.rpartition("/")[2].startswith("t") for name in log.layout.channel_names]
-    return cop, vgrf - true_vgrf, (force - truth.force)[:, newtons]
+    return cop, vgrf - true_vgrf, (force - truth.force)[:, _newtons(log.layout)]
 
 
-def _vgrf(force: Floats, layout: Any, R_world_sole: Floats) -> Floats:
-    wrench = sole_wrenches(force, layout)
-    total: Floats = np.sum(R_world_sole[..., 2, :] * wrench[..., :3], axis=(-1, -2))
-    return total
+def _newtons(layout: FeetLayout) -> list[bool]:
+    """Return which channels are forces: torques of a six-axis sensor are in another unit."""
+    return [not name.rpartition("/")[2].startswith("t") for name in layout.channel_names]
 
 
 def _converged(time: Floats, running: Floats, end: float, began: float) -> float:
@@ -160,11 +142,8 @@ def _parameter_errors(stream: Stream, played: Played) -> dict[str, float]:
     true_offset = truth.offset - ratio * start.offset
     # A channel without load: F0 = -true_offset / ratio.
     unloaded = played.offset - played.scale * true_offset / ratio
-    newtons = [not name.rpartition("/")[2].startswith("t") for name in stream.log.layout.channel_names]
-    return {
-        "scale": _rms((played.scale / ratio - 1.0)[judged]),
-        "offset": _rms(unloaded[judged][:, newtons]),
-    }
+    offset = unloaded[judged][:, _newtons(stream.log.layout)]
+    return {"scale": rms((played.scale / ratio - 1.0)[judged]), "offset": rms(offset)}
 
 
 def _consistency(stream: Stream, played: Played) -> dict[str, float]:
@@ -191,21 +170,16 @@ def _faults(stream: Stream, played: Played, cop: Floats) -> dict[str, float]:
     start = min((fault.start for fault in stream.faults), default=float("inf"))
     before = (time >= stream.began) & (time < start)
     rising = accused[1:] & ~accused[:-1]
-    row = {
-        "alarms": float(rising[before[1:]].sum()),
-        "hours": float(before.sum() * stream.log.dt / 3600.0),
-        "found": float("nan"),
-        "isolated": float("nan"),
-        "named": float("nan"),
-        "after": float("nan"),
-    }
+    row = dict.fromkeys(("alarms", "hours", "found", "isolated", "named", "after"), float("nan"))
+    row["alarms"] = float(rising[before[1:]].sum())
+    row["hours"] = float(before.sum() * stream.log.dt / 3600.0)
     if not stream.faults:
         return row
     kinds = {_NAMED[fault.kind] for fault in stream.faults}
     accused |= (played.flags & int(reduce(or_, kinds))) != 0
     guilty = {n for fault in stream.faults for n in (fault.channel, fault.other) if n is not None}
     raised = np.flatnonzero(accused.any(axis=1) & (time >= start))
-    row["after"] = _rms(cop[time >= start + GRACE])
+    row["after"] = rms(cop[time >= start + GRACE])
     row["found"] = float(time[raised[0]] - start) if len(raised) else float("inf")
     if len(raised):
         window = (time >= start) & (time <= time[raised[0]] + GRACE)
@@ -225,8 +199,3 @@ def _larger(end: float, start: float) -> bool:
 def _mean(values: Floats) -> float:
     values = values[~np.isnan(values)]
     return float(values.mean()) if len(values) else float("nan")
-
-
-def _rms(values: Floats) -> float:
-    values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

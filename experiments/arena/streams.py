@@ -1,7 +1,6 @@
 """One stream of the arena: a log, what was done to it, and which of its samples are judged."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +12,6 @@ from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
-
-__all__ = ["Stream", "cut_fall", "streams_of"]
 
 FALLING = 1.0
 """The last s before a robot lay on the ground, in which it no longer walks."""
@@ -73,18 +70,14 @@ def held(readings: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def streams_of(scenario: Scenario, options: ArenaOptions) -> tuple[list[Stream], int]:
-    """Read the walks of a scenario and do to them what it says.
-
-    Args:
-        scenario: The scenario, whose walks have been recorded.
-        options: How much the arena does.
+    """Read the recorded walks of a scenario and do to them what it says.
 
     Returns:
         The streams, and how many walks are left out because the robot fell before it was worth a score.
     """
     streams, left_out = [], 0
     for seed in scenario.seeds(options.seeds):
-        paths = log_paths(scenario.walk, seed, options.duration, logs_folder(options))
+        paths = log_paths(scenario.walk, seed, options.duration, options.logs)
         log = read_log(paths[scenario.condition])
         fell = bool(log.about["fell"])
         if fell:
@@ -98,42 +91,22 @@ def streams_of(scenario: Scenario, options: ArenaOptions) -> tuple[list[Stream],
         if faults:
             rng = np.random.default_rng([_NOISE_STREAM, seed])
             log = replace(log, raw=apply_faults(log.raw, log.time, faults, _cells_of(scenario), rng))
-        streams.append(
-            Stream(
-                log=log,
-                seed=seed,
-                judged=log.time >= options.settle,
-                began=STAND_TIME,
-                faults=faults,
-                fell=fell,
-            )
-        )
+        streams.append(Stream(log, seed, log.time >= options.settle, STAND_TIME, faults, fell))
     return streams, left_out
-
-
-def logs_folder(options: ArenaOptions) -> Path:
-    """Return the folder that logs are kept in."""
-    return options.out / "logs"
 
 
 def cut_fall(log: Log) -> Log:
     """Cut off the end of a walk, in which the robot fell."""
     kept = log.time <= log.time[-1] - FALLING
     truth = log.truth
-    return replace(
-        log,
-        time=log.time[kept],
-        raw=log.raw[kept],
-        reference=type(log.reference)(*(part[kept] for part in log.reference)),
-        truth=None
-        if truth is None
-        else LogTruth(**{name: getattr(truth, name)[kept] for name in LogTruth.__dataclass_fields__}),
-    )
+    if truth is not None:
+        truth = LogTruth(**{name: getattr(truth, name)[kept] for name in LogTruth.__dataclass_fields__})
+    reference = type(log.reference)(*(part[kept] for part in log.reference))
+    return replace(log, time=log.time[kept], raw=log.raw[kept], reference=reference, truth=truth)
 
 
 def _cells_of(scenario: Scenario) -> LoadCells:
-    known = {one.name: one.cells for one in scenario.walk.conditions}
-    cells = known[scenario.condition]
+    cells = {one.name: one.cells for one in scenario.walk.conditions}[scenario.condition]
     if cells is None:
         raise ValueError(f"Faults befall load cells, and scenario '{scenario.name}' has none.")
     return cells

@@ -1,170 +1,52 @@
 """Tables of the comparison: one for each scenario, one over all of them, faults, alarms and time."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from scipy import stats
 
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.study.figures import in_order, look_of, short_label
-from surefoot.experiments.study.tables import Frame, Table, number, with_interval
-
-__all__ = [
-    "alarm_table",
-    "consistent",
-    "fault_table",
-    "overview_table",
-    "scenario_table",
-    "seconds_text",
-    "timing_table",
-]
-
-_COLUMNS = (
-    "method",
-    "CoP (mm)",
-    "vGRF (N)",
-    "cell (N)",
-    "scale (%)",
-    "offset (N)",
-    "converged (s)",
-    "spread (mm)",
-    "NEES",
-    "NEES, CoP",
-    "NIS",
-    "ends worse",
-    "bound on CoP (mm)",
+from surefoot.experiments.study.figures import by_way, in_order, look_of, short_label
+from surefoot.experiments.study.tables import (
+    Cell,
+    Frame,
+    Table,
+    count_of,
+    flat,
+    laid_out,
+    mean_of,
+    number,
+    sentence,
+    with_interval,
 )
 
-
-def scenario_table(scores: Frame, scenario: Scenario) -> Table:
-    """Return all scores of a scenario.
-
-    Args:
-        scores: One row a run, as :func:`surefoot.experiments.arena.run.run_arena` makes them.
-        scenario: Which one.
-    """
-    part = scores[scores["scenario"] == scenario.name]
-    rows = []
-    for method in in_order(part["method"]):
-        runs = part[part["method"] == method]
-        rows.append(
-            (
-                look_of(method).label,
-                with_interval(runs["cop"], 1e3),
-                with_interval(runs["vgrf"]),
-                with_interval(runs["cell"]),
-                with_interval(runs["scale"], 1e2),
-                with_interval(runs["offset"]),
-                _converged(runs) if method != TRUE_MAP else "–",
-                with_interval(runs["spread"], 1e3),
-                _nees(runs),
-                number(float(runs["nees_cop"].mean())),
-                _nis(runs),
-                f"{int(runs['worse'].sum())} of {len(runs)}" if method != TRUE_MAP else "–",
-                with_interval(runs["bound_cop"], 1e3),
-            )
-        )
-    return Table(
-        f"scenario_{scenario.name}",
-        f"{scenario.title[:1].upper()}{scenario.title[1:]}: means over runs and their 95 % intervals",
-        _COLUMNS,
-        tuple(rows),
-        "converged: median time after the walk began from which the error of 2 s stays within twice that of "
-        "the last 10 s. NEES: of scales and offsets at the end of the walk, over its degrees of freedom, "
-        "with the 95 % interval of a consistent estimator in brackets. That of the CoP, a mean over time, "
-        "and NIS are over their degrees of freedom as well.",
-    )
-
-
-def overview_table(scores: Frame, scenarios: tuple[Scenario, ...]) -> Table:
-    """Return the CoP errors of all scenarios and methods."""
-    methods = in_order(scores["method"])
-    rows = []
-    for scenario in scenarios:
-        part = scores[scores["scenario"] == scenario.name]
-        if not len(part):
-            continue
-        cells = [with_interval(part[part["method"] == m]["cop"], 1e3) for m in methods]
-        rows.append((scenario.title, str(part["seed"].nunique()), *cells))
-    columns = ("scenario", "runs", *(look_of(method).label for method in methods))
-    return Table("overview", "CoP rmse in mm, all scenarios", columns, tuple(rows))
-
-
-def fault_table(scores: Frame, scenarios: tuple[Scenario, ...]) -> Table | None:
-    """Return what became of faults, or ``None`` where there were none."""
-    rows = []
-    for scenario in scenarios:
-        part = scores[scores["scenario"] == scenario.name] if scenario.faults else scores[:0]
-        for method in in_order(part["method"]):
-            runs = part[part["method"] == method]
-            silent = method == TRUE_MAP
-            found = runs["found"].to_numpy()
-            known = np.isfinite(found)
-            share = "–" if silent else f"{int((found <= 1.0).sum())} of {len(runs)}"
-            rows.append(
-                (
-                    f"{scenario.title}, {short_label(method)}",
-                    share,
-                    number(float(np.median(found[known]))) if known.any() and not silent else "–",
-                    "–" if silent else f"{int(runs['isolated'].sum())} of {len(runs)}",
-                    "–" if silent else f"{int(runs['named'].sum())} of {len(runs)}",
-                    with_interval(runs["after"], 1e3),
-                )
-            )
-    columns = (
-        "fault, method",
-        "found within 1 s",
-        "found after (s), median",
-        "right cell",
-        "right name",
-        "CoP afterwards (mm)",
-    )
-    note = "CoP afterwards: rmse from 1 s after the fault to the end of the walk."
-    return (
-        Table("faults", "Cells that fail while the robot walks", columns, tuple(rows), note) if rows else None
-    )
-
-
-def alarm_table(scores: Frame) -> Table:
-    """Return how often a healthy cell was accused."""
-    rows = []
-    for method in in_order(scores["method"]):
-        runs = scores[scores["method"] == method]
-        if method == TRUE_MAP:
-            continue
-        alarms, hours = float(runs["alarms"].sum()), float(runs["hours"].sum())
-        # Exact interval of a Poisson rate (Garwood, 1936).
-        low = float(stats.chi2.ppf(0.025, 2 * alarms)) / 2 if alarms else 0.0
-        high = float(stats.chi2.ppf(0.975, 2 * alarms + 2)) / 2
-        rows.append(
-            (
-                look_of(method).label,
-                f"{hours:.2f}",
-                f"{alarms:.0f}",
-                number(alarms / hours),
-                f"{number(low / hours)} to {number(high / hours)}",
-            )
-        )
-    columns = ("method", "hours without a fault", "alarms", "per hour", "95 % interval")
-    return Table("alarms", "False alarms in all walks", columns, tuple(rows))
-
-
-def timing_table(timing: Frame, scores: Frame) -> Table:
-    """Return the time of one robot's update and the share of it in a batch."""
-    rows = []
-    for row in timing.itertuples():
-        batch = scores[scores["method"] == row.method]["batch_us"]
-        rows.append(
-            (look_of(row.method).label, number(row.median_us), number(row.mean_us), number(batch.mean()))
-        )
-    columns = ("method", "one robot, median (µs)", "one robot, mean (µs)", "in a batch, each (µs)")
-    return Table("timing", "Time of one update", columns, tuple(rows))
+_SCORES_NOTE = """
+    converged: median time after the walk began from which the error of 2 s stays within twice that of the
+    last 10 s. NEES: of scales and offsets at the end of the walk, over its degrees of freedom, with the 95 %
+    interval of a consistent estimator in brackets. That of the CoP, a mean over time, and NIS are over their
+    degrees of freedom as well."""
 
 
 def consistent(runs: Frame) -> tuple[float, float]:
     """Return the 95 % interval of the mean NEES of an estimator that is as sure as it should be."""
     degrees = float((runs["nees_end"].notna() * runs["parameters"]).sum())
-    low, high = (float(stats.chi2.ppf(share, degrees)) / degrees for share in (0.025, 0.975))
-    return low, high
+    low, high = stats.chi2.ppf([0.025, 0.975], degrees) / degrees
+    return float(low), float(high)
+
+
+def seconds_text(value: float) -> str:
+    """Return a time in s, or that it never came."""
+    return "never" if value == float("inf") else number(value)
+
+
+def _method(runs: Frame) -> str:
+    return str(runs["method"].iloc[0])
+
+
+def _of_methods(cell: Cell) -> Cell:
+    """Leave a cell out where it would be about the true map, which is no method."""
+    return lambda runs: "–" if _method(runs) == TRUE_MAP else cell(runs)
 
 
 def _nees(runs: Frame) -> str:
@@ -176,15 +58,104 @@ def _nees(runs: Frame) -> str:
 
 def _nis(runs: Frame) -> str:
     rows = float(runs["nis_rows"].sum())
-    if rows == 0.0:
-        return "–"
-    return number(float((runs["nis"] * runs["nis_rows"]).sum() / rows))
+    return number(float((runs["nis"] * runs["nis_rows"]).sum() / rows)) if rows else "–"
 
 
-def _converged(runs: Frame) -> str:
-    return seconds_text(float(runs["converged"].median()))
+def _found_after(runs: Frame) -> str:
+    known = runs["found"][np.isfinite(runs["found"])]
+    return number(float(known.median())) if len(known) else "–"
 
 
-def seconds_text(value: float) -> str:
-    """Return a time in s, or that it never came."""
-    return "never" if value == float("inf") else number(value)
+_SCORES: Mapping[str, Cell] = {
+    "method": lambda runs: look_of(_method(runs)).label,
+    "CoP (mm)": mean_of("cop", 1e3),
+    "vGRF (N)": mean_of("vgrf"),
+    "cell (N)": mean_of("cell"),
+    "scale (%)": mean_of("scale", 1e2),
+    "offset (N)": mean_of("offset"),
+    "converged (s)": _of_methods(lambda runs: seconds_text(float(runs["converged"].median()))),
+    "spread (mm)": mean_of("spread", 1e3),
+    "NEES": _nees,
+    "NEES, CoP": lambda runs: number(float(runs["nees_cop"].mean())),
+    "NIS": _nis,
+    "ends worse": _of_methods(count_of("worse")),
+    "bound on CoP (mm)": mean_of("bound_cop", 1e3),
+}
+
+_FAULTS: Mapping[str, Cell] = {
+    "found within 1 s": lambda runs: f"{int((runs['found'] <= 1.0).sum())} of {len(runs)}",
+    "found after (s), median": _found_after,
+    "right cell": count_of("isolated"),
+    "right name": count_of("named"),
+}
+
+
+def scenario_table(scores: Frame, scenario: Scenario) -> Table:
+    """Return all scores of a scenario, from one row a run."""
+    title = f"{sentence(scenario.title)}: means over runs and their 95 % intervals"
+    parts = by_way(scores[scores["scenario"] == scenario.name])
+    return laid_out(f"scenario_{scenario.name}", title, _SCORES, parts.values(), flat(_SCORES_NOTE))
+
+
+def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:
+    """Return the CoP errors of all scenarios and methods."""
+
+    def error_of(method: str) -> Cell:
+        return lambda item: with_interval(item[1][item[1]["method"] == method]["cop"], 1e3)
+
+    columns: dict[str, Cell] = {
+        "scenario": lambda item: item[0].title,
+        "runs": lambda item: str(item[1]["seed"].nunique()),
+        **{look_of(method).label: error_of(method) for method in in_order(scores["method"])},
+    }
+    parts = [(scenario, scores[scores["scenario"] == scenario.name]) for scenario in scenarios]
+    return laid_out("overview", "CoP rmse in mm, all scenarios", columns, [p for p in parts if len(p[1])])
+
+
+def fault_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table | None:
+    """Return what became of faults, or ``None`` where there were none."""
+    titles = {scenario.name: scenario.title for scenario in scenarios if scenario.faults}
+    parts = [
+        runs for name in titles for runs in by_way(scores[scores["scenario"] == name]).values() if len(runs)
+    ]
+    columns: dict[str, Cell] = {
+        "fault, method": lambda runs: f"{titles[runs['scenario'].iloc[0]]}, {short_label(_method(runs))}",
+        **{name: _of_methods(cell) for name, cell in _FAULTS.items()},
+        "CoP afterwards (mm)": mean_of("after", 1e3),
+    }
+    title = "Cells that fail while the robot walks"
+    note = "CoP afterwards: rmse from 1 s after the fault to the end of the walk."
+    return laid_out("faults", title, columns, parts, note) if parts else None
+
+
+def alarm_table(scores: Frame) -> Table:
+    """Return how often a healthy cell was accused."""
+
+    def exact(runs: Frame) -> str:
+        # Interval of a Poisson rate (Garwood, 1936).
+        alarms, hours = float(runs["alarms"].sum()), float(runs["hours"].sum())
+        low = stats.chi2.ppf(0.025, 2 * alarms) / 2 if alarms else 0.0
+        return f"{number(low / hours)} to {number(stats.chi2.ppf(0.975, 2 * alarms + 2) / 2 / hours)}"
+
+    columns: dict[str, Cell] = {
+        "method": _SCORES["method"],
+        "hours without a fault": lambda runs: f"{runs['hours'].sum():.2f}",
+        "alarms": lambda runs: f"{runs['alarms'].sum():.0f}",
+        "per hour": lambda runs: number(float(runs["alarms"].sum() / runs["hours"].sum())),
+        "95 % interval": exact,
+    }
+    parts = by_way(scores[scores["method"] != TRUE_MAP]).values()
+    return laid_out("alarms", "False alarms in all walks", columns, parts)
+
+
+def timing_table(timing: Frame, scores: Frame) -> Table:
+    """Return the time of one robot's update and the share of it in a batch."""
+    columns: dict[str, Cell] = {
+        "method": lambda row: look_of(row.method).label,
+        "one robot, median (µs)": lambda row: number(row.median_us),
+        "one robot, mean (µs)": lambda row: number(row.mean_us),
+        "in a batch, each (µs)": lambda row: number(
+            scores[scores["method"] == row.method]["batch_us"].mean()
+        ),
+    }
+    return laid_out("timing", "Time of one update", columns, timing.itertuples())

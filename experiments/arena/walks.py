@@ -17,8 +17,6 @@ from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
-__all__ = ["CHIPS", "INSTANT", "Walk", "log_paths", "record_missing"]
-
 INSTANT = Condition("instant", "converted when the host reads", LoadCells(rate=None), "nominal")
 """The bad start: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute."""
 
@@ -56,30 +54,14 @@ class Walk:
 
 
 def log_paths(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
-    """Name the files of a walk's logs, by condition, whether they are there or not."""
-    made_of = (
-        walk,
-        seed,
-        walk.lasting(duration),
-        STAND_TIME,
-        code_of("surefoot.experiments.walks.record"),
-    )
+    """Name the files of a walk's logs, by condition, whether they are there or not; ``duration`` is in s."""
+    made_of = (walk, seed, walk.lasting(duration), STAND_TIME, code_of("surefoot.experiments.walks.record"))
     key = sha256(repr(made_of).encode()).hexdigest()[:12]
     return {c.name: folder / f"{walk.name}_{c.name}_seed{seed}_{key}.parquet" for c in walk.conditions}
 
 
 def record_missing(walk: Walk, seed: int, duration: float, folder: Path) -> dict[str, Path]:
-    """Record a walk unless its logs are there.
-
-    Args:
-        walk: The walk.
-        seed: Of everything random.
-        duration: Length in s of walks that have none of their own.
-        folder: Where the logs are kept.
-
-    Returns:
-        The logs' files by condition.
-    """
+    """Record a walk unless its logs are there, and return them as :func:`log_paths` does."""
     paths = log_paths(walk, seed, duration, folder)
     if not all(path.is_file() for path in paths.values()):
         logs = record_walk(

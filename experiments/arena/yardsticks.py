@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import ground_reference
-from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.walks.replay import starting_map
-from surefoot.experiments.walks.score import cop_world, score_forces
-
-__all__ = ["OTHER_WAYS", "TRACE", "other_way", "trace_of", "yardsticks_of"]
+from surefoot.experiments.walks.score import cop_world, score_forces, vertical_forces
 
 Floats = NDArray[np.float64]
 
@@ -30,13 +27,7 @@ whatever converges has converged."""
 
 
 def yardsticks_of(stream: Stream, method: str, force: Floats, settle: float) -> list[dict[str, Any]]:
-    """Score a method against the truth and against the baseline.
-
-    Args:
-        stream: A stream whose robot was calibrated from weights before the walk.
-        method: The way to read the feet.
-        force: Forces that it found in N, shape (N, K).
-        settle: Samples before this time in s do not count.
+    """Score forces that a method found, in N, shape (N, K), against the truth and against the baseline.
 
     Returns:
         Rows of ``condition``, ``speed``, ``seed``, ``method``, ``against`` and the errors of
@@ -71,12 +62,11 @@ def trace_of(stream: Stream, method: str, force: Floats) -> list[dict[str, Any]]
     ways = {method: force} | ({"truth": truth.force} if method == TRUE_MAP else {})
     return [
         {
-            "condition": str(log.about["condition"]),
-            "speed": float(log.about["speed_m_s"]),
+            **_walk(stream),
             "method": name,
             "time": log.time[shown],
             "cop": cop_world(one, log.layout, truth.position_sole, truth.R_world_sole)[shown],
-            "vgrf": _vgrf(stream, one)[shown],
+            "vgrf": vertical_forces(one, log.layout, truth.R_world_sole)[shown],
         }
         for name, one in ways.items()
     ]
@@ -87,34 +77,20 @@ def _baseline(stream: Stream) -> Floats:
     return found
 
 
-def _row(stream: Stream, name: str, against: str) -> dict[str, Any]:
+def _walk(stream: Stream) -> dict[str, Any]:
     about = stream.log.about
-    return {
-        "condition": str(about["condition"]),
-        "speed": float(about["speed_m_s"]),
-        "seed": stream.seed,
-        "method": name,
-        "against": against,
-    }
+    return {"condition": str(about["condition"]), "speed": float(about["speed_m_s"])}
+
+
+def _row(stream: Stream, name: str, against: str) -> dict[str, Any]:
+    return {**_walk(stream), "seed": stream.seed, "method": name, "against": against}
 
 
 def _score(stream: Stream, force: Floats, other: Floats, settle: float) -> dict[str, float]:
-    truth = stream.truth
-    return score_forces(
-        force,
-        other,
-        layout=stream.log.layout,
-        position_sole=truth.position_sole,
-        R_world_sole=truth.R_world_sole,
-        time=stream.log.time,
-        settle=settle,
-    ).as_dict()
-
-
-def _vgrf(stream: Stream, force: Floats) -> Floats:
-    wrench = sole_wrenches(force, stream.log.layout)
-    vertical: Floats = np.sum(stream.truth.R_world_sole[..., 2, :] * wrench[..., :3], axis=-1)
-    return vertical
+    log, truth = stream.log, stream.truth
+    poses = {"position_sole": truth.position_sole, "R_world_sole": truth.R_world_sole}
+    score = score_forces(force, other, layout=log.layout, **poses, time=log.time, settle=settle)
+    return score._asdict()
 
 
 def _reference_score(stream: Stream, settle: float) -> dict[str, float]:
@@ -127,7 +103,8 @@ def _reference_score(stream: Stream, settle: float) -> dict[str, float]:
         return np.column_stack([np.interp(moment, log.time, column) for column in values.T])
 
     true_cop = then(cop_world(truth.force, log.layout, truth.position_sole, truth.R_world_sole))
-    true_vgrf = then(_vgrf(stream, truth.force).sum(axis=-1)[:, None])[:, 0]
+    feet = vertical_forces(truth.force, log.layout, truth.R_world_sole)
+    true_vgrf = then(feet.sum(axis=-1)[:, None])[:, 0]
     origin = then(truth.position_sole[..., :2].mean(axis=1))
     ahead = then(truth.R_world_sole[..., :2, 0].sum(axis=1))
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)

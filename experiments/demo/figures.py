@@ -1,6 +1,7 @@
 """Figures of the CoP paper's study: its 10 to 15, errors by method and speed, weights, and who falls."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from surefoot.experiments.arena.figures import draw_dot
 from surefoot.experiments.study.figures import (
     Look,
     draw_curve,
+    draw_mean,
+    draw_steps,
     figure_at,
     grid_of,
     in_order,
@@ -24,13 +26,10 @@ from surefoot.experiments.study.figures import (
 from surefoot.experiments.study.statistics import mean_interval, survival
 from surefoot.experiments.study.tables import Frame
 
-__all__ = [
-    "closed_loop_survival",
-    "cop_over_time",
-    "rmse_overview",
-    "sensitivity_curves",
-    "vgrf_over_time",
-]
+Floats = NDArray[np.float64]
+
+Line = Callable[[Floats, Floats], Floats | None]
+"""Makes what is drawn over time of a quantity and of its truth."""
 
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")
 """What is drawn over time, in drawing order."""
@@ -43,75 +42,77 @@ _SPEED_LOOKS = tuple(
 
 
 def cop_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
-    """Draw the centre of pressure over time (the paper's Figures 10, 12, 14), and how far off it is.
-
-    Args:
-        path: Where to save the figure.
-        traces: Ends of walks by title, see :func:`~surefoot.experiments.arena.yardsticks.trace_of`.
-    """
-    labels = ("CoP x, forward (mm)", "CoP y, left (mm)", "distance to truth (mm)")
-    with figure_at(path, 10.0, 6.6) as figure:
-        panels = grid_of(figure, 3, len(traces), sharex=True, sharey="row")
-        truths = []
-        for column, (title, trace) in zip(panels.T, traces.items(), strict=True):
-            ways = {row["method"]: row for row in trace.to_dict("records")}
-            truth = 1e3 * _array(ways["truth"]["cop"])
-            truths.append(truth)
-            for name in DRAWN:
-                time, cop = _array(ways[name]["time"]), 1e3 * _array(ways[name]["cop"])
-                _draw(column[0], name, time, cop[:, 0])
-                _draw(column[1], name, time, cop[:, 1])
-                if name != "truth":
-                    _draw(column[2], name, time, np.maximum(np.linalg.norm(cop - truth, axis=1), 1e-2))
-            column[0].set_title(title)
-            logarithmic(column[2])
-            column[2].set_xlabel("time (s)")
-        for axis in (0, 1):
-            _limit(panels[axis, 0], np.concatenate(truths)[:, axis])
+    """Draw the CoP over time (the paper's Figures 10, 12, 14), and how far off it is, as walks end."""
+    lines: dict[str, Line] = {
+        "CoP x, forward (mm)": lambda cop, truth: 1e3 * cop[:, 0],
+        "CoP y, left (mm)": lambda cop, truth: 1e3 * cop[:, 1],
+        "distance to truth (mm)": lambda cop, truth: (
+            None if cop is truth else np.maximum(1e3 * np.linalg.norm(cop - truth, axis=1), 1e-2)
+        ),
+    }
+    with _over_time(path, traces, "cop", 6.6, lines) as (panels, seen):
+        truth = 1e3 * np.concatenate(seen["truth"])
+        for axes, values in zip(panels[:2, 0], truth.T, strict=True):
+            # A reading that runs away must not flatten all the others into one line.
+            low, high = np.nanmin(values), np.nanmax(values)
+            margin = 0.6 * max(high - low, 1.0)
+            bottom, top = axes.get_ylim()
+            axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+        for axes in panels[2]:
+            logarithmic(axes)
         bottom, top = panels[2, 0].get_ylim()
         panels[2, 0].set_ylim(max(bottom, 0.1), min(top, 1000.0))
-        for axes, label in zip(panels[:, 0], labels, strict=True):
-            axes.set_ylabel(label)
-        legend_below(figure, panels[0, 0])
     return path
 
 
 def vgrf_over_time(path: Path, traces: Mapping[str, Frame]) -> Path:
-    """Draw the vertical force of both feet and of the left foot over time (the paper's 11, 13, 15).
-
-    Args:
-        path: Where to save the figure.
-        traces: As in :func:`cop_over_time`.
-    """
-    with figure_at(path, 10.0, 5.2) as figure:
-        panels = grid_of(figure, 2, len(traces), sharex=True, sharey="row")
-        totals = []
-        for column, (title, trace) in zip(panels.T, traces.items(), strict=True):
-            ways = {row["method"]: row for row in trace.to_dict("records")}
-            for name in DRAWN:
-                time, vgrf = _array(ways[name]["time"]), _array(ways[name]["vgrf"])
-                totals.append(vgrf.sum(axis=1))
-                _draw(column[0], name, time, totals[-1])
-                _draw(column[1], name, time, vgrf[:, 0])
-            column[0].set_title(title)
-            column[1].set_xlabel("time (s)")
+    """Draw the vertical force of both feet and of the left foot over time (the paper's 11, 13, 15)."""
+    lines: dict[str, Line] = {
+        "both feet, Fz (N)": lambda vgrf, truth: vgrf.sum(axis=1),
+        "left foot, Fz (N)": lambda vgrf, truth: vgrf[:, 0],
+    }
+    with _over_time(path, traces, "vgrf", 5.2, lines) as (panels, seen):
         # Single samples at a landing must not flatten all the others into one line.
+        totals = [vgrf.sum(axis=1) for of_way in seen.values() for vgrf in of_way]
         low, high = np.nanpercentile(np.concatenate(totals), [0.5, 99.5])
         margin = 0.4 * max(float(high - low), 1.0)
         panels[0, 0].set_ylim(float(low) - margin, float(high) + margin)
-        panels[0, 0].set_ylabel("both feet, Fz (N)")
-        panels[1, 0].set_ylabel("left foot, Fz (N)")
-        legend_below(figure, panels[0, 0])
     return path
+
+
+@contextmanager
+def _over_time(
+    path: Path, traces: Mapping[str, Frame], quantity: str, height: float, lines: Mapping[str, Line]
+) -> Iterator[tuple[Any, dict[str, list[Floats]]]]:
+    """Draw a row a line and a column a trace; lend the panels and what was drawn, to set limits."""
+    with figure_at(path, 10.0, height) as figure:
+        panels = grid_of(figure, len(lines), len(traces), sharex=True, sharey="row")
+        seen: dict[str, list[Floats]] = {name: [] for name in DRAWN}
+        for column, (title, trace) in zip(panels.T, traces.items(), strict=True):
+            ways = {row["method"]: row for row in trace.to_dict("records")}
+            for name in DRAWN:
+                time, values = _array(ways[name]["time"]), _array(ways[name][quantity])
+                seen[name].append(values)
+                style = {"linewidth": 1.1, "zorder": 2.0, "alpha": 0.9}
+                if name == "truth":
+                    style = {"linewidth": 1.9, "zorder": 1.5}
+                for axes, line in zip(column, lines.values(), strict=True):
+                    drawn = line(values, seen["truth"][-1])
+                    if drawn is not None:
+                        draw_curve(axes, time, drawn, look_of(name), **style)
+            column[0].set_title(title)
+            column[-1].set_xlabel("time (s)")
+        for axes, label in zip(panels[:, 0], lines, strict=True):
+            axes.set_ylabel(label)
+        yield panels, seen
+        legend_below(figure, panels[0, 0])
 
 
 def rmse_overview(path: Path, scores: Frame, paper: Mapping[tuple[str, float], tuple[float, float]]) -> Path:
     """Draw mean errors with 95 % intervals by method and speed, with the paper's own figures.
 
-    Args:
-        path: Where to save the figure.
-        scores: One row a walk and method: ``panel``, ``speed`` (m/s), ``method``, ``cop`` (m), ``vgrf`` (N).
-        paper: (CoP in m, vGRF in N) by method and speed, drawn where the panel's rows say ``paper``.
+    Scores have ``panel``, ``speed`` (m/s), ``method``, ``cop`` (m) and ``vgrf`` (N); the paper's, by method
+    and speed, are drawn where a panel's rows say ``paper``.
     """
     titles = list(dict.fromkeys(scores["panel"]))
     speeds, methods = sorted(scores["speed"].unique()), in_order(scores["method"])
@@ -126,7 +127,7 @@ def rmse_overview(path: Path, scores: Frame, paper: Mapping[tuple[str, float], t
             rows = scores[scores["panel"] == title]
             for number, (axes, (metric, factor, _)) in enumerate(zip(column, _METRICS, strict=True)):
                 for (name, speed), runs in rows.groupby(["method", "speed"]):
-                    draw_dot(axes, runs[metric], factor, place(speed, name), name, upright=True)
+                    draw_mean(axes, runs[metric], factor, place(speed, name), name, upright=True)
                 for (name, speed), printed in paper.items() if rows["paper"].any() else ():
                     if name in methods and speed in speeds:
                         colour = look_of(name).colour
@@ -139,9 +140,7 @@ def rmse_overview(path: Path, scores: Frame, paper: Mapping[tuple[str, float], t
         for axes, (_, _, label) in zip(panels[:, 0], _METRICS, strict=True):
             axes.set_ylabel(label)
         for look in map(look_of, methods):
-            panels[0, 0].plot(
-                [], [], color=look.colour, marker=look.marker, linestyle="none", label=look.label
-            )
+            panels[0, 0].plot([], [], look.marker, color=look.colour, label=look.label)
         panels[0, 0].plot([], [], color="black", label="as published", **dash)
         legend_below(figure, panels[0, 0])
     return path
@@ -150,10 +149,7 @@ def rmse_overview(path: Path, scores: Frame, paper: Mapping[tuple[str, float], t
 def sensitivity_curves(path: Path, runs: Frame) -> Path:
     """Draw the window's errors against its weights (the paper's sensitivity study).
 
-    Args:
-        path: Where to save the figure.
-        runs: Rows ``panel``, ``weight`` (``w_F``, ``w_P``, ``w_S``), ``factor``, ``speed``, ``seed``, ``cop``
-            (m), ``vgrf`` (N).
+    Runs have ``panel``, ``weight``, ``factor``, ``speed``, ``seed``, ``cop`` (m) and ``vgrf`` (N).
     """
     titles, weights = (list(dict.fromkeys(runs[name])) for name in ("panel", "weight"))
     metrics = [(title, *metric) for title in titles for metric in _METRICS]
@@ -173,31 +169,18 @@ def sensitivity_curves(path: Path, runs: Frame) -> Path:
 
 
 def closed_loop_survival(path: Path, runs: Frame, horizon: float) -> Path:
-    """Draw the share of walkers on their feet, and when each fell.
-
-    Args:
-        path: Where to save the figure.
-        runs: One row a walk: ``speed``, ``seed``, ``feed``, ``fell``, ``time`` (s).
-        horizon: End of a walk in s.
-    """
+    """Draw the share of walkers on their feet, and when each fell, up to the end of a walk in s."""
     speeds, feeds = sorted(runs["speed"].unique()), list(dict.fromkeys(runs["feed"]))
     with figure_at(path, max(3.5 * len(speeds), 8.0), 5.4) as figure:
         panels = grid_of(figure, 2, len(speeds), sharex=True, sharey="row")
         for column, speed in zip(panels.T, speeds, strict=True):
             for row, feed in enumerate(feeds):
-                look = look_of(feed)
                 part = runs[(runs["speed"] == speed) & (runs["feed"] == feed)]
                 curve = survival(part["time"], part["fell"])
                 # Curves that coincide are drawn side by side, half a percent apart.
-                column[0].step(
-                    np.append(curve.time, horizon),
-                    100 * np.append(curve.share, curve.share[-1]) - 0.7 * row,
-                    where="post",
-                    color=look.colour,
-                    linestyle=look.line,
-                    label=look.label,
-                )
-                _strip(column[1], part, row, look.colour)
+                share = 100 * np.append(curve.share, curve.share[-1]) - 0.7 * row
+                draw_steps(column[0], np.append(curve.time, horizon), share, feed)
+                _strip(column[1], part, row, look_of(feed).colour)
             column[0].set_title(f"{speed:g} m/s")
             column[0].set_ylim(-6, 104)
             column[1].set_yticks(range(len(feeds)), [short_label(feed) for feed in feeds])
@@ -210,23 +193,9 @@ def closed_loop_survival(path: Path, runs: Frame, horizon: float) -> Path:
     return path
 
 
-def _array(values: Any) -> NDArray[np.float64]:
+def _array(values: Any) -> Floats:
     """Return what a table holds as nested lists."""
     return np.array([np.asarray(value, dtype=np.float64) for value in values])
-
-
-def _draw(axes: Axes, name: str, time: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-    truth = name == "truth"
-    style = {"linewidth": 1.9, "zorder": 1.5} if truth else {"linewidth": 1.1, "zorder": 2.0, "alpha": 0.9}
-    draw_curve(axes, time, values, look_of(name), **style)
-
-
-def _limit(axes: Axes, truth: NDArray[np.float64]) -> None:
-    """Keep a reading that runs away from flattening all the others into one line."""
-    low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
-    margin = 0.6 * max(high - low, 1.0)
-    bottom, top = axes.get_ylim()
-    axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
 
 
 def _sensitivity_lines(axes: Axes, part: Frame, metric: str, scale: float) -> None:

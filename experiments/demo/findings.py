@@ -1,129 +1,91 @@
 """Sentences that follow from the numbers: nothing in them is written before but their grammar."""
 
-import numpy as np
 from scipy import stats
 
 from surefoot.experiments.demo.published import WALKING_TABLES
-from surefoot.experiments.study.figures import in_order, short_label
+from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import Interval, mean_interval
-from surefoot.experiments.study.tables import Frame, number, plural
-
-__all__ = [
-    "amount",
-    "baseline_findings",
-    "errors_of",
-    "feed_name",
-    "lead_finding",
-    "loop_findings",
-    "sensitivity_findings",
-    "truth_findings",
-]
+from surefoot.experiments.study.tables import Column, Frame, interval_text, number, plural, with_interval
 
 
 def errors_of(scores: Frame, condition: str, against: str, speed: float, metric: str) -> Frame:
     """Return errors of one condition, yardstick and speed: one row a seed, one column a method."""
-    part = scores[
-        (scores["condition"] == condition) & (scores["against"] == against) & (scores["speed"] == speed)
-    ]
-    return part.pivot(index="seed", columns="method", values=metric)
+    chosen = (scores["condition"] == condition) & (scores["against"] == against) & (scores["speed"] == speed)
+    return scores[chosen].pivot(index="seed", columns="method", values=metric)
 
 
 def baseline_findings(scores: Frame, condition: str) -> tuple[str, ...]:
-    """Return how the paper's method and the quasi-static one compare in the way that the paper scores.
-
-    Args:
-        scores: As in :func:`surefoot.experiments.demo.tables.walking_table`.
-        condition: Name of the paper's conditions in ``scores``.
-    """
+    """Return how the window and the quasi-static method compare in the paper's conditions and scoring."""
     said = []
     for speed in sorted(scores["speed"].unique()):
-        published = WALKING_TABLES.get(speed)
-        table = {m: errors_of(scores, condition, "baseline", speed, m) for m in ("cop", "vgrf")}
-        if not {"window", "quasi-static"} <= set(table["cop"].columns):
+        cop, vgrf = (errors_of(scores, condition, "baseline", speed, metric) for metric in ("cop", "vgrf"))
+        if not {"window", "quasi-static"} <= set(cop.columns):
             continue
-        window = mean_interval(table["cop"]["window"])
-        gap = mean_interval(table["cop"]["quasi-static"] - table["cop"]["window"])
-        force_gap = mean_interval(table["vgrf"]["quasi-static"] - table["vgrf"]["window"])
         against_paper = ""
-        if published is not None:
-            printed = 1e3 * published["window"].cop
-            word = "under" if 1e3 * window.mean <= printed else "over"
-            against_paper = f" ({word} the paper's {number(printed)} mm)"
+        if speed in WALKING_TABLES:
+            printed = WALKING_TABLES[speed]["window"].cop
+            word = "under" if float(cop["window"].mean()) <= printed else "over"
+            against_paper = f" ({word} the paper's {number(1e3 * printed)} mm)"
         said.append(
-            f"{speed:g} m/s, the paper's conditions and scoring: the window is "
-            f"{amount(window, 1e3, 'mm')} from the baseline from weights{against_paper}; the quasi-static "
-            f"method lies {_difference(gap, 1e3, 'mm')} in CoP and {_difference(force_gap, 1.0, 'N')} in "
-            "vGRF."
+            f"{speed:g} m/s, the paper's conditions and scoring: the window is {_mm(cop['window'])} from the "
+            f"baseline from weights{against_paper}; the quasi-static method lies "
+            f"{_difference(cop['quasi-static'] - cop['window'], 1e3, 'mm')} in CoP and "
+            f"{_difference(vgrf['quasi-static'] - vgrf['window'], 1.0, 'N')} in vGRF."
         )
     return tuple(said)
 
 
 def truth_findings(scores: Frame, condition: str, title: str) -> tuple[str, ...]:
-    """Return which methods are better and which are worse than doing nothing, against the truth.
-
-    Args:
-        scores: As in :func:`surefoot.experiments.demo.tables.walking_table`.
-        condition: Name of the condition in ``scores``.
-        title: What to call it.
-    """
+    """Return which methods are better and which are worse than doing nothing, against the truth."""
     said = []
     for speed in sorted(scores["speed"].unique()):
         cop = errors_of(scores, condition, "truth", speed, "cop")
         if "none" not in cop:
             continue
-        text = (
-            f"{speed:g} m/s, {title}, against the truth: raw {amount(mean_interval(cop['none']), 1e3, 'mm')}"
-        )
+        text = f"{speed:g} m/s, {title}, against the truth: raw {_mm(cop['none'])}"
         if "floor" in cop:
-            text += f" (floor {amount(mean_interval(cop['floor']), 1e3, 'mm')})"
+            text += f" (floor {_mm(cop['floor'])})"
         for method in in_order(cop.columns):
             if method in ("none", "baseline", "floor", "reference"):
                 continue
             change = mean_interval(cop[method] - cop["none"])
+            verdict = "no different from raw within the interval"
+            if change.apart:
+                verdict = "worse than raw" if change.mean > 0 else "better than raw"
             worse = int((cop[method] > cop["none"]).sum())
-            text += (
-                f"; {short_label(method)} {amount(mean_interval(cop[method]), 1e3, 'mm')}, "
-                f"{_verdict(change, 'worse than raw', 'better than raw')} "
-                f"(worse in {worse} of {len(cop)} seeds)"
-            )
-        said.append(text + "." + _reason(cop))
+            text += f"; {short_label(method)} {_mm(cop[method])}, {verdict} "
+            text += f"(worse in {worse} of {len(cop)} seeds)"
+        text += "."
+        if "reference" in cop:
+            # What window and quasi-static follow may be further from the truth than the readings.
+            astray = cop["reference"].mean() > cop["none"].mean()
+            off = f"{'itself ' if astray else ''}{_mm(cop['reference'])} off"
+            why = ", further than the readings: following it leads away from the truth" if astray else ""
+            text += f" The reference that window and quasi-static follow is {off}{why}."
+        said.append(text)
     return tuple(said)
 
 
-def _reason(cop: Frame) -> str:
-    """Return what window and quasi-static follow, if that is further from the truth than the readings."""
-    if "reference" not in cop:
-        return ""
-    reference, raw = mean_interval(cop["reference"]), mean_interval(cop["none"])
-    asked = amount(reference, 1e3, "mm")
-    if reference.mean > raw.mean:
-        return (
-            f" The reference that window and quasi-static follow is itself {asked} off, further than the "
-            "readings: following it leads away from the truth."
-        )
-    return f" The reference that window and quasi-static follow is {asked} off."
-
-
 def loop_findings(runs: Frame, horizon: float) -> tuple[str, ...]:
-    """Return who fell, paired by seed.
-
-    Args:
-        runs: As in :func:`surefoot.experiments.demo.tables.loop_table`.
-        horizon: End of a walk in s.
-    """
+    """Return who fell within a time in s, paired by seed."""
     said = []
     for severity, walks in runs.groupby("severity", sort=False):
-        for feed in in_order(walks["feed"]):
-            part = walks[walks["feed"] == feed]
-            falls = int(part["fell"].sum())
+        for feed, part in by_way(walks, "feed").items():
             text = (
-                f"Severity {severity:g}, {feed_name(feed)} CoP: {falls} of {len(part)} walks end in a fall "
-                f"within {horizon:g} s"
+                f"Severity {severity:g}, {feed_name(feed)} CoP: {int(part['fell'].sum())} of {len(part)} "
+                f"walks end in a fall within {horizon:g} s"
             )
             if feed not in ("true", "none") and "none" in set(walks["feed"]):
                 text += _saved(walks, feed)
             said.append(text + ".")
-        said += _tolerance(walks, severity)
+        # How wrong the raw CoP was for those who fell and for those who did not.
+        raw = walks[walks["feed"] == "none"]
+        fell, stood = raw[raw["fell"]]["cop_error"], raw[~raw["fell"]]["cop_error"]
+        if len(fell) and len(stood):
+            said.append(
+                f"Severity {severity:g}: the drifting raw CoP of walkers that fell was {_mm(fell)} off up to "
+                f"the fall, that of walkers that did not {_mm(stood)}."
+            )
     return tuple(said)
 
 
@@ -139,36 +101,17 @@ def _saved(walks: Frame, feed: str) -> str:
     )
 
 
-def _tolerance(walks: Frame, severity: float) -> list[str]:
-    """Return how wrong the raw CoP was for those who fell and for those who did not."""
-    raw = walks[walks["feed"] == "none"]
-    fell, stood = raw[raw["fell"]], raw[~raw["fell"]]
-    if not len(fell) or not len(stood):
-        return []
-    off = [amount(mean_interval(part["cop_error"]), 1e3, "mm") for part in (fell, stood)]
-    return [
-        f"Severity {severity:g}: the drifting raw CoP of walkers that fell was {off[0]} off up to the fall, "
-        f"that of walkers that did not {off[1]}."
-    ]
-
-
 def sensitivity_findings(runs: Frame) -> tuple[str, ...]:
-    """Return how far each weight moves the window's CoP error.
-
-    Args:
-        runs: As in :func:`surefoot.experiments.demo.tables.sensitivity_table`.
-    """
+    """Return how far each weight moves the window's CoP error."""
     said = []
-    for weight in dict.fromkeys(runs["weight"]):
-        means = runs[runs["weight"] == weight].groupby(["speed", "factor"])["cop"].mean().unstack()
-        if 1.0 not in means:
-            continue
-        ratio = means.div(means[1.0], axis=0)
-        low, high = float(ratio.to_numpy().min()), float(ratio.to_numpy().max())
-        said.append(
-            f"{weight} from × {means.columns.min():g} to × {means.columns.max():g} moves the CoP error by "
-            f"{100 * (low - 1):+.0f} to {100 * (high - 1):+.0f} % over all speeds."
-        )
+    for weight, part in runs.groupby("weight", sort=False):
+        means = part.groupby(["speed", "factor"])["cop"].mean().unstack()
+        if 1.0 in means:
+            ratio = means.div(means[1.0], axis=0).to_numpy()
+            said.append(
+                f"{weight} from × {means.columns.min():g} to × {means.columns.max():g} moves the CoP error "
+                f"by {100 * (ratio.min() - 1):+.0f} to {100 * (ratio.max() - 1):+.0f} % over all speeds."
+            )
     return tuple(said)
 
 
@@ -190,21 +133,12 @@ def feed_name(feed: str) -> str:
     return {"true": "true", "none": "drifting raw"}.get(feed, f"{short_label(feed)}-calibrated")
 
 
-def amount(interval: Interval, factor: float, unit: str) -> str:
-    """Return a mean with its interval and its unit."""
-    mean = number(factor * interval.mean)
-    decimals = len(mean.partition(".")[2])
-    half = "" if np.isnan(interval.half) else f" ± {factor * interval.half:.{decimals}f}"
-    return f"{mean}{half} {unit}"
+def _mm(errors: Column) -> str:
+    return f"{with_interval(errors, 1e3)} mm"
 
 
-def _difference(gap: Interval, factor: float, unit: str) -> str:
+def _difference(gaps: Column, factor: float, unit: str) -> str:
+    gap = mean_interval(gaps)
     word = "further off" if gap.mean > 0 else "nearer"
     sure = "" if gap.apart else ", which is no clear difference"
-    return f"{amount(Interval(abs(gap.mean), gap.half, gap.n), factor, unit)} {word}{sure}"
-
-
-def _verdict(change: Interval, worse: str, better: str) -> str:
-    if not change.apart:
-        return "no different from raw within the interval"
-    return worse if change.mean > 0 else better
+    return f"{interval_text(Interval(abs(gap.mean), gap.half, gap.n), factor)} {unit} {word}{sure}"

@@ -1,6 +1,5 @@
 """The page of the demo and of the CoP paper's full study: first a film, a sentence, a figure and a table."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from surefoot.experiments.arena.figures import error_curves
 from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
 from surefoot.experiments.arena.run import ArenaResults, run_arena
 from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS
-from surefoot.experiments.arena.streams import logs_folder
 from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.demo import figures, findings, tables
 from surefoot.experiments.demo.claims import loop_claims, walking_claims, weight_claims
@@ -24,16 +22,14 @@ from surefoot.experiments.study.page import (
     ReportFigure,
     Section,
     failure_section,
-    flat,
+    repeat_section,
     save_tables,
     write_page,
 )
-from surefoot.experiments.study.tables import Frame, plural
-from surefoot.experiments.walks.record import CONDITIONS
+from surefoot.experiments.study.tables import Frame, flat, plural
+from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.weighing import run_weighing
-
-__all__ = ["run_demo", "write_demo_page"]
 
 PAPER, BAD = CONDITIONS
 PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}
@@ -88,8 +84,7 @@ _TEXTS = {
     "repeat": """
         A row of any table is made of seeded walks. The logs hold everything that the tables were made of;
         docs/log-format.md describes their columns. All single numbers are in tables/*.csv, and
-        results.json says how this was run. What is finished is kept, so that a run goes on where it
-        stopped.""",
+        results.json says how this was run.""",
 }
 
 _CAPTIONS = {
@@ -119,18 +114,7 @@ _CAPTIONS = {
 
 
 def run_demo(options: ArenaOptions, console: Console | None = None) -> Report:
-    """Run the demo or the full study, and write its page.
-
-    Args:
-        options: How much, see :mod:`surefoot.experiments.demo.presets`.
-        console: Where progress is shown; the terminal's error output by default.
-
-    Returns:
-        The page, and its tables.
-
-    Raises:
-        ValueError: If the study cannot be run, or nothing in it could be scored.
-    """
+    """Run the demo or the full study, and write its page; what is refused is that of :func:`run_arena`."""
     return write_demo_page(run_arena(options, console=console))
 
 
@@ -154,30 +138,29 @@ def write_demo_page(results: ArenaResults) -> Report:
         Section("targets", "What was set out to reach", tables=(targets,)),
     ]
     lead = _lead(results, folder) if len(results.loop) else None
-    all_tables = [
-        table for section in ((lead,) if lead else ()) + tuple(sections) for table in section.tables
-    ]
+    shown = [lead, *sections] if lead else sections
+    all_tables = tuple(table for section in shown for table in section.tables)
     save_tables(options.out / "tables", all_tables)
     amount = _say(
-        _TEXTS["amount"],
+        "amount",
         seeds=plural(options.seeds, "seed"),
         speeds=", ".join(f"{speed:g}" for speed in results.speeds),
         duration=options.duration,
         stand=STAND_TIME,
         settle=options.settle,
     )
-    introduction = (flat(_TEXTS["introduction"]), amount)
+    introduction = (_say("introduction"), amount)
     title = "Walking on bad feet, and on calibrated ones"
     page = write_page(options.out / "report.html", title, introduction, sections, lead=lead)
-    return Report(page, tuple(all_tables))
+    return Report(page, all_tables)
 
 
 def _say(text: str, **values: Any) -> str:
-    return flat(text).format(**values)
+    return flat(_TEXTS[text]).format(**values)
 
 
 def _figure(path: Path, name: str, caption: str, **values: Any) -> ReportFigure:
-    return ReportFigure(path, name, _say(_CAPTIONS[caption], **values))
+    return ReportFigure(path, name, flat(_CAPTIONS[caption]).format(**values))
 
 
 def _lead(results: ArenaResults, folder: Path) -> Section:
@@ -186,17 +169,15 @@ def _lead(results: ArenaResults, folder: Path) -> Section:
     loop = loop[loop["severity"] == loop["severity"].max()]
     # In the middle of the paper's speeds, if it was walked.
     speed = results.speeds[len(results.speeds) // 2]
-    title = f"{BAD.title}, {speed:g} m/s"
-    curves = error_curves(folder / "lead.svg", {title: _errors(results, BAD.name, speed)})
+    curves = error_curves(folder / "lead.svg", dict([_errors(results, BAD, speed)]))
     paragraphs = [findings.lead_finding(loop)]
     video: dict[str, Any] = {}
-    if film.path is None or results.filmed is None:
+    if film.path is None or film.still is None or results.filmed is None:
         paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
     else:
         severity, at, seed = results.filmed
-        caption = _say(_CAPTIONS["film"], severity=severity, speed=at, seed=seed)
-        still = "" if film.still is None else film.still.name
-        video = {"video": film.path.name, "poster": still, "video_caption": caption}
+        caption = flat(_CAPTIONS["film"]).format(severity=severity, speed=at, seed=seed)
+        video = {"video": film.path.name, "poster": film.still.name, "video_caption": caption}
     own = results.yardsticks[results.yardsticks["speed"] == speed]
     return Section(
         "lead",
@@ -208,12 +189,12 @@ def _lead(results: ArenaResults, folder: Path) -> Section:
     )
 
 
-def _errors(results: ArenaResults, condition: str, speed: float) -> Frame:
-    """Return the errors over time of one condition and speed, while it walks."""
+def _errors(results: ArenaResults, condition: Condition, speed: float) -> tuple[str, Frame]:
+    """Return a title, and the errors over time of one condition and speed, while it walks."""
     errors = results.errors
-    name = PAPER_SCENARIOS[condition, speed].name
-    shown = (errors["scenario"] == name) & (errors["time"] > STAND_TIME)
-    return errors[shown & errors["method"].isin([TRUE_MAP, *METHODS])]
+    shown = errors["scenario"] == PAPER_SCENARIOS[condition.name, speed].name
+    shown &= (errors["time"] > STAND_TIME) & errors["method"].isin([TRUE_MAP, *METHODS])
+    return f"{condition.title}, {speed:g} m/s", errors[shown]
 
 
 def _walking_section(results: ArenaResults, folder: Path) -> Section:
@@ -221,49 +202,35 @@ def _walking_section(results: ArenaResults, folder: Path) -> Section:
     said = list(findings.baseline_findings(scores, PAPER.name))
     for condition in CONDITIONS:
         said += findings.truth_findings(scores, condition.name, condition.title)
-    published = {
-        (method, speed): (errors.cop, errors.vgrf)
-        for speed, methods in WALKING_TABLES.items()
-        for method, errors in methods.items()
-    }
+    published = {(m, speed): errors for speed, by in WALKING_TABLES.items() for m, errors in by.items()}
     shown = scores[scores["method"].isin([TRUE_MAP, *METHODS])]
     rows = pd.concat(_of(shown, *yardstick) for yardstick in YARDSTICKS)
     overview = figures.rmse_overview(folder / "overview.svg", rows, published)
     drawn = [_figure(overview, "All speeds at once", "overview")]
     for speed in results.speeds:
         drawn += _speed_figures(results.traces, speed, folder)
-    panels = {
-        f"{condition.title}, {speed:g} m/s": _errors(results, condition.name, speed)
-        for condition in CONDITIONS
-        for speed in results.speeds
-    }
+    panels = dict(_errors(results, condition, speed) for condition in CONDITIONS for speed in results.speeds)
     curves = error_curves(folder / "errors_over_time.svg", panels, max(len(results.speeds), 2))
     drawn.append(_figure(curves, "Errors over time", "errors_over_time"))
-    return Section(
-        "walking",
-        "Calibrating while walking",
-        (
-            _say(_TEXTS["conditions"], paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
-            flat(_TEXTS["yardsticks"]),
-            flat(_TEXTS["definitions"]),
-        ),
-        tuple(said),
-        tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds),
-        figures=tuple(drawn),
+    texts = (
+        _say("conditions", paper=PAPER.title.capitalize(), bad=BAD.title.capitalize()),
+        _say("yardsticks"),
+        _say("definitions"),
     )
+    laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
+    title = "Calibrating while walking"
+    return Section("walking", title, texts, tuple(said), laid_out, figures=tuple(drawn))
 
 
-def _of(scores: Frame, condition: Any, against: str, title: str) -> Frame:
+def _of(scores: Frame, condition: Condition, against: str, title: str) -> Frame:
     """Return the scores of a condition and yardstick as a panel."""
     part = scores[(scores["condition"] == condition.name) & (scores["against"] == against)]
     return part.assign(panel=title, paper=against == "baseline")
 
 
 def _speed_figures(traces: Frame, speed: float, folder: Path) -> list[ReportFigure]:
-    shown: Mapping[str, Frame] = {
-        condition.title: traces[(traces["condition"] == condition.name) & (traces["speed"] == speed)]
-        for condition in CONDITIONS
-    }
+    here = traces[traces["speed"] == speed]
+    shown = {condition.title: here[here["condition"] == condition.name] for condition in CONDITIONS}
     first, second = (f"Figure {number}" for number in PAPER_FIGURES.get(speed, ("CoP", "vGRF")))
     tag = f"{speed:g}".replace(".", "_")
     return [
@@ -278,31 +245,23 @@ def _loop_section(results: ArenaResults, folder: Path) -> Section:
         path = folder / f"closed_loop_severity{severity:g}.svg"
         figures.closed_loop_survival(path, runs, horizon)
         drawn.append(_figure(path, f"Who falls when, severity {severity:g}", "closed_loop"))
-    return Section(
-        "closed-loop",
-        "Closing the loop",
-        (_say(_TEXTS["loop"], stand=STAND_TIME),),
-        findings.loop_findings(results.loop, horizon),
-        (tables.loop_table(results.loop, horizon),),
-        figures=tuple(drawn),
-    )
+    said = findings.loop_findings(results.loop, horizon)
+    shown: Any = {"tables": (tables.loop_table(results.loop, horizon),), "figures": tuple(drawn)}
+    return Section("closed-loop", "Closing the loop", (_say("loop", stand=STAND_TIME),), said, **shown)
 
 
 def _sensitivity_section(results: ArenaResults, folder: Path) -> Section:
-    parts = {
-        yardstick[2]: _of(results.sensitivity, *yardstick) for yardstick in (YARDSTICKS[0], YARDSTICKS[2])
-    }
+    parts = {y[2]: _of(results.sensitivity, *y) for y in (YARDSTICKS[0], YARDSTICKS[2])}
     curves = figures.sensitivity_curves(folder / "sensitivity.svg", pd.concat(parts.values()))
-    said = [
-        f"{title.capitalize()}: {sentence}"
-        for title, part in parts.items()
-        for sentence in findings.sensitivity_findings(part)
-    ]
     return Section(
         "sensitivity",
         "How much hangs on the window's weights",
-        (flat(_TEXTS["sensitivity"]),),
-        tuple(said),
+        (_say("sensitivity"),),
+        tuple(
+            f"{title.capitalize()}: {sentence}"
+            for title, part in parts.items()
+            for sentence in findings.sensitivity_findings(part)
+        ),
         tuple(tables.sensitivity_table(part, title) for title, part in parts.items()),
         figures=(_figure(curves, "Sensitivity", "weights"),),
     )
@@ -310,19 +269,14 @@ def _sensitivity_section(results: ArenaResults, folder: Path) -> Section:
 
 def _repeat_section(results: ArenaResults) -> Section:
     options = results.options
-    took = ", ".join(f"{what} {seconds:.0f} s" for what, seconds in results.seconds.items())
     speed, seed = results.speeds[-1], options.seeds - 1
     scenario = PAPER_SCENARIOS[BAD.name, speed]
-    log = log_paths(scenario.walk, seed, options.duration, logs_folder(options))[scenario.condition]
+    log = log_paths(scenario.walk, seed, options.duration, options.logs)[scenario.condition]
     severity = max(options.loops, default=1.0)
-    return Section(
-        "repeat",
-        "Repeat any part",
-        (flat(_TEXTS["repeat"]), f"This run took: {took}."),
-        commands=(
-            f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",
-            f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed} "
-            f"--duration {options.loop_duration:g} --video walk.mp4",
-            f"surefoot compare walking --full --seeds 10 --jobs {options.jobs}",
-        ),
+    commands = (
+        f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",
+        f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed} "
+        f"--duration {options.loop_duration:g} --video walk.mp4",
+        f"surefoot compare walking --full --seeds 10 --jobs {options.jobs}",
     )
+    return repeat_section((_TEXTS["repeat"],), commands, results.seconds)

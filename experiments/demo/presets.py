@@ -8,9 +8,6 @@ from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS, SPEEDS
 from surefoot.experiments.walks.record import CONDITIONS
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
-__all__ = ["demo_options", "full_options", "quick_options"]
-
-
 _LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
 """What is fed back: where no weights ever stood on the cells, there is no calibration from them."""
 
@@ -18,13 +15,7 @@ _LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
 def full_options(
     out: Path = Path("out/compare-walking-full"), seeds: int = 10, jobs: int = 2
 ) -> ArenaOptions:
-    """Return the CoP paper's study in full: three speeds, closed loops, the window's weights, a film.
-
-    Args:
-        out: Folder for everything that is made.
-        seeds: Walks at each speed, and in each closed loop.
-        jobs: Processes that work at the same time.
-    """
+    """Return the CoP paper's study in full: three speeds, closed loops, the window's weights, a film."""
     return ArenaOptions(
         out=out,
         seeds=seeds,

@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["TABLE_2", "TABLE_3", "WALKING_TABLES", "MethodErrors", "WeightTable"]
-
 
 class WeightTable(NamedTuple):
     """Codes of eight cells under known loads and the lines through them, as in Table 2.
@@ -53,19 +51,10 @@ TABLE_2 = WeightTable(
         ],
         dtype=np.float64,
     ),
-    scale=1e-6
-    * np.array(
-        [
-            -2.38250654,
-            -2.20853048,
-            -3.47692594,
-            -3.47779548,
-            -3.47368720,
-            -3.47589563,
-            -3.47698378,
-            -3.52997190,
-        ]
-    ),
+    scale=np.array(
+        [-2.38250654, -2.20853048, -3.47692594, -3.47779548, -3.4736872, -3.47589563, -3.47698378, -3.5299719]
+    )
+    * 1e-6,
     offset=np.array(
         [19.8895457, 18.4277626, 28.9285295, 28.9357592, 28.9017197, 28.9199912, 28.9290027, 29.3677097]
     ),

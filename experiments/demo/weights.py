@@ -8,11 +8,9 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.demo.published import TABLE_2, TABLE_3
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
-from surefoot.experiments.study.page import ReportFigure, Section, flat
-from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.study.page import ReportFigure, Section
+from surefoot.experiments.study.tables import Table, flat, number
 from surefoot.experiments.weights.weighing import WeighingReport
-
-__all__ = ["cop_figure", "paper_table_2", "table_2", "table_3", "vgrf_figure", "weights_section"]
 
 _TEXT = """
     Before a robot walks, known weights stand on each cell and then at holes 1 cm apart on each foot's
@@ -63,8 +61,7 @@ def paper_table_2() -> tuple[Table, float]:
 def table_2(report: WeighingReport) -> Table:
     """Return the simulated weighing as the paper's Table 2: codes under known loads, and lines."""
     load = report.channel_load
-    shown = [int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0)]
-    shown = list(dict.fromkeys(shown))
+    shown = dict.fromkeys(int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0))
     value = report.channels.value
     rows = tuple(
         (
@@ -102,21 +99,15 @@ def table_3(report: WeighingReport) -> Table:
 def weights_section(report: WeighingReport, folder: Path) -> Section:
     """Return the section about known weights, and draw its figures into a folder."""
     tables = (paper_table_2()[0], table_2(report), table_3(report))
-    cop, vgrf = (
-        cop_figure(folder / "figure07_cop.svg", report),
-        vgrf_figure(folder / "figure08_vgrf.svg", report),
+    shown = (
+        ReportFigure(cop_figure(folder / "figure07_cop.svg", report), "Figure 7", flat(_COP)),
+        ReportFigure(vgrf_figure(folder / "figure08_vgrf.svg", report), "Figure 8", flat(_VGRF)),
     )
-    shown = (ReportFigure(cop, "Figure 7", flat(_COP)), ReportFigure(vgrf, "Figure 8", flat(_VGRF)))
     return Section("weights", "Known weights", (flat(_TEXT),), tables=tables, figures=shown)
 
 
 def cop_figure(path: Path, report: WeighingReport) -> Path:
-    """Draw measured centres of pressure against the holes of the plate (the paper's Figure 7).
-
-    Args:
-        path: Where to save the figure.
-        report: The simulated weighing, of which the left foot is shown.
-    """
+    """Draw measured centres of pressure of the left foot against the plate's holes (the paper's Figure 7)."""
     left = report.held_out[0]
     pressed = np.isfinite(left.cop_initial).all(axis=1)
     holes = left.hole[pressed]
@@ -139,12 +130,7 @@ def cop_figure(path: Path, report: WeighingReport) -> Path:
 
 
 def vgrf_figure(path: Path, report: WeighingReport) -> Path:
-    """Draw the vertical force of held-out placements (the paper's Figure 8).
-
-    Args:
-        path: Where to save the figure.
-        report: The simulated weighing, of which both feet are shown.
-    """
+    """Draw the vertical force of held-out placements on both feet (the paper's Figure 8)."""
     load, initial, calibrated = (
         np.concatenate([getattr(foot, name) for foot in report.held_out])
         for name in ("load", "vgrf_initial", "vgrf_calibrated")

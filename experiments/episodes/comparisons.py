@@ -5,11 +5,8 @@ from dataclasses import dataclass
 
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of
 from surefoot.experiments.study.figures import short_label
-from surefoot.experiments.study.page import flat
 from surefoot.experiments.study.statistics import Interval
-from surefoot.experiments.study.tables import Frame, Verdict
-
-__all__ = ["CALIBRATED", "COMPARISONS", "NOBODY", "Comparison", "Difference"]
+from surefoot.experiments.study.tables import Frame, Verdict, flat
 
 CALIBRATED = "moment"
 """The feed that is compared with the others."""
@@ -25,8 +22,6 @@ _PAIRS = (
     (CALIBRATED, "weights", "moment less weights"),
     ("true", CALIBRATED, "true less moment"),
 )
-
-_INPUTS = ("frozen", "swapped", "shuffled")
 
 
 @dataclass(frozen=True)
@@ -55,53 +50,29 @@ class Difference:
         return Verdict.of(self.interval.mean > 0.0, "yes")
 
 
-def feed_differences(frame: Frame) -> list[Difference]:
-    """Return differences of feeds, for each controller that looks at them and each severity."""
-    return [
-        Difference(controller, what, severity, interval, judged=first != "true")
-        for controller in controllers_of(frame)
-        for first, second, what in _PAIRS
-        if controller != NOBODY
-        for severity in severities_of(frame)
-        for interval in _found(
-            frame, Run(first, "given", controller), Run(second, "given", controller), severity
-        )
-    ]
+Pair = tuple[Run, Run, str, float | None, bool]
+"""Two runs, which is taken from which, the severity, and whether more is better."""
 
 
-def nobody_differences(frame: Frame) -> list[Difference]:
-    """Return what each controller is ahead of nobody, on each feed and severity, if nobody was run."""
-    # Nobody looks at what is fed back, so that any feed would do: the true one is run once.
-    nobody = Run("true", "given", NOBODY)
-    return [
-        Difference(
-            controller,
-            f"{'drifting' if feed == 'none' else short_label(feed)} less nobody",
-            severity,
-            interval,
-        )
-        for controller in controllers_of(frame)
-        if controller != NOBODY
-        for feed in dict.fromkeys(frame["feed"])
-        for severity in (severities_of(frame) if feed != "true" else [None])
-        for interval in _found(frame, Run(feed, "given", controller), nobody, severity)
-    ]
+def _feeds(frame: Frame, who: str) -> Iterator[Pair]:
+    """Pair the feeds of a controller that looks at them, at each severity."""
+    for first, second, what in _PAIRS if who != NOBODY else ():
+        for severity in severities_of(frame):
+            yield Run(first, "given", who), Run(second, "given", who), what, severity, first != "true"
 
 
-def input_differences(frame: Frame) -> list[Difference]:
-    """Return what another input costs each controller on the true feet."""
-    return [
-        Difference(controller, f"given less {cop_input}", None, interval, judged=False)
-        for controller in controllers_of(frame)
-        for cop_input in _INPUTS
-        for interval in _found(frame, Run("true", "given", controller), Run("true", cop_input, controller))
-    ]
+def _acting(frame: Frame, who: str) -> Iterator[Pair]:
+    """Pair a controller with nobody, who looks at no feed: he is run on the true one, once."""
+    for feed in dict.fromkeys(frame["feed"]) if who != NOBODY else ():
+        what = f"{'drifting' if feed == 'none' else short_label(feed)} less nobody"
+        for severity in severities_of(frame) if feed != "true" else [None]:
+            yield Run(feed, "given", who), Run("true", "given", NOBODY), what, severity, True
 
 
-def _found(frame: Frame, first: Run, second: Run, severity: float | None = None) -> Iterator[Interval]:
-    interval = difference(frame, first, second, severity)
-    if interval is not None:
-        yield interval
+def _inputs(frame: Frame, who: str) -> Iterator[Pair]:
+    """Pair what a controller was given on the true feet with other inputs."""
+    for other in ("frozen", "swapped", "shuffled"):
+        yield Run("true", "given", who), Run("true", other, who), f"given less {other}", None, False
 
 
 _NOBODY = """
@@ -115,28 +86,27 @@ _OTHER_INPUTS = """
 
 @dataclass(frozen=True)
 class Comparison:
-    """A kind of differences: one table, one figure and one section of a page.
-
-    Attributes:
-        name: Short name, for files.
-        table: Title of the table.
-        title: Title of the section.
-        text: What is compared.
-        find: Finds the differences in the rows of a study.
-    """
+    """A kind of differences: one table, one figure and one section of a page."""
 
     name: str
     table: str
     title: str
     text: tuple[str, ...]
-    find: Callable[[Frame], list[Difference]]
+    pairs: Callable[[Frame, str], Iterator[Pair]]
+
+    def find(self, frame: Frame) -> list[Difference]:
+        """Return the differences in the rows of a study."""
+        return [
+            Difference(who, what, severity, interval, judged)
+            for who in controllers_of(frame)
+            for first, second, what, severity, judged in self.pairs(frame, who)
+            if (interval := difference(frame, first, second, severity)) is not None
+        ]
 
 
 COMPARISONS = (
-    Comparison("differences", "Paired differences of returns", "Feet against feet", (), feed_differences),
-    Comparison("nobody", "What acting is worth", "Is acting worth it?", (flat(_NOBODY),), nobody_differences),
-    Comparison(
-        "inputs", "What another CoP costs", "Is the CoP used?", (flat(_OTHER_INPUTS),), input_differences
-    ),
+    Comparison("differences", "Paired differences of returns", "Feet against feet", (), _feeds),
+    Comparison("nobody", "What acting is worth", "Is acting worth it?", (flat(_NOBODY),), _acting),
+    Comparison("inputs", "What another CoP costs", "Is the CoP used?", (flat(_OTHER_INPUTS),), _inputs),
 )
 """All comparisons, in the order of the page."""

@@ -15,29 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surefoot
-from surefoot.controllers import zero_action
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
 from surefoot.experiments.study.sources import source_hash
-from surefoot.experiments.walks.closed_loop import Moment, rms
+from surefoot.experiments.walks.closed_loop import Moment, moments
+from surefoot.experiments.walks.score import rms
 from surefoot.experiments.walks.walkers import TruthTap, on_feet
-
-__all__ = [
-    "COP_INPUTS",
-    "DONOR",
-    "OUTCOME",
-    "TABLE",
-    "TAKEN",
-    "VERSIONS",
-    "Episode",
-    "Step",
-    "check_episode",
-    "episode_row",
-    "episode_steps",
-    "failed_row",
-    "run_case",
-    "versions",
-]
 
 OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
 """What a repetition must bring out again to the last digit."""
@@ -57,6 +40,9 @@ DONOR = 500_000
 
 TABLE = "episodes"
 """Name of the table of a study's store that holds the rows."""
+
+_WHAT = ("controller", "controller_hash", "trained", "feed", "cop_input", "scenario", "severity", "seed")
+"""What of an episode has a column of its own."""
 
 _DIGEST_DIGITS = 32
 
@@ -126,33 +112,15 @@ class Episode:
             raise ValueError(f"This episode was written by another version of surefoot ({error}).") from error
 
 
-@dataclass(frozen=True)
-class Step:
-    """An episode after one control step.
-
-    Attributes:
-        moment: What the robot felt and what was true.
-        action: What the controller answered to the observation before.
-        reward: What was paid for it.
-        asked: Whether the controller was asked, and not the quiet stand's zero action.
-    """
-
-    moment: Moment
-    action: Any
-    reward: float
-    asked: bool
-
-
-def episode_steps(episode: Episode, controller: Controller | None = None, **drawing: Any) -> Iterator[Step]:
+def episode_moments(
+    episode: Episode, controller: Controller | None = None, **drawing: Any
+) -> Iterator[Moment]:
     """Run an episode, a control step at a time, until its end or the fall.
 
     Args:
         episode: Which one.
         controller: Acts in place of the named one.
         **drawing: Further options of the environment that change nothing but pictures.
-
-    Yields:
-        What happened.
 
     Raises:
         ValueError: If the controller's file is another one than the episode names, or something is refused.
@@ -161,21 +129,7 @@ def episode_steps(episode: Episode, controller: Controller | None = None, **draw
     env, tap, controller = _made(episode, controller, drawing)
     bare: Any = env.unwrapped
     settle = bare.stand_time if episode.settle is None else episode.settle
-    waiting, steps, done = round(settle / bare.dt), 0, False
-    try:
-        observation, _ = env.reset(seed=episode.seed)
-        while not done:
-            if steps == waiting and hasattr(controller, "reset"):
-                controller.reset()
-            asked = steps >= waiting
-            action = np.asarray(controller(change(observation)) if asked else zero_action(observation))
-            observation, reward, terminated, truncated, _ = env.step(action)
-            steps += 1
-            done = terminated or truncated
-            moment = Moment(steps * bare.dt, bare, observation, tap.seen, terminated)
-            yield Step(moment, action, float(reward), asked)
-    finally:
-        env.close()
+    return moments(env, tap, controller, episode.seed, settle, change)
 
 
 def check_episode(episode: Episode) -> None:
@@ -194,11 +148,7 @@ def check_episode(episode: Episode) -> None:
 
 
 def episode_row(episode: Episode, controller: Controller | None = None) -> dict[str, Any]:
-    """Run an episode and return one row about it.
-
-    Args:
-        episode: Which one.
-        controller: Acts in place of the named one.
+    """Run an episode, perhaps with another controller than the named one, and return one row about it.
 
     Returns:
         What the episode is, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
@@ -208,28 +158,23 @@ def episode_row(episode: Episode, controller: Controller | None = None) -> dict[
         ``wall_time`` in s, ``error`` (empty) and versions.
     """
     began = time.perf_counter()
-    total, counted, now, fell = 0.0, 0, 0.0, False
-    errors: list[float] = []
-    tracking: list[float] = []
-    digest = sha256()
-    for step in episode_steps(episode, controller):
-        moment, fell = step.moment, step.moment.fell
-        if step.asked or not episode.of_task:
-            total += step.reward
+    total, counted, errors, digest = 0.0, 0, [(float("nan"),) * 2], sha256()
+    for moment in episode_moments(episode, controller):
+        if moment.asked or not episode.of_task:
+            total += moment.reward
             counted += 1
-            now = counted * moment.bare.dt
-        if step.asked:
-            errors.append(moment.cop_error)
-            tracking.append(moment.tracking)
-        digest.update(step.action.astype(np.float32).tobytes() + np.float64(step.reward).tobytes())
+        if moment.asked:
+            errors.append((moment.cop_error, moment.tracking))
+        digest.update(moment.action.astype(np.float32).tobytes() + np.float64(moment.reward).tobytes())
         digest.update(moment.observation["cop"].tobytes() + moment.true_observation["cop"].tobytes())
+    cop_error, tracking = map(rms, zip(*errors, strict=True))
     outcome = {
         "return": total,
         "steps": counted,
-        "time": now,
-        "fell": bool(fell),
-        "cop_error": rms(errors),
-        "tracking": rms(tracking),
+        "time": counted * moment.bare.dt,
+        "fell": bool(moment.fell),
+        "cop_error": cop_error,
+        "tracking": tracking,
         "digest": digest.hexdigest()[:_DIGEST_DIGITS],
     }
     return _row(episode, outcome, "", time.perf_counter() - began)
@@ -297,11 +242,8 @@ def _change(episode: Episode, controller: Controller | None) -> Callable[[dict[s
 def _taken_from(episode: Episode, controller: Controller | None) -> list[_Cop]:
     """Return the centres of pressure of another episode."""
     other = replace(episode, seed=episode.seed + DONOR, cop_input="given")
-    taken = [
-        (step.moment.observation["cop"], step.moment.observation["cop_valid"])
-        for step in episode_steps(other, controller)
-        if step.asked
-    ]
+    asked = [moment.observation for moment in episode_moments(other, controller) if moment.asked]
+    taken = [(observation["cop"], observation["cop_valid"]) for observation in asked]
     if episode.cop_input == "shuffled":
         order = np.random.default_rng([DONOR, episode.seed]).permutation(len(taken))
         taken = [taken[i] for i in order]
@@ -309,19 +251,6 @@ def _taken_from(episode: Episode, controller: Controller | None) -> list[_Cop]:
 
 
 def _row(episode: Episode, outcome: Mapping[str, Any], error: str, wall_time: float) -> dict[str, Any]:
-    return {
-        "case": episode.number,
-        "controller": episode.controller,
-        "controller_hash": episode.controller_hash,
-        "trained": episode.trained,
-        "feed": episode.feed,
-        "cop_input": episode.cop_input,
-        "scenario": episode.scenario,
-        "severity": episode.severity,
-        "seed": episode.seed,
-        **outcome,
-        "error": error,
-        "wall_time": wall_time,
-        **versions(),
-        "spec": episode.to_json(),
-    }
+    what = {"case": episode.number} | {name: getattr(episode, name) for name in _WHAT}
+    made = {"error": error, "wall_time": wall_time, **versions(), "spec": episode.to_json()}
+    return {**what, **outcome, **made}

@@ -14,8 +14,6 @@ from surefoot.experiments.policy.controllers import Controller
 from surefoot.experiments.policy.tasks import TASKS
 from surefoot.experiments.walks.walkers import FEEDS, feed_named
 
-__all__ = ["EVALUATED", "evaluation_plan", "run_episode"]
-
 EVALUATED = ("true", "none", "weights", "quasi-static", "window", "moment")
 """Feeds of an evaluation."""
 
@@ -32,32 +30,22 @@ def evaluation_plan(
 ) -> EpisodePlan:
     """Return the plan of an evaluation; the order in which things are named makes no other one.
 
-    Args:
-        controllers: By name, see :mod:`surefoot.experiments.policy.controllers`.
-        feeds: What is fed back.
-        severities: Factors of the errors of the feet's sensors.
-        seeds: Episodes of each.
-        first_seed: Of the first of them.
-        cop_inputs: What controllers see of it on the true feet.
-        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
-
     Raises:
         ValueError: If a name does not exist or is given twice, or a number is out of its range.
     """
     for name, value, least in (("seeds", seeds, 1), ("first_seed", first_seed, 0)):
         if not isinstance(value, int) or isinstance(value, bool) or value < least:
             raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
-    numbers = tuple(range(first_seed, first_seed + seeds))
-    own = {task: scenario_of_task(task)}
-    options: dict[str, Any] = {"duration": None, "settle": None, "cop_inputs": cop_inputs, "own": own}
-    ordered = sorted(map(feed_named, feeds), key=list(FEEDS).index)
     return EpisodePlan(
         tuple(sorted(controllers)),
-        tuple(ordered),
+        tuple(sorted(map(feed_named, feeds), key=list(FEEDS).index)),
         (task,),
         tuple(sorted(severities, key=str)),
-        numbers,
-        **options,
+        tuple(range(first_seed, first_seed + seeds)),
+        duration=None,
+        settle=None,
+        cop_inputs=cop_inputs,
+        own={task: scenario_of_task(task)},
     )
 
 

@@ -23,10 +23,8 @@ from surefoot.experiments.policy.card import SCORES, WHOSE
 from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.page import ReportFigure, Section, flat, save_tables, write_page
-from surefoot.experiments.study.tables import Frame, Table
-
-__all__ = ["EvaluationPage"]
+from surefoot.experiments.study.page import ReportFigure, Section, save_tables, write_page
+from surefoot.experiments.study.tables import Frame, Table, flat
 
 _INTRODUCTION = """
     Controllers on {env_id}. What they are given for the centre of pressure (CoP) differs, and nothing else:
@@ -72,9 +70,6 @@ _AGAIN = (
 
 class EvaluationPage:
     """Tables and figures of an evaluation, and the page that holds them.
-
-    Args:
-        frame: Rows of the study; those of episodes that failed are listed by themselves.
 
     Raises:
         ValueError: If there are no episodes, or of several tasks, or one of them twice, or of a controller
@@ -127,11 +122,7 @@ class EvaluationPage:
         return (*targets, *self.scores, *self.differences, *self.randomisation, *failed)
 
     def write(self, folder: Path) -> Path:
-        """Draw the figures, save tables and scores as CSV, and write ``index.html``.
-
-        Args:
-            folder: Where; it is made.
-        """
+        """Draw the figures, save tables and scores as CSV, and write ``index.html`` in a folder."""
         save_tables(folder / "tables", self.tables)
         with atomic_path(folder / SCORES) as part:
             pd.concat(map(self._scores_of, self.controllers, self.scores)).to_csv(part, index=False)

@@ -11,6 +11,8 @@ from surefoot.experiments.episodes.comparisons import Difference
 from surefoot.experiments.episodes.scores import controllers_of, severities_of
 from surefoot.experiments.policy.controllers import drawn_names
 from surefoot.experiments.study.figures import (
+    by_way,
+    draw_steps,
     figure_at,
     grid_of,
     in_order,
@@ -23,8 +25,6 @@ from surefoot.experiments.study.page import ReportFigure
 from surefoot.experiments.study.statistics import fall_share, mean_interval, survival
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["against_severity", "forest", "heat_maps", "outcome_figures", "survival_curves"]
-
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#882255", "#56B4E9")
 """Of severities; those of Okabe and Ito (2008), and one of Tol's."""
 
@@ -36,11 +36,7 @@ def outcome_figures(
 ) -> tuple[ReportFigure, ReportFigure]:
     """Draw what came of one scenario: returns and falls over severity, and survival over time.
 
-    Args:
-        folder: Where to save the figures.
-        rows: Of the scenario.
-        suffix: Of the files' names.
-        since: From when on time counts, in words.
+    The files' names end in a suffix; ``since`` says from when on time counts.
     """
     returns = against_severity(folder / f"returns{suffix}.svg", rows)
     standing = survival_curves(folder / f"survival{suffix}.svg", rows)
@@ -52,9 +48,7 @@ def outcome_figures(
 def survival_curves(path: Path, rows: Frame) -> Path:
     """Draw shares on their feet over time with 95 % bands: a panel a severity (across) and controller (down).
 
-    Args:
-        path: Where to save the figure.
-        rows: Of one scenario. True feet, which have no severity, are in every panel.
+    True feet, which have no severity, are in every panel.
     """
     controllers = controllers_of(rows)
     names = drawn_names(controllers)
@@ -65,8 +59,11 @@ def survival_curves(path: Path, rows: Frame) -> Path:
             for axes, severity in zip(line, severities, strict=True):
                 part = rows[rows["controller"] == controller]
                 part = part[(part["feed"] == "true") | (part["severity"] == severity)]
-                for feed in in_order(part["feed"]):
-                    _survival(axes, part[part["feed"] == feed], feed)
+                for feed, runs in by_way(part, "feed").items():
+                    curve = survival(runs["time"], runs["fell"])
+                    draw_steps(axes, curve.time, curve.share, feed)
+                    band = {"step": "post", "color": look_of(feed).colour, "alpha": 0.12, "linewidth": 0}
+                    axes.fill_between(curve.time, curve.low, curve.high, **band)
                 axes.set_ylim(-0.03, 1.03)
                 axes.set_title(f"{names[controller]}, severity {severity:g}")
             line[0].set_ylabel("share on its feet")
@@ -79,9 +76,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
 def against_severity(path: Path, rows: Frame) -> Path:
     """Draw mean return and share of falls against severity with 95 % intervals, a line a controller.
 
-    Args:
-        path: Where to save the figure.
-        rows: Of one scenario. True feet, which have no severity, are drawn across.
+    True feet, which have no severity, are drawn across.
     """
     controllers = controllers_of(rows)
     names = drawn_names(controllers)
@@ -90,10 +85,10 @@ def against_severity(path: Path, rows: Frame) -> Path:
         panels = grid_of(figure, len(controllers), 2, sharex=True, sharey="col")
         for line, controller in zip(panels, controllers, strict=True):
             part = rows[rows["controller"] == controller]
-            feeds = in_order(part["feed"])
-            for i, feed in enumerate(feeds):
+            feeds = by_way(part, "feed")
+            for i, (feed, runs) in enumerate(feeds.items()):
                 beside = 0.012 * (i - 0.5 * len(feeds)) * part["severity"].max()
-                _severities(line, part[part["feed"] == feed], feed, beside)
+                _severities(line, runs, feed, beside)
             line[0].set_ylabel("return")
             line[1].set_ylabel("share that fell")
             line[1].set_ylim(-0.03, 1.03)
@@ -108,13 +103,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
 
 
 def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
-    """Draw shares of falls, scenarios down and severities across, a map a controller and feed.
-
-    Args:
-        path: Where to save the figure.
-        rows: Of all scenarios.
-        titles: What to call each scenario, in order.
-    """
+    """Draw shares of falls, scenarios by title down and severities across, a map a controller and feed."""
     controllers, feeds = controllers_of(rows), in_order(rows["feed"])
     names = drawn_names(controllers)
     width, height = max(8.4, 2.1 * len(feeds) + 2.4), len(controllers) * (0.32 * len(titles) + 0.9) + 0.5
@@ -133,22 +122,17 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
 
 
 def forest(path: Path, found: Sequence[Difference]) -> Path:
-    """Draw differences with their intervals, one under the other: a panel a controller.
-
-    Args:
-        path: Where to save the figure.
-        found: The differences.
-    """
+    """Draw differences with their intervals, one under the other: a panel a controller."""
     controllers = list(dict.fromkeys(one.controller for one in found))
     severities = sorted({one.severity for one in found if one.severity is not None})
-    series: list[tuple[str, str, float | None]] = []
-    if any(one.severity is None for one in found):
-        series = [("true feet", "#000000", None)]
-    series += [(f"severity {severity:g}", _COLOURS[i % 6], severity) for i, severity in enumerate(severities)]
-    rows = list(dict.fromkeys(one.what for one in found))
     # Severities stand one under the other, so that they do not hide each other.
-    beside: dict[float | None, float] = {None: 0.0}
-    beside |= {severity: 0.22 * (i - 0.5 * (len(severities) - 1)) for i, severity in enumerate(severities)}
+    series: list[tuple[str, str, float | None, float]] = [
+        (f"severity {severity:g}", _COLOURS[i % 6], severity, 0.22 * (i - 0.5 * (len(severities) - 1)))
+        for i, severity in enumerate(severities)
+    ]
+    if any(one.severity is None for one in found):
+        series = [("true feet", "#000000", None, 0.0), *series]
+    rows = list(dict.fromkeys(one.what for one in found))
     names = drawn_names(controllers)
     columns = min(2, len(controllers))
     lines = -(-len(controllers) // columns)
@@ -159,19 +143,13 @@ def forest(path: Path, found: Sequence[Difference]) -> Path:
             axes.set_axis_off()
         for axes, controller in zip(panels.ravel(), controllers, strict=False):
             axes.axvline(0.0, color="#7f7f7f", linewidth=1.0)
-            for i, (label, colour, severity) in enumerate(series):
+            for i, (label, colour, severity, beside) in enumerate(series):
                 shown = [one for one in found if one.controller == controller and one.severity == severity]
-                axes.errorbar(
-                    [one.interval.mean for one in shown],
-                    [rows.index(one.what) + beside[severity] for one in shown],
-                    xerr=np.nan_to_num([one.interval.half for one in shown]),
-                    color=colour,
-                    linestyle="none",
-                    marker=_MARKERS[i % 6],
-                    markersize=5,
-                    capsize=2.5,
-                    label=label,
-                )
+                place = [rows.index(one.what) + beside for one in shown]
+                half = np.nan_to_num([one.interval.half for one in shown])
+                style: Any = {"marker": _MARKERS[i % 6], "markersize": 5, "capsize": 2.5, "linestyle": "none"}
+                mean = [one.interval.mean for one in shown]
+                axes.errorbar(mean, place, xerr=half, color=colour, label=label, **style)
             axes.set_yticks(range(len(rows)), rows)
             axes.set_ylim(len(rows) - 0.5, -0.5)
             axes.tick_params(labelbottom=True)
@@ -180,14 +158,6 @@ def forest(path: Path, found: Sequence[Difference]) -> Path:
         if severities:
             legend_below(figure, panels.ravel())
     return path
-
-
-def _survival(axes: Axes, runs: Frame, feed: str) -> None:
-    curve, look = survival(runs["time"], runs["fell"]), look_of(feed)
-    axes.step(curve.time, curve.share, where="post", color=look.colour, linestyle=look.line, label=look.label)
-    axes.fill_between(
-        curve.time, curve.low, curve.high, step="post", color=look.colour, alpha=0.12, linewidth=0
-    )
 
 
 def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:

@@ -5,13 +5,11 @@ from collections.abc import Iterator, Sequence
 from surefoot.experiments.episodes.comparisons import CALIBRATED
 from surefoot.experiments.episodes.randomisation import Answer
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
+from surefoot.experiments.episodes.tables import percent
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.claims import Claim, at_least, claim_table
-from surefoot.experiments.study.page import flat
 from surefoot.experiments.study.statistics import Interval, mean_interval
-from surefoot.experiments.study.tables import Frame, Table, interval_text
-
-__all__ = ["controller_findings", "target_table"]
+from surefoot.experiments.study.tables import Frame, Table, flat, interval_text
 
 _NOTE = """
     Survival and the share of the loss that is won back are judged by the number itself, wherever its interval
@@ -21,13 +19,7 @@ _NOTE = """
 
 
 def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] = ()) -> Table:
-    """Return what was set out to be reached by a policy, and what came of it.
-
-    Args:
-        frame: Rows of the study.
-        controller: The policy.
-        randomisation: What randomisation is worth, which is a claim as well.
-    """
+    """Return what was set out to be reached by a policy, and by randomisation, and what came of it."""
     own = frame[frame["controller"] == controller]
     claims = [*_claims(own)]
     for answer in randomisation:
@@ -54,14 +46,13 @@ def _claims(own: Frame) -> Iterator[Claim]:
         drifting = mean_interval(given[(given["feed"] == "none") & (given["severity"] == severity)]["return"])
         on_true = mean_interval(true["return"])
         if drifting.n and on_true.n:
+            what = f"{at}return on drifting CoP below that on true CoP"
             measured = f"{interval_text(drifting, digits=4)} and {interval_text(on_true, digits=4)}"
             apart = drifting.mean + drifting.half < on_true.mean - on_true.half
-            yield Claim(
-                f"{at}return on drifting CoP below that on true CoP", "intervals apart", measured, apart
-            )
+            yield Claim(what, "intervals apart", measured, apart)
         won = won_back(own, CALIBRATED, severity)
         if won is not None:
-            measured = "{:.1f} ({:.1f} to {:.1f})".format(*(100 * part for part in won))
+            measured = percent(won, "{:.1f} ({:.1f} to {:.1f})")
             yield at_least(f"{at}of the loss won back by moment (%)", 100.0 * won[0], 90.0, measured)
         for other in ("window", "quasi-static"):
             gap = difference(own, Run(CALIBRATED), Run(other), severity)
@@ -74,12 +65,7 @@ def _clearly(what: str, gap: Interval) -> Claim:
 
 
 def controller_findings(frame: Frame, controller: str) -> tuple[str, ...]:
-    """Return sentences on what a controller loses on drifting feet and gets back on calibrated ones.
-
-    Args:
-        frame: Rows of the study.
-        controller: Whose.
-    """
+    """Return sentences on what a controller loses on drifting feet and gets back on calibrated ones."""
     name = labels(controllers_of(frame))[controller]
     own = frame[(frame["controller"] == controller) & (frame["cop_input"] == "given")]
     found = []
@@ -99,7 +85,7 @@ def controller_findings(frame: Frame, controller: str) -> tuple[str, ...]:
         text += f" and {int(falls.sum())} of {len(falls)} fall"
         shares = {feed: won_back(own, feed, severity) for feed in dict.fromkeys(own["feed"])}
         won = [
-            "{} wins {:.1f} % of it back ({:.0f} to {:.0f})".format(feed, *(100 * x for x in share))
+            percent(share, f"{feed} wins {{:.1f}} % of it back ({{:.0f}} to {{:.0f}})")
             for feed, share in shares.items()
             if share is not None
         ]

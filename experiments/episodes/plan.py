@@ -18,8 +18,6 @@ from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME, feed_named
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import resolve
 
-__all__ = ["EpisodePlan", "plan_from_toml"]
-
 _AXES = ("controllers", "feeds", "scenarios", "severities", "seeds", "cop_inputs")
 _OWN_KEYS = ("based_on", "title", "environment", "options", "sensors", "beliefs", "methods")
 _NOT_IN_FILES = ("own", "cop_inputs")
@@ -140,13 +138,7 @@ class EpisodePlan:
 
 
 def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1]) -> None:
-    """Raise ValueError if seeds reach those of training, also those of episodes whose input is taken.
-
-    Args:
-        first: The smallest.
-        last: The largest.
-        cop_inputs: Of :data:`~surefoot.experiments.episodes.episode.COP_INPUTS`.
-    """
+    """Raise ValueError if seeds reach those of training, also those of episodes whose input is taken."""
     taken = [name for name in cop_inputs if name in TAKEN]
     end = TRAINING_SEEDS - (DONOR if taken else 0)
     if not 0 <= first <= last < end:
@@ -159,11 +151,7 @@ def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1
 
 
 def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
-    """Return a plan from a file.
-
-    Args:
-        path: The file; docs/sweep.md describes it.
-        **changes: Attributes of :class:`EpisodePlan` to put in the place of the file's.
+    """Return a plan from a file, which docs/sweep.md describes, with other values in place of the file's.
 
     Raises:
         ValueError: If the file is none, or says what there is not.

@@ -8,26 +8,25 @@ from surefoot.experiments.episodes.scores import Run, controllers_of, difference
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import Frame, Table, interval_text
 
-__all__ = ["BETTER", "UNCLEAR", "WORSE", "Answer", "answers", "gap_table", "trainings", "two_by_two"]
-
 BETTER, UNCLEAR, WORSE = "clearly better than", "not clearly different from", "clearly worse than"
 """How both together compare with either alone, as far as an interval tells."""
 
 _FEEDS = {"none": "drifting", CALIBRATED: "calibrated"}
 """The feet that randomisation and calibration are compared on, and what they are called."""
 
+_GAPS = {
+    "randomisation": "randomised less clean, both drifting",
+    "calibration": "calibrated less drifting, both clean",
+    "choice": "calibration alone less randomisation alone",
+    "on_calibration": "both together less calibration alone",
+    "on_randomisation": "both together less randomisation alone",
+}
+
 
 class Answer(NamedTuple):
-    """What randomisation and calibration are worth at one severity; paired differences of returns.
+    """What randomisation and calibration are worth at one severity, over the seeds that all four have.
 
-    Attributes:
-        severity: Of the sensors.
-        seeds: Those that all four were run with: all differences are over these.
-        randomisation: Randomised less clean, both drifting.
-        calibration: Calibrated less drifting, both clean.
-        choice: Clean on calibrated feet less randomised on drifting ones.
-        on_calibration: Both together less calibration alone.
-        on_randomisation: Both together less randomisation alone.
+    The differences of returns, paired by seed, are called as in the table of them.
     """
 
     severity: float
@@ -83,26 +82,13 @@ class Answer(NamedTuple):
 
 
 def trainings(frame: Frame, trained: Mapping[str, str]) -> tuple[str, str] | None:
-    """Return the policies that were trained on true feet and on randomised sensors, if both were run.
-
-    Args:
-        frame: Rows of the study.
-        trained: What each controller was trained on; of several of a kind the first counts.
-    """
-    ran = controllers_of(frame)
-    clean = next((name for name in ran if trained.get(name) == "true"), None)
-    randomised = next((name for name in ran if trained.get(name) == "randomised"), None)
-    return None if clean is None or randomised is None else (clean, randomised)
+    """Return the first policy of each training, on true feet and on randomised sensors, if both were run."""
+    kinds = {trained.get(name, ""): name for name in reversed(controllers_of(frame))}
+    return (kinds["true"], kinds["randomised"]) if {"true", "randomised"} <= kinds.keys() else None
 
 
 def answers(frame: Frame, clean: str, randomised: str) -> list[Answer]:
-    """Return what randomisation and calibration are worth, at each severity at which all four were run.
-
-    Args:
-        frame: Rows of the study.
-        clean: The policy that was trained on true feet.
-        randomised: The one that was trained on randomised sensors.
-    """
+    """Return what randomisation and calibration are worth, at each severity at which all four were run."""
     runs = {(feed, who): Run(feed, "given", who) for feed in _FEEDS for who in (clean, randomised)}
     pairs = (
         (runs["none", randomised], runs["none", clean]),
@@ -114,14 +100,11 @@ def answers(frame: Frame, clean: str, randomised: str) -> list[Answer]:
     found = []
     for severity in severities_of(frame):
         part = frame[(frame["cop_input"] == "given") & (frame["severity"] == severity)]
-        ran = [
-            set(part[(part["feed"] == r.feed) & (part["controller"] == r.controller)]["seed"])
-            for r in runs.values()
-        ]
-        seeds = frozenset(int(seed) for seed in set.intersection(*ran))
-        common = part[part["seed"].isin(seeds)]
-        gaps = [difference(common, *pair, severity) for pair in pairs]
+        ran = part.groupby(["feed", "controller"])["seed"].apply(set)
+        seeds = frozenset(map(int, set.intersection(*(ran.get(pair, set()) for pair in runs))))
         if seeds:
+            common = part[part["seed"].isin(seeds)]
+            gaps = [difference(common, *pair, severity) for pair in pairs]
             found.append(Answer(severity, seeds, *(gap for gap in gaps if gap is not None)))
     return found
 
@@ -129,11 +112,7 @@ def answers(frame: Frame, clean: str, randomised: str) -> list[Answer]:
 def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer]) -> Table:
     """Return {trained clean, trained randomised} x {drifting, calibrated}, beside the true feet.
 
-    Args:
-        frame: As in :func:`answers`.
-        clean: Likewise.
-        randomised: Likewise.
-        found: What :func:`answers` found.
+    Arguments as in :func:`answers`, and what it found.
     """
     given = frame[frame["cop_input"] == "given"]
     true = given[given["feed"] == "true"]
@@ -142,12 +121,11 @@ def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer
     cells += [(feed, answer.severity, set(answer.seeds)) for answer in found for feed in _FEEDS]
     rows = []
     for what, controller in (("true feet", clean), ("randomised feet", randomised)):
-        own = given[given["controller"] == controller]
-        parts = [own[(own["feed"] == feed) & (own["severity"] == severity)] for feed, severity, _ in cells]
-        means = [
-            mean_interval(p[p["seed"].isin(cell[-1])]["return"]) for p, cell in zip(parts, cells, strict=True)
-        ]
-        rows.append((what, *(interval_text(mean, digits=4) for mean in means)))
+        row, own = [what], given[given["controller"] == controller]
+        for feed, severity, seeds in cells:
+            runs = own[(own["feed"] == feed) & (own["severity"] == severity) & own["seed"].isin(seeds)]
+            row.append(interval_text(mean_interval(runs["return"]), digits=4))
+        rows.append(tuple(row))
     headings = [f"{_FEEDS[feed]}, {severity:g}" for feed, severity, _ in cells[1:]]
     return Table(
         "randomisation",
@@ -161,16 +139,7 @@ def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer
 
 def gap_table(frame: Frame, clean: str, randomised: str, found: Sequence[Answer]) -> Table:
     """Return what differs between the cells of :func:`two_by_two`, paired by seed; arguments as there."""
-    names = {
-        "randomisation": "randomised less clean, both drifting",
-        "calibration": "calibrated less drifting, both clean",
-        "choice": "calibration alone less randomisation alone",
-        "on_calibration": "both together less calibration alone",
-        "on_randomisation": "both together less randomisation alone",
-    }
-    rows = [
-        (words, *(interval_text(getattr(answer, name)) for answer in found)) for name, words in names.items()
-    ]
+    rows = [(words, *(interval_text(getattr(one, name)) for one in found)) for name, words in _GAPS.items()]
     price = difference(frame, Run("true", "given", randomised), Run("true", "given", clean))
     if price is not None:
         rows.append(("randomised less clean, both on true feet", *[interval_text(price)] * len(found)))

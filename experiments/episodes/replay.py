@@ -5,23 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surefoot.experiments.episodes.episode import OUTCOME, VERSIONS, Episode, failed_row
+from surefoot.experiments.episodes.episode import OUTCOME, TABLE, VERSIONS, Episode, failed_row
 from surefoot.experiments.episodes.rows import read_rows
 from surefoot.experiments.episodes.run import case_of
 from surefoot.experiments.study.runner import attempt
 
-__all__ = ["Replayed", "replay_episode"]
-
 
 @dataclass(frozen=True)
 class Replayed:
-    """An episode and its repetition.
-
-    Attributes:
-        episode: Which one.
-        then: Its row in the results.
-        now: The row of the repetition.
-    """
+    """An episode, its row in the results, and the row of its repetition."""
 
     episode: Episode
     then: Mapping[str, Any]
@@ -35,19 +27,12 @@ class Replayed:
     @property
     def other_versions(self) -> tuple[str, ...]:
         """What was run with then and is another now, in words."""
-        return tuple(
-            f"{name} {self.then[name]} -> {self.now[name]}"
-            for name in VERSIONS
-            if self.then[name] != self.now[name]
-        )
+        changed = [name for name in VERSIONS if self.then[name] != self.now[name]]
+        return tuple(f"{name} {self.then[name]} -> {self.now[name]}" for name in changed)
 
 
 def replay_episode(path: Path, number: int) -> Replayed:
-    """Run an episode again and compare it with its row.
-
-    Args:
-        path: A study's folder, or its table of episodes.
-        number: Of the episode.
+    """Run an episode of a study's folder, or of its table, again and compare it with its row.
 
     Raises:
         ValueError: If there are no results, or none of this episode, or an earlier version wrote them.
@@ -66,16 +51,10 @@ def replay_episode(path: Path, number: int) -> Replayed:
         )
     then = found.iloc[0].to_dict()
     episode = Episode.from_json(then["spec"])
-    return Replayed(episode, then, run_again(episode))
-
-
-def run_again(episode: Episode) -> dict[str, Any]:
-    """Return the row of an episode; whatever goes wrong in it is part of the row."""
+    # Whatever goes wrong in it is part of the row.
     outcome = attempt(case_of(episode))
-    if outcome.error:
-        return failed_row(episode, outcome.error)
-    ((row,),) = outcome.tables.values()
-    return row
+    now = failed_row(episode, outcome.error) if outcome.error else outcome.tables[TABLE][0]
+    return Replayed(episode, then, now)
 
 
 def _same(one: Any, other: Any) -> bool:

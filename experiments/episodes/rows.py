@@ -13,21 +13,15 @@ import pandas as pd
 
 from surefoot.experiments.episodes.episode import COP_INPUTS, TABLE, VERSIONS
 from surefoot.experiments.episodes.scores import controllers_of
-from surefoot.experiments.policy.controllers import trained_on
 from surefoot.experiments.policy.tasks import TASKS
 from surefoot.experiments.study.store import PLAN, Store
 from surefoot.experiments.study.tables import Column, Frame
-from surefoot.experiments.walks.walkers import FEEDS, OLD_FEEDS
-
-__all__ = ["EPISODES", "Origin", "in_order", "origins_of", "read_episodes", "read_rows"]
+from surefoot.experiments.walks.walkers import FEEDS
 
 EPISODES = f"{TABLE}.parquet"
 
 _UNNAMED = "policy"
 """What a controller is called that nobody named."""
-
-_OLD_COLUMNS = {"total": "return", "task": "scenario", "cop_tracking": "tracking", "cell": "case"}
-"""Earlier names of columns."""
 
 _KNOWN: Mapping[str, Collection[str]] = {
     "controller": (),
@@ -37,26 +31,27 @@ _KNOWN: Mapping[str, Collection[str]] = {
 }
 """Columns that hold names, and the names that there are; none where any will do."""
 
-_NUMBERS = ("severity", "seed", "return", "fell", "time", "cop_error", "tracking")
-"""Columns that hold numbers."""
+_USUAL = "a finite number and not negative"
 
-_RULES = {"seed": "a whole number from 0", "return": "a finite number", "fell": "true or false"}
-"""What a number must be, if not finite and not negative."""
-
-_MAY_LACK = ("cop_error", "tracking")
-"""Errors of a centre of pressure that was never felt are none."""
-
-_KINDS: Mapping[str, type[np.generic]] = {"seed": np.int64, "fell": np.bool_}
+_NUMBERS = {
+    "severity": _USUAL,
+    "seed": "a whole number from 0",
+    "return": "a finite number",
+    "fell": "true or false",
+    "time": _USUAL,
+    "cop_error": _USUAL,
+    "tracking": _USUAL,
+}
+"""Columns that hold numbers, and what these must be. Errors of a CoP that was never felt are none, though."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What is known of a controller whose episodes are there.
+    """What is known of a controller whose episodes are there; nothing where nobody wrote it down.
 
     Attributes:
         file: Hash of the file behind it when it was run, see
-            :func:`~surefoot.experiments.policy.controllers.controller_hash`; nothing if there is none, or
-            nobody wrote it down.
+            :func:`~surefoot.experiments.policy.controllers.controller_hash`.
         trained: What it was trained on, see :func:`~surefoot.experiments.policy.controllers.trained_on`.
         versions: With what it was run.
         runs: Whether it runs under its name: other names were made up for a file of episodes.
@@ -69,10 +64,7 @@ class Origin:
 
 
 def read_rows(path: Path) -> Frame:
-    """Return the rows of a study, those of one that is under way too.
-
-    Args:
-        path: Its folder, or its table alone.
+    """Return the rows of a study, those of one that is under way too, from its folder or its table alone.
 
     Raises:
         ValueError: If there are none, or the file is no table.
@@ -99,32 +91,28 @@ def read_episodes(path: Path, controller: str = "") -> Frame:
     """Return the checked episodes of an evaluation, in order; those that failed are left out.
 
     Args:
-        path: An ``episodes.parquet``, or its folder. Files of earlier versions are read.
-        controller: Who acted, in place of what the file says; the oldest files say nothing.
+        path: An ``episodes.parquet``, or its folder.
+        controller: Who acted, in place of what the file says.
 
     Raises:
         ValueError: If there are none, or the file is damaged or holds something else, naming the column.
     """
     frame = read_rows(path)
-    frame = frame.rename(columns={old: new for old, new in _OLD_COLUMNS.items() if new not in frame})
     if "error" in frame:
         frame = frame[frame["error"] == ""]
-    absent = {"controller": _UNNAMED, "scenario": next(iter(TASKS))}
-    frame = frame.assign(**{name: value for name, value in absent.items() if name not in frame})
     if missing := [name for name in (*_KNOWN, *_NUMBERS) if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    today = {"controller": {"": _UNNAMED}, "feed": dict(OLD_FEEDS), "cop_input": {"felt": COP_INPUTS[0]}}
     frame = frame.assign(
-        **{name: _names(path, frame[name], today.get(name, {})) for name in _KNOWN},
+        **{name: _names(path, frame[name]) for name in _KNOWN},
         **{name: _numbers(path, frame[name]) for name in _NUMBERS},
     )
+    frame = _with_origin(frame.assign(controller=frame["controller"].replace("", _UNNAMED)))
     held = controllers_of(frame)
     if controller and len(held) > 1:
         raise ValueError(
             f"'{path}' holds episodes of {', '.join(held)}, which cannot all be called '{controller}'; give "
             "the file without a name."
         )
-    frame = _with_origin(frame.assign(severity=frame["severity"].where(frame["feed"] != "true", 0.0)))
     return in_order(frame.assign(controller=controller, runs=False) if controller else frame)
 
 
@@ -140,8 +128,7 @@ def in_order(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
         order = ranks.get(str(column.name))
         return column if order is None else column.map(order.index)
 
-    keys = ["controller", "feed", "cop_input", "severity", "seed"]
-    return frame.sort_values(keys, key=rank, ignore_index=True)
+    return frame.sort_values([*ranks, "severity", "seed"], key=rank, ignore_index=True)
 
 
 def origins_of(frame: Frame) -> dict[str, Origin]:
@@ -150,12 +137,11 @@ def origins_of(frame: Frame) -> dict[str, Origin]:
     Raises:
         ValueError: If one was another file in some of them.
     """
+    frame = frame if "runs" in frame else _with_origin(frame)
     return {name: _origin(name, frame[frame["controller"] == name]) for name in controllers_of(frame)}
 
 
 def _origin(controller: str, own: Frame) -> Origin:
-    if "runs" not in own:
-        own = _with_origin(own)
     files, trained = set(own["controller_hash"]), set(own["trained"])
     if len(files - {""}) > 1:
         raise ValueError(
@@ -175,29 +161,20 @@ def _with_origin(frame: Frame) -> Frame:
     made = pd.Series("", index=frame.index)
     if set(VERSIONS) <= set(frame):
         made = frame[list(VERSIONS)].apply(lambda row: ", ".join(f"{k} {v}" for k, v in row.items()), axis=1)
-    absent = {
-        "controller_hash": "",
-        # Only a name that is no file says by itself what it was trained on.
-        "trained": frame["controller"].map(lambda name: "" if Path(name).suffix else trained_on(name)),
-    }
-    return frame.assign(
-        **{name: value for name, value in absent.items() if name not in frame},
-        versions=made,
-        runs=frame["controller"] != _UNNAMED,
-    )
+    absent = {name: "" for name in ("controller_hash", "trained") if name not in frame}
+    return frame.assign(**absent, versions=made, runs=frame["controller"] != _UNNAMED)
 
 
-def _names(path: Path, column: Column, today: Mapping[str, str]) -> Column:
-    """Return one column of names, old ones as they are called today, or raise ValueError."""
+def _names(path: Path, column: Column) -> Column:
+    """Return one column of names, or raise ValueError."""
     if wrong := [value for value in column if not isinstance(value, str)]:
         raise ValueError(
             f"'{path}' is no table of episodes: its column '{column.name}' holds {wrong[0]!r} and not a name."
         )
-    names = [today.get(name, name) for name in column]
     known = _KNOWN[column.name]
-    if known and (unknown := sorted(set(names) - set(known))):
+    if known and (unknown := sorted(set(column) - set(known))):
         raise ValueError(f"'{path}' holds the {column.name} '{unknown[0]}'. Known: {', '.join(known)}.")
-    return pd.Series(names, index=column.index)
+    return pd.Series(list(column), index=column.index)
 
 
 def _numbers(path: Path, column: Column) -> Column:
@@ -206,7 +183,7 @@ def _numbers(path: Path, column: Column) -> Column:
     if not pd.api.types.is_numeric_dtype(column):
         raise ValueError(f"'{path}' is no table of episodes: its column '{name}' holds no numbers.")
     values = column.to_numpy(dtype=np.float64, na_value=np.nan)
-    fine = np.isfinite(values) | (np.isnan(values) if name in _MAY_LACK else False)
+    fine = np.isfinite(values) | (np.isnan(values) & (name in ("cop_error", "tracking")))
     if name != "return":
         fine &= ~(values < 0.0)
     if name == "seed":
@@ -214,6 +191,7 @@ def _numbers(path: Path, column: Column) -> Column:
     if name == "fell":
         fine &= np.isin(values, (0.0, 1.0))
     if not fine.all():
-        rule = _RULES.get(name, "a finite number and not negative")
-        raise ValueError(f"'{path}' holds {values[~fine][0]:g} in its column '{name}', which must be {rule}.")
-    return pd.Series(values.astype(_KINDS.get(name, np.float64)), index=column.index)
+        wrong = f"{values[~fine][0]:g} in its column '{name}', which must be {_NUMBERS[name]}"
+        raise ValueError(f"'{path}' holds {wrong}.")
+    kinds: Mapping[str, type[np.generic]] = {"seed": np.int64, "fell": np.bool_}
+    return pd.Series(values.astype(kinds.get(name, np.float64)), index=column.index)

@@ -17,22 +17,17 @@ from surefoot.experiments.episodes.episode import (
     versions,
 )
 from surefoot.experiments.episodes.plan import EpisodePlan
+from surefoot.experiments.study.page import save_frames
 from surefoot.experiments.study.runner import runner
 from surefoot.experiments.study.store import PLAN, Case, Store
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["EpisodeResults", "case_of", "run_plan"]
-
 
 @dataclass(frozen=True, eq=False)
 class EpisodeResults:
-    """What a study found.
+    """What a study found: one row an episode (:func:`episode_row`), and how many of them this run added.
 
-    Attributes:
-        plan: What was run.
-        folder: Where it lies; a temporary one is gone by now.
-        rows: One row an episode, see :func:`~surefoot.experiments.episodes.episode.episode_row`.
-        computed: How many of them this run added; the others were there already.
+    Its folder, if it was a temporary one, is gone by now.
     """
 
     plan: EpisodePlan
@@ -99,8 +94,9 @@ def run_plan(
             _try_out([case.arguments[0] for case in missing])
             crew = stack.enter_context(runner(jobs, console=console, backend=backend, address=address))
             computed = crew.run("Episodes", cases, store, failed=_failed, count={"fell": _fell}, **options)
-        rows = store.rows(TABLE, cases)
-        return EpisodeResults(plan, folder, rows.sort_values("case", ignore_index=True), computed)
+        rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)
+        save_frames(folder, {TABLE: rows}, (".parquet",))
+        return EpisodeResults(plan, folder, rows, computed)
 
 
 def case_of(episode: Episode) -> Case:

@@ -16,8 +16,6 @@ from surefoot.experiments.arena.walks import INSTANT, Walk
 from surefoot.experiments.policy.tasks import EXPECTED_LOADS, task_named
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
-__all__ = ["SCENARIOS", "LoopScenario", "scenario_named", "scenario_of_task"]
-
 _WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
 _BALANCE, _CARRY = "surefoot/NaoBalance-v0", "surefoot/NaoCarry-v0"
 
@@ -82,7 +80,7 @@ class LoopScenario:
         if self.fault_of is not None:
             faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, _FAULT_AFTER)
             drawn["faults"] = [asdict(fault) for fault in faults]
-        return {name: asdict(v) if is_dataclass(v) else v for name, v in drawn.items()}  # type: ignore[arg-type]
+        return {k: asdict(v) if is_dataclass(v) else v for k, v in drawn.items()}  # type: ignore[arg-type]
 
 
 def scenario_of_task(name: str) -> LoopScenario:
@@ -134,11 +132,7 @@ SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
 
 
 def scenario_named(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
-    """Return the scenario of a name.
-
-    Args:
-        name: Its name.
-        others: Scenarios besides :data:`SCENARIOS`, which come first.
+    """Return the scenario of a name, of others or of :data:`SCENARIOS`.
 
     Raises:
         ValueError: If there is none of the name, or its environment is not registered; the message lists

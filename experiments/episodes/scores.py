@@ -21,19 +21,6 @@ from scipy import optimize
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import Column, Frame
 
-__all__ = [
-    "HalfFall",
-    "Run",
-    "controllers_of",
-    "difference",
-    "half_fall",
-    "same_seeds",
-    "seed_ranges",
-    "seeds_text",
-    "severities_of",
-    "won_back",
-]
-
 _SHARE_RESAMPLES = 4000
 """Bootstrap samples of the seeds behind a share that is won back."""
 
@@ -45,13 +32,7 @@ _STREAM = 0x5EED
 
 
 class Run(NamedTuple):
-    """Episodes that differ by nothing but severity and seed.
-
-    Attributes:
-        feed: What was fed back.
-        cop_input: What the controller saw of it.
-        controller: Who acted; ``None`` where there is but one.
-    """
+    """Episodes that differ by nothing but severity and seed; there may be but one controller."""
 
     feed: str
     cop_input: str = "given"
@@ -89,9 +70,7 @@ def seeds_text(seeds: Iterable[int]) -> str:
     >>> seeds_text([7, 3, 1, 2])
     '1 to 3, 7'
     """
-    return ", ".join(
-        str(first) if first == last else f"{first} to {last}" for first, last in seed_ranges(seeds)
-    )
+    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in seed_ranges(seeds))
 
 
 def same_seeds(frame: Frame) -> bool:
@@ -102,12 +81,6 @@ def same_seeds(frame: Frame) -> bool:
 
 def difference(frame: Frame, first: Run, second: Run, severity: float | None = None) -> Interval | None:
     """Return the difference of two runs' returns over the seeds of both, first less second.
-
-    Args:
-        frame: Rows of the study.
-        first: One run.
-        second: The other.
-        severity: Of the sensors; the true feet have none.
 
     Returns:
         The mean with its 95 % interval, or ``None`` if no seed is in both.
@@ -121,12 +94,7 @@ def difference(frame: Frame, first: Run, second: Run, severity: float | None = N
 
 
 def won_back(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
-    """Return which share of the return lost to drifting feet a calibration wins back.
-
-    Args:
-        frame: Rows of one controller.
-        feed: What was fed back.
-        severity: Of the sensors.
+    """Return which share of the return that one controller loses to drifting feet a calibration wins back.
 
     Returns:
         The share, and the ends of its 95 % interval; ``None`` if it is no calibration, was not run on the
@@ -163,14 +131,10 @@ def _returns(frame: Frame, run: Run, severity: float | None) -> Column:
 
 @dataclass(frozen=True)
 class HalfFall:
-    """The severity at which half the episodes end in a fall.
+    """The severity at which half the episodes end in a fall, with the ends of its 95 % interval.
 
-    Attributes:
-        severity: It; infinite where it lies beyond all that were run, minus infinite where below.
-        low: Lower end of its 95 % interval, likewise.
-        high: Upper end, likewise.
-        lowest: Lowest severity that was run.
-        highest: Highest one.
+    Each is infinite where it lies beyond all severities that were run, from ``lowest`` to ``highest``, and
+    minus infinite where below.
     """
 
     severity: float
@@ -200,10 +164,7 @@ class HalfFall:
 
 
 def half_fall(rows: Frame) -> HalfFall | None:
-    """Return the severity at which half fall.
-
-    Args:
-        rows: Of one controller, feed and scenario: ``severity``, ``seed``, ``fell``.
+    """Return the severity at which half fall, of rows of one controller, feed and scenario.
 
     Returns:
         It, or ``None`` where fewer than two severities have been run on the same seeds.

@@ -8,10 +8,8 @@ from surefoot.experiments.episodes import figures, tables
 from surefoot.experiments.episodes.episode import Episode
 from surefoot.experiments.episodes.film import LAST_SECONDS, film_episode
 from surefoot.experiments.episodes.run import EpisodeResults
-from surefoot.experiments.study.page import ReportFigure, Section, flat, save_tables, write_page
-from surefoot.experiments.study.tables import Frame, Table, plural
-
-__all__ = ["SweepPage"]
+from surefoot.experiments.study.page import ReportFigure, Section, save_tables, write_page
+from surefoot.experiments.study.tables import Frame, Table, flat, plural, sentence
 
 _INTRODUCTION = """
     Every episode is one case: a controller, what it is fed for the centre of pressure, a scenario, a severity
@@ -38,12 +36,7 @@ _LISTED = 5
 
 
 class SweepPage:
-    """Tables and figures of a sweep, and the page that holds them.
-
-    Args:
-        results: What the sweep found.
-        films: How many of the worst episodes are filmed; each takes about as long as the episode.
-    """
+    """Tables and figures of a sweep, films of its worst episodes, and the page that holds them."""
 
     def __init__(self, results: EpisodeResults, *, films: int = 0) -> None:
         self.results, self.folder, self.films = results, results.folder, films
@@ -51,8 +44,7 @@ class SweepPage:
         ran = set(rows["scenario"])
         self.titles = {name: results.plan.title_of(name) for name in results.plan.scenarios if name in ran}
         self.outcomes = {
-            name: tables.outcome_table(rows, name, f"{title[:1].upper()}{title[1:]}")
-            for name, title in self.titles.items()
+            name: tables.outcome_table(rows, name, sentence(title)) for name, title in self.titles.items()
         }
         self.half = tables.half_table(rows, self.titles)
         self.failed = tables.failure_table(results.failed)

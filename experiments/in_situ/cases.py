@@ -31,19 +31,6 @@ from surefoot.experiments.in_situ.methods import (
 )
 from surefoot.sensors import StrainGauges
 
-__all__ = [
-    "BATCH",
-    "DRAWN",
-    "KINDS",
-    "MOTIONS",
-    "SENSORS",
-    "RigMotion",
-    "compare_motion",
-    "compare_with_bound",
-    "exact_errors",
-    "sweep_and_calibrate",
-]
-
 Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]
 
@@ -68,13 +55,7 @@ _SHOWN = 400
 
 @dataclass(frozen=True)
 class RigMotion:
-    """How the hip moves in a set.
-
-    Attributes:
-        name: What tables call it.
-        duration: Of a set in s.
-        fast: Swings at 0.8 to 2 Hz, with the gyroscope's help, rather than sweeps at 6 degrees a second.
-    """
+    """How the hip moves in a set of so many s: sweeps at 6 degrees a second, or swings at 0.8 to 2 Hz."""
 
     name: str
     duration: float
@@ -119,11 +100,7 @@ def exact_errors(sensor: str, rate: float) -> dict[str, Rows]:
 
 
 def sweep_and_calibrate(seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
-    """Run the paper's experiment with a foot's and a leg's sensor and an IMU of each seed.
-
-    Args:
-        seeds: Of the sweeps, the sensors and the IMU.
-        rate: Samples per s.
+    """Run the paper's experiment with a foot's and a leg's sensor and an IMU of each seed, at a rate in Hz.
 
     Returns:
         ``fits``, a row a sensor, seed and method (``clipped``: the converter ended, and :func:`fit_row`);
@@ -211,12 +188,7 @@ def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[s
 
 
 def compare_motion(index: int, seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
-    """Calibrate from one kind of motion.
-
-    Args:
-        index: In :data:`MOTIONS`.
-        seeds: Of the sensors and IMUs.
-        rate: Samples per s; fast motion takes at least 100.
+    """Calibrate from one kind of motion, by its place in :data:`MOTIONS`; fast ones take at least 100 Hz.
 
     Returns:
         ``motions``, a row a sensor and seed: ``motion`` (the index), ``sensor``, ``seed``, ``minutes`` of

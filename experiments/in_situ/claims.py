@@ -10,19 +10,6 @@ from surefoot.experiments.in_situ.cases import MOTIONS
 from surefoot.experiments.in_situ.study import InSituStudyResults
 from surefoot.experiments.study.tables import Frame, number, plural
 
-__all__ = [
-    "Limit",
-    "Nees",
-    "bound_findings",
-    "consistency",
-    "limb_findings",
-    "limits_of",
-    "motion_findings",
-    "over_bound",
-    "refusal_findings",
-    "summary_findings",
-]
-
 OURS = "measurement"
 """The method that is to keep the limits."""
 
@@ -57,13 +44,7 @@ class Limit(NamedTuple):
 
 
 class Nees(NamedTuple):
-    """Squared errors by the fit's covariance, over their number.
-
-    Attributes:
-        mean: Over the seeds; 1 for fits that know themselves.
-        low: Of the interval that holds 95 % of such means.
-        high: Its other end.
-    """
+    """The mean of squared errors by the fit's covariance, over their number, and where 95 % of means lie."""
 
     mean: float
     low: float
@@ -86,12 +67,7 @@ def consistency(part: Frame) -> Nees:
 
 
 def over_bound(part: Frame, what: str) -> float:
-    """Return the root mean square error of some rows of ``white`` over its bound.
-
-    Args:
-        part: The rows.
-        what: "force" or "torque" of the offsets, or "limb" for its mass.
-    """
+    """Return the rms error of some rows of ``white`` over its bound: ``what`` is force, torque or limb."""
     there = part[np.isfinite(part[f"{what}_square"])]
     if there.empty:
         return float("nan")
@@ -113,29 +89,20 @@ def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
     ratios = np.array([over_bound(part, what) for part in still for what in ("force", "torque")])
     # How far the mean is out of its interval, in half widths about its middle.
     known = [consistency(part) for part in still]
-    off = np.array([abs(2.0 * one.mean - one.low - one.high) / (one.high - one.low) for one in known])
-    place = "its position, error in m along the worst axis (Table III)"
     weight = np.abs(fits["limb_error"].dropna().to_numpy())
+    off = np.array([abs(2.0 * one.mean - one.low - one.high) / (one.high - one.low) for one in known])
+    ratio, mass, position = (sets[name].dropna() for name in ("ratio", "mass_error", "place_error"))
+    lost = refused * per_fit
+    place = "its position, error in m along the worst axis (Table III)"
+    half_widths = "covariance, NEES off the middle of its 95 % interval, in half widths"
     return (
         Limit("III-B and III-C without noise, relative error", 1e-9, exact.to_numpy().ravel()),
-        Limit(
-            "longest / shortest semi-axis (Table I)",
-            1.03,
-            sets["ratio"].to_numpy(),
-            refused * per_fit,
-            "1.04 to 1.15",
-        ),
-        Limit(
-            "added mass, error in kg (Table II)",
-            0.01,
-            sets["mass_error"].to_numpy(),
-            refused * per_fit,
-            "0.05",
-        ),
-        Limit(place, 0.01, sets["place_error"].dropna().to_numpy(), refused * placed, "up to 0.11"),
+        Limit("longest / shortest semi-axis (Table I)", 1.03, ratio.to_numpy(), lost, "1.04 to 1.15"),
+        Limit("added mass, error in kg (Table II)", 0.01, mass.to_numpy(), lost, "0.05"),
+        Limit(place, 0.01, position.to_numpy(), refused * placed, "up to 0.11"),
         Limit("weight of the limb, relative error", 0.01, weight, refused, "about -0.38 (leg)"),
         Limit("offset, rmse over the Cramér-Rao bound", 1.3, ratios),
-        Limit("covariance, NEES off the middle of its 95 % interval, in half widths", 1.0, off),
+        Limit(half_widths, 1.0, off),
     )
 
 

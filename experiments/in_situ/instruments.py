@@ -23,17 +23,6 @@ from surefoot.sensors.devices.strain_gauges import (
     true_response,
 )
 
-__all__ = [
-    "XSENS_MTX",
-    "SensorTruth",
-    "accelerometer_bias",
-    "moving_sets",
-    "read_imus",
-    "read_sensors",
-    "sensor_config",
-    "static_sets",
-]
-
 XSENS_MTX = Imu(
     accelerometer_noise=2.0e-3,
     gyroscope_noise=8.7e-4,
@@ -98,13 +87,7 @@ def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> S
 def read_sensors(
     config: StrainGauges, sensor: str, runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int]
 ) -> list[tuple[NDArray[np.float64], SensorTruth]]:
-    """Return what a sensor of each seed reads of recordings of one length.
-
-    Args:
-        config: The sensor.
-        sensor: "foot" or "leg".
-        runs: J recordings of n samples at one rate for each seed.
-        seeds: S seeds.
+    """Return what a sensor of each of S seeds reads of J recordings of one length n and rate.
 
     Returns:
         Counts, shape (J, n, 6), and the truth, for each seed.

@@ -20,19 +20,6 @@ from surefoot.calibration.in_situ import (
 from surefoot.calibration.in_situ.validation import added_mass, offset_of_set, semi_axes
 from surefoot.experiments.in_situ.instruments import SensorTruth
 
-__all__ = [
-    "FITTED",
-    "METHODS",
-    "MethodResult",
-    "calibrate_by_all",
-    "filtered",
-    "fit_row",
-    "of_fit",
-    "paper_calibration",
-    "set_rows",
-    "wrench_error",
-]
-
 Floats = NDArray[np.float64]
 
 FITTED = 4
@@ -71,12 +58,7 @@ class MethodResult:
 def calibrate_by_all(
     sets: Sequence[InSituSet], nominal: Floats, options: InSituOptions
 ) -> dict[str, MethodResult | str]:
-    """Calibrate by every method.
-
-    Args:
-        sets: The first :data:`FITTED` are fitted, the others get an offset each.
-        nominal: The maker's matrix, shape (6, 6).
-        options: Of the measurement-space fit.
+    """Calibrate by every method, with the first :data:`FITTED` sets; the others get an offset each.
 
     Returns:
         A calibration, or why it was refused, by the names of :data:`METHODS`.
@@ -108,9 +90,6 @@ def of_fit(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult | str:
 def paper_calibration(sets: Sequence[InSituSet]) -> MethodResult:
     """Calibrate as the paper does: filter, offset of each set (III-B), matrix from the first four (III-C).
 
-    Args:
-        sets: At rest, or slow.
-
     Raises:
         CalibrationRefused: If the rank of Eq. 21 is short.
     """
@@ -128,25 +107,14 @@ def filtered(data: InSituSet) -> InSituSet:
 
 
 def wrench_error(matrix: Floats, response: Floats, wrench: Floats) -> tuple[float, float]:
-    """Return rms of (C A - I) w over the rms of w, for forces and for torques.
-
-    Args:
-        matrix: C in N and N m per count, shape (6, k).
-        response: The true A, shape (k, 6).
-        wrench: True w in N and N m, shape (n, 6).
-    """
+    """Return rms of (C A - I) w over the rms of w, for forces and for torques, of C and the true A and w."""
     off = wrench @ (matrix @ response - np.eye(6)).T
     shares = [np.linalg.norm(off[:, part]) / np.linalg.norm(wrench[:, part]) for part in (FORCE, TORQUE)]
     return float(shares[0]), float(shares[1])
 
 
 def fit_row(found: MethodResult | str, truth: SensorTruth, wrench: Floats) -> dict[str, Any]:
-    """Score a calibration against the truth.
-
-    Args:
-        found: The calibration, or why it was refused.
-        truth: What the simulator knows.
-        wrench: True wrenches of sets that were not fitted, shape (n, 6).
+    """Score a calibration against the truth, under true wrenches that were not fitted, shape (n, 6).
 
     Returns:
         ``limb_error`` (share of the limb's weight), ``com_error`` (m, largest of the axes), ``force_error``

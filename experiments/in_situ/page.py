@@ -1,6 +1,7 @@
 """The page of the simulated in-situ experiment, with its figures."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,24 +23,18 @@ from surefoot.experiments.study.page import (
     ReportFigure,
     Section,
     failure_section,
-    flat,
+    repeat_section,
     save_tables,
     write_page,
 )
-from surefoot.experiments.study.tables import Frame, Table, plural
-
-__all__ = ["InSituStudyPage"]
+from surefoot.experiments.study.tables import Frame, Table, flat, plural
 
 _LOOKS = {"measurement": "moment", "no-loop": "tare", "paper": "window", "manufacturer": "none"}
 """Whose colours and markers the methods have in figures."""
 
 
 class InSituStudyPage:
-    """Tables and figures of one run of the study, and the page that holds them.
-
-    Args:
-        results: What the study found.
-    """
+    """Tables and figures of one run of the study, and the page that holds them."""
 
     def __init__(self, results: InSituStudyResults) -> None:
         self.results = results
@@ -52,74 +47,41 @@ class InSituStudyPage:
 
     def write(self) -> Path:
         """Draw the figures, save the tables as CSV, and write ``report.html``."""
-        results, out = self.results, self.results.options.out
-        save_tables(out / "tables", self.tables, prefix="page_")
+        results, tables, options = self.results, self._tables, self.results.options
+        save_tables(options.out / "tables", self.tables, prefix="page_")
         amount = _AMOUNT.format(
-            seeds=plural(results.options.seeds, "seed"),
-            rate=results.options.rate,
-            moving=plural(min(results.options.seeds, results.options.moving_seeds), "seed"),
+            seeds=plural(options.seeds, "seed"),
+            rate=options.rate,
+            moving=plural(min(options.seeds, options.moving_seeds), "seed"),
         )
-        title = "In-situ calibration of six-axis sensors, simulated"
-        return write_page(out / "report.html", title, (flat(_INTRODUCTION), flat(amount)), self._sections())
-
-    def _sections(self) -> tuple[Section, ...]:
-        results, tables = self.results, self._tables
-        folder = results.options.out / "figures"
-        spheres = tuple(tables[name] for name in ("table1", "table2", "table3"))
-        limb = ReportFigure(
-            _draw_limb(folder / "limb.svg", results.fits),
-            "Weight of the limb",
-            "A mark a seed; grey, one percent.",
-        )
-        return (
-            Section("targets", "In short", findings=summary_findings(results), tables=(tables["targets"],)),
-            Section(
-                "spheres",
-                "Spheres, masses, places",
-                (flat(_SPHERES),),
-                tables=spheres,
-                figures=_ellipsoids(folder, results.shown) if len(results.shown) else (),
-            ),
-            Section(
-                "limb",
-                "Weight of the limb",
-                (flat(_LIMB),),
-                limb_findings(results),
-                (tables["limb"],),
-                figures=(limb,),
-            ),
-            Section(
-                "bound", "As sure as right", (flat(_BOUND),), bound_findings(results), (tables["bound"],)
-            ),
-            Section(
-                "motion",
-                "Without waiting for rest",
-                (flat(_MOTION),),
-                motion_findings(results),
-                (tables["motion"],),
-            ),
-            Section(
-                "refusals",
-                "Experiments that went wrong",
-                findings=refusal_findings(results),
-                tables=(tables["refusals"],),
-            ),
-            Section("exact", "The paper's method without noise", tables=(tables["exact"],)),
-            *failure_section(results.failures),
-            self._repeat(),
+        title, texts = (
+            "In-situ calibration of six-axis sensors, simulated",
+            (flat(_INTRODUCTION), flat(amount)),
         )
 
-    def _repeat(self) -> Section:
-        options = self.results.options
+        def section(name: str, title: str, text: str = "", said: Any = None, **more: Any) -> Section:
+            found = () if said is None else said(results)
+            more.setdefault("tables", (tables[name],))
+            return Section(name, title, (flat(text),) if text else (), found, **more)
+
+        folder = options.out / "figures"
+        limb = (ReportFigure(_draw_limb(folder / "limb.svg", results.fits), *_LIMB_FIGURE),)
+        spheres: dict[str, Any] = {"tables": tuple(tables[f"table{number}"] for number in (1, 2, 3))}
+        spheres["figures"] = _ellipsoids(folder, results.shown) if len(results.shown) else ()
         quick = " --quick" if options.quick else ""
-        took = ", ".join(f"{what} {seconds:.0f} s" for what, seconds in self.results.seconds.items())
-        text = (
-            "All numbers are in tables/: fits.csv and sets.csv hold one row a seed, and the tables of this "
-            "page begin with page_.",
-            f"This run took: {took}. What is finished is kept, so that a run goes on where it stopped.",
+        command = f"surefoot compare in-situ --seeds {options.seeds}{quick} --jobs {options.jobs}"
+        sections = (
+            section("targets", "In short", said=summary_findings),
+            section("spheres", "Spheres, masses, places", _SPHERES, **spheres),
+            section("limb", "Weight of the limb", _LIMB, limb_findings, figures=limb),
+            section("bound", "As sure as right", _BOUND, bound_findings),
+            section("motion", "Without waiting for rest", _MOTION, motion_findings),
+            section("refusals", "Experiments that went wrong", said=refusal_findings),
+            section("exact", "The paper's method without noise"),
+            *failure_section(results.failures),
+            repeat_section((_REPEAT,), (f"{command} --out {options.out}",), results.seconds),
         )
-        command = f"surefoot compare in-situ --seeds {options.seeds}{quick} --jobs {options.jobs} "
-        return Section("repeat", "Repeat it", text, commands=(f"{command}--out {options.out}",))
+        return write_page(options.out / "report.html", title, texts, sections)
 
 
 def _ellipsoids(folder: Path, shown: Frame) -> tuple[ReportFigure, ...]:
@@ -135,18 +97,8 @@ def _ellipsoids(folder: Path, shown: Frame) -> tuple[ReportFigure, ...]:
         clouds = [Cloud(_points(force), gravity, _look(method)) for method, force in found.items()]
         forces.append(Panel(title, clouds))
     return (
-        ReportFigure(
-            draw_ellipsoids(folder / "raw.png", counts, COUNTS),
-            "Figure 5",
-            "Counts of the sets that were not fitted along their three main directions, the ellipsoid "
-            "that gravity draws, the offset in its centre, and the share of their spread that lies "
-            "outside these three (Lemma 1). Seed 0.",
-        ),
-        ReportFigure(
-            draw_ellipsoids(folder / "force.png", forces, FORCES),
-            "Figure 6",
-            "Forces of the same sets, calibrated and by the manufacturer's matrix. Seed 0.",
-        ),
+        ReportFigure(draw_ellipsoids(folder / "raw.png", counts, COUNTS), "Figure 5", flat(_FIGURE_5)),
+        ReportFigure(draw_ellipsoids(folder / "force.png", forces, FORCES), "Figure 6", _FIGURE_6),
     )
 
 
@@ -178,6 +130,21 @@ def _draw_limb(path: Path, fits: Frame) -> Path:
 def _look(method: str) -> Look:
     return look_of(_LOOKS[method])._replace(label=METHODS[method])
 
+
+_REPEAT = """
+    All numbers are in tables/: fits.csv and sets.csv hold one row a seed, and the tables of this page begin
+    with
+    page_."""
+
+_LIMB_FIGURE = ("Weight of the limb", "A mark a seed; grey, one percent.")
+
+_FIGURE_5 = """
+    Counts of the sets that were not fitted along their three main directions, the ellipsoid that gravity
+    draws,
+    the offset in its centre, and the share of their spread that lies outside these three (Lemma 1). Seed
+    0."""
+
+_FIGURE_6 = "Forces of the same sets, calibrated and by the manufacturer's matrix. Seed 0."
 
 _INTRODUCTION = """
     The experiment of Traversaro, Pucci and Nori (2015), simulated: a leg with six-axis sensors at foot and

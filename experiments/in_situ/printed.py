@@ -6,8 +6,6 @@ accelerometer measurements" (ICRA 2015), Tables I to III.
 
 from typing import NamedTuple
 
-__all__ = ["PRINTED", "PrintedRow"]
-
 Triple = tuple[float, float, float]
 
 

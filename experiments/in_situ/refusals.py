@@ -21,8 +21,6 @@ from surefoot.experiments.in_situ.instruments import (
 )
 from surefoot.experiments.in_situ.methods import paper_calibration, wrench_error
 
-__all__ = ["SPOILT", "SpoiltExperiment", "spoil_and_calibrate"]
-
 Sets = Sequence[InSituSet]
 
 SENSOR = "leg"

@@ -4,8 +4,7 @@ Everything lands in one folder: results, tables, figures, ``results.json`` and t
 finished are kept, so that a run that was interrupted goes on where it was.
 """
 
-import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +22,10 @@ from surefoot.experiments.in_situ.cases import (
     sweep_and_calibrate,
 )
 from surefoot.experiments.in_situ.refusals import SPOILT, spoil_and_calibrate
-from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.experiments.study.page import save_facts, save_frames
 from surefoot.experiments.study.runner import machine, runner
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
-
-__all__ = ["InSituStudyOptions", "InSituStudyResults", "run_in_situ_study", "study_cases"]
 
 FRAMES = ("exact", "fits", "sets", "white", "motions", "refusals")
 """The tables of numbers that a study makes."""
@@ -72,40 +69,23 @@ class InSituStudyOptions:
     quick: bool = False
 
     def __post_init__(self) -> None:
-        """Raise ValueError if a number is not positive."""
+        """Check the numbers."""
         for name in ("seeds", "jobs", "rate", "white_rate", "moving_seeds", "refused_seeds"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"'{name}' must be positive, got {getattr(self, name)!r}.")
 
     def quickly(self) -> "InSituStudyOptions":
         """Return the same with two seeds at 10 samples a second, to see whether all works."""
-        return replace(
-            self,
-            seeds=min(self.seeds, 2),
-            rate=10.0,
-            moving_seeds=1,
-            refused_seeds=1,
-            motions=(0, len(MOTIONS) - 1),
-            quick=True,
-        )
+        few: dict[str, Any] = {"seeds": min(self.seeds, 2), "moving_seeds": 1, "refused_seeds": 1}
+        return replace(self, **few, rate=10.0, motions=(0, len(MOTIONS) - 1), quick=True)
 
 
 @dataclass(eq=False)
 class InSituStudyResults:
-    """What the study found; the functions of ``cases`` and ``refusals`` describe the columns.
+    """What the study found; the functions of ``cases`` and ``refusals`` describe the rows of each table.
 
-    Attributes:
-        options: How it was run.
-        exact: A row a sensor: the paper's method without an error of the sensor.
-        fits: A row a sensor, seed and method.
-        sets: A row a set that was not fitted, by sensor, seed and method.
-        white: A row a sensor, seed and kind of errors: errors beside their bound and the fit's covariance.
-        motions: A row a sensor, seed and motion.
-        refusals: A row a spoilt experiment and seed.
-        shown: What figures show, a row a sensor and set of seed 0.
-        failures: What was raised in cases that failed, by their names.
-        seconds: Time that each stage took in s.
-        machine: What it ran on.
+    ``shown`` is what figures show of seed 0; ``failures`` is what was raised in cases that failed, by their
+    names, and ``seconds`` how long each stage took.
     """
 
     options: InSituStudyOptions
@@ -118,7 +98,6 @@ class InSituStudyResults:
     shown: Frame = field(default_factory=pd.DataFrame)
     failures: dict[str, str] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
-    machine: str = ""
 
 
 def study_cases(options: InSituStudyOptions) -> dict[str, list[Case]]:
@@ -145,19 +124,12 @@ def study_cases(options: InSituStudyOptions) -> dict[str, list[Case]]:
 
 
 def run_in_situ_study(options: InSituStudyOptions, *, console: Console | None = None) -> InSituStudyResults:
-    """Do everything but the page.
-
-    Args:
-        options: How much.
-        console: Where progress is shown; the terminal's error output by default.
-
-    Returns:
-        What was found; it is in files under ``options.out`` as well.
+    """Do everything but the page; what was found is in files under ``options.out`` as well.
 
     Raises:
         StudyError: If the folder is in use, or the disk is full.
     """
-    results = InSituStudyResults(options, machine=machine())
+    results = InSituStudyResults(options)
     stages = study_cases(options)
     cases = [case for listed in stages.values() for case in listed]
     store = Store(options.out / "results")
@@ -167,15 +139,8 @@ def run_in_situ_study(options: InSituStudyOptions, *, console: Console | None = 
     for name in (*FRAMES, "shown"):
         setattr(results, name, store.rows(name, cases))
     results.failures = store.failures(cases)
-    for name in FRAMES:
-        with atomic_path(options.out / "tables" / f"{name}.csv") as part:
-            getattr(results, name).to_csv(part, index=False)
-    facts = {
-        "options": {k: str(v) if isinstance(v, Path) else v for k, v in asdict(options).items()},
-        "machine": results.machine,
-        "seconds": results.seconds,
-    }
-    write_text(options.out / "results.json", json.dumps(facts, indent=1))
+    save_frames(options.out / "tables", {name: getattr(results, name) for name in FRAMES}, (".csv",))
+    save_facts(options.out / "results.json", options, machine=machine(), seconds=results.seconds)
     return results
 
 

@@ -1,51 +1,39 @@
-"""Who does the work: processes of this machine, or a cluster of dask or ray, all through joblib.
+"""Who does the work: this process, processes of this machine, or a cluster of dask or ray.
 
-A worker that dies is reported with the task that it may have died of, and costs nothing else:
-
-* loky breaks all of its processes with one, so that whatever was under way is suspect;
-* dask says which task its worker died of, and brings up another worker;
-* ray's pool goes on handing work to the dead, so that it is left, and a fresh one is taken.
-
-joblib's dask backend never reports a task whose worker died, and its ray backend hands results out only when
-all are there; the two subclasses below add just that.
+Each of them takes a task and gives a future. A worker that dies costs nothing but the task that it died of:
+loky breaks all of its processes with one, dask and ray say which task it was. Whatever may have killed a
+worker is done once more, by itself; if that kills its worker too, its result is :class:`Died`.
 """
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from joblib import Parallel, delayed, parallel_config
-
-__all__ = ["BACKENDS", "Died", "Task", "Workers", "workers"]
+from joblib.externals import loky
 
 BACKENDS = ("local", "dask", "ray", "here")
 """Processes of this machine, two clusters, and this very process: for debuggers, where a crash ends all."""
 
 IDLE_TIMEOUT = 20.0
-"""Time in s after which a local worker that has nothing to do leaves; another comes when there is work."""
+"""Time in s after which a local worker that has nothing to do leaves: workers of a process that was killed do
+not know of it, and end so."""
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 """A function and what to give it; both must survive pickling."""
 
-_DEATHS = ("BrokenExecutor", "KilledWorker", "RayActorError", "WorkerCrashedError", "OutOfMemoryError")
+_DEATHS = ("BrokenExecutor", "KilledWorker", "WorkerCrashedError", "OutOfMemoryError")
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
 class Died:
-    """A worker died.
+    """The result of a task that its worker died of, twice; ``reason`` is what is known about it."""
 
-    Attributes:
-        tasks: Numbers of the tasks that it may have died of.
-        reason: What is known about it.
-        broken: Whether nothing more comes from the same workers.
-    """
-
-    tasks: tuple[int, ...]
     reason: str
-    broken: bool
 
 
 @dataclass(frozen=True)
@@ -53,68 +41,40 @@ class Workers:
     """Somebody to work.
 
     Attributes:
-        backend: One of :data:`BACKENDS`.
+        submit: Takes a function and what to give it, and returns a future.
         under_way: How many tasks are handed out at the same time.
     """
 
-    backend: str
+    submit: Callable[..., "Future[Any]"]
     under_way: int = 1
 
     def results(self, tasks: Mapping[int, Task]) -> Iterator[tuple[int, Any]]:
-        """Do tasks until each has a result, in any order, whoever dies of them.
-
-        A task that a worker may have died of is done by itself; if that kills its worker too, its result is
-        :class:`Died`.
-
-        Args:
-            tasks: Tasks by number.
-
-        Yields:
-            The number of a task and its result.
-        """
-        pending = dict(tasks)
-        while pending:
-            suspects: set[int] = set()
-            for number, result in self._stream(dict(pending)):
-                if isinstance(result, Died):
-                    suspects.update(result.tasks)
-                else:
-                    del pending[number]
-                    yield number, result
-            for suspect in sorted(suspects & pending.keys()):
-                for _, result in self._stream({suspect: pending.pop(suspect)}, at_once=1):
-                    yield suspect, result
-
-    def _stream(self, tasks: Mapping[int, Task], at_once: int | None = None) -> Iterator[tuple[int, Any]]:
-        handed_out: set[int] = set()
-
-        def work() -> Iterator[Any]:
-            for number, task in tasks.items():
-                handed_out.add(number)
-                yield delayed(_done)(number, *task)
-
-        results: Any = None
+        """Yield the number and the result of each task, in any order; what a task raises is raised here."""
+        waiting: list[int] = list(tasks)[::-1]
+        suspects: list[int] = []
+        under_way: dict[Future[Any], int] = {}
         try:
-            before = at_once or self.under_way
-            parallel = Parallel(batch_size=1, pre_dispatch=before, return_as="generator_unordered")
-            results = parallel(work())
-            for number, result in results:
-                if not isinstance(result, Died):
-                    handed_out.discard(number)
-                yield number, result
-                if isinstance(result, Died) and result.broken:
-                    return
-        except Exception as error:
-            if not _is_death(error):
-                raise
-            yield -1, Died(tuple(sorted(handed_out)), _reason(error), broken=True)
+            while waiting or suspects or under_way:
+                alone = bool(suspects) and not under_way
+                if alone:
+                    waiting.append(suspects.pop())
+                while waiting and len(under_way) < (1 if alone else 0 if suspects else self.under_way):
+                    number = waiting.pop()
+                    function, arguments = tasks[number]
+                    under_way[self.submit(function, *arguments)] = number
+                for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                    number, error = under_way.pop(future), future.exception()
+                    if error is None:
+                        yield number, future.result()
+                    elif not any(kind.__name__ in _DEATHS for kind in type(error).__mro__):
+                        raise error
+                    elif alone:
+                        yield number, Died(" ".join(f"{type(error).__name__}: {error}".split())[:400])
+                    else:
+                        suspects.append(number)
         finally:
-            if results is not None:
-                results.close()
-
-
-def _done(number: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
-    return number, function(*arguments)
+            for future in under_way:
+                future.cancel()
 
 
 @contextmanager
@@ -136,122 +96,70 @@ def workers(backend: str, jobs: int, address: str | None = None) -> Iterator[Wor
     if address is not None and backend not in ("dask", "ray"):
         raise ValueError(f"Only dask and ray have an address; backend is '{backend}'.")
     if backend == "here":
-        with parallel_config(backend="sequential"):
-            yield Workers(backend)
+        yield Workers(_here)
     elif backend == "local":
-        # joblib would work in this process if there were one job: then a crash would end the study. Workers
-        # of a process that was killed do not know of it: they leave once they have been idle for a while.
-        loky: dict[str, Any] = {"inner_max_num_threads": 1, "idle_worker_timeout": IDLE_TIMEOUT}
-        with warnings.catch_warnings(), parallel_config(backend="loky", n_jobs=max(jobs, 2), **loky):
-            warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
-            yield Workers(backend, jobs)
-    elif backend == "dask":
-        with _dask(jobs, address) as client, parallel_config(backend=_dask_backend(client), n_jobs=-1):
-            # A queue of two for each keeps workers busy that are far away.
-            yield Workers(backend, jobs if address is None else 2 * sum(client.ncores().values()))
+        with _local(jobs) as submit:
+            yield Workers(submit, jobs)
     else:
-        with _ray(jobs, address) as count, parallel_config(backend=_ray_backend(), n_jobs=max(count, 2)):
-            yield Workers(backend, count)
+        with (_dask if backend == "dask" else _ray)(jobs, address) as crew:
+            yield crew
+
+
+def _here(function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+    future: Future[Any] = Future()
+    future.set_result(function(*arguments))
+    return future
 
 
 @contextmanager
-def _dask(jobs: int, address: str | None) -> Iterator[Any]:
+def _local(jobs: int) -> Iterator[Callable[..., "Future[Any]"]]:
+    def executor() -> Any:
+        # One that broke is replaced.
+        return loky.get_reusable_executor(max_workers=jobs, timeout=IDLE_TIMEOUT, env=_ONE_THREAD)
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
+        try:
+            yield lambda function, *arguments: executor().submit(function, *arguments)
+        except BaseException:
+            executor().shutdown(kill_workers=True)
+            raise
+
+
+@contextmanager
+def _dask(jobs: int, address: str | None) -> Iterator[Workers]:
     dask, distributed = _module("dask"), _module("distributed", "dask[distributed]")
-    if address is not None:
-        with _reached("dask", address), distributed.Client(address) as client:
-            yield client
-        return
     # A task whose worker dies is tried again by itself, by us: dask need not.
-    settings = {"distributed.scheduler.allowed-failures": 0}
-    with (
-        dask.config.set(settings),
-        distributed.LocalCluster(
-            n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        yield client
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), _reached("dask", address):
+        local = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
+        client = distributed.Client(**local) if address is None else distributed.Client(address)
+    with client:
+        # A queue of two for each keeps workers busy that are far away.
+        under_way = jobs if address is None else 2 * sum(client.ncores().values())
+        yield Workers(client.get_executor(pure=False).submit, under_way)
 
 
 @contextmanager
-def _ray(jobs: int, address: str | None) -> Iterator[int]:
+def _ray(jobs: int, address: str | None) -> Iterator[Workers]:
     ray = _module("ray")
     ours = not ray.is_initialized()
     if ours:
-        local = {"num_cpus": max(jobs, 2), "include_dashboard": False, "object_store_memory": 100_000_000}
         # Results are small; by default ray takes a third of the memory for what it moves about.
+        local = {"num_cpus": jobs, "include_dashboard": False, "object_store_memory": 100_000_000}
         options = {"address": "local", **local} if address is None else {"address": address}
         with _reached("ray", address):
             ray.init(log_to_driver=False, logging_level="ERROR", **options)
     try:
-        count = jobs if address is None else int(ray.cluster_resources().get("CPU", 0))
-        if address is not None and count < 2:
-            raise ValueError(f"The ray cluster at {address} has {count} CPUs; at least 2 are needed.")
-        yield count
+        call = ray.remote(max_retries=0)(_call)
+        count = jobs if address is None else int(ray.cluster_resources().get("CPU", 1))
+        yield Workers(lambda function, *arguments: call.remote(function, *arguments).future(), count)
     finally:
         if ours:
             ray.shutdown()
 
 
-def _dask_backend(client: Any) -> Any:
-    base: Any = import_module("joblib._dask").DaskDistributedBackend
-
-    class Dask(base):  # type: ignore[misc]
-        def effective_n_jobs(self, n_jobs: int) -> int:
-            # While but one worker is up joblib would work in this process, which must not die of a task.
-            return max(int(super().effective_n_jobs(n_jobs)), 2)
-
-        def submit(self, func: Any, callback: Any = None) -> Any:
-            future = super().submit(func, callback)
-
-            def done(finished: Any) -> None:
-                error = finished.exception()
-                if error is not None and callback is not None:
-                    callback(_Failure(func, error))
-
-            future.add_done_callback(done)
-            return future
-
-        def retrieve_result_callback(self, out: Any) -> Any:
-            if isinstance(out, _Failure):
-                return out.outcome(broken=False)
-            return super().retrieve_result_callback(out)
-
-    return Dask(client=client)
-
-
-def _ray_backend() -> Any:
-    base: Any = import_module("ray.util.joblib.ray_backend").RayBackend
-
-    class Ray(base):  # type: ignore[misc]
-        supports_return_generator = True
-
-        def submit(self, func: Any, callback: Any = None) -> Any:
-            def named(out: Any) -> None:
-                callback(_Failure(func, out) if isinstance(out, BaseException) else out)
-
-            return super().submit(func, None if callback is None else named)
-
-        def retrieve_result_callback(self, out: Any) -> Any:
-            if isinstance(out, _Failure):
-                return out.outcome(broken=True)
-            return super().retrieve_result_callback(out)
-
-    return Ray()
-
-
-@dataclass(frozen=True)
-class _Failure:
-    """A batch of one task that came to nothing."""
-
-    batch: Any
-    error: BaseException
-
-    def outcome(self, *, broken: bool) -> list[tuple[int, Died]]:
-        if not _is_death(self.error):
-            raise self.error
-        (_, (number, *_), _) = self.batch.items[0]
-        return [(number, Died((number,), _reason(self.error), broken))]
+def _call(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
 
 
 @contextmanager
@@ -262,18 +170,9 @@ def _reached(name: str, address: str | None) -> Iterator[None]:
         raise ValueError(f"No {name} cluster is reached at {address}: {error}.") from error
 
 
-def _module(name: str, package: str | None = None) -> Any:
+def _module(name: str, package: str = "") -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        raise ValueError(
-            f"Backend '{name}' needs a package that is not installed: pip install '{package or name}'."
-        ) from error
-
-
-def _is_death(error: BaseException) -> bool:
-    return any(kind.__name__ in _DEATHS for kind in type(error).__mro__)
-
-
-def _reason(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())[:400]
+        what = f"Backend '{name}' needs a package that is not installed: pip install '{package or name}'."
+        raise ValueError(what) from error

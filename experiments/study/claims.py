@@ -5,19 +5,10 @@ from dataclasses import dataclass
 
 from surefoot.experiments.study.tables import Table, Verdict, number
 
-__all__ = ["Claim", "at_least", "at_most", "claim_table"]
-
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim and what came of it.
-
-    Attributes:
-        what: What is measured, with its unit.
-        aim: What it was to be, such as ``"≤ 2"``.
-        measured: What it is, in words.
-        met: Whether the aim was met.
-    """
+    """A claim: what is measured, with its unit; what it was to be; what it is; whether it was met."""
 
     what: str
     aim: str

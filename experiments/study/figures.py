@@ -17,19 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from surefoot.experiments.study.files import atomic_path
-
-__all__ = [
-    "Look",
-    "draw_curve",
-    "figure_at",
-    "grid_of",
-    "in_order",
-    "legend_below",
-    "logarithmic",
-    "look_of",
-    "short_label",
-    "show_values",
-]
+from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.study.tables import Frame
 
 DPI = 130
 _RC: Any = {
@@ -50,15 +39,7 @@ _RC: Any = {
 
 
 class Look(NamedTuple):
-    """How a way to read the feet appears.
-
-    Attributes:
-        label: Its name in legends and tables.
-        colour: As hexadecimal RGB.
-        line: A line style of matplotlib.
-        marker: A marker of matplotlib.
-        short: Its name where space is short.
-    """
+    """How a way to read the feet appears: in legends and tables, in figures, and where space is short."""
 
     label: str
     colour: str
@@ -89,6 +70,11 @@ def in_order(names: Iterable[str]) -> list[str]:
     return sorted(dict.fromkeys(names), key=lambda name: known.index(name) if name in known else len(known))
 
 
+def by_way(frame: Frame, column: str = "method") -> dict[str, Frame]:
+    """Return the rows of each way to read the feet, in the order of all figures."""
+    return {name: frame[frame[column] == name] for name in in_order(frame[column])}
+
+
 def look_of(name: str) -> Look:
     """Return how a way to read the feet appears; an unknown one is grey and has its own name."""
     return _LOOKS.get(name, Look(name, "#7f7f7f", "-.", "v", name))
@@ -117,14 +103,7 @@ def grid_of(figure: Figure, rows: int, columns: int, **kwargs: Any) -> Any:
 
 
 def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6, **options: Any) -> None:
-    """Write one legend for all panels under them, with as many columns as there is room.
-
-    Args:
-        figure: The figure.
-        axes: One panel, or all whose labels are wanted.
-        columns: Most columns.
-        **options: Further options of the legend.
-    """
+    """Write one legend for one or all panels under them, with as many columns as there is room."""
     entries: dict[str, Any] = {}
     for panel in [axes] if isinstance(axes, Axes) else axes:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
@@ -137,30 +116,37 @@ def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6, 
 
 
 def draw_curve(
-    axes: Axes,
-    x: Any,
-    y: Any,
-    look: Look,
-    low: Any = None,
-    high: Any = None,
-    **options: Any,
+    axes: Axes, x: Any, y: Any, look: Look, low: Any = None, high: Any = None, **options: Any
 ) -> None:
-    """Draw a curve in a look, with its markers where it has few points (one point alone is a marker).
-
-    Args:
-        axes: Where.
-        x: Where the points are, shape (n,).
-        y: The points, shape (n,).
-        look: How it appears.
-        low: Lower end of a band around it, shape (n,); there is none by default.
-        high: Upper end.
-        **options: Further options of :meth:`~matplotlib.axes.Axes.plot`.
-    """
+    """Draw a curve in a look, with its markers where it has few points; perhaps a band from low to high."""
     marker = look.marker if len(x) <= 8 else ""
     style: Any = {"linestyle": look.line, "marker": marker, "markersize": 4.5, "label": look.label} | options
     axes.plot(x, y, color=look.colour, **style)
     if low is not None:
         axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
+
+
+def draw_mean(axes: Axes, values: Any, factor: float, at: float, name: str, *, upright: bool = False) -> None:
+    """Draw a mean of one number a run with its 95 % interval, in the look of a way, on a logarithmic axis.
+
+    It stands at a place on the other axis; its values go to the right, or upwards.
+    """
+    interval, look = mean_interval(values), look_of(name)
+    # What is nothing, a logarithmic axis cannot show.
+    if interval.n == 0 or not interval.mean > 1e-9:
+        return
+    mean, half = factor * interval.mean, factor * float(np.nan_to_num(interval.half))
+    # On a logarithmic axis an interval that reaches below zero is cut off near the mean.
+    place: dict[str, Any] = {"x": mean, "y": at, "xerr": [[min(half, 0.9 * mean)], [half]]}
+    if upright:
+        place = {"x": at, "y": mean, "yerr": place["xerr"]}
+    axes.errorbar(**place, color=look.colour, marker=look.marker, markersize=4.5, capsize=2.0, linewidth=1.2)
+
+
+def draw_steps(axes: Axes, time: Any, share: Any, name: str) -> None:
+    """Draw a survival curve in the look of a feed."""
+    look = look_of(name)
+    axes.step(time, share, where="post", color=look.colour, linestyle=look.line, label=look.label)
 
 
 def show_values(axes: Axes, values: Sequence[float], margin: float = 0.5) -> None:
@@ -172,8 +158,13 @@ def show_values(axes: Axes, values: Sequence[float], margin: float = 0.5) -> Non
         axes.set_xlim(values[0] - reach, values[0] + reach)
 
 
-def logarithmic(axes: Axes) -> None:
-    """Make the vertical axis logarithmic with plain numbers at 1, 2 and 5."""
+def logarithmic(axes: Axes, label: str = "") -> None:
+    """Make the vertical axis logarithmic with plain numbers; or the horizontal one, which has a label."""
+    if label:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.set_xlabel(label)
+        return
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 

@@ -6,19 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["atomic_path", "locked", "write_text"]
-
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Lend a name beside ``path`` to write to, and rename it into place once all is written.
+    """Lend a name beside ``path`` with its ending, and rename the file into place once all is written.
 
-    Args:
-        path: Where the file shall be; its folder is made.
-
-    Yields:
-        A name in the same folder with the same ending. If the body raises, the file under it is removed
-        and what stood at ``path`` before stays.
+    The folder is made. If the body raises, the file is removed and what stood at ``path`` before stays.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
@@ -37,11 +30,9 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def locked(folder: Path, refusal: Exception) -> Iterator[None]:
-    """Keep others out of a folder for as long as this process lives; a lock of a killed one is gone with it.
+    """Keep others, where ``refusal`` is raised, out of a folder for as long as this process lives.
 
-    Args:
-        folder: Which one; it is made. Where the system has no such locks, nobody is kept out.
-        refusal: Raised if another process is at work there.
+    The lock of a killed process is gone with it. Where the system has no such locks, nobody is kept out.
     """
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)

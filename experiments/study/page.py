@@ -4,12 +4,12 @@ import base64
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, StrictUndefined
 
@@ -17,18 +17,7 @@ import surefoot
 from surefoot.experiments.study.files import atomic_path, write_text
 from surefoot.experiments.study.runner import machine
 from surefoot.experiments.study.sources import source_hash
-from surefoot.experiments.study.tables import Table, Verdict, plural
-
-__all__ = [
-    "MADE",
-    "Report",
-    "ReportFigure",
-    "Section",
-    "failure_section",
-    "flat",
-    "save_tables",
-    "write_page",
-]
+from surefoot.experiments.study.tables import Frame, Table, Verdict, flat, plural
 
 MADE = "made.json"
 """Beside a study's tables: its command, code and date."""
@@ -41,27 +30,11 @@ _WORDS = 28
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure of the page.
-
-    Attributes:
-        path: Its SVG or PNG file, which is embedded.
-        name: What the text calls it, such as ``"Figure 10"``.
-        caption: What to see in it.
-    """
+    """A figure of the page: its SVG or PNG file, which is embedded, its name, and what to see in it."""
 
     path: Path
     name: str
     caption: str
-
-    @property
-    def anchor(self) -> str:
-        """What links point at."""
-        return self.path.stem
-
-    @property
-    def alt(self) -> str:
-        """What is read where nothing is shown."""
-        return f"{self.name}: {self.caption}"
 
     @property
     def source(self) -> str:
@@ -74,17 +47,8 @@ class ReportFigure:
 class Section:
     """A section of the page; parts appear in the order of the fields.
 
-    Attributes:
-        anchor: What links point at.
-        title: Its heading.
-        paragraphs: Plain text.
-        findings: Statements computed from the figures, set apart.
-        tables: Tables.
-        video: Address of a film beside the page, or nothing.
-        poster: Address of its still picture.
-        video_caption: What to see in it.
-        figures: Figures.
-        commands: Lines for a shell.
+    Its anchor is what links point at; findings are statements computed from the figures, set apart; video and
+    poster are addresses beside the page; commands are lines for a shell.
     """
 
     anchor: str
@@ -100,12 +64,7 @@ class Section:
 
 
 class Report(NamedTuple):
-    """What a study hands to a command.
-
-    Attributes:
-        page: The page.
-        tables: What the terminal shows.
-    """
+    """What a study hands to a command: its page, and the tables that the terminal shows."""
 
     page: Path
     tables: tuple[Table, ...]
@@ -120,18 +79,10 @@ def write_page(
     lead: Section | None = None,
     made: str = "",
 ) -> Path:
-    """Write the page.
+    """Write the page, and return its path.
 
-    Args:
-        path: Where; films must lie beside it.
-        title: Its heading.
-        introduction: What was done, in plain text.
-        sections: What follows.
-        lead: What the page opens with: its film, its paragraphs, its figures and then its tables.
-        made: When and with what it was made; by default now and here.
-
-    Returns:
-        The path.
+    It opens with the lead: its film, which must lie beside the page, its paragraphs, its figures and then its
+    tables; then comes the introduction, what was done. By default it says that it was made now and here.
     """
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -172,9 +123,27 @@ def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:
     return (Section("failed", "Cases that failed", tables=(table,)),)
 
 
-def flat(text: str) -> str:
-    """Return a text that the source wraps and indents as one line."""
-    return " ".join(text.split())
+def repeat_section(texts: Sequence[str], commands: Sequence[str], seconds: Mapping[str, float]) -> Section:
+    """Return the section about how to repeat a study whose stages took some seconds."""
+    took = ", ".join(f"{what} {time:.0f} s" for what, time in seconds.items())
+    kept = f"This run took: {took}. What is finished is kept, so that a run goes on where it stopped."
+    return Section("repeat", "Repeat any part", (*map(flat, texts), kept), commands=tuple(commands))
+
+
+def save_frames(
+    folder: Path, frames: Mapping[str, Frame], endings: Sequence[str] = (".csv", ".parquet")
+) -> None:
+    """Save data frames under their names, as CSV and Parquet; those that are empty are left out."""
+    for name, ending in ((name, ending) for name in frames if len(frames[name]) for ending in endings):
+        with atomic_path(folder / f"{name}{ending}") as part:
+            write = frames[name].to_csv if ending == ".csv" else frames[name].to_parquet
+            write(part, index=False)
+
+
+def save_facts(path: Path, options: Any, **facts: Any) -> None:
+    """Save how a study was run: its options, a dataclass, and what it ran on."""
+    plain = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
+    write_text(path, json.dumps({"options": plain, **facts}, indent=1))
 
 
 def _kinds(table: Table) -> list[str]:

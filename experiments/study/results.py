@@ -17,8 +17,6 @@ from pathlib import Path
 from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.page import MADE
 
-__all__ = ["main", "markdown", "refreshed"]
-
 _MARK = re.compile(r"(<!-- table (\S+\.csv) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -35,12 +33,7 @@ def markdown(lines: Sequence[Sequence[str]]) -> str:
 
 
 def refreshed(text: str, root: Path) -> tuple[str, list[str]]:
-    """Return a page's text with new tables, and the files that were not there.
-
-    Args:
-        text: The page.
-        root: The folder that its tables' paths start from.
-    """
+    """Return a page's text with new tables, and the files that were not there, looked for under ``root``."""
     missing: list[str] = []
 
     def replace(mark: re.Match[str]) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,7 @@ from rich.progress import (
 import surefoot
 from surefoot.experiments.study.backends import Died, Task, Workers, workers
 from surefoot.experiments.study.store import Case, Outcome, Store, StudyError
-
-__all__ = ["Runner", "attempt", "machine", "runner"]
+from surefoot.experiments.study.tables import plural
 
 LONGEST_ERROR = 4000
 """Characters of a failed case's traceback that are kept, its end."""
@@ -37,27 +37,17 @@ Failed = Callable[[Case, str], Mapping[str, Any]]
 
 @dataclass(eq=False)
 class Runner:
-    """Does the work of a study; :func:`runner` makes one.
-
-    Attributes:
-        workers: Who does it.
-        progress: Where the bars are.
-        seconds: Time that each stage took in s, filled in as stages end.
-    """
+    """Does the work of a study, shows it, and notes how long each stage took; :func:`runner` makes one."""
 
     workers: Workers
     progress: Progress
     seconds: dict[str, float]
 
     def do(self, what: str, work: Sequence[Task]) -> list[Any]:
-        """Do pieces in any order and return their results in the order given; what they raise is raised here.
-
-        Args:
-            what: Name of the stage.
-            work: Functions and what to give them.
+        """Do the pieces of a stage and return their results in the order given.
 
         Raises:
-            StudyError: If a worker died.
+            StudyError: If a worker died; what a piece raises is raised here.
         """
         found: list[Any] = [None] * len(work)
         with self._stage(what, len(work)) as seen:
@@ -77,37 +67,30 @@ class Runner:
         retry_failed: bool = True,
         any_version: bool = False,
         failed: Failed | None = None,
-        count: Mapping[str, Callable[[Outcome], bool]] | None = None,
+        count: Mapping[str, Callable[[Outcome], bool]] = MappingProxyType({}),
     ) -> int:
-        """Run the cases that a store does not hold yet, and put down what comes of each at once.
+        """Run the cases that a store does not hold yet, put down what comes of each, and return how many.
 
-        Args:
-            what: Name of the stage.
-            cases: The cases.
-            store: Where results are, opened.
-            retry_failed: Whether cases that failed before are run again.
-            any_version: Whether results of other code, here before or from a cluster, are taken as they are.
-            failed: Makes rows of a failed case; by default it has none.
-            count: Outcomes to count beside the bar, by a word.
-
-        Returns:
-            How many were run.
+        Cases that failed before are run again, unless ``retry_failed`` is false; ``any_version`` takes
+        results of other code as they are, here before or from a cluster; ``failed`` makes rows of a failed
+        case, and ``count`` says by a word what outcomes are counted beside the bar.
 
         Raises:
             StudyError: If a worker runs other software, or the disk is full.
         """
         listed = list(cases)
-        options = {"retry_failed": retry_failed, "any_version": any_version}
         # Before anything runs: what is on the disk now is what has been imported.
         codes = {case.key: case.code for case in listed}
+        options = {"retry_failed": retry_failed, "any_version": any_version}
         missing = {i: case for i, case in enumerate(listed) if not store.holds(case, **options)}
-        counters = {**(count or {}), "failed": _failed}
-        seen_before = [store.outcomes[case.key] for i, case in enumerate(listed) if i not in missing]
-        counted = {word: sum(map(of, seen_before)) for word, of in counters.items()}
-        with self._stage(what, len(listed), len(seen_before)) as seen:
-            for path in dict.fromkeys(store.damaged):
-                self.progress.console.print(f"{path} was damaged; its cases are run again.")
-            store.damaged.clear()
+        counters: dict[str, Callable[[Outcome], bool]] = {**count, "failed": lambda one: bool(one.error)}
+        there = [store.outcomes[case.key] for i, case in enumerate(listed) if i not in missing]
+        counted = {word: sum(map(of, there)) for word, of in counters.items()}
+        with self._stage(what, len(listed), len(there)) as seen:
+            if store.damaged:
+                lines = plural(store.damaged, "damaged line")
+                self.progress.console.print(f"{store.folder} had {lines}; these cases are run again.")
+                store.damaged = 0
             tasks: dict[int, Task] = {i: (attempt, (case,)) for i, case in missing.items()}
             for number, result in self.workers.results(tasks):
                 case = missing[number]
@@ -144,18 +127,10 @@ def runner(
     backend: str = "",
     address: str | None = None,
 ) -> Iterator[Runner]:
-    """Lend what runs the stages of a study.
+    """Lend what runs the stages of a study, and notes in ``seconds`` how long each took.
 
-    Args:
-        jobs: Processes that work at the same time.
-        seconds: Where the time that each stage took is noted.
-        console: Where progress is shown; the terminal's error output by default.
-        backend: One of :data:`~surefoot.experiments.study.backends.BACKENDS`; by default one job works in
-            this process, and more in processes of their own.
-        address: Of a running scheduler of dask or head of ray.
-
-    Raises:
-        ValueError: If there is no such backend, or what it needs is not installed or not reached.
+    By default one job works in this very process; ``backend`` and ``address`` are those of
+    :func:`~surefoot.experiments.study.backends.workers`, which says what is refused.
     """
     bars = Progress(
         TextColumn("{task.description:28s}"),
@@ -179,10 +154,6 @@ def attempt(case: Case) -> Outcome:
     except Exception:
         tables, error = {}, traceback.format_exc().strip()[-LONGEST_ERROR:]
     return Outcome(case.key, case.name, case.code, tables, error, time.perf_counter() - began)
-
-
-def _failed(outcome: Outcome) -> bool:
-    return bool(outcome.error)
 
 
 def machine() -> str:

@@ -15,8 +15,6 @@ from pathlib import Path
 
 import surefoot
 
-__all__ = ["code_of", "source_hash", "source_modules"]
-
 _ROOT = Path(surefoot.__file__).parent
 _DOTTED = re.compile(r"surefoot(\.\w+)+(:\w+)?")
 _ENVIRONMENT = re.compile(r"surefoot/\w+-v\d+")
@@ -24,14 +22,10 @@ _ENVIRONMENT = re.compile(r"surefoot/\w+-v\d+")
 
 @cache
 def source_hash(*entries: str) -> str:
-    """Return 16 hex digits that change when the code behind some modules changes.
-
-    Args:
-        entries: Names of modules or packages, such as ``"surefoot.experiments.walks.record"``; a module of
-            somebody else must have been imported.
+    """Return 16 hex digits that change when the code behind some modules or packages changes.
 
     Raises:
-        ModuleNotFoundError: If there is no such module.
+        ModuleNotFoundError: If there is no such module; one of somebody else must have been imported.
     """
     digest = sha256()
     for module in sorted(source_modules(*entries)):
@@ -52,9 +46,6 @@ def code_of(module: str) -> str:
 @cache
 def source_modules(*entries: str) -> frozenset[str]:
     """Return the modules of surefoot that some modules need, directly or not, and these themselves.
-
-    Args:
-        entries: Names of modules or packages.
 
     Raises:
         ModuleNotFoundError: If there is no such module.

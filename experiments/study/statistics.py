@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-__all__ = ["Interval", "Share", "Survival", "fall_share", "mean_interval", "survival"]
-
 
 class Interval(NamedTuple):
     """A mean and how sure it is.
@@ -33,12 +31,8 @@ class Interval(NamedTuple):
         return self.n > 1 and abs(self.mean) > self.half
 
 
-def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
-    """Return the mean of one number a seed and its interval by Student's t.
-
-    Args:
-        values: Numbers; those that are not finite are left out.
-        confidence: Probability of the two-sided interval.
+def mean_interval(values: ArrayLike) -> Interval:
+    """Return the mean of one number a seed and its interval by Student's t; what is not finite is left out.
 
     >>> interval = mean_interval([1.0, 2.0, 3.0])
     >>> print(f"{interval.mean:.2f} +- {interval.half:.4f}")
@@ -51,7 +45,7 @@ def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
         return Interval(float("nan"), float("nan"), 0)
     if n == 1:
         return Interval(float(sample[0]), float("nan"), 1)
-    half = stats.t.ppf(0.5 + confidence / 2, n - 1) * np.std(sample, ddof=1) / np.sqrt(n)
+    half = stats.t.ppf(0.975, n - 1) * np.std(sample, ddof=1) / np.sqrt(n)
     return Interval(float(np.mean(sample)), float(half), n)
 
 

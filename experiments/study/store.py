@@ -5,15 +5,12 @@ of the sources behind the function, with the versions of NumPy, SciPy and MuJoCo
 under the key, and is found again while the code is the same.
 
 Every finished case is one line of ``journal.jsonl``, written and synchronised before the next one is counted.
-When a store is opened and when it is closed, the journal is folded into one Parquet file a table; these are
-complete on the disk before the journal is emptied. A process that is killed, or a disk that is full,
-therefore costs at most the cases that were under way. A file that is damaged is set aside, and its cases are
-run again.
+A process that is killed, or a disk that is full, therefore costs at most the cases that were under way; a
+line that is damaged costs its case, which is run again.
 """
 
 import json
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -24,13 +21,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from surefoot.experiments.study.files import atomic_path, locked, write_text
+from surefoot.experiments.study.files import locked, write_text
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["JOURNAL", "PLAN", "Case", "Outcome", "Store", "StudyError"]
-
-JOURNAL, PLAN, CASES = "journal.jsonl", "study.json", "cases"
+JOURNAL, PLAN = "journal.jsonl", "study.json"
 
 
 class StudyError(ValueError):
@@ -69,16 +64,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a case.
-
-    Attributes:
-        key: Of the case.
-        name: Of the case.
-        code: What ran it.
-        tables: Rows by the name of their table.
-        error: Empty, or what was raised.
-        seconds: How long it took in s.
-    """
+    """What came of a case: its rows by the name of their table, or what was raised, and the time in s."""
 
     key: str
     name: str
@@ -89,21 +75,18 @@ class Outcome:
 
 
 class Store:
-    """The results of a study; use it within :meth:`opened`.
-
-    Args:
-        folder: Where they lie.
+    """The results of a study in a folder; use it within :meth:`opened`.
 
     Attributes:
         outcomes: What came of each case, by its key.
-        damaged: Files that could not be read and were set aside.
+        damaged: How many lines of the journal could not be read.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.outcomes: dict[str, Outcome] = {}
-        self.damaged: list[Path] = []
-        self._journal: int | None = None
+        self.damaged = 0
+        self._journal = -1
 
     @contextmanager
     def opened(
@@ -113,63 +96,39 @@ class Store:
         *,
         any_version: bool = False,
     ) -> Iterator["Store"]:
-        """Take the folder for one study, and fold its journal in on the way in and out.
-
-        Args:
-            plan: What the folder is for, as plain data: it then holds no other study.
-            versions: With what the study is run.
-            any_version: Whether to go on with results of other versions.
+        """Take the folder for one study; a plan that it holds goes on with the same versions alone.
 
         Raises:
             StudyError: If the folder holds another study, or is in use, or the disk is full.
         """
-        with (
-            self._explained(),
-            locked(self.folder, StudyError(f"Another study is at work in '{self.folder}'; wait for it.")),
-        ):
+        busy = StudyError(f"Another study is at work in '{self.folder}'; wait for it.")
+        with self._explained(), locked(self.folder, busy):
             if plan is not None:
                 self._claim(json.loads(_dump(plan)), dict(versions or {}), any_version)
             self.read()
-            self._fold()
-            self._journal = os.open(self.folder / JOURNAL, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+            path = self.folder / JOURNAL
+            if self.damaged:
+                write_text(path, "".join(_dump(asdict(one)) + "\n" for one in self.outcomes.values()))
+            self._journal = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             try:
                 yield self
             finally:
                 os.close(self._journal)
-                self._journal = None
-            self._fold()
 
     def read(self) -> None:
         """Read what there is, also of a study that is under way."""
-        frames = {path.stem: self._frame(path) for path in sorted(self.folder.glob("*.parquet"))}
-        cases = frames.pop(CASES, None)
-        rows = {name: _by_key(frame) for name, frame in frames.items() if frame is not None}
-        self.outcomes = {}
-        for row in [] if cases is None else cases.to_dict("records"):
-            counts = json.loads(row.pop("rows"))
-            tables = {name: rows.get(name, {}).get(row["key"], []) for name in counts}
-            # A table that was damaged lacks rows: its cases are run again.
-            if all(len(tables[name]) == count for name, count in counts.items()):
-                self.outcomes[row["key"]] = Outcome(**row, tables=tables)
+        self.outcomes, self.damaged = {}, 0
         journal = self.folder / JOURNAL
-        for line in journal.read_bytes().splitlines(keepends=True) if journal.is_file() else ():
-            # The last line may be half written, and others damaged: their cases are run again.
-            if line.endswith(b"\n"):
-                try:
-                    outcome = Outcome(**json.loads(line))
-                except (ValueError, TypeError):
-                    self.damaged.append(journal)
-                    continue
+        for line in journal.read_bytes().splitlines() if journal.is_file() else ():
+            try:
+                outcome = Outcome(**json.loads(line))
+            except (ValueError, TypeError):
+                self.damaged += 1
+            else:
                 self.outcomes[outcome.key] = outcome
 
     def holds(self, case: Case, *, retry_failed: bool = True, any_version: bool = False) -> bool:
-        """Return whether a case need not be run again.
-
-        Args:
-            case: Which one.
-            retry_failed: Whether cases that failed are run again.
-            any_version: Whether results of other code count.
-        """
+        """Return whether a case need not be run again; with ``any_version`` results of other code count."""
         found = self.outcomes.get(case.key)
         if found is None or (found.error and retry_failed):
             return False
@@ -181,7 +140,6 @@ class Store:
         Raises:
             StudyError: If it does not fit there; the journal then ends with the case before.
         """
-        assert self._journal is not None
         data = (_dump(asdict(outcome)) + "\n").encode()
         with self._explained():
             size = os.fstat(self._journal).st_size
@@ -232,36 +190,6 @@ class Store:
                 "another folder with --out, or go on regardless with --any-version: rows say what made them."
             )
 
-    def _fold(self) -> None:
-        """Bring everything into the tables, and empty the journal once it is there."""
-        journal = self.folder / JOURNAL
-        if not journal.is_file() or not journal.stat().st_size:
-            return
-        tables: dict[str, list[dict[str, Any]]] = {}
-        for outcome in self.outcomes.values():
-            counts = {name: len(rows) for name, rows in outcome.tables.items()}
-            about = {name: getattr(outcome, name) for name in ("key", "name", "code", "error", "seconds")}
-            tables.setdefault(CASES, []).append(about | {"rows": json.dumps(counts)})
-            for name, rows in outcome.tables.items():
-                tables.setdefault(name, []).extend({"key": outcome.key, **row} for row in rows)
-        for name, rows in tables.items():
-            with atomic_path(self.folder / f"{name}.parquet") as part:
-                pd.DataFrame(rows).to_parquet(part, index=False)
-                _synchronise(part)
-        _synchronise(self.folder)
-        with journal.open("r+b") as file:
-            file.truncate(0)
-            os.fsync(file.fileno())
-
-    def _frame(self, path: Path) -> Frame | None:
-        try:
-            frame = pd.read_parquet(path)
-            frame["key"]
-        except (OSError, ValueError, KeyError):
-            self.damaged.append(path.replace(path.with_suffix(".damaged")))
-            return None
-        return frame
-
     @contextmanager
     def _explained(self) -> Iterator[None]:
         try:
@@ -273,13 +201,6 @@ class Store:
             ) from error
 
 
-def _by_key(frame: Frame) -> dict[str, list[dict[str, Any]]]:
-    rows: dict[str, list[dict[str, Any]]] = {}
-    for row in frame.to_dict("records"):
-        rows.setdefault(row.pop("key"), []).append(row)
-    return rows
-
-
 def _dump(data: Any) -> str:
     def plain(value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -289,13 +210,3 @@ def _dump(data: Any) -> str:
         return str(value)
 
     return json.dumps(data, default=plain)
-
-
-def _synchronise(path: Path) -> None:
-    if sys.platform == "win32" and path.is_dir():
-        return
-    file = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)

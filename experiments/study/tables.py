@@ -1,6 +1,6 @@
 """Tables of a study: one content for the terminal, the page and the files."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,21 +12,18 @@ from rich.text import Text
 
 from surefoot.experiments.study.statistics import Interval, mean_interval
 
-__all__ = ["Column", "Frame", "Table", "Verdict", "interval_text", "number", "plural", "with_interval"]
-
 Frame = Any
 """A pandas data frame: type checkers do not follow what indexing one gives."""
 
 Column = Any
 """A pandas series, likewise."""
 
+Cell = Callable[[Any], str]
+"""Makes a cell of what its row is about."""
+
 
 class Verdict(str):
-    """A cell that is good or bad, whatever its word; a page colours it by that.
-
-    Attributes:
-        good: Whether it is good.
-    """
+    """A cell that is good or bad, whatever its word; a page colours it by that."""
 
     good: bool
 
@@ -40,15 +37,7 @@ class Verdict(str):
 
 @dataclass(frozen=True)
 class Table:
-    """A table whose cells are already text.
-
-    Attributes:
-        name: Short name for files, such as ``"table4"``.
-        title: What it shows.
-        columns: Headings.
-        rows: Cells, one tuple a row.
-        note: How to read it.
-    """
+    """A table whose cells are already text; its name is for files, its note says how to read it."""
 
     name: str
     title: str
@@ -73,6 +62,24 @@ class Table:
     def to_frame(self) -> pd.DataFrame:
         """Return it as a data frame of text."""
         return pd.DataFrame(list(self.rows), columns=list(self.columns))
+
+
+def laid_out(
+    name: str, title: str, columns: Mapping[str, Cell], items: Iterable[Any], note: str = ""
+) -> Table:
+    """Return a table of a row an item; each column says what makes its cells of one."""
+    rows = tuple(tuple(cell(item) for cell in columns.values()) for item in items)
+    return Table(name, title, tuple(columns), rows, note)
+
+
+def mean_of(column: str, factor: float = 1.0, digits: int = 3) -> Cell:
+    """Return what makes a cell of a frame: the mean of a column with its interval."""
+    return lambda runs: with_interval(runs[column], factor, digits)
+
+
+def count_of(column: str) -> Cell:
+    """Return what makes a cell of a frame: in how many rows a column is true."""
+    return lambda runs: f"{int(runs[column].sum())} of {len(runs)}"
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -125,3 +132,13 @@ def plural(count: int, word: str, words: str = "") -> str:
     ('1 walk', '2 walks', '2 studies')
     """
     return f"{count} {word if count == 1 else words or word + 's'}"
+
+
+def sentence(title: str) -> str:
+    """Return a title with a capital at its beginning."""
+    return title[:1].upper() + title[1:]
+
+
+def flat(text: str) -> str:
+    """Return a text that the source wraps and indents as one line."""
+    return " ".join(text.split())

@@ -5,30 +5,33 @@ same seed gives the same starting state, ground, pushes and sensors whatever is 
 by nothing but the feed until the robot's own steps begin to differ.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.controllers import Stabiliser
-from surefoot.experiments.walks.walkers import STAND_TIME, make_walker
+from surefoot.controllers import Stabiliser, zero_action
+from surefoot.experiments.walks.score import rms
+from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap, make_walker
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
-__all__ = ["LoopRun", "Moment", "cells_of", "rms", "run_loop", "walk_moments"]
-
 
 class Moment(NamedTuple):
-    """A walk after one control step.
+    """An episode after one control step.
 
     Attributes:
         time: Time since the reset in s.
         bare: The environment beneath all wrappers.
-        observation: What the controller is given.
+        observation: What the robot felt.
         true_observation: The same without sensors in between.
-        fell: Whether the robot has fallen; the walk ends then.
+        fell: Whether the robot has fallen; the episode ends then.
+        action: What the controller answered to the observation before.
+        reward: What was paid for it.
+        asked: Whether the controller was asked, and not the quiet stand's zero action.
     """
 
     time: float
@@ -36,6 +39,9 @@ class Moment(NamedTuple):
     observation: dict[str, Any]
     true_observation: dict[str, Any]
     fell: bool
+    action: Any = None
+    reward: float = 0.0
+    asked: bool = True
 
     @property
     def cop_error(self) -> float:
@@ -97,31 +103,49 @@ class LoopRun:
 def cells_of(severity: float) -> LoadCells:
     """Scale how far the preset ``hx711-load-cells`` is off, and how fast it drifts.
 
-    Args:
-        severity: 1 for the preset: scales 12 % and offsets 1.5 N off, drifting by 2 % and 1 N per square root
-            of a minute. 3 for three times as bad.
+    Severity 1 is the preset: scales 12 % and offsets 1.5 N off, drifting by 2 % and 1 N per square root of a
+    minute; 3 is three times as bad.
 
     Raises:
         ValueError: If the severity is negative or not finite.
     """
+    scaled = ("initial_scale_std", "initial_offset_std", "scale_drift", "offset_drift")
     preset = HX711_LOAD_CELLS
-    return replace(
-        preset,
-        initial_scale_std=severity * preset.initial_scale_std,
-        initial_offset_std=severity * preset.initial_offset_std,
-        scale_drift=severity * preset.scale_drift,
-        offset_drift=severity * preset.offset_drift,
-    )
+    return replace(preset, **{name: severity * getattr(preset, name) for name in scaled})
+
+
+def moments(
+    env: gym.Env[Any, Any],
+    tap: TruthTap,
+    controller: Callable[[dict[str, Any]], Any],
+    seed: int,
+    settle: float = 0.0,
+    change: Callable[[dict[str, Any]], dict[str, Any]] = lambda observation: observation,
+) -> Iterator[Moment]:
+    """Run an episode, a control step at a time, until its end or the fall, and close its environment.
+
+    The controller is asked when the quiet stand, which settles for a time in s, is over; what it sees of an
+    observation may be changed.
+    """
+    bare: Any = env.unwrapped
+    waiting, steps, done = round(settle / bare.dt), 0, False
+    try:
+        observation, _ = env.reset(seed=seed)
+        while not done:
+            if steps == waiting and hasattr(controller, "reset"):
+                controller.reset()
+            asked = steps >= waiting
+            action = np.asarray(controller(change(observation)) if asked else zero_action(observation))
+            observation, reward, fell, truncated, _ = env.step(action)
+            steps += 1
+            done = fell or truncated
+            yield Moment(steps * bare.dt, bare, observation, tap.seen, fell, action, float(reward), asked)
+    finally:
+        env.close()
 
 
 def walk_moments(
-    feed: str,
-    *,
-    speed: float,
-    seed: int,
-    duration: float,
-    severity: float = 1.0,
-    **env_options: Any,
+    feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0, **env_options: Any
 ) -> Iterator[Moment]:
     """Walk, a moment a control step, until the end or the fall.
 
@@ -132,40 +156,17 @@ def walk_moments(
         duration: Duration in s, standing included.
         severity: How bad the cells are, see :func:`cells_of`.
         **env_options: Further options of the environment, such as ``render_mode``.
-
-    Yields:
-        What happened.
     """
     env, tap = make_walker(feed, speed=speed, duration=duration, cells=cells_of(severity), **env_options)
     bare: Any = env.unwrapped
     # Calibrators need a quiet stand to begin with: until then nobody is moved by what they say.
-    controller = Stabiliser(bare.state_layout, engage_after=STAND_TIME)
-    try:
-        observation, _ = env.reset(seed=seed)
-        controller.reset()
-        done, time = False, 0.0
-        while not done:
-            observation, _, terminated, truncated, _ = env.step(controller(observation))
-            time += bare.dt
-            done = terminated or truncated
-            yield Moment(time, bare, observation, tap.seen, terminated)
-    finally:
-        env.close()
+    return moments(env, tap, Stabiliser(bare.state_layout, engage_after=STAND_TIME), seed)
 
 
 def run_loop(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> LoopRun:
     """Walk once and say how it went; arguments as in :func:`walk_moments`."""
-    error, tracking = [], []
-    time, fell = 0.0, False
+    errors = []
     for moment in walk_moments(feed, speed=speed, seed=seed, duration=duration, severity=severity):
-        error.append(moment.cop_error)
-        tracking.append(moment.tracking)
-        time, fell = moment.time, moment.fell
-    return LoopRun(severity, speed, seed, feed, fell, time, rms(error), rms(tracking))
-
-
-def rms(values: list[float]) -> float:
-    """Root mean square of the finite values; NaN if there is none."""
-    array = np.array(values)
-    array = array[np.isfinite(array)]
-    return float(np.sqrt(np.mean(array**2))) if len(array) else float("nan")
+        errors.append((moment.cop_error, moment.tracking))
+    error, tracking = map(rms, zip(*errors, strict=True))
+    return LoopRun(severity, speed, seed, feed, moment.fell, moment.time, error, tracking)

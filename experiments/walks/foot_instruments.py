@@ -16,8 +16,6 @@ from surefoot.experiments.weights.weighing import run_weighing
 from surefoot.sensors import ForceTorque, LoadCells
 from surefoot.wrappers.instruments import Instruments, SensorsInAnkles
 
-__all__ = ["FootInstruments"]
-
 Floats = NDArray[np.float64]
 
 _STREAM = 0x10605

@@ -23,8 +23,6 @@ from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-__all__ = ["CONDITIONS", "Condition", "record_walk"]
-
 _SETTLING = 16
 """Rows cut off at the beginning of a log, in which telemetry has not yet arrived."""
 

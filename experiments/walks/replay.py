@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters, Reference, replay
 from surefoot.experiments.logs.format import Log, LogError
 
-__all__ = ["LogBatch", "Replayed", "batches_of", "replay_logs", "starting_map"]
-
 
 class LogBatch(NamedTuple):
     """Walks that go through a method side by side, as robots of one batch.
@@ -96,16 +94,7 @@ def starting_map(log: Log, start: str | None = None) -> Parameters:
 
 
 def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Replayed]:
-    """Run one method over logs.
-
-    Args:
-        logs: Walks of any lengths and robots.
-        method: A key of :data:`~surefoot.calibration.METHODS`.
-        start: The map to start from, as in :func:`starting_map`.
-        **options: Options of the method, and ``zero_phase``.
-
-    Returns:
-        What the method made of each log, in their order.
+    """Run one method over logs of any lengths and robots, and return what it made of each.
 
     Raises:
         LogError: If a log has no such starting map.

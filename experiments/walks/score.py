@@ -13,19 +13,16 @@ The CoP paper scores against its own calibration from weights applied to the sam
 that is the same formula with other forces in the truth's place.
 """
 
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 
-__all__ = ["Score", "cop_world", "score_forces"]
 
-
-@dataclass(frozen=True)
-class Score:
+class Score(NamedTuple):
     """Errors of one estimate over one walk.
 
     Attributes:
@@ -47,10 +44,6 @@ class Score:
     cell: float
     samples: int
     held: float
-
-    def as_dict(self) -> dict[str, float]:
-        """The fields by name."""
-        return asdict(self)
 
 
 def cop_world(
@@ -105,8 +98,8 @@ def score_forces(
             f"No sample from {settle:g} s on has finite forces, so there is nothing to score; "
             f"the walk ends at {time[-1]:g} s: walk longer or settle for less."
         )
-    vgrf_estimate = _vgrf(estimate, layout, R_world_sole)
-    vgrf_truth = _vgrf(truth, layout, R_world_sole)
+    vgrf_estimate = vertical_forces(estimate, layout, R_world_sole)
+    vgrf_truth = vertical_forces(truth, layout, R_world_sole)
     pressed = counted & (vgrf_truth.sum(axis=-1) > FORCE_THRESHOLD)
     cop_estimate = cop_world(estimate, layout, position_sole, R_world_sole)
     error = cop_estimate - cop_world(truth, layout, position_sole, R_world_sole)
@@ -117,20 +110,28 @@ def score_forces(
         cop=float(np.hypot(cop_x, cop_y)),
         cop_x=float(cop_x),
         cop_y=float(cop_y),
-        vgrf=_rms((vgrf_estimate - vgrf_truth).sum(axis=-1)[counted]),
-        vgrf_foot=_rms((vgrf_estimate - vgrf_truth)[counted]),
-        cell=_rms((estimate - truth)[counted]),
+        vgrf=rms((vgrf_estimate - vgrf_truth).sum(axis=-1)[counted]),
+        vgrf_foot=rms((vgrf_estimate - vgrf_truth)[counted]),
+        cell=rms((estimate - truth)[counted]),
         samples=int(counted.sum()),
         held=float(np.mean(lost[pressed])) if pressed.any() else float("nan"),
     )
 
 
-def _vgrf(
+def vertical_forces(
     force: NDArray[np.float64], layout: FeetLayout, R_world_sole: NDArray[np.float64]
 ) -> NDArray[np.float64]:
+    """Return the vertical force of each foot in N, shape (N, 2); arguments as in :func:`cop_world`."""
     wrench = sole_wrenches(force, layout)
     vertical: NDArray[np.float64] = np.sum(R_world_sole[..., 2, :] * wrench[..., :3], axis=-1)
     return vertical
+
+
+def rms(values: ArrayLike) -> float:
+    """Return the root mean square of the finite values; NaN if there is none."""
+    array = np.asarray(values, dtype=np.float64)
+    array = array[np.isfinite(array)]
+    return float(np.sqrt(np.mean(array**2))) if array.size else float("nan")
 
 
 def _hold(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -139,7 +140,3 @@ def _hold(values: NDArray[np.float64]) -> NDArray[np.float64]:
     last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
     held: NDArray[np.float64] = np.where(last[:, None] >= 0, values[np.maximum(last, 0)], np.nan)
     return held
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -7,9 +7,10 @@ pressure, a coloured one that which the controller is given.
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from ctypes.util import find_library
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +22,6 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.files import atomic_path
 from surefoot.experiments.walks.closed_loop import Moment, walk_moments
-
-__all__ = [
-    "Film",
-    "Reel",
-    "film_walks",
-    "join_reels",
-    "mark_cop",
-    "prepare_rendering",
-    "shoot",
-    "watch_walk",
-    "write_film",
-]
 
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
@@ -49,13 +38,7 @@ OVERSAMPLING = 2
 
 @dataclass(frozen=True)
 class Film:
-    """What came of filming.
-
-    Attributes:
-        path: The film, or ``None`` where nothing could be drawn.
-        still: A picture from it, or ``None``.
-        problem: Why there is none, or nothing.
-    """
+    """A film and a picture from it; or why there is none."""
 
     path: Path | None
     still: Path | None
@@ -64,17 +47,10 @@ class Film:
 
 @dataclass(frozen=True, eq=False)
 class Reel:
-    """One walk on film.
-
-    Attributes:
-        frames: Pictures, shape (n, height, width, 3); none where nothing could be drawn.
-        fell_at: When the robot fell in s, or ``None``.
-        problem: Why there are no pictures, or nothing.
-    """
+    """One walk on film: pictures, shape (n, height, width, 3), and when the robot fell in s, or ``None``."""
 
     frames: NDArray[np.uint8]
     fell_at: float | None
-    problem: str = ""
 
 
 def prepare_rendering() -> None:
@@ -88,46 +64,54 @@ def prepare_rendering() -> None:
 
 
 def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> Reel:
-    """Film one walk into memory; a machine that cannot draw is no error.
-
-    Args:
-        feed: One of :data:`surefoot.experiments.walks.walkers.FEEDS`.
-        speed: Walking speed in m/s.
-        seed: Its seed.
-        duration: Duration in s, or until the fall.
-        severity: How bad the cells are, see :func:`surefoot.experiments.walks.closed_loop.cells_of`.
+    """Film one walk into memory; arguments as in :func:`surefoot.experiments.walks.closed_loop.walk_moments`.
 
     Raises:
+        OSError: If nothing can be drawn on this machine.
         ValueError: If there is no such feed, or the robot cannot walk so.
     """
-    prepare_rendering()
+    options: dict[str, Any] = {"render_mode": "rgb_array", "width": WIDTH, "height": HEIGHT}
+    options |= {"speed": speed, "seed": seed, "duration": duration, "severity": severity}
     frames, fell_at = [], None
-    try:
-        for frame, moment in _frames(feed, speed, seed, duration, severity):
-            frames.append(frame)
-            fell_at = moment.time if moment.fell else None
-    except ValueError:
-        raise  # A walk that does not exist is no fault of the driver.
-    except Exception as error:  # Drivers fail in as many ways as there are drivers.
-        reason = (str(error).splitlines() or [""])[0]
-        return Reel(np.empty((0, 0, 0, 3), np.uint8), None, f"{type(error).__name__}: {reason}")
+    for frame, moment in pictures(lambda: walk_moments(feed, **options), partial(_sheet, feed), FIRST_MOMENT):
+        frames.append(frame)
+        fell_at = moment.time if moment.fell else None
     return Reel(np.array(frames), fell_at)
 
 
-def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
-    """Set two walks side by side.
+def pictures(
+    run: Callable[[], Iterator[Moment]], draw: Callable[[Moment], NDArray[np.uint8]], begin: float
+) -> Iterator[tuple[NDArray[np.uint8], Moment]]:
+    """Run an episode and draw it from a time in s on, with its fall; yield pictures and their moments.
 
-    Args:
-        folder: Where ``walk.mp4`` and ``walk.png`` go.
-        left: The walk on the left. One that has ended shows its last picture on.
-        right: The walk on the right.
-
-    Returns:
-        The film and a still picture from just after the first fall or from half way; or why there is none.
+    Raises:
+        OSError: If nothing can be drawn on this machine.
+        ValueError: If something in the episode is refused.
     """
-    problem = left.problem or right.problem
-    if problem:
-        return Film(None, None, problem)
+    prepare_rendering()
+    try:
+        for k, moment in enumerate(run()):
+            quality = moment.bare.model.vis.quality
+            # Shadows take a software renderer ten times as long as all the rest.
+            quality.shadowsize, quality.offsamples = 0, 4
+            shown = k % round(1.0 / (moment.bare.dt * FRAMES_PER_SECOND)) == 0 and moment.time > begin
+            if shown or moment.fell:
+                yield draw(moment), moment
+    except ValueError:
+        raise  # An episode that is refused is no fault of the driver.
+    except Exception as error:  # Drivers fail in as many ways as there are drivers.
+        reason = (str(error).splitlines() or [""])[0]
+        raise OSError(
+            f"nothing can be drawn here ({type(error).__name__}: {reason}); install an OpenGL driver such as "
+            "libegl1 and libgl1-mesa-dri, or set MUJOCO_GL."
+        ) from error
+
+
+def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
+    """Set two walks side by side in ``walk.mp4``; one that has ended shows its last picture on.
+
+    The still picture, ``walk.png``, is from just after the first fall, or from half way.
+    """
     frames = _side_by_side([left, right])
     falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
     shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else len(frames) // 2
@@ -138,36 +122,20 @@ def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
     return Film(path, still)
 
 
-def film_walks(
-    path: Path, feeds: Sequence[str], *, speed: float, seed: int, duration: float, severity: float = 1.0
-) -> Path:
-    """Film the same walk on one or more feeds side by side into a file; arguments as in :func:`shoot`.
-
-    Raises:
-        OSError: If nothing can be drawn on this machine.
-    """
-    options = {"speed": speed, "duration": duration, "severity": severity}
-    reels = []
-    for feed in feeds:
-        reels.append(shoot(feed, seed=seed, **options))
-        if reels[-1].problem:
-            raise OSError(
-                f"nothing can be drawn here ({reels[-1].problem}); install an OpenGL driver such as libegl1 "
-                "and libgl1-mesa-dri, or set MUJOCO_GL."
-            )
-    return write_film(path, _side_by_side(reels))
+def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
+    """Film the same walk on one or more feeds side by side into a file; ``walk`` as in :func:`shoot`."""
+    return write_film(path, _side_by_side([shoot(feed, **walk) for feed in feeds]))
 
 
-def watch_walk(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> None:
-    """Show one walk in a window; arguments as in :func:`shoot`.
+def watch_walk(feed: str, **walk: Any) -> None:
+    """Show one walk in a window; ``walk`` as in :func:`shoot`.
 
     Raises:
         OSError: If there is no screen to show it on.
     """
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
-    options: dict[str, Any] = {"render_mode": "human", "severity": severity}
-    for moment in walk_moments(feed, speed=speed, seed=seed, duration=duration, **options):
+    for moment in walk_moments(feed, render_mode="human", **walk):
         mark_cop(feed, moment)
 
 
@@ -181,24 +149,15 @@ def mark_cop(feed: str, moment: Moment) -> None:
 
 
 def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], quality: int = 7) -> Path:
-    """Write pictures of shape (height, width, 3) to an .mp4, or an animated .webp or .gif, atomically.
+    """Write pictures of shape (height, width, 3) to an .mp4, of a quality from 0 to 10, atomically.
 
-    Args:
-        path: Where the film goes.
-        frames: The pictures; an animation takes every other one.
-        quality: From 0 to 10, of an .mp4.
+    Or to an animated .webp or .gif, which takes every other picture.
     """
     with atomic_path(path) as part:
         if path.suffix in ANIMATIONS:
             stills = [Image.fromarray(frame) for frame in list(frames)[::2]]
-            stills[0].save(
-                part,
-                save_all=True,
-                append_images=stills[1:],
-                duration=2000 // FRAMES_PER_SECOND,
-                loop=0,
-                method=6,
-            )
+            options: Any = {"save_all": True, "append_images": stills[1:], "loop": 0, "method": 6}
+            stills[0].save(part, duration=2000 // FRAMES_PER_SECOND, **options)
             return path
         writer: Any = imageio.get_writer(part, fps=FRAMES_PER_SECOND, codec="libx264", quality=quality)
         try:
@@ -222,36 +181,25 @@ def _side_by_side(reels: Sequence[Reel]) -> NDArray[np.uint8]:
     )
 
 
-def _frames(
-    feed: str, speed: float, seed: int, duration: float, severity: float
-) -> Iterator[tuple[NDArray[np.uint8], Moment]]:
-    every = round(80 / FRAMES_PER_SECOND)
-    options: dict[str, Any] = {"render_mode": "rgb_array", "width": WIDTH, "height": HEIGHT}
-    options |= {"speed": speed, "seed": seed, "duration": duration, "severity": severity}
-    for k, moment in enumerate(walk_moments(feed, **options)):
-        if k == 0:
-            # Shadows take a software renderer ten times as long as all the rest.
-            moment.bare.model.vis.quality.shadowsize = 0
-            moment.bare.model.vis.quality.offsamples = 4
-        if (k % every == 0 and moment.time > FIRST_MOMENT) or moment.fell:
-            yield _sheet(moment.bare.render(), feed, moment), moment
-
-
-def _sheet(frame: NDArray[np.uint8], feed: str, moment: Moment) -> NDArray[np.uint8]:
-    """Put the walker, a heading and the view from above on one sheet."""
-    sheet = Image.new("RGB", (WIDTH, HEIGHT + BELOW), "white")
-    sheet.paste(Image.fromarray(frame), (0, 0))
-    sheet.paste(_from_above(feed, moment), (0, HEIGHT))
-    draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(size=18)
-    look = look_of(feed)
-    name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
-    draw.rectangle((0, 0, WIDTH, 30), fill="white")
-    draw.ellipse((10, 10, 20, 20), fill=look.colour)
-    draw.text((28, 4), name, fill="black", font=font)
-    draw.text((WIDTH - 76, 4), f"{moment.time:5.1f} s", fill="black", font=font)
+def headed(picture: Image.Image, text: str, moment: Moment, height: int, size: int, indent: int = 8) -> None:
+    """Write a heading over a picture: a text, the time, and whether the robot fell."""
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(size=size)
+    draw.rectangle((0, 0, WIDTH, height), fill="white")
+    draw.text((indent, 4), text, fill="black", font=font)
+    draw.text((WIDTH - 4 * size - 4, 4), f"{moment.time:5.1f} s", fill="black", font=font)
     if moment.fell:
-        draw.text((WIDTH - 64, 40), "fallen", fill="#b34700", font=font)
+        draw.text((WIDTH - 64, height + 8), "fallen", fill="#b34700", font=font)
+
+
+def _sheet(feed: str, moment: Moment) -> NDArray[np.uint8]:
+    """Put the walker, a heading and the view from above on one sheet."""
+    sheet, look = Image.new("RGB", (WIDTH, HEIGHT + BELOW), "white"), look_of(feed)
+    sheet.paste(Image.fromarray(moment.bare.render()), (0, 0))
+    sheet.paste(_from_above(feed, moment), (0, HEIGHT))
+    name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
+    headed(sheet, name, moment, 30, 18, indent=28)
+    draw = ImageDraw.Draw(sheet)
+    draw.ellipse((10, 10, 20, 20), fill=look.colour)
     draw.line((WIDTH - 1, 0, WIDTH - 1, HEIGHT + BELOW), fill="white", width=2)
     return np.asarray(sheet)
 
@@ -274,17 +222,10 @@ def _from_above(feed: str, moment: Moment) -> Image.Image:
     force = truth.force_cell[-1].reshape(2, 4).sum(axis=1)
     for foot in (0, 1):
         corners = sole[foot] + cells[foot][[0, 1, 3, 2]] @ R[foot].T
-        loaded = force[foot] > 1.0
-        draw.polygon(
-            [at(corner) for corner in corners],
-            fill="#dfe4ea" if loaded else None,
-            outline="#5b6775",
-            width=2 * OVERSAMPLING,
-        )
-    for place, colour, radius in (
-        (moment.fed_cop_world, look_of(feed).colour, 7),
-        (moment.true_cop_world, "black", 4),
-    ):
+        fill = "#dfe4ea" if force[foot] > 1.0 else None
+        draw.polygon([at(corner) for corner in corners], fill, outline="#5b6775", width=2 * OVERSAMPLING)
+    dots = ((moment.fed_cop_world, look_of(feed).colour, 7), (moment.true_cop_world, "black", 4))
+    for place, colour, radius in dots:
         if np.isfinite(place).all():
             x, y = at(place)
             r = radius * OVERSAMPLING

@@ -3,7 +3,6 @@
 The source of the centre of pressure that a controller sees is its *feed*, see :data:`FEEDS`.
 """
 
-import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -12,22 +11,11 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from surefoot.calibration.online import METHODS
-from surefoot.calibration.setup import OLD_NAMES
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
-
-__all__ = [
-    "FEEDS",
-    "STAND_TIME",
-    "TrueCop",
-    "TruthTap",
-    "feed_named",
-    "make_walker",
-    "on_feet",
-]
 
 FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
     {
@@ -41,55 +29,36 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
 the truth; drifting readings by the sensors' nominal map; the same readings by the map that known weights gave
 just before the episode; and each calibration method."""
 
-OLD_FEEDS: Mapping[str, str] = MappingProxyType({"bench": "weights", **OLD_NAMES})
-"""Earlier names of feeds."""
-
 STAND_TIME = 4.0
 """Time in s that the robot stands before it walks: a standing start needs three, and the filters a while."""
 
 
 def feed_named(name: str) -> str:
-    """Return the name of a feed, which may be given by an earlier one.
+    """Return the name of a feed.
 
     Raises:
         ValueError: If there is no such feed; the message lists what there is.
     """
-    if name in OLD_FEEDS:
-        message = f"The feed '{name}' is called '{OLD_FEEDS[name]}' now."
-        warnings.warn(message, DeprecationWarning, stacklevel=2)
-        return OLD_FEEDS[name]
     if name not in FEEDS:
         raise ValueError(f"There is no feed '{name}'. Available: {', '.join(map(repr, FEEDS))}.")
     return name
 
 
-class TruthTap(gym.Wrapper[Any, Any, Any, Any]):
+class TruthTap(gym.ObservationWrapper[Any, Any, Any]):
     """Keep the last true observation within reach of who scores; nothing that is observed changes.
 
     Attributes:
         seen: The true observation that sensors stand in front of.
     """
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset, and keep what is seen."""
-        self.seen, info = self.env.reset(seed=seed, options=options)
-        return self.seen, info
-
-    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Step, and keep what is seen."""
-        self.seen, reward, terminated, truncated, info = self.env.step(action)
-        return self.seen, float(reward), terminated, truncated, info
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """Keep what is seen."""
+        self.seen = observation
+        return observation
 
 
-class TrueCop(gym.Wrapper[Any, Any, Any, Any]):
-    """Show the true centre of pressure beside what sensors say of joints and tilt: for training and bounds.
-
-    Args:
-        env: FootSensors around a tap.
-        tap: Sees the truth beneath its sensors.
-    """
+class TrueCop(gym.ObservationWrapper[Any, Any, Any]):
+    """Show the true centre of pressure, of a tap, beside what sensors say of joints and tilt: for bounds."""
 
     def __init__(self, env: gym.Env[Any, Any], tap: TruthTap) -> None:
         super().__init__(env)
@@ -100,19 +69,8 @@ class TrueCop(gym.Wrapper[Any, Any, Any, Any]):
         self._keys = ("foot_force", "cop_foot", "cop", "cop_valid")
         self.observation_space = spaces.Dict(dict(shown.spaces) | {key: truth[key] for key in self._keys})
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset, and show the truth."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        return self._with_truth(observation), info
-
-    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Step, and show the truth."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return self._with_truth(observation), float(reward), terminated, truncated, info
-
-    def _with_truth(self, observation: dict[str, Any]) -> dict[str, Any]:
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """Show the truth."""
         return observation | {key: self._tap.seen[key] for key in self._keys}
 
 
@@ -159,19 +117,8 @@ def make_walker(
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
     """Return a walker on the feet of a feed; on true feet joints and tilt are true as well.
 
-    Args:
-        feed: One of :data:`FEEDS`.
-        speed: Forward speed in m/s.
-        duration: Duration of the walk, standing included, in s.
-        cells: The load cells.
-        render_mode: As in :class:`~surefoot.envs.NaoEnv`.
-        **env_options: Further options of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
-
-    Returns:
-        The environment to step, and the tap that sees the truth beneath its sensors.
-
-    Raises:
-        ValueError: If there is no such feed, or the environment refuses an option.
+    The duration in s includes the standing; options are those of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
+    What is returned, and refused, is that of :func:`on_feet`.
     """
     calibration = FEEDS[feed_named(feed)]
     # The walk is cut off before the pattern stops: what is scored is standing first and then walking.

@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 
 from surefoot.calibration import METHODS
 from surefoot.experiments.arena import cases, walks
-from surefoot.experiments.arena.cases import LogBound
 from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
 from surefoot.experiments.arena.page import write_arena_page
 from surefoot.experiments.arena.replay import play
@@ -31,8 +30,8 @@ from surefoot.sensors import ForceTorque
 RUN = ("speed-0.1", "chips-0.1", "fault-dropped")
 
 
-def bound(log: Log, judged: Any, options: Any) -> LogBound:
-    return LogBound(1e-3, 0.1, 0.1)
+def bound(log: Log, judged: Any, options: Any) -> dict[str, float]:
+    return {"cop": 1e-3, "vgrf": 0.1, "cell": 0.1}
 
 
 @pytest.fixture(scope="module")

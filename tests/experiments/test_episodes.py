@@ -82,11 +82,6 @@ def test_true_feet_have_no_severity_and_they_alone_have_other_inputs() -> None:
     ]  # fmt: skip
 
 
-def test_old_names_of_feeds_are_accepted_and_say_the_new_ones() -> None:
-    with pytest.warns(DeprecationWarning, match="'bench' is called 'weights' now"):
-        assert replace(SHORT, feeds=("bench",)).feeds == ("weights",)
-
-
 def test_a_fault_is_drawn_by_the_seed_and_survives_writing() -> None:
     grid = replace(SHORT, scenarios=("fault-dead", "imu-bias"), feeds=("none",)).episodes
     first, second = ((one.sensors or {})["faults"][0] for one in grid[:2])

@@ -23,7 +23,7 @@ def score(estimate: list[list[float]], truth: list[list[float]], settle: float =
         R_world_sole=FLAT.repeat(n, axis=0),
         time=np.arange(n, dtype=float),
         settle=settle,
-    ).as_dict()
+    )._asdict()
 
 
 EVEN = [5.0] * 8

@@ -85,11 +85,7 @@ def test_nothing_is_run_twice_and_numbers_come_back_as_they_were(tmp_path: Path)
     assert (count, more) == (6, 2)
     for table in ("walks", "steps"):
         before, after = first.rows(table, cases()), again.rows(table, cases())
-        pd.testing.assert_frame_equal(before.drop(columns="length", errors="ignore"), after.drop(
-            columns="length", errors="ignore"), check_exact=True)  # fmt: skip
-    np.testing.assert_array_equal(
-        np.stack(list(first.rows("steps")["length"])), np.stack(list(again.rows("steps")["length"]))[:6]
-    )
+        assert before.astype(str).equals(after.astype(str))
 
 
 def test_other_code_is_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,18 +134,20 @@ def test_a_study_that_is_killed_goes_on(tmp_path: Path) -> None:
     assert 3 <= there < 9
     second = subprocess.run(command, capture_output=True, text=True, check=True)
     assert int(second.stdout) == 9 - there
-    assert list(pd.read_parquet(folder / "rows.parquet")["i"]) == list(range(9))
+    store = Store(folder)
+    store.read()
+    assert sorted(store.rows("rows")["i"]) == list(range(9))
 
 
-def test_half_a_line_and_damaged_files_cost_their_cases_alone(tmp_path: Path) -> None:
+def test_half_a_line_and_damaged_lines_cost_their_cases_alone(tmp_path: Path) -> None:
     run(tmp_path, cases())
-    (tmp_path / "steps.parquet").write_bytes(b"PAR1 and nothing else")
-    (tmp_path / JOURNAL).write_bytes(b'{"key": "abc"}\n{"key": "de')
+    first, second, *others = (tmp_path / JOURNAL).read_bytes().splitlines(keepends=True)
+    bad = b"\0" + second
+    (tmp_path / JOURNAL).write_bytes(b"".join([first, bad, *others, b'{"key": "abc"}\n{"key": "de']))
     store, count = run(tmp_path, cases())
-    # Cases without steps lost nothing.
-    assert count == 4
-    assert (tmp_path / "steps.damaged").is_file()
+    assert count == 1
     assert len(store.rows("steps", cases())) == 6
+    assert run(tmp_path, cases())[1] == 0
 
 
 @pytest.mark.slow
