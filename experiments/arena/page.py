@@ -7,12 +7,10 @@ from rich.console import Console
 
 from surefoot.experiments.arena import figures, tables
 from surefoot.experiments.arena.bound import bound_of
-from surefoot.experiments.arena.claims import claims_of
-from surefoot.experiments.arena.findings import scenario_findings, summary_findings
+from surefoot.experiments.arena.findings import claims_of, scenario_findings, summary_findings
 from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.run import ArenaResults, run_arena
 from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.study.claims import claim_table
 from surefoot.experiments.study.files import atomic_path
 from surefoot.experiments.study.page import (
     Report,
@@ -23,7 +21,7 @@ from surefoot.experiments.study.page import (
     save_tables,
     write_page,
 )
-from surefoot.experiments.study.tables import flat, plural, sentence
+from surefoot.experiments.study.tables import claim_table, flat, plural, sentence
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 _INTRODUCTION = """

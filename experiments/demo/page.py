@@ -13,10 +13,9 @@ from surefoot.experiments.arena.run import ArenaResults, run_arena
 from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS
 from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.demo import figures, findings, tables
-from surefoot.experiments.demo.claims import loop_claims, walking_claims, weight_claims
+from surefoot.experiments.demo.findings import loop_claims, walking_claims, weight_claims
 from surefoot.experiments.demo.published import WALKING_TABLES
 from surefoot.experiments.demo.weights import paper_table_2, weights_section
-from surefoot.experiments.study.claims import claim_table
 from surefoot.experiments.study.page import (
     Report,
     ReportFigure,
@@ -26,7 +25,7 @@ from surefoot.experiments.study.page import (
     save_tables,
     write_page,
 )
-from surefoot.experiments.study.tables import Frame, flat, plural
+from surefoot.experiments.study.tables import Frame, claim_table, flat, plural
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.weighing import run_weighing

@@ -126,20 +126,16 @@ class EvaluationPage:
         save_tables(folder / "tables", self.tables)
         with atomic_path(folder / SCORES) as part:
             pd.concat(map(self._scores_of, self.controllers, self.scores)).to_csv(part, index=False)
-        title = f"surefoot evaluate: {self.task.name}"
-        return write_page(
-            folder / "index.html", title, self._introduction(), self._sections(folder / "figures")
-        )
+        title, sections = f"surefoot evaluate: {self.task.name}", self._sections(folder / "figures")
+        return write_page(folder / "index.html", title, self._introduction(), sections)
 
     def _scores_of(self, controller: str, scores: Table) -> Frame:
         """Return a table of scores with whose they are, for the card of a policy."""
         own = self.frame[self.frame["controller"] == controller]
         runs = own.groupby(["feed", "cop_input", "severity"], sort=False)["seed"]
         seeds = [seeds_text(of) for _, of in runs]
-        whose = dict(
-            zip(WHOSE, (controller, self.origins[controller].file, self.task.name, seeds), strict=True)
-        )
-        return pd.concat([pd.DataFrame(whose), scores.to_frame()], axis=1)
+        said = (controller, self.origins[controller].file, self.task.name, seeds)
+        return pd.concat([pd.DataFrame(dict(zip(WHOSE, said, strict=True))), scores.to_frame()], axis=1)
 
     def _introduction(self) -> tuple[str, ...]:
         seeds = self.frame["seed"]
@@ -158,24 +154,17 @@ class EvaluationPage:
         if self.failed is not None:
             sections.append(Section("failed", "Episodes that failed", tables=(self.failed,)))
         given = self.frame[self.frame["cop_input"] == "given"]
-        drawn_scores = (
-            figures.outcome_figures(drawn, given, since=" since the quiet stand") if len(given) else ()
-        )
-        sections.append(Section("scores", "Scores", tables=self.scores, figures=drawn_scores))
+        since = " since the quiet stand"
+        outcomes = figures.outcome_figures(drawn, given, since=since) if len(given) else ()
+        sections.append(Section("scores", "Scores", tables=self.scores, figures=outcomes))
         for (comparison, found), table in zip(self.compared, self.differences, strict=True):
             path = figures.forest(drawn / f"{table.name}.svg", found)
             shown: Any = {"tables": (table,), "figures": (ReportFigure(path, table.title, _FOREST),)}
             sections.append(Section(table.name, comparison.title, comparison.text, **shown))
         if self.randomisation:
-            sections.append(
-                Section(
-                    "randomisation",
-                    "Is domain randomisation enough?",
-                    (flat(_RANDOMISATION),),
-                    findings=self.answers,
-                    tables=self.randomisation,
-                )
-            )
+            title, shown = "Is domain randomisation enough?", {"tables": self.randomisation}
+            text = (flat(_RANDOMISATION),)
+            sections.append(Section("randomisation", title, text, self.answers, **shown))
         sections.append(self._repeat())
         return sections
 

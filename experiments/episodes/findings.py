@@ -7,9 +7,8 @@ from surefoot.experiments.episodes.randomisation import Answer
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
 from surefoot.experiments.episodes.tables import percent
 from surefoot.experiments.policy.controllers import labels
-from surefoot.experiments.study.claims import Claim, at_least, claim_table
 from surefoot.experiments.study.statistics import Interval, mean_interval
-from surefoot.experiments.study.tables import Frame, Table, flat, interval_text
+from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, claim_table, flat, interval_text
 
 _NOTE = """
     Survival and the share of the loss that is won back are judged by the number itself, wherever its interval

@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
-from itertools import product
+from itertools import count, product
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -104,17 +104,15 @@ class EpisodePlan:
         return scenario_named(scenario, self.own).title
 
     def _episodes(self) -> Iterator[Episode]:
-        number = 0
+        numbers = count()
         for controller, feed, name in product(self.controllers, self.feeds, self.scenarios):
             scenario, on_true = scenario_named(name, self.own), FEEDS[feed] is None
             hashed, trained = controller_hash(controller, scenario.environment), trained_on(controller)
-            for severity, cop_input, seed in product(
-                (0.0,) if on_true else self.severities,
-                self.cop_inputs if on_true else COP_INPUTS[:1],
-                self.seeds,
-            ):
+            severities = (0.0,) if on_true else self.severities
+            inputs = self.cop_inputs if on_true else COP_INPUTS[:1]
+            for severity, cop_input, seed in product(severities, inputs, self.seeds):
                 made = Episode(
-                    number=number,
+                    number=next(numbers),
                     controller=controller,
                     controller_hash=hashed,
                     trained=trained,
@@ -134,7 +132,6 @@ class EpisodePlan:
                 )
                 # What is read back from the results must be what was run: tuples are lists from here on.
                 yield Episode.from_json(made.to_json())
-                number += 1
 
 
 def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1]) -> None:
@@ -165,21 +162,14 @@ def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
     known = [f.name for f in fields(EpisodePlan) if f.name not in _NOT_IN_FILES]
     _known_keys(f"{path}", given, (*known, "first_seed", "scenario"))
     own = {name: _own_scenario(path, name, table) for name, table in given.pop("scenario", {}).items()}
-    first = given.pop("first_seed", 0)
-    seeds = given.pop("seeds", 10)
+    first, seeds = given.pop("first_seed", 0), given.pop("seeds", 10)
+    kinds: dict[str, Any] = {"duration": float, "settle": float, "severities": lambda v: tuple(map(float, v))}
     try:
-        options: dict[str, Any] = {
-            **{name: tuple(value) if name in _AXES else value for name, value in given.items()},
-            "seeds": tuple(range(first, first + seeds)) if isinstance(seeds, int) else tuple(map(int, seeds)),
-        }
-        if "severities" in options:
-            options["severities"] = tuple(map(float, options["severities"]))
-        for name in ("duration", "settle"):
-            if name in options:
-                options[name] = float(options[name])
+        given = {name: kinds.get(name, tuple if name in _AXES else str)(v) for name, v in given.items()}
+        given["seeds"] = tuple(range(first, first + seeds) if isinstance(seeds, int) else map(int, seeds))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}; axes are lists, 'seeds' a list or how many.") from error
-    return EpisodePlan(**{**options, **changes, "own": own})
+    return EpisodePlan(**{**given, **changes, "own": own})
 
 
 def _own_scenario(path: Path, name: str, table: Any) -> LoopScenario:
@@ -187,16 +177,12 @@ def _own_scenario(path: Path, name: str, table: Any) -> LoopScenario:
         raise ValueError(f"{path}: [scenario.{name}] must be a table.")
     _known_keys(f"{path}, [scenario.{name}]", table, _OWN_KEYS)
     base = scenario_named(table["based_on"]) if "based_on" in table else LoopScenario(name, name)
-    return replace(
-        base,
-        name=name,
-        title=table.get("title", name),
-        environment=table.get("environment", base.environment),
-        options={**base.options, **table.get("options", {})},
-        sensors={**base.sensors, **table.get("sensors", {})},
-        beliefs={**base.beliefs, **table.get("beliefs", {})},
-        methods={**base.methods, **{feed_named(of): given for of, given in table.get("methods", {}).items()}},
-    )
+    for feed in table.get("methods", {}):
+        feed_named(feed)
+    parts = ("options", "sensors", "beliefs", "methods")
+    changed: dict[str, Any] = {part: {**getattr(base, part), **table.get(part, {})} for part in parts}
+    environment = table.get("environment", base.environment)
+    return replace(base, name=name, title=table.get("title", name), environment=environment, **changed)
 
 
 def _known_keys(where: str, given: Mapping[str, Any], known: Sequence[str]) -> None:

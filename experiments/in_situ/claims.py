@@ -180,12 +180,12 @@ def motion_findings(results: InSituStudyResults) -> tuple[str, ...]:
         slow, quick = answered[~fast], answered[fast]
         slow = slow[slow["minutes"] == slow["minutes"].max()]
         quick = quick[quick["minutes"] == quick["minutes"].min()]
+        (force, torque, limb), fast_shares = _shares(slow), _shares(quick)
         found.append(
-            f"{name}: {number(slow['minutes'].iloc[0], 2)} minutes of slow sweeps leave "
-            f"{_percent(slow['force_error'])} % of the forces, {_percent(slow['torque_error'])} % of the "
-            f"torques and {_percent(slow['limb_error'].abs())} % of the limb's weight in the mean; "
-            f"{number(quick['minutes'].iloc[0], 2)} minutes of fast swings {_percent(quick['force_error'])}, "
-            f"{_percent(quick['torque_error'])} and {_percent(quick['limb_error'].abs())} %."
+            f"{name}: {number(slow['minutes'].iloc[0], 2)} minutes of slow sweeps leave {force} % of the "
+            f"forces, {torque} % of the torques and {limb} % of the limb's weight in the mean; "
+            f"{number(quick['minutes'].iloc[0], 2)} minutes of fast swings "
+            f"{fast_shares[0]}, {fast_shares[1]} and {fast_shares[2]} %."
         )
     return tuple(found)
 
@@ -200,20 +200,21 @@ def refusal_findings(results: InSituStudyResults) -> tuple[str, ...]:
         f"{len(parts) - len(missed)} of {plural(len(parts), 'kind')} of spoilt experiments are refused with "
         f"every sensor; of {len(controls)} sound ones {int(controls['refused'].sum())} are."
     ]
-    usual = controls[~controls["refused"]]
+    usual = _shares(controls[~controls["refused"]])
     for case, part in missed.items():
         answered = part[~part["refused"]]
+        force, torque, _ = _shares(answered)
         found.append(
-            f"Answered {len(answered)} of {plural(len(part), 'time')}: {case}. Forces are then "
-            f"{_percent(answered['force_error'])} % off and torques {_percent(answered['torque_error'])} %, "
-            f"where sound experiments leave {_percent(usual['force_error'])} and "
-            f"{_percent(usual['torque_error'])} %."
+            f"Answered {len(answered)} of {plural(len(part), 'time')}: {case}. Forces are then {force} % off "
+            f"and torques {torque} %, where sound experiments leave {usual[0]} and {usual[1]} %."
         )
     return tuple(found)
 
 
-def _percent(values: object) -> str:
-    return number(100.0 * float(np.mean(np.asarray(values, dtype=np.float64))))
+def _shares(part: Frame) -> tuple[str, ...]:
+    """Return the mean errors of forces, torques and the limb's weight in percent; a dash for none."""
+    columns = ("force_error", "torque_error", "limb_error")
+    return tuple(number(100.0 * part[name].abs().mean()) if name in part else "–" for name in columns)
 
 
 def _signed(value: float) -> str:

@@ -7,7 +7,7 @@ A fit gets counts, the IMU's readings and the added masses; the truth goes besid
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from surefoot.sensors.devices.strain_gauges import (
     shift_offset,
     true_response,
 )
+
+Floats = NDArray[np.float64]
 
 XSENS_MTX = Imu(
     accelerometer_noise=2.0e-3,
@@ -43,6 +45,9 @@ calibrated. The walks are ours: the maker gives none."""
 OFFSET_SHIFT = (2.0, 0.05)
 """Standard deviation of what the offsets jump by between sets, in N and N m."""
 
+WINDOW = 15
+"""Samples, an odd number, over which the angular acceleration is taken."""
+
 _STREAM = 0x1F75
 
 
@@ -56,9 +61,9 @@ class SensorTruth(NamedTuple):
         limb: What hangs beyond the sensor, nothing added.
     """
 
-    response: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    response: Floats
+    offsets: Floats
+    offset: Floats
     limb: Limb
 
 
@@ -86,7 +91,7 @@ def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> S
 
 def read_sensors(
     config: StrainGauges, sensor: str, runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int]
-) -> list[tuple[NDArray[np.float64], SensorTruth]]:
+) -> list[tuple[Floats, SensorTruth]]:
     """Return what a sensor of each of S seeds reads of J recordings of one length n and rate.
 
     Returns:
@@ -122,7 +127,7 @@ def _one_sensor(config: StrainGauges, sets: int, rng: np.random.Generator) -> St
 
 def read_imus(
     runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int], config: Imu = XSENS_MTX
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return what an IMU of each seed reads: force and angular velocity, shape (S, J, n, 6)."""
     device = imu(config)
     felt = np.array([[np.hstack([r.specific_force, r.angular_velocity]) for r in run] for run in runs])
@@ -137,10 +142,7 @@ def read_imus(
 
 
 def static_sets(
-    sensor: str,
-    recordings: Sequence[RigRecording],
-    counts: NDArray[np.float64],
-    specific_force: NDArray[np.float64],
+    sensor: str, recordings: Sequence[RigRecording], counts: Floats, specific_force: Floats
 ) -> tuple[InSituSet, ...]:
     """Return sets of a limb that is taken to be at rest.
 
@@ -150,61 +152,37 @@ def static_sets(
         counts: Shape (J, n, 6).
         specific_force: Of the accelerometer without its bias, shape (J, n, 3).
     """
-    return tuple(
-        InSituSet(
-            raw,
-            -force,
-            recording.added_mass,
-            getattr(recording, f"added_com_{sensor}"),
-            time=recording.time,
-            name=recording.name,
-        )
-        for recording, raw, force in zip(recordings, counts, specific_force, strict=True)
-    )
+    parts = zip(recordings, counts, specific_force, strict=True)
+    return tuple(_set(sensor, recording, raw, -force) for recording, raw, force in parts)
 
 
 def moving_sets(
-    sensor: str,
-    recordings: Sequence[RigRecording],
-    counts: NDArray[np.float64],
-    readings: NDArray[np.float64],
-    bias: NDArray[np.float64],
-    window: int = 15,
+    sensor: str, recordings: Sequence[RigRecording], counts: Floats, readings: Floats, bias: Floats
 ) -> tuple[InSituSet, ...]:
     """Return sets of a limb in motion, carried from the IMU to the sensor.
 
     Args:
-        sensor: "foot" or "leg".
-        recordings: Of which the names, times, added masses and the IMU's place are used.
-        counts: Shape (J, n, 6).
+        sensor: As in :func:`static_sets`.
+        recordings: Likewise, and the IMU's place.
+        counts: Likewise.
         readings: Of the IMU, shape (J, n, 6).
         bias: Of its accelerometer in m/s^2, shape (3,).
-        window: Of the angular acceleration in samples, odd.
     """
     found = []
     for recording, raw, read in zip(recordings, counts, readings, strict=True):
-        motion = gravity_from_imu(
-            read[:, :3] - bias,
-            read[:, 3:],
-            dt=float(recording.time[1] - recording.time[0]),
-            position_imu=getattr(recording, f"position_imu_{sensor}"),
-            window=window,
-        )
-        found.append(
-            InSituSet(
-                raw,
-                motion.gravity,
-                recording.added_mass,
-                getattr(recording, f"added_com_{sensor}"),
-                angular_velocity=motion.angular_velocity,
-                angular_acceleration=motion.angular_acceleration,
-                time=recording.time,
-                name=recording.name,
-            )
-        )
+        place, dt = getattr(recording, f"position_imu_{sensor}"), float(recording.time[1] - recording.time[0])
+        motion = gravity_from_imu(read[:, :3] - bias, read[:, 3:], dt=dt, position_imu=place, window=WINDOW)
+        turning = {name: getattr(motion, name) for name in ("angular_velocity", "angular_acceleration")}
+        found.append(_set(sensor, recording, raw, motion.gravity, **turning))
     return tuple(found)
 
 
-def accelerometer_bias(specific_force: NDArray[np.float64]) -> NDArray[np.float64]:
+def _set(sensor: str, recording: RigRecording, raw: Floats, gravity: Floats, **motion: Floats) -> InSituSet:
+    added_com = getattr(recording, f"added_com_{sensor}")
+    about: dict[str, Any] = {"time": recording.time, "name": recording.name, **motion}
+    return InSituSet(raw, gravity, recording.added_mass, added_com, **about)
+
+
+def accelerometer_bias(specific_force: Floats) -> Floats:
     """Calibrate the accelerometer's bias from readings of any shape (..., 3), as a robot would."""
     return calibrate_accelerometer(specific_force.reshape(-1, 3), model="bias").bias

@@ -94,8 +94,7 @@ def record_walk(
     Returns:
         A log by the condition's name.
     """
-    undisturbed = {"push_impulse": (0.0, 0.0)}
-    options: dict[str, Any] = undisturbed | env_options
+    options: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | env_options
     _, tap = make_walker("true", speed=speed, duration=duration, **options)
     # What the feet read here is not used; the youngest cells ask for the longest wait for telemetry.
     youngest = min(condition.age for condition in conditions)
@@ -130,12 +129,8 @@ def record_walk(
     env.close()
 
     kept = slice(_SETTLING, None)
-    about = {
-        "speed_m_s": speed,
-        "fell": bool(terminated),
-        "duration_s": duration,
-        "surefoot": surefoot.__version__,
-    }
+    about: dict[str, Any] = {"speed_m_s": speed, "fell": bool(terminated), "duration_s": duration}
+    about["surefoot"] = surefoot.__version__
     stacked = {
         age: Reference(*(np.array(parts)[kept] for parts in zip(*references, strict=True)))
         for age, references in believed.items()
@@ -161,11 +156,7 @@ def record_walk(
             ),
             about=about
             | one.about
-            | {
-                "condition": condition.name,
-                "start": condition.start,
-                "sample_age_s": condition.age,
-            },
+            | {"condition": condition.name, "start": condition.start, "sample_age_s": condition.age},
         )
         for condition, one in zip(conditions, feet, strict=True)
     }

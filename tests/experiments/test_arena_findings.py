@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from surefoot.experiments.arena.claims import claims_of
-from surefoot.experiments.arena.findings import scenario_findings, summary_findings
+from surefoot.experiments.arena.findings import claims_of, scenario_findings, summary_findings
 from surefoot.experiments.arena.scenarios import SCENARIOS
 from surefoot.experiments.arena.tables import alarm_table, scenario_table
 

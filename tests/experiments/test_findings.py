@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from surefoot.experiments.demo import findings, tables
-from surefoot.experiments.demo.claims import loop_claims, walking_claims, weight_claims
+from surefoot.experiments.demo.findings import loop_claims, walking_claims, weight_claims
 from surefoot.experiments.demo.weights import paper_table_2
 from surefoot.experiments.study.tables import Verdict, number, with_interval
 

@@ -13,7 +13,6 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from surefoot.experiments.study.claims import at_least, at_most, claim_table
 from surefoot.experiments.study.figures import (
     draw_curve,
     figure_at,
@@ -27,7 +26,7 @@ from surefoot.experiments.study.page import ReportFigure, Section, failure_secti
 from surefoot.experiments.study.runner import attempt, runner
 from surefoot.experiments.study.statistics import survival
 from surefoot.experiments.study.store import JOURNAL, Case, Store, StudyError
-from surefoot.experiments.study.tables import Table, Verdict
+from surefoot.experiments.study.tables import Table, Verdict, at_least, at_most, claim_table
 
 Rows = dict[str, list[dict[str, Any]]]
 
