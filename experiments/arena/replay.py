@@ -18,6 +18,8 @@ from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream, held
 from surefoot.experiments.walks.replay import LogBatch, batches_of, starting_map
 
+Floats = NDArray[np.float64]
+
 SNAPSHOT = 1.0
 """Time between looks at a covariance in s."""
 
@@ -36,10 +38,10 @@ class Consistency:
         nis_rows: Number of rows in that sum.
     """
 
-    time: NDArray[np.float64]
-    nees: NDArray[np.float64]
-    nees_cop: NDArray[np.float64]
-    nees_force: NDArray[np.float64]
+    time: Floats
+    nees: Floats
+    nees_cop: Floats
+    nees_force: Floats
     nis: float
     nis_rows: float
 
@@ -57,9 +59,9 @@ class Played:
         seconds: Time per sample and robot of the batch in s.
     """
 
-    force: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    force: Floats
+    scale: Floats
+    offset: Floats
     flags: NDArray[np.int64]
     consistency: Consistency
     seconds: float
@@ -92,16 +94,16 @@ def _true_map(stream: Stream) -> Played:
     )
 
 
-def _undone(stream: Stream) -> NDArray[np.float64]:
+def _undone(stream: Stream) -> Floats:
     """Undo all errors of the readings at every moment, the cross-talk of six-axis sensors included."""
     log, truth = stream.log, stream.truth
-    own: NDArray[np.float64] = truth.scale * held(log.raw) + truth.offset
+    own: Floats = truth.scale * held(log.raw) + truth.offset
     if "truth_cross_talk" not in log.about:
         return own
     # Each axis's own scale g and offset are undone: (I + X / g) w is left, besides the weight beyond it.
     talk, preload = np.array(log.about["truth_cross_talk"]), np.array(log.about["truth_preload"])
     mixed = np.eye(len(talk)) + (truth.scale / log.nominal.scale)[..., None] * talk
-    undone: NDArray[np.float64] = np.linalg.solve(mixed, (own - preload)[..., None])[..., 0] + preload
+    undone: Floats = np.linalg.solve(mixed, (own - preload)[..., None])[..., 0] + preload
     return undone
 
 
@@ -134,7 +136,7 @@ class _Watch:
         self._streams = streams
         self._every = max(round(SNAPSHOT / streams[0].log.dt), 1)
         self._time: list[float] = []
-        self._seen: list[NDArray[np.float64]] = []
+        self._seen: list[Floats] = []
         self._nis, self._rows = np.zeros((2, len(streams)))
         truths = [Parameters(s.truth.scale, s.truth.offset).relative_to(starting_map(s.log)) for s in streams]
         # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
@@ -173,7 +175,7 @@ class _Watch:
         return Consistency(np.array(self._time), nees, cop, force, nis, rows)
 
 
-def _normalised(error: NDArray[np.float64], covariance: Any) -> NDArray[np.float64]:
+def _normalised(error: Floats, covariance: Any) -> Floats:
     """Squared errors by their covariance over their number, shape (B,); infinite where it is not one."""
     if covariance is None:
         return np.full(len(error), np.nan)

@@ -13,6 +13,8 @@ from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
 
+Floats = NDArray[np.float64]
+
 FALLING = 1.0
 """The last s before a robot lay on the ground, in which it no longer walks."""
 
@@ -47,7 +49,7 @@ class Stream:
     began: float
     faults: tuple[Fault, ...] = ()
     fell: bool = False
-    cop: NDArray[np.float64] | None = None
+    cop: Floats | None = None
 
     @property
     def truth(self) -> LogTruth:
@@ -56,16 +58,16 @@ class Stream:
         return self.log.truth
 
     @property
-    def start(self) -> NDArray[np.float64]:
+    def start(self) -> Floats:
         """Forces in N by the map that methods start from, held where no reading arrived, shape (N, K)."""
         return starting_map(self.log).force(held(self.log.raw))  # type: ignore[no-any-return]
 
 
-def held(readings: NDArray[np.float64]) -> NDArray[np.float64]:
+def held(readings: Floats) -> Floats:
     """Carry the last reading of each channel over samples that lack one, shape (N, K)."""
     there = np.isfinite(readings)
     last = np.maximum.accumulate(np.where(there, np.arange(len(readings))[:, None], 0), axis=0)
-    kept: NDArray[np.float64] = np.take_along_axis(readings, last, axis=0)
+    kept: Floats = np.take_along_axis(readings, last, axis=0)
     return kept
 
 

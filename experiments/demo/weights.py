@@ -1,15 +1,17 @@
 """Calibration from known weights, as the CoP paper's Tables 2 and 3 and its Figures 7 and 8."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.demo.published import TABLE_2, TABLE_3
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
 from surefoot.experiments.study.page import ReportFigure, Section
-from surefoot.experiments.study.tables import Table, flat, number
+from surefoot.experiments.study.tables import Table, flat, laid_out, number
 from surefoot.experiments.weights.weighing import WeighingReport
 
 _TEXT = """
@@ -37,25 +39,19 @@ def paper_table_2() -> tuple[Table, float]:
     """
     fit = fit_channels(TABLE_2.code.T, TABLE_2.load, TABLE_2.channel_names).value
     difference = np.maximum(np.abs(fit.scale / TABLE_2.scale - 1), np.abs(fit.offset / TABLE_2.offset - 1))
-    rows = tuple(
-        (
-            _cell(name),
-            *(f"{code:,.0f}" for code in TABLE_2.code[i]),
-            f"{1e6 * fit.scale[i]:.8f}",
-            f"{1e6 * TABLE_2.scale[i]:.8f}",
-            f"{fit.offset[i]:.7f}",
-            f"{TABLE_2.offset[i]:.7f}",
-            f"{difference[i]:.1e}",
-        )
-        for i, name in enumerate(TABLE_2.channel_names)
-    )
-    columns = ("cell", *map(_load, TABLE_2.load), "c, ours", "c, paper", "d, ours", "d, paper")
-    note = (
-        "Counts as printed in the paper; c in 1e-6 kg per count and d in kg by regression of load on count."
-    )
+    columns: dict[str, Callable[[int], str]] = {
+        "cell": lambda i: _cell(TABLE_2.channel_names[i]),
+        **{_load(load): _code(TABLE_2.code[:, j]) for j, load in enumerate(TABLE_2.load)},
+        "c, ours": lambda i: f"{1e6 * fit.scale[i]:.8f}",
+        "c, paper": lambda i: f"{1e6 * TABLE_2.scale[i]:.8f}",
+        "d, ours": lambda i: f"{fit.offset[i]:.7f}",
+        "d, paper": lambda i: f"{TABLE_2.offset[i]:.7f}",
+        "largest difference": lambda i: f"{difference[i]:.1e}",
+    }
+    note = "Counts as printed in the paper; c in 1e-6 kg per count, d in kg by regression of load on count."
     title = "Table 2: the paper's counts, fitted again"
-    table = Table("table2_paper", title, (*columns, "largest difference"), rows, note)
-    return table, float(difference.max())
+    cells = range(len(TABLE_2.channel_names))
+    return laid_out("table2_paper", title, columns, cells, note), float(difference.max())
 
 
 def table_2(report: WeighingReport) -> Table:
@@ -63,21 +59,18 @@ def table_2(report: WeighingReport) -> Table:
     load = report.channel_load
     shown = dict.fromkeys(int(np.argmin(np.abs(load - wanted))) for wanted in (0.0, 0.01, 0.05, 0.2, 6.0))
     value = report.channels.value
-    rows = tuple(
-        (
-            _cell(name),
-            *(f"{report.channel_code[j, i]:,.0f}" for j in shown),
-            f"{1e6 * value.scale[i] / GRAVITY:.5f}",
-            f"{value.offset[i] / GRAVITY:.5f}",
-        )
-        for i, name in enumerate(report.channel_names)
-    )
+    columns: dict[str, Callable[[int], str]] = {
+        "cell": lambda i: _cell(report.channel_names[i]),
+        **{_load(load[j]): _code(report.channel_code[j]) for j in shown},
+        "c": lambda i: f"{1e6 * value.scale[i] / GRAVITY:.5f}",
+        "d": lambda i: f"{value.offset[i] / GRAVITY:.5f}",
+    }
     note = (
         f"Mean codes of one second each under {len(load)} weights from 1 g to 6 kg, of which some are shown; "
         "c in 1e-6 kg per count, d in kg."
     )
-    columns = ("cell", *(_load(load[j]) for j in shown), "c", "d")
-    return Table("table2_simulated", "The same of simulated cells", columns, rows, note)
+    cells = range(len(report.channel_names))
+    return laid_out("table2_simulated", "The same of simulated cells", columns, cells, note)
 
 
 def table_3(report: WeighingReport) -> Table:
@@ -157,3 +150,7 @@ def _cell(name: str) -> str:
 
 def _load(load: float) -> str:
     return "no load" if load == 0 else f"{load:g} kg"
+
+
+def _code(codes: NDArray[np.float64]) -> Callable[[int], str]:
+    return lambda i: f"{codes[i]:,.0f}"

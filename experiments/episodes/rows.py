@@ -73,9 +73,10 @@ def read_rows(path: Path) -> Frame:
         store = Store(path)
         store.read()
         frame = store.rows(TABLE)
-        if not len(frame):
+        if len(frame):
+            return frame
+        if not (path / EPISODES).is_file():
             raise ValueError(f"'{path}' holds no episodes yet; the command that writes some goes on there.")
-        return frame
     path = path / EPISODES if path.is_dir() else path
     if not path.is_file():
         raise ValueError(

@@ -1,5 +1,6 @@
-"""The study itself: run the episodes of a plan that are not there yet."""
+"""Run the episodes of a plan that are not there yet; and one episode again, from its row."""
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import Any
 from rich.console import Console
 
 from surefoot.experiments.episodes.episode import (
+    OUTCOME,
     TABLE,
+    VERSIONS,
     Episode,
     check_episode,
     failed_row,
@@ -17,8 +20,9 @@ from surefoot.experiments.episodes.episode import (
     versions,
 )
 from surefoot.experiments.episodes.plan import EpisodePlan
+from surefoot.experiments.episodes.rows import read_rows
 from surefoot.experiments.study.page import save_frames
-from surefoot.experiments.study.runner import runner
+from surefoot.experiments.study.runner import attempt, runner
 from surefoot.experiments.study.store import PLAN, Case, Store
 from surefoot.experiments.study.tables import Frame
 
@@ -120,3 +124,54 @@ def _try_out(episodes: list[Episode]) -> None:
     tried = {episode.number: episode for episode in kinds.values()}
     for number in sorted(tried):
         check_episode(tried[number])
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """An episode, its row in the results, and the row of its repetition."""
+
+    episode: Episode
+    then: Mapping[str, Any]
+    now: Mapping[str, Any]
+
+    @property
+    def different(self) -> tuple[str, ...]:
+        """Names of the outcomes that came out otherwise, in any digit."""
+        return tuple(name for name in (*OUTCOME, "error") if not _same(self.then[name], self.now[name]))
+
+    @property
+    def other_versions(self) -> tuple[str, ...]:
+        """What was run with then and is another now, in words."""
+        changed = [name for name in VERSIONS if self.then[name] != self.now[name]]
+        return tuple(f"{name} {self.then[name]} -> {self.now[name]}" for name in changed)
+
+
+def replay_episode(path: Path, number: int) -> Replayed:
+    """Run an episode of a study's folder, or of its table, again and compare it with its row.
+
+    Raises:
+        ValueError: If there are no results, or none of this episode, or an earlier version wrote them.
+    """
+    frame = read_rows(path)
+    if missing := [name for name in ("case", "spec", *OUTCOME, *VERSIONS) if name not in frame]:
+        raise ValueError(
+            f"'{path}' lacks the column '{missing[0]}': it is no table of episodes, or an earlier version of "
+            "surefoot wrote it, which can replay it."
+        )
+    found = frame[frame["case"] == number]
+    if not len(found):
+        raise ValueError(
+            f"There is no case {number} in '{path}'; it has {len(frame)}, from {frame['case'].min()} to "
+            f"{frame['case'].max()}."
+        )
+    then = found.iloc[0].to_dict()
+    episode = Episode.from_json(then["spec"])
+    # Whatever goes wrong in it is part of the row.
+    outcome = attempt(case_of(episode))
+    now = failed_row(episode, outcome.error) if outcome.error else outcome.tables[TABLE][0]
+    return Replayed(episode, then, now)
+
+
+def _same(one: Any, other: Any) -> bool:
+    both_nan: bool = one != one and other != other
+    return both_nan or bool(one == other)

@@ -19,6 +19,8 @@ from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap, make_walker
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
+Floats = NDArray[np.float64]
+
 
 class Moment(NamedTuple):
     """An episode after one control step.
@@ -60,18 +62,18 @@ class Moment(NamedTuple):
         return float(np.linalg.norm(self.true_observation["cop"].astype(np.float64) - planned))
 
     @property
-    def true_cop_world(self) -> NDArray[np.float64]:
+    def true_cop_world(self) -> Floats:
         """The true centre of pressure in the world in m, shape (2,); NaN where there is none."""
-        cop: NDArray[np.float64] = self.bare.truth.cop_world()
+        cop: Floats = self.bare.truth.cop_world()
         return cop
 
     @property
-    def fed_cop_world(self) -> NDArray[np.float64]:
+    def fed_cop_world(self) -> Floats:
         """The fed centre of pressure, placed under the true soles, in the world in m, shape (2,)."""
         sole = self.bare.truth.position_sole[-1, :, :2].mean(axis=0)
         ahead = self.bare.truth.R_world_sole[-1, :, :2, 0].sum(axis=0)
         x, y = ahead / np.linalg.norm(ahead)
-        placed: NDArray[np.float64] = sole + np.array([[x, -y], [y, x]]) @ self.observation["cop"]
+        placed: Floats = sole + np.array([[x, -y], [y, x]]) @ self.observation["cop"]
         return placed
 
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters, Reference, replay
 from surefoot.experiments.logs.format import Log, LogError
 
+Floats = NDArray[np.float64]
+
 
 class LogBatch(NamedTuple):
     """Walks that go through a method side by side, as robots of one batch.
@@ -26,9 +28,9 @@ class LogBatch(NamedTuple):
     """
 
     members: list[int]
-    force: NDArray[np.float64]
+    force: Floats
     reference: Reference
-    steps: NDArray[np.float64]
+    steps: Floats
 
 
 def batches_of(logs: Sequence[Log], starts: Sequence[Parameters]) -> Iterator[LogBatch]:
@@ -65,10 +67,10 @@ class Replayed(NamedTuple):
         flags: Bits of :class:`~surefoot.calibration.Flag`, shape (N, K).
     """
 
-    force: NDArray[np.float64]
-    cop: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    force: Floats
+    cop: Floats
+    scale: Floats
+    offset: Floats
     flags: NDArray[np.int64]
 
 

@@ -21,6 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 
+Floats = NDArray[np.float64]
+
 
 class Score(NamedTuple):
     """Errors of one estimate over one walk.
@@ -47,11 +49,11 @@ class Score(NamedTuple):
 
 
 def cop_world(
-    force: NDArray[np.float64],
+    force: Floats,
     layout: FeetLayout,
-    position_sole: NDArray[np.float64],
-    R_world_sole: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    position_sole: Floats,
+    R_world_sole: Floats,
+) -> Floats:
     """Find the centre of pressure of both feet in the world, held where there is none.
 
     Args:
@@ -67,13 +69,13 @@ def cop_world(
 
 
 def score_forces(
-    estimate: NDArray[np.float64],
-    truth: NDArray[np.float64],
+    estimate: Floats,
+    truth: Floats,
     *,
     layout: FeetLayout,
-    position_sole: NDArray[np.float64],
-    R_world_sole: NDArray[np.float64],
-    time: NDArray[np.float64],
+    position_sole: Floats,
+    R_world_sole: Floats,
+    time: Floats,
     settle: float = 0.0,
 ) -> Score:
     """Score calibrated forces against other ones.
@@ -118,12 +120,10 @@ def score_forces(
     )
 
 
-def vertical_forces(
-    force: NDArray[np.float64], layout: FeetLayout, R_world_sole: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def vertical_forces(force: Floats, layout: FeetLayout, R_world_sole: Floats) -> Floats:
     """Return the vertical force of each foot in N, shape (N, 2); arguments as in :func:`cop_world`."""
     wrench = sole_wrenches(force, layout)
-    vertical: NDArray[np.float64] = np.sum(R_world_sole[..., 2, :] * wrench[..., :3], axis=-1)
+    vertical: Floats = np.sum(R_world_sole[..., 2, :] * wrench[..., :3], axis=-1)
     return vertical
 
 
@@ -134,9 +134,9 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(array**2))) if array.size else float("nan")
 
 
-def _hold(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _hold(values: Floats) -> Floats:
     """Carry the last finite row forward."""
     finite = np.isfinite(values).all(axis=-1)
     last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
-    held: NDArray[np.float64] = np.where(last[:, None] >= 0, values[np.maximum(last, 0)], np.nan)
+    held: Floats = np.where(last[:, None] >= 0, values[np.maximum(last, 0)], np.nan)
     return held
