@@ -61,8 +61,8 @@ class InSituStudyPage:
 
         def section(name: str, title: str, text: str = "", said: Any = None, **more: Any) -> Section:
             found = () if said is None else said(results)
-            more.setdefault("tables", (tables[name],))
-            return Section(name, title, (flat(text),) if text else (), found, **more)
+            shown = {"tables": (tables[name],)} if name in tables else {}
+            return Section(name, title, (flat(text),) if text else (), found, **shown | more)
 
         folder = options.out / "figures"
         limb = (ReportFigure(_draw_limb(folder / "limb.svg", results.fits), *_LIMB_FIGURE),)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -136,7 +137,21 @@ def _dask(jobs: int, address: str | None) -> Iterator[Workers]:
     with client:
         # A queue of two for each keeps workers busy that are far away.
         under_way = jobs if address is None else 2 * sum(client.ncores().values())
-        yield Workers(client.get_executor(pure=False).submit, under_way)
+        yield Workers(partial(_to_dask, client), under_way)
+
+
+def _to_dask(client: Any, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+    # dask's own executor never hears of a task whose result was lost with its worker.
+    theirs, ours = client.submit(function, *arguments, pure=False), Future[Any]()
+
+    def done(_: Any) -> None:
+        try:
+            ours.set_result(theirs.result())
+        except Exception as error:
+            ours.set_exception(error)
+
+    theirs.add_done_callback(done)
+    return ours
 
 
 @contextmanager
