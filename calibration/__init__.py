@@ -10,6 +10,7 @@ NumPy, SciPy and the array API standard; no simulator and no Gymnasium, so that 
 from surefoot.calibration.centroidal import ground_reference
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.foot_calibrator import FootCalibrator
+from surefoot.calibration.foot_excitation import FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.calibration.front_end.filters import zero_phase
 from surefoot.calibration.imu import calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import (
@@ -42,9 +43,11 @@ __all__ = [
     "Flag",
     "FootCalibrator",
     "FootLayout",
+    "FootMotion",
     "InSituSet",
     "InSituTracker",
     "KnownLimb",
+    "MovingRobot",
     "OnlineSetup",
     "Parameters",
     "QuietStanding",
@@ -58,6 +61,7 @@ __all__ = [
     "nao_shoe_layout",
     "online_method",
     "plan_excitation",
+    "plan_foot_excitation",
     "posterior_bound",
     "replay",
     "standing_start",

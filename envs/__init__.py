@@ -16,6 +16,7 @@ from surefoot.envs.nao.env import NaoEnv
 from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.envs.nao.truth import Truth
 from surefoot.envs.nao.walk import NaoWalkEnv
+from surefoot.envs.prelude import Prelude
 from surefoot.envs.robots.library import load_robot_spec
 from surefoot.envs.robots.nao import load_nao_spec
 
@@ -32,6 +33,7 @@ __all__ = [
     "NaoEnv",
     "NaoStandEnv",
     "NaoWalkEnv",
+    "Prelude",
     "RobotDrawing",
     "Truth",
     "instrument",

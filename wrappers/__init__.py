@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from surefoot.wrappers.belief_errors import BeliefErrors
     from surefoot.wrappers.beliefs import Beliefs
+    from surefoot.wrappers.calibrate_first import CalibrateFirst
     from surefoot.wrappers.foot_sensors import FootSensors
     from surefoot.wrappers.history import SampleHistory
     from surefoot.wrappers.nominal import NominalModel
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BeliefErrors",
     "Beliefs",
+    "CalibrateFirst",
     "FootSensors",
     "NominalModel",
     "SampleHistory",
@@ -33,6 +35,7 @@ __all__ = [
 _MODULES = {
     "BeliefErrors": "belief_errors",
     "Beliefs": "beliefs",
+    "CalibrateFirst": "calibrate_first",
     "FootSensors": "foot_sensors",
     "NominalModel": "nominal",
     "SampleHistory": "history",

@@ -24,7 +24,7 @@ from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.kalman import kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.parity import Parity
-from surefoot.calibration.moment.rows import Block
+from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty, to_cop, variances
 from surefoot.calibration.moment.unknowns import Unknowns
@@ -70,55 +70,150 @@ def posterior_bound(
     Raises:
         ValueError: If a shape does not fit, or a reading is missing.
     """
-    layout, config = setup.layout, config or MomentFilterConfig()
-    raw = np.asarray(raw, dtype=np.float64)
-    layout.check_raw(raw)
-    if raw.ndim != 2 or not np.isfinite(raw).all():
-        raise ValueError(
-            "'raw' must have shape (samples, channels) and hold no gaps: a bound knows of no faults."
-        )
-    for name, part in zip(Parameters._fields, truth, strict=True):
-        if np.shape(part) != raw.shape:
-            raise ValueError(
-                f"'truth.{name}' must have the shape of 'raw', {raw.shape}, got {np.shape(part)}."
-            )
-    for name, part in zip(Reference._fields, reference, strict=True):
-        if np.shape(part)[:1] != raw.shape[:1]:
-            raise ValueError(
-                f"'reference.{name}' must have one row for each of the {len(raw)} rows of 'raw', "
-                f"got shape {np.shape(part)}."
-            )
-    unknowns = Unknowns(setup, config)
-    newton_euler = NewtonEuler(setup, config, unknowns)
-    tare, parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
-    start = Parameters(*(np.asarray(part, dtype=np.float64) for part in setup.initial))
-    learnt = Parameters(*(np.asarray(part, dtype=np.float64) for part in truth)).relative_to(start)
-    samples = _Samples(setup, raw, reference)
+    log = BoundRows(setup, raw, reference, truth, config)
+    covariance, spread = log.start, _Spread(log)
+    for end, rows in log.blocks:
+        spread.add(covariance, slice(end - log.every, end))
+        if rows is not None:
+            covariance = log.step(covariance, rows)
+    spread.add(covariance, slice(len(raw) // log.every * log.every, len(raw)))
+    return Bound(*spread.result(), log.uncertainty.of_parameters(covariance))
 
-    every, span = config.every, config.span
-    covariance = np.diag(unknowns.std**2)
-    walk = np.diag(unknowns.walk * every * setup.dt)
-    identity, free = np.eye(unknowns.size), np.ones(unknowns.size)
-    uncertainty = Uncertainty(setup, unknowns)
-    spread = _Spread(setup, uncertainty)
-    for end in range(every, len(raw) + 1, every):
-        part = slice(end - every, end)
-        spread.add(covariance, samples, learnt, part)
-        if end < span:
-            continue
-        mean = unknowns.start.copy()
-        mean[unknowns.own] = learnt.scale[end - 1]
-        mean[unknowns.offset] = learnt.offset[end - 1] / unknowns.unit
-        block = samples.block(end - span, end)
-        rows, _ = newton_euler.rows(mean, block, np.ones(newton_euler.kinds))
-        rows = rows.beside(tare.rows(block, *tare.hanging(block)))
-        if parity.matters:
-            rows = rows.beside(parity.rows(block))
-        step = kalman_step(mean, covariance + walk, *rows, free, identity, np.inf)
-        covariance = step.covariance
-    rest = slice(len(raw) // every * every, len(raw))
-    spread.add(covariance, samples, learnt, rest)
-    return Bound(*spread.result(), uncertainty.of_parameters(covariance))
+
+class BoundRows:
+    """The rows of a log, made of the truth; arguments and errors are those of :func:`posterior_bound`.
+
+    Attributes:
+        every: Samples of a block.
+        start: Covariance to start from, shape (N, N).
+        blocks: Where each block ends, and its rows: ``None`` for the first, which lack samples before them.
+        unknowns: The unknowns.
+        uncertainty: What their covariance means.
+    """
+
+    def __init__(
+        self,
+        setup: OnlineSetup,
+        raw: Floats,
+        reference: Reference,
+        truth: Parameters,
+        config: MomentFilterConfig | None = None,
+    ) -> None:
+        config = config or MomentFilterConfig()
+        raw = self._checked(setup, np.asarray(raw, dtype=np.float64), reference, truth)
+        self.unknowns = unknowns = Unknowns(setup, config)
+        self.uncertainty = Uncertainty(setup, unknowns)
+        newton_euler = NewtonEuler(setup, config, unknowns)
+        tare, parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
+        start = Parameters(*(np.asarray(part, dtype=np.float64) for part in setup.initial))
+        learnt = Parameters(*(np.asarray(part, dtype=np.float64) for part in truth)).relative_to(start)
+        samples = _Samples(setup, raw, reference)
+        self.every = every = config.every
+        self.start: Floats = np.diag(unknowns.std**2)
+        self._walk = np.diag(unknowns.walk * every * setup.dt)
+        self._identity, self._free = np.eye(unknowns.size), np.ones(unknowns.size)
+        self._setup, self._samples, self._learnt = setup, samples, learnt
+        self.blocks: list[tuple[int, Rows | None]] = []
+        for end in range(every, len(raw) + 1, every):
+            if end < config.span:
+                self.blocks.append((end, None))
+                continue
+            mean = unknowns.start.copy()
+            mean[unknowns.own] = learnt.scale[end - 1]
+            mean[unknowns.offset] = learnt.offset[end - 1] / unknowns.unit
+            block = samples.block(end - config.span, end)
+            rows, _ = newton_euler.rows(mean, block, np.ones(newton_euler.kinds))
+            rows = rows.beside(tare.rows(block, *tare.hanging(block)))
+            if parity.matters:
+                rows = rows.beside(parity.rows(block))
+            used = (rows.H != 0.0).any(axis=1)
+            self.blocks.append((end, Rows(*(part[used] for part in rows))))
+
+    def passage(self) -> "Passage":
+        """Return what all of it makes of any covariance."""
+        identity, none = self._identity, np.zeros_like(self._walk)
+        whole = Passage(identity, none, none)
+        for _, rows in self.blocks:
+            if rows is not None:
+                information = rows.H.T @ (rows.H / rows.variance[:, None])
+                whole = whole.then(Passage(identity, none, self._walk))
+                whole = whole.then(Passage(identity, information, none))
+        return whole
+
+    def step(self, covariance: Floats, rows: Rows) -> Floats:
+        """Return the covariance after one more block."""
+        nothing = np.zeros(len(covariance))
+        covariance = covariance + self._walk
+        step = kalman_step(nothing, covariance, *rows, self._free, self._identity, np.inf)
+        return step.covariance  # type: ignore[no-any-return]
+
+    def spread_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
+        """Return what errors of the map do to forces, the vertical force and the CoP of some samples.
+
+        Returns:
+            Rows that take what ``unknowns.map`` names to forces in N, shape (n, K, P), to the vertical force
+            on all feet in N, shape (n, 1, P), and to the centre of pressure in m, shape (n, 2, P).
+        """
+        force, rows = self._samples.force[part], self._samples.rows[part]
+        to_force = self.uncertainty.to_force(force)
+        true = self._learnt.scale[part] * force + self._learnt.offset[part]
+        moments = (rows @ true[..., None])[..., 0]
+        cop = cop_of_moments(moments[..., 0], moments[..., 1:], self._setup.force_threshold)
+        row = rows @ to_force
+        return to_force, row[:, :1], to_cop(row, cop, moments[..., 0])
+
+    @staticmethod
+    def _checked(setup: OnlineSetup, raw: Floats, reference: Reference, truth: Parameters) -> Floats:
+        setup.layout.check_raw(raw)
+        if raw.ndim != 2 or not np.isfinite(raw).all():
+            raise ValueError(
+                "'raw' must have shape (samples, channels) and hold no gaps: a bound knows of no faults."
+            )
+        for name, part in zip(Parameters._fields, truth, strict=True):
+            if np.shape(part) != raw.shape:
+                raise ValueError(
+                    f"'truth.{name}' must have the shape of 'raw', {raw.shape}, got {np.shape(part)}."
+                )
+        for name, part in zip(Reference._fields, reference, strict=True):
+            if np.shape(part)[:1] != raw.shape[:1]:
+                raise ValueError(
+                    f"'reference.{name}' must have one row for each of the {len(raw)} rows of 'raw', "
+                    f"got shape {np.shape(part)}."
+                )
+        return raw
+
+
+class Passage(NamedTuple):
+    r"""What a piece of a log makes of a covariance: :math:`\Phi S (1 + \Psi S)^{-1} \Phi' + \Gamma`.
+
+    A random walk has :math:`\Gamma = Q`, rows have :math:`\Psi = H' R^{-1} H`, and pieces one after the
+    other are a piece again (Redheffer's star product), so that a motion of many blocks costs one solution.
+
+    Attributes:
+        carried: :math:`\Phi`, shape (N, N).
+        information: :math:`\Psi`, shape (N, N).
+        added: :math:`\Gamma`, shape (N, N).
+    """
+
+    carried: Floats
+    information: Floats
+    added: Floats
+
+    def after(self, covariance: Floats) -> Floats:
+        """Return the covariance after it, shape (N, N), for that before."""
+        inner = np.eye(len(covariance)) + covariance @ self.information
+        found: Floats = self.carried @ np.linalg.solve(inner, covariance) @ self.carried.T + self.added
+        return 0.5 * (found + found.T)
+
+    def then(self, other: "Passage") -> "Passage":
+        """Return this piece with another one behind it."""
+        inner = np.eye(len(self.added)) + self.added @ other.information
+        carried, added = np.linalg.solve(inner, np.stack([self.carried, self.added]))
+        return Passage(
+            other.carried @ carried,
+            self.information + self.carried.T @ other.information @ carried,
+            other.added + other.carried @ added @ other.carried.T,
+        )
 
 
 class _Samples:
@@ -149,21 +244,15 @@ class _Samples:
 class _Spread:
     """What a covariance means for forces and centres of pressure."""
 
-    def __init__(self, setup: OnlineSetup, uncertainty: Uncertainty) -> None:
-        self._setup, self._uncertainty = setup, uncertainty
+    def __init__(self, log: BoundRows) -> None:
+        self._log = log
         self._parts: list[tuple[Floats, Floats, Floats]] = []
 
-    def add(self, covariance: Floats, samples: _Samples, learnt: Parameters, part: slice) -> None:
-        unknowns = self._uncertainty.unknowns
-        force, rows = samples.force[part], samples.rows[part]
+    def add(self, covariance: Floats, part: slice) -> None:
+        unknowns = self._log.unknowns
         # What has drifted since a block is part of what cannot be known.
         covariance = (covariance + np.diag(unknowns.aged))[unknowns.map, unknowns.map]
-        to_force = self._uncertainty.to_force(force)
-        true = learnt.scale[part] * force + learnt.offset[part]
-        moments = (rows @ true[..., None])[..., 0]
-        cop = cop_of_moments(moments[..., 0], moments[..., 1:], self._setup.force_threshold)
-        row = rows @ to_force
-        parts = (to_force, row[:, :1], to_cop(row, cop, moments[..., 0]))
+        parts = self._log.spread_rows(part)
         force_std, vgrf_std, cop_std = (np.sqrt(variances(one, covariance)) for one in parts)
         self._parts.append((force_std, vgrf_std[:, 0], cop_std))
 

@@ -1,6 +1,7 @@
 """A humanoid with flat feet sways, squats and lifts its feet: what a robot does to calibrate them."""
 
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ from surefoot.envs.exercise.robot import prepare_robot
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.observation import FORCE_BOUND, Observation
 from surefoot.envs.options import check_render_mode, checked_action, checked_range, positive
+from surefoot.envs.prelude import Player, Prelude
 from surefoot.envs.rendering import check_size
 
 CONTROL_STEP: Final = 0.02
@@ -59,6 +61,8 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         duration: Length of an episode in s, or ``None`` for no end.
         amplitude: Least and largest share of each sway and squat that an episode draws, at most 1.
         tempo: Least and largest factor on all speeds that it draws, at most 1.5.
+        prelude: What the robot does before each episode, or the path of its file, which ``surefoot calibrate
+            motion`` writes; ``None`` for nothing. ``duration`` begins after it.
         action_scale: What a full action adds to a target, in rad.
         joint_noise: Largest initial error of a joint in rad.
         velocity_noise: Largest initial velocity of the torso along each axis, in m/s and rad/s.
@@ -72,6 +76,8 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         truth: What really happened during the last step, at every substep.
         drawing: What the robot's maker hands out.
         command: What the robot commands itself now; its targets are of all M motors in model order.
+        motion: What it can do.
+        prelude: Plays what comes before the episode (:class:`~surefoot.envs.prelude.Player`).
         joint_names: The J hinge joints.
         leg_motor_names: The L motors of an action.
         state_layout: Where each part lies in ``observation["state"]``.
@@ -92,6 +98,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         duration: float | None = 40.0,
         amplitude: Sequence[float] = (0.7, 1.0),
         tempo: Sequence[float] = (0.9, 1.1),
+        prelude: Prelude | str | PathLike[str] | None = None,
         action_scale: float = 0.02,
         joint_noise: float = 0.005,
         velocity_noise: float = 0.01,
@@ -119,18 +126,20 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
             )
         self.dt = self._substeps * float(self.model.opt.timestep)
         self._steps = None if length is None else max(round(length / self.dt), 1)
-        self._motion = Motion(prepared)
-        self._balance = AnkleBalance(prepared, self._motion)
+        self.motion = Motion(prepared)
+        self._balance = AnkleBalance(prepared, self.motion)
         self._torso, self._leg_motors = prepared.torso, prepared.leg_motors
         self.joint_names = self.drawing.joint_names
         self.leg_motor_names = tuple(self.model.actuator(i).name for i in self._leg_motors)
         joints = [self.model.joint(name).id for name in self.joint_names]
         self._joint_dofs = self.model.jnt_dofadr[joints]
+        motors = [self.model.actuator(i).name for i in range(self.model.nu)]
+        self.prelude = Player(prelude, motors, self.dt)
         limited = self.model.actuator_ctrllimited.astype(bool)
         self._low, self._high = np.where(limited, self.model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
         self._fraction = np.arange(1, self._substeps + 1)[:, None] / self._substeps
-        self._cop_width = COP_WIDTH * self._motion.height
-        self._first_height = float(self._motion.qpos[2])
+        self._cop_width = COP_WIDTH * self.motion.height
+        self._first_height = float(self.motion.qpos[2])
 
         bound = max(FORCE_BOUND, 10.0 * prepared.weight)
         self._observer = ExerciseObserver(len(self.joint_names), bound)
@@ -157,13 +166,14 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         model, data, rng = self.model, self.data, self.np_random
-        self._motion.begin(rng, self._amplitude, self._tempo)
+        self.motion.begin(rng, self._amplitude, self._tempo)
         mujoco.mj_resetData(model, data)
         self._tick = 0
-        self.command = self._motion.command(0.0)
+        self.command = self.motion.command(0.0)
+        self.prelude.begin(self.command)
         self._target = self._limited(self.command.joint_target)
         data.ctrl[:] = self._target
-        data.qpos[:] = self._motion.qpos
+        data.qpos[:] = self.motion.qpos
         noise = np.zeros(model.nv)
         noise[self._joint_dofs] = rng.uniform(-self._joint_noise, self._joint_noise, self._joint_dofs.size)
         mujoco.mj_integratePos(model, data.qpos, noise, 1.0)
@@ -194,8 +204,11 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
             "zeros leave the exercise alone",
         )
         correction = self._balance.correction(self.truth, self.command)
-        self._tick += 1
-        self.command = self._motion.command(self._tick * self.dt)
+        if self.prelude.playing:
+            self.command = self.prelude.next()
+        else:
+            self._tick += 1
+            self.command = self.motion.command(self._tick * self.dt)
         target = self.command.joint_target.copy()
         target[self._leg_motors] += self._action_scale * residual + correction
         target = self._limited(target)
@@ -236,7 +249,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _fallen(self) -> bool:
         """Return whether the robot has fallen."""
-        up = float(self.truth.R_world_torso[-1, 2] @ self._motion.up_torso)
+        up = float(self.truth.R_world_torso[-1, 2] @ self.motion.up_torso)
         height = float(self.truth.position_torso[-1, 2])
         return not (up > np.cos(FALLEN_TILT) and height > FALLEN_HEIGHT * self._first_height)
 
@@ -250,7 +263,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
             gym.logger.warn("render() draws nothing without render_mode='rgb_array'.")
             return None
         if self._renderer is None:
-            reach = self._motion.height
+            reach = self.motion.height
             view = {
                 "lookat": np.array([0.0, 0.0, reach]),
                 "distance": 4.0 * reach,

@@ -6,15 +6,16 @@ targets tabulated along each; a *move* runs along a path from one place to anoth
 fit any extent of a move, which an episode draws.
 
 A cycle lifts one foot and then the other, shortly at first and then longer, with sways and a squat in
-between. Distances are shares of the
-soles' size, times are multiples of :math:`\sqrt{h / g}` (:math:`h` the height of the centre of mass), the
-time scale of a falling pendulum: a sway of amplitude :math:`A` in 4.5 of them asks for a centre of pressure
-that leads by at most 0.29 :math:`A`.
+between; or motions are played by their names, see :func:`motions_of`. Distances are shares of the soles'
+size, times are multiples of :math:`\sqrt{h / g}` (:math:`h` the height of the centre of mass), the time
+scale of a falling pendulum: a sway of amplitude :math:`A` in 4.5 of them asks for a centre of pressure that
+leads by at most 0.29 :math:`A`.
 """
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from itertools import pairwise, product
-from math import sqrt
+from math import ceil, sqrt
 from typing import Final, NamedTuple
 
 import mujoco
@@ -25,6 +26,7 @@ from scipy.interpolate import CubicSpline
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.postures import Postures, UnreachableError
 from surefoot.envs.exercise.robot import ExerciseRobot
+from surefoot.envs.prelude import Prelude
 
 MOVE_TIME: Final = 4.5
 """Duration of a sway to one side in units of sqrt(h / g)."""
@@ -62,16 +64,17 @@ SURELY_BEARS: Final = 0.1
 SURELY_UP: Final = 0.5
 """Share of the lift above which a foot is in swing."""
 
-SWAYS: Final = (
-    "forward",
-    "left",
-    "back",
-    "right",
-    "forward left",
-    "back right",
-    "forward right",
-    "back left",
-)
+REACH: Final = 1.6
+"""How far paths go on beyond their end where the legs can, for motions that are played by name."""
+
+SWAYS: Final = ("forward", "left", "forward left", "forward right")
+"""Lines of the sways over both feet, there and back."""
+
+EXTENTS: Final = (1.4, 1.0, 0.5)
+"""Extents of the motions that are offered, as shares of a path: the first that a robot can do."""
+
+TEMPOS: Final = (0.5, 1.0, 1.4)
+"""Tempos that they are offered with: factors on all speeds."""
 
 
 class Path(NamedTuple):
@@ -83,6 +86,8 @@ class Path(NamedTuple):
         lift: Heights of both feet at s = 0 in m, shape (2,).
         rise: Their change per unit of s in m, shape (2,).
         target: Motors' targets in rad over s.
+        first: The least s that the legs reach.
+        last: The largest.
     """
 
     com: NDArray[np.float64]
@@ -90,6 +95,8 @@ class Path(NamedTuple):
     lift: NDArray[np.float64]
     rise: NDArray[np.float64]
     target: CubicSpline
+    first: float
+    last: float
 
 
 class Move(NamedTuple):
@@ -100,12 +107,94 @@ class Move(NamedTuple):
         start: Where it starts, s.
         end: Where it ends, s.
         time: Duration in multiples of that of a sway.
+        ends: Whether a motion ends with it: the robot is back in its first posture.
     """
 
     path: str
     start: float
     end: float
     time: float
+    ends: bool = False
+
+
+def motions_of(name: str) -> list[Move]:
+    """Return the moves of a motion that starts and ends in the middle, on both feet.
+
+    Args:
+        name: What, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
+            "sway forward 1.5", "squat 1 @ 0.5", "shift left", "stand left", "lean left 1" (stand on one foot
+            and sway about it), "step" (in place, one foot after the other) or "march" (twice that, without
+            a halt in the middle).
+
+    Raises:
+        ValueError: If there is no such motion.
+    """
+    what, _, tempo = name.partition("@")
+    words = what.split()
+    try:
+        scale = 1.0 / float(tempo or 1.0)
+        extent = float(words.pop()) if words[-1][-1].isdigit() else 1.0
+    except (IndexError, ValueError, ZeroDivisionError):
+        words, scale, extent = [], 1.0, 1.0
+    kind, of = words[0] if words else "", " ".join(words[1:])
+    feet = {"left": 0, "right": 1}
+    if kind == "sway" and of in SWAYS:
+        moves = [Move(of, 0.0, extent, 1.0), Move(of, extent, -extent, 1.6), Move(of, -extent, 0.0, 1.0)]
+    elif kind == "squat" and not of:
+        moves = [Move("squat", 0.0, extent, 1.0), Move("squat", extent, 0.0, 1.0)]
+    elif kind == "shift" and of in feet:
+        moves = [Move(f"shift {feet[of]}", *ends, 1.6) for ends in ((0.0, 1.0), (1.0, 0.0))]
+    elif kind in ("stand", "lean") and of in feet:
+        turns = {} if kind == "stand" else {"pitch": extent, "roll": extent}
+        moves = one_leg(feet[of], turns)
+    elif kind == "step" and not of:
+        moves = [*one_leg(0, {}, 0.6), *one_leg(1, {}, 0.6)]
+    elif kind == "march" and not of:
+        # From foot to foot without a halt in the middle: two steps with each.
+        moves = []
+        for k in range(4):
+            over = one_leg(k % 2, {}, 0.6)
+            middle = [Move("across", float(k % 2), float(1 - k % 2), 2.4)]
+            moves += [*over[: 1 if k == 0 else 0], *over[1:-1], *(over[-1:] if k == 3 else middle)]
+    else:
+        raise ValueError(
+            f"There is no motion '{name}'. There are 'sway' with one of {SWAYS}, 'squat', 'step', 'march', "
+            "and 'shift', 'stand' and 'lean' with 'left' or 'right'; then an extent such as 1.5, and a tempo "
+            "such as '@ 0.5'."
+        )
+    moves = [move._replace(time=move.time * scale) for move in moves]
+    return [*moves[:-1], moves[-1]._replace(ends=True)]
+
+
+def one_leg(foot: int, turns: dict[str, float], pause: float = 1.0) -> list[Move]:
+    """Return the moves by which a robot stands on one foot.
+
+    Args:
+        foot: The foot that bears it.
+        turns: How far it sways about it, by "pitch" and "roll".
+        pause: Factor on the time that it waits between moves, and that a lift takes.
+    """
+    moves = [Move(f"shift {foot}", 0.0, 1.0, 1.6), Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause)]
+    moves += [Move(f"lift {foot}", 0.0, 1.0, pause), Move(f"lift {foot}", 1.0, 1.0, 0.3 * pause)]
+    for turn, s in turns.items():
+        path = f"{turn} {foot}"
+        moves += [Move(path, 0.0, s, 0.8), Move(path, s, -s, 1.2), Move(path, -s, 0.0, 0.8)]
+    moves.append(Move(f"lift {foot}", 1.0, 0.0, pause))
+    moves += [Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause), Move(f"shift {foot}", 1.0, 0.0, 1.6)]
+    return moves
+
+
+def motions_offered() -> list[list[str]]:
+    """Return names of motions to choose among, of every kind, direction and tempo: farther ones first."""
+    fixed = [
+        "squat",
+        "step",
+        "march",
+        *(f"{kind} {foot}" for kind in ("shift", "stand") for foot in ("left", "right")),
+    ]
+    scaled = [*(f"sway {way}" for way in SWAYS), "lean left", "lean right"]
+    kinds = [[kind] for kind in fixed] + [[f"{kind} {extent:g}" for extent in EXTENTS] for kind in scaled]
+    return [[f"{name} @ {tempo:g}" for name in names] for names in kinds for tempo in TEMPOS]
 
 
 class Motion:
@@ -115,6 +204,7 @@ class Motion:
         robot: The robot.
 
     Attributes:
+        robot: The robot.
         qpos: The posture between the moves, shape (nq,).
         height: Height of the centre of mass in it in m.
         up_torso: The vertical in the torso's axes in it, shape (3,).
@@ -141,7 +231,7 @@ class Motion:
         return self._postures.shares(command.cop, command.position_sole[:, 2])
 
     def _plan(self, postures: Postures) -> None:
-        robot = postures.robot
+        self.robot = robot = postures.robot
         self._postures = postures
         self._gravity = robot.gravity
         self.qpos = postures.qpos
@@ -157,16 +247,17 @@ class Motion:
         self._paths: dict[str, Path] = {}
         for name in SWAYS:
             words = name.split()
-            along = sum({"forward": x, "back": -x, "left": y, "right": -y}[word] for word in words) / sqrt(
-                len(words)
-            )
-            self._add(name, middle, along, still, still, 0.0)
+            along = sum({"forward": x, "left": y, "right": -y}[word] for word in words) / sqrt(len(words))
+            self._add(name, middle, along, still, still, -1.0)
         self._add("squat", middle, down, still, still, 0.0)
         self._lift = LIFT * self.height
+        over = [np.array([*stand, self.height]) for stand in postures.stand]
         for foot in (0, 1):
-            above = np.array([*postures.stand[foot], self.height])
+            above = over[foot]
             rise = self._lift * (np.arange(2) != foot)
             start = self._add(f"shift {foot}", middle, above - middle, still, still, 0.0)
+            if foot == 0:
+                self._add("across", above, over[1] - above, still, still, 0.0, start)
             start = self._add(f"lift {foot}", above, np.zeros(3), still, rise, 0.0, start)
             x = ONE_LEG_FORWARD * robot.half[0] * postures.forward
             y = ONE_LEG_ASIDE * robot.half[1] * postures.left
@@ -184,13 +275,19 @@ class Motion:
         start: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """Tabulate a path from s = 0 outwards; returns the posture at s = 1."""
-        steps = round(1.0 / KNOT_SPACING)
+        # What lifts a foot, or brings the robot over one, ends at 1.
+        steps = round((REACH if first < 0.0 else 1.0) / KNOT_SPACING)
         postures: dict[float, NDArray[np.float64]] = {}
         up = np.maximum(lift, lift + rise)
         for sign in (-1.0, 1.0) if first < 0.0 else (1.0,):
             qpos = self.qpos if start is None else start
-            for s in sign * np.linspace(0.0, 1.0, steps + 1):
-                qpos = self._postures.solve(com + s * along, lift + s * rise, qpos)
+            for s in sign * KNOT_SPACING * np.arange(steps + 1):
+                try:
+                    qpos = self._postures.solve(com + s * along, lift + s * rise, qpos)
+                except UnreachableError:
+                    if abs(s) < 1.0 + 1e-9:
+                        raise
+                    break
                 postures[round(float(s), 9)] = qpos
         knots = sorted(postures)
         slopes = _slopes(self._postures.robot.model, [postures[s] for s in knots], KNOT_SPACING)
@@ -198,8 +295,9 @@ class Motion:
             self._postures.leads(postures[s], slope, self._postures.shares((com + s * along)[:2], up))
             for s, slope in zip(knots, slopes, strict=True)
         ]
-        self._paths[name] = Path(com, along, lift, rise, CubicSpline(knots, np.array(leads)))
-        return qpos
+        target = CubicSpline(knots, np.array(leads))
+        self._paths[name] = Path(com, along, lift, rise, target, knots[0], knots[-1])
+        return postures.get(1.0, qpos)
 
     def begin(
         self, rng: np.random.Generator, amplitude: tuple[float, float], tempo: tuple[float, float]
@@ -213,32 +311,58 @@ class Motion:
         """
         self._scale = self._unit / rng.uniform(*tempo)
         first = int(rng.integers(2))
-        sways = rng.permutation(len(SWAYS))
+        sways = [(SWAYS[k // 2], 1.0 - 2.0 * (k % 2)) for k in rng.permutation(2 * len(SWAYS))]
         moves: list[Move] = []
 
-        def out_and_back(name: str) -> None:
-            s = rng.uniform(*amplitude)
+        def out_and_back(name: str, side: float = 1.0) -> None:
+            s = side * rng.uniform(*amplitude)
             moves.extend([Move(name, 0.0, s, 1.0), Move(name, s, 0.0, 1.0)])
 
-        def one_leg(foot: int, *turns: str) -> None:
-            moves.extend([Move(f"shift {foot}", 0.0, 1.0, 1.6), Move(f"shift {foot}", 1.0, 1.0, 0.2)])
-            moves.extend([Move(f"lift {foot}", 0.0, 1.0, 1.0), Move(f"lift {foot}", 1.0, 1.0, 0.3)])
-            for name in (f"{turn} {foot}" for turn in turns):
-                s = rng.uniform(*amplitude)
-                moves.extend([Move(name, 0.0, s, 0.8), Move(name, s, -s, 1.2), Move(name, -s, 0.0, 0.8)])
-            moves.append(Move(f"lift {foot}", 1.0, 0.0, 1.0))
-            moves.extend([Move(f"shift {foot}", 1.0, 1.0, 0.2), Move(f"shift {foot}", 1.0, 0.0, 1.6)])
+        def on_one_leg(foot: int, *turns: str) -> None:
+            moves.extend(one_leg(foot, {turn: rng.uniform(*amplitude) for turn in turns}))
 
         # Both feet are lifted first, so that a calibrator sees the offsets before anything else.
-        one_leg(first)
-        one_leg(1 - first)
-        out_and_back(SWAYS[sways[0]])
-        one_leg(first, "pitch", "roll")
-        out_and_back(SWAYS[sways[1]])
+        on_one_leg(first)
+        on_one_leg(1 - first)
+        out_and_back(*sways[0])
+        on_one_leg(first, "pitch", "roll")
+        out_and_back(*sways[1])
         out_and_back("squat")
-        one_leg(1 - first, "pitch", "roll")
-        for k in sways[2:]:
-            out_and_back(SWAYS[k])
+        on_one_leg(1 - first, "pitch", "roll")
+        for sway in sways[2:]:
+            out_and_back(*sway)
+        self._schedule(moves)
+
+    def prelude(self, names: Sequence[str], dt: float) -> Prelude:
+        """Plan motions one after another.
+
+        Args:
+            names: Of motions, see :func:`motions_of`.
+            dt: Time between two rows in s.
+
+        Raises:
+            ValueError: If there is no such motion, or it goes farther than the legs reach.
+        """
+        moves = [move for name in names for move in motions_of(name)]
+        for move in moves:
+            path, (least, most) = self._paths[move.path], sorted((move.start, move.end))
+            if least < path.first - 1e-9 or most > path.last + 1e-9:
+                raise ValueError(
+                    f"The legs reach from {path.first:g} to {path.last:g} along '{move.path}', and a motion "
+                    f"goes from {least:g} to {most:g}; give it a smaller extent."
+                )
+        self._scale = self._unit
+        self._schedule(moves)
+        rows = ceil(self._ends[-1] / dt - 1e-9)
+        times = np.minimum(dt * np.arange(1, rows + 1), self._ends[-1] - 1e-9)
+        rest = np.zeros(rows, dtype=bool)
+        ends = [end for end, move in zip(self._ends, moves, strict=True) if move.ends]
+        rest[np.minimum(np.searchsorted(times, ends), rows - 1)] = True
+        model = self.robot.model
+        motors = tuple(model.actuator(i).name for i in range(model.nu))
+        return Prelude.of_commands(dt, motors, [self.command(float(time)) for time in times], rest)
+
+    def _schedule(self, moves: list[Move]) -> None:
         self._moves = moves
         self._ends = (self._scale * np.cumsum([move.time for move in moves])).tolist()
 

@@ -1,6 +1,7 @@
 """A NAO-class biped on eight load cells: the base of the surefoot environments."""
 
 from collections.abc import Sequence
+from os import PathLike
 from typing import Any
 
 import gymnasium as gym
@@ -23,6 +24,7 @@ from surefoot.envs.options import (
     checked_time_constant,
     positive,
 )
+from surefoot.envs.prelude import Player, Prelude
 from surefoot.envs.rendering import Marker, SceneRenderer
 from surefoot.envs.robots.nao import (
     LEG_MOTORS,
@@ -149,6 +151,9 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         ground_time_constant: Time constant in s in which the ground gives way to a sole, from 0.005 to 0.1.
             Under a foot that carries the robot, 0.02 gives way by 0.5 mm, 0.04 (a carpet) by 1.4 mm and 0.06
             (a soft mat) by 2.8 mm.
+        prelude: What the robot does before each episode, or the path of its file, which
+            ``surefoot calibrate motion nao`` writes. Its steps are ordinary ones, in which nobody pushes;
+            ``duration`` and a task's own times begin after it. ``None`` for nothing.
         payload: (mass in kg, time in s): a mass that is fixed before the chest from that time on, of which
             neither the pattern nor a nominal model knows, (0.3, 15) for instance; ``None`` for none.
         joint_noise: Largest initial error of a joint in rad.
@@ -165,6 +170,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         data: Its state.
         truth: What really happened during the last step.
         command: What the robot commands itself now.
+        prelude: Plays what comes before the episode (:class:`~surefoot.envs.prelude.Player`).
         joint_names: The J hinge joints.
         motor_names: The M motors, the leg motors of an action first.
         state_layout: Where each part lies in ``observation["state"]``.
@@ -189,6 +195,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         friction: Sequence[float] = (0.6, 0.9),
         ground_time_constant: float = GROUND_TIME_CONSTANT,
         payload: Sequence[float] | None = None,
+        prelude: Prelude | str | PathLike[str] | None = None,
         joint_noise: float = 0.005,
         velocity_noise: float = 0.01,
         push_impulse: Sequence[float] = (0.0, 0.0),
@@ -219,6 +226,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
         self._payload = Payload(self.model, payload, CONTROL_STEP)
         self._pushes = Pushes(self.model, push_impulse, push_interval, CONTROL_STEP)
+        self.prelude = Player(prelude, self.motor_names, CONTROL_STEP)
         self._motor_of_joint = motor_of_joint(self.model)
         self._low, self._high = self.model.actuator_ctrlrange.T.copy()
         self._fastest = self.model.actuator_user[:, 0] * CONTROL_STEP
@@ -293,6 +301,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         mujoco.mj_resetData(model, data)
         self._start(options or {})
         self.command = self._command(0)
+        self.prelude.begin(self.command)
         self._tick = 0
         model.pair_friction[:, :2] = rng.uniform(*self._friction)
         self._target = np.clip(self.command.joint_target, self._low, self._high)
@@ -324,10 +333,12 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._tick is None:
             raise gym.error.ResetNeeded("Call reset() before the first step().")
         residual = self._checked(action)
-        if self._tick < self._quiet_ticks:
+        prepares = self.prelude.playing
+        if self._tick < self._quiet_ticks and not prepares:
             residual = np.zeros_like(residual)
-        self._tick += 1
-        self.command = self._command(self._tick)
+        if not prepares:
+            self._tick += 1
+        self.command = self.prelude.next() if prepares else self._command(self._tick)
         target = self.command.joint_target.astype(np.float64)
         target[self._leg] += self._action_scale * residual
         target = np.minimum(np.maximum(target, self._low), self._high)
@@ -337,7 +348,8 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         sensordata, ctrl = data.sensordata, data.ctrl
         rows = np.empty((SUBSTEPS, self.channels.size))
         targets = self._target + self._fraction * move
-        self._pushes.apply(data, self.np_random)
+        if not prepares:
+            self._pushes.apply(data, self.np_random)
         self._payload.apply(self._tick)
         for row, substep_target in zip(rows, targets, strict=True):
             ctrl[:] = substep_target

@@ -86,6 +86,38 @@ def ft(
         typer.echo(f"{what.capitalize() + ':':<13}{path}")
 
 
+@app.command()
+def motion(
+    robot: Annotated[
+        str, Argument(help="nao, g1, t1, op3, or the path of an MJCF file with robot and floor.")
+    ],
+    budget: Annotated[float, Option(help="Most time in s.")] = 40.0,
+    goal: Annotated[
+        str, Option(help="What to learn: cop, or channel for the worst channel's force.")
+    ] = "cop",
+    enough: Annotated[
+        float, Option(help="End the plan at this standard deviation: in mm of the CoP, or N of a channel.")
+    ] = 0.0,
+    torque: Annotated[float, Option(help="Largest share of a leg motor's torque.")] = 0.95,
+    margin: Annotated[
+        float,
+        Option(help="Least distance of a foot's CoP from the sole's edge, as a share of half the sole."),
+    ] = 0.12,
+    out: Annotated[Path | None, Option(help="Where to write it; by default <robot>_motion.csv.")] = None,
+) -> None:
+    """Plan how a robot should move to calibrate its feet: joint targets over time, and what they bring."""
+    from surefoot.experiments.motion.plan import plan_motion
+    from surefoot.experiments.motion.rehearsal import Limits
+
+    path = Path(f"{Path(robot).stem}_motion.csv") if out is None else out
+    with one_line_errors(path):
+        least = enough / 1e3 if goal == "cop" else enough
+        planned = plan_motion(robot, budget, goal=goal, enough=least, limits=Limits(torque, margin))
+        planned.prelude.write(path)
+    show(planned.tables)
+    typer.echo(f"Motion: {path}")
+
+
 def _tell(result: Any) -> None:
     """Print what a log lacks, and the tables of its calibration."""
     for notice in result.notices:

@@ -1,0 +1,74 @@
+"""When a calibrator is certain enough, and when it no longer is."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.calibration.checks import check_value
+
+__all__ = ["AGAIN", "ENOUGH", "Certainty"]
+
+ENOUGH = 1.0e-3
+"""Standard deviation of the centre of pressure in m at which a robot is certain."""
+
+AGAIN = 1.5
+"""By what that may rise, as a factor, before the robot asks to be calibrated again."""
+
+
+class Certainty:
+    """Watches the standard deviation of the centre of pressure, averaged over a moment.
+
+    A robot becomes certain at ``enough`` and stays so up to ``again``, so that it does not waver.
+
+    Args:
+        enough: In m.
+        again: In m; by default 1.5 times ``enough``.
+        memory: Time constant of the average in s.
+        dt: Time between samples in s.
+
+    Attributes:
+        std: The average in m; infinite before the first.
+        certain: Whether the robot is certain.
+
+    Raises:
+        ValueError: If a number is not positive, or ``again`` is less than ``enough``.
+
+    >>> certainty = Certainty(enough=1e-3, again=1.5e-3, memory=0.1, dt=0.1)
+    >>> [certainty.update((std, 0.0)) for std in (2e-3, 0.5e-3, 1.4e-3, 3e-3)]
+    [False, False, False, False]
+    >>> [certainty.update((std, 0.0)) for std in (0.1e-3, 0.1e-3, 0.1e-3, 1.4e-3, 4e-3)]
+    [False, True, True, True, False]
+    """
+
+    def __init__(
+        self, enough: float = ENOUGH, again: float | None = None, memory: float = 1.0, dt: float = 1.0 / 80.0
+    ) -> None:
+        again = AGAIN * enough if again is None else again
+        for name, value in {"enough": enough, "again": again, "memory": memory, "dt": dt}.items():
+            check_value(name, value, positive=True)
+        if again < enough:
+            raise ValueError(f"'again' must be at least 'enough', {enough}, got {again}.")
+        self.enough, self.again = float(enough), float(again)
+        self._new = 1.0 - math.exp(-dt / memory)
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew: nothing is known."""
+        self.std, self.certain = math.inf, False
+
+    def update(self, cop_std: ArrayLike) -> bool:
+        """Take in one sample.
+
+        Args:
+            cop_std: Standard deviations along x and y in m, shape (2,); ignored where not finite.
+
+        Returns:
+            Whether the robot is certain.
+        """
+        variance = float(np.sum(np.square(np.asarray(cop_std, dtype=np.float64))))
+        if math.isfinite(variance):
+            before = variance if math.isinf(self.std) else self.std**2
+            self.std = math.sqrt(before + self._new * (variance - before))
+            self.certain = self.std <= (self.again if self.certain else self.enough)
+        return self.certain

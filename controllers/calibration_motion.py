@@ -1,0 +1,132 @@
+"""A motion by which a robot calibrates its feet: joint targets over time, until it is certain."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.calibration.certainty import ENOUGH, Certainty
+
+__all__ = ["CalibrationMotion"]
+
+
+class CalibrationMotion:
+    """Plays what ``surefoot calibrate motion`` wrote, a row a call, and stops at a rest when certain.
+
+    Reads of an observation ``"cop_std"``, as :class:`~surefoot.wrappers.SelfCalibration` shows it, or a
+    robot's own loop from the estimate: the root of the diagonal of ``cop_covariance``. Without it the motion
+    is played to its end. Keep calling after that: :attr:`wanted` says when the robot should calibrate again,
+    which :meth:`start` begins.
+
+    Args:
+        targets: Targets of the M motors in rad, shape (N, M).
+        rest: Rows at which the robot stands in its first posture and may stop, shape (N,).
+        motors: Names of the motors.
+        dt: Time between rows in s.
+        stance: Feet (left, right) that are planned to bear weight, shape (N, 2).
+        swing: Feet that are planned to be in the air, shape (N, 2).
+        enough: Standard deviation of the centre of pressure in m at which it stops; 0 never stops.
+        again: That at which it wants to start again in m; 1.5 times ``enough`` when not given.
+
+    Attributes:
+        done: Whether the motion is over.
+        stance: Feet planned to bear weight now, for the robot's reference, shape (2,).
+        swing: Feet planned to be in the air now, shape (2,).
+
+    Raises:
+        ValueError: If a shape does not fit, or the last row is no rest.
+
+    >>> motion = CalibrationMotion([[0.1], [0.2], [0.1]], [False, False, True], ["knee"], dt=0.1)
+    >>> [motion({}).item() for _ in range(4)], motion.done
+    ([0.1, 0.2, 0.1, 0.1], True)
+    """
+
+    def __init__(
+        self,
+        targets: ArrayLike,
+        rest: ArrayLike,
+        motors: Sequence[str],
+        *,
+        dt: float,
+        stance: ArrayLike | None = None,
+        swing: ArrayLike | None = None,
+        enough: float = ENOUGH,
+        again: float | None = None,
+    ) -> None:
+        self.targets: NDArray[np.float64] = np.array(targets, dtype=np.float64)
+        self.motors, self.dt = tuple(motors), float(dt)
+        self._rest = np.array(rest, dtype=bool)
+        rows = len(self._rest)
+        if self.targets.shape != (rows, len(self.motors)) or not np.isfinite(self.targets).all():
+            raise ValueError(
+                f"'targets' must be finite, shape ({rows}, {len(self.motors)}) for {rows} rows of 'rest' and "
+                f"the motors {list(self.motors)}, got shape {self.targets.shape}."
+            )
+        if not rows or not self._rest[-1]:
+            raise ValueError("The last row of 'rest' must be true: a motion ends where the robot may stand.")
+        self._stance = np.ones((rows, 2), dtype=bool) if stance is None else np.array(stance, dtype=bool)
+        self._swing = np.zeros((rows, 2), dtype=bool) if swing is None else np.array(swing, dtype=bool)
+        self._stops = enough > 0.0
+        self._certainty = Certainty(enough if self._stops else ENOUGH, again, dt=self.dt)
+        self.start()
+
+    @classmethod
+    def read(cls, path: str | PathLike[str], **options: Any) -> "CalibrationMotion":
+        """Read a file of ``surefoot calibrate motion``.
+
+        Args:
+            path: The CSV.
+            **options: ``enough`` and ``again``.
+        """
+        with open(path, newline="", encoding="utf-8") as file:
+            names, *lines = csv.reader(file)
+        rows = np.array(lines, dtype=np.float64)
+        of = {name: i for i, name in enumerate(names)}
+        joints = [name for name in names if name.startswith("target_") and name.endswith("_rad")]
+        feet: dict[str, Any] = {
+            key: rows[:, [of[f"{key}_left_1"], of[f"{key}_right_1"]]] > 0.5 for key in ("stance", "swing")
+        }
+        return cls(
+            rows[:, [of[name] for name in joints]],
+            rows[:, of["rest_1"]] > 0.5,
+            [name.removeprefix("target_").removesuffix("_rad") for name in joints],
+            dt=float(rows[-1, of["time_s"]]) / len(rows),
+            **feet,
+            **options,
+        )
+
+    @property
+    def certain(self) -> bool:
+        """Whether the calibrator is certain enough."""
+        return self._certainty.certain
+
+    @property
+    def wanted(self) -> bool:
+        """Whether the motion is over and the robot is no longer certain: it should calibrate again."""
+        return self.done and not self.certain
+
+    def start(self) -> None:
+        """Begin from the first row."""
+        self._next, self.done = 0, False
+        self.stance, self.swing = self._stance[0], self._swing[0]
+
+    def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
+        """Return the next targets, the last ones again once it is done.
+
+        Args:
+            observation: What the robot observes; it is not changed.
+
+        Returns:
+            Targets of the motors in rad, shape (M,).
+        """
+        if "cop_std" in observation:
+            self._certainty.update(observation["cop_std"])
+        if not self.done:
+            row, self._next = self._next, self._next + 1
+            self.stance, self.swing = self._stance[row], self._swing[row]
+            over = row == len(self._rest) - 1
+            self.done = over or bool(self._rest[row] and self._stops and self.certain)
+        return np.array(self.targets[self._next - 1])

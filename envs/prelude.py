@@ -1,0 +1,230 @@
+"""What a robot does before an episode: commands over time, planned once, that a file can hold."""
+
+import csv
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+
+BLEND_TIME = 1.5
+"""Time in s in which the robot goes from an episode's first posture to a prelude's, and back."""
+
+SAME_POSTURE = 0.005
+"""Difference in rad between two targets of a motor that is not worth a way from one to the other."""
+
+SAME_PLACE = 0.005
+"""Distance in m by which soles of a prelude may be off those of the episode that follows it."""
+
+_COLUMNS = (
+    ("com", "m", ("x", "y", "z")),
+    ("com_velocity", "m_s", ("x", "y", "z")),
+    ("com_acceleration", "m_s2", ("x", "y", "z")),
+    ("cop", "m", ("x", "y")),
+    ("position_sole", "m", ("left_x", "left_y", "left_z", "right_x", "right_y", "right_z")),
+    ("yaw_sole", "rad", ("left", "right")),
+    ("stance", "1", ("left", "right")),
+    ("swing", "1", ("left", "right")),
+)
+
+
+class Prelude(NamedTuple):
+    """N rows of commands for M motors; fields as in :class:`~surefoot.envs.Command`, a row each.
+
+    Attributes:
+        dt: Time between two rows in s; the first row is ``dt`` after the beginning.
+        motors: Names of the motors.
+        joint_target: Shape (N, M), in rad.
+        com: Shape (N, 3), in m.
+        com_velocity: Shape (N, 3), in m/s.
+        com_acceleration: Shape (N, 3), in m/s^2.
+        cop: Shape (N, 2), in m.
+        position_sole: Shape (N, 2, 3), in m.
+        yaw_sole: Shape (N, 2), in rad.
+        stance: Shape (N, 2), bool.
+        swing: Shape (N, 2), bool.
+        rest: Rows at which the robot is in its first posture again and may stop, shape (N,), bool.
+    """
+
+    dt: float
+    motors: tuple[str, ...]
+    joint_target: NDArray[np.float64]
+    com: NDArray[np.float64]
+    com_velocity: NDArray[np.float64]
+    com_acceleration: NDArray[np.float64]
+    cop: NDArray[np.float64]
+    position_sole: NDArray[np.float64]
+    yaw_sole: NDArray[np.float64]
+    stance: NDArray[np.bool_]
+    swing: NDArray[np.bool_]
+    rest: NDArray[np.bool_]
+
+    @property
+    def duration(self) -> float:
+        """Its length in s."""
+        return self.dt * len(self.rest)
+
+    @classmethod
+    def of_commands(
+        cls, dt: float, motors: tuple[str, ...], commands: Sequence[Command], rest: NDArray[np.bool_]
+    ) -> "Prelude":
+        """Put commands into rows."""
+        parts = {
+            name: np.array([getattr(command, name) for command in commands])
+            for name in Command._fields
+            if name != "phase"
+        }
+        return cls(dt=dt, motors=motors, rest=rest, **parts)
+
+    def command(self, row: int) -> Command:
+        """Return the command of a row."""
+        return Command(**{name: getattr(self, name)[row] for name in Command._fields[:-1]}, phase=0.0)
+
+    def write(self, path: str | PathLike[str]) -> None:
+        """Write a CSV: ``time_s``, ``target_<motor>_rad``, the other fields with units, and ``rest_1``."""
+        names = ["time_s", *(f"target_{motor}_rad" for motor in self.motors), *_names(), "rest_1"]
+        time = self.dt * np.arange(1, len(self.rest) + 1)
+        parts = [np.reshape(getattr(self, field), (len(time), -1)) for field, _, _ in _COLUMNS]
+        rows = np.column_stack([time, self.joint_target, *parts, self.rest])
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(names)
+            writer.writerows([[f"{value:.7g}" for value in row] for row in rows])
+
+    @classmethod
+    def read(cls, path: str | PathLike[str]) -> "Prelude":
+        """Read what :meth:`write` wrote.
+
+        Raises:
+            ValueError: If a column is missing, or the times are not evenly spaced.
+        """
+        with open(path, newline="", encoding="utf-8") as file:
+            header, *lines = csv.reader(file)
+        table = dict(zip(header, np.array(lines, dtype=np.float64).T, strict=True))
+        motors = tuple(
+            name.removeprefix("target_").removesuffix("_rad") for name in header if name.startswith("target_")
+        )
+        if missing := [name for name in ("time_s", *_names(), "rest_1") if name not in table]:
+            raise ValueError(f"{path} lacks the columns {missing}; write it with surefoot calibrate motion.")
+        time = table["time_s"]
+        if len(time) < 2 or np.ptp(np.diff(time)) > 1e-5:
+            raise ValueError(f"{path} must have two rows or more, evenly spaced in time.")
+        parts: dict[str, Any] = {}
+        for field, unit, axes in _COLUMNS:
+            values = np.stack([table[f"{field}_{axis}_{unit}"] for axis in axes], axis=1)
+            parts[field] = values.astype(bool) if field in ("stance", "swing") else values
+        parts["position_sole"] = parts["position_sole"].reshape(-1, 2, 3)
+        target = np.stack([table[f"target_{motor}_rad"] for motor in motors], axis=1)
+        return cls(float(time[-1]) / len(time), motors, target, rest=table["rest_1"].astype(bool), **parts)
+
+
+class Player:
+    """Plays a prelude before an environment's own commands.
+
+    Args:
+        prelude: The prelude, the path of its file, or ``None`` for none.
+        motors: Names of the environment's motors.
+        dt: The environment's step in s.
+
+    Raises:
+        ValueError: If the prelude is for other motors.
+    """
+
+    def __init__(
+        self, prelude: Prelude | str | PathLike[str] | None, motors: Sequence[str], dt: float
+    ) -> None:
+        if prelude is not None and not isinstance(prelude, Prelude):
+            prelude = Prelude.read(prelude)
+        if prelude is not None and prelude.motors != tuple(motors):
+            raise ValueError(
+                f"'prelude' moves {list(prelude.motors)}, but the robot's motors are {list(motors)}; plan "
+                "one for this robot: surefoot calibrate motion."
+            )
+        self._prelude, self._dt = prelude, dt
+        self._played: list[Command] = []
+        self._ends: list[int] = []
+        if prelude is not None:
+            last, ratio = len(prelude.rest) - 1, dt / prelude.dt
+            row = ratio * np.arange(1, int((last + 1) / ratio + 1e-9) + 1) - 1.0
+            self._played = [self._between(float(one)) for one in row]
+            nearest = np.minimum(np.round(row), last)
+            self._ends = [int(np.searchsorted(nearest, end)) + 1 for end in np.flatnonzero(prelude.rest)]
+        self._commands: list[Command] = []
+        self._stops: list[int] = []
+        self._next = self._end = 0
+
+    @property
+    def duration(self) -> float:
+        """Length of the prelude in s; 0 without one."""
+        return 0.0 if self._prelude is None else self._prelude.duration
+
+    @property
+    def playing(self) -> bool:
+        """Whether there is anything left to play."""
+        return self._next < self._end
+
+    @property
+    def resting(self) -> bool:
+        """Whether the robot has just come back to where it may stop."""
+        return self._next in self._stops
+
+    def begin(self, first: Command) -> None:
+        """Start an episode, whose own commands begin with ``first``.
+
+        Raises:
+            ValueError: If the prelude has the soles elsewhere.
+        """
+        if not self._played:
+            return
+        off = float(np.abs(self._played[0].position_sole - first.position_sole).max())
+        if off > SAME_PLACE:
+            raise ValueError(
+                f"'prelude' has its soles {1e3 * off:.0f} mm from where the episode begins; plan one for a "
+                "stand like the episode's."
+            )
+        there = self._blend(first, self._played[0])
+        self._commands = [*there, *self._played, *self._blend(self._played[-1], first)]
+        self._stops = [len(there) + end for end in self._ends]
+        self._next, self._end = 0, len(self._commands)
+
+    def stop(self) -> None:
+        """Go back to the episode's first posture now; only where the robot is :attr:`resting`."""
+        if self.resting:
+            self._next = max(self._next, self._stops[-1])
+
+    def next(self) -> Command:
+        """Return the next command."""
+        self._next += 1
+        return self._commands[self._next - 1]
+
+    def _between(self, row: float) -> Command:
+        """Interpolate between rows."""
+        assert self._prelude is not None
+        low = min(max(int(row), 0), len(self._prelude.rest) - 1)
+        high = min(low + 1, len(self._prelude.rest) - 1)
+        return _mixed(self._prelude.command(low), self._prelude.command(high), min(max(row - low, 0.0), 1.0))
+
+    def _blend(self, start: Command, end: Command) -> list[Command]:
+        """Go from one posture to another with least jerk."""
+        if np.abs(start.joint_target - end.joint_target).max() < SAME_POSTURE:
+            return []
+        t = np.arange(1, round(BLEND_TIME / self._dt) + 1) * self._dt / BLEND_TIME
+        shares = t**3 * (10.0 + t * (6.0 * t - 15.0))
+        still: dict[str, Any] = {"com_velocity": np.zeros(3), "com_acceleration": np.zeros(3)}
+        return [_mixed(start, end, float(share))._replace(**still) for share in shares]
+
+
+def _names() -> list[str]:
+    return [f"{field}_{axis}_{unit}" for field, unit, axes in _COLUMNS for axis in axes]
+
+
+def _mixed(start: Command, end: Command, share: float) -> Command:
+    parts: dict[str, Any] = {
+        name: (1.0 - share) * getattr(start, name) + share * getattr(end, name)
+        for name in Command._fields
+        if name not in ("stance", "swing")
+    }
+    return Command(stance=start.stance & end.stance, swing=start.swing & end.swing, **parts)
