@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY, FootMotion, MovingRobot, Parameters, plan_foot_excitation
 from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
 from surefoot.experiments.motion.plan import plan_motion
-from surefoot.experiments.motion.rehearsal import Rehearsal, rehearse
+from surefoot.experiments.motion.rehearsal import Limits, Rehearsal, rehearse
 from surefoot.experiments.walks.score import cop_world
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import LoadCells, sized
@@ -107,9 +107,9 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
-def study_runs(robot: str, seeds: range, budget: float, enough: float) -> None:
+def study_runs(robot: str, seeds: range, budget: float, enough: float, limits: Limits) -> None:
     """Print a line a seed, with the motion and, for the NAO, without."""
-    planned = plan_motion(robot, budget)
+    planned = plan_motion(robot, budget, limits=limits)
     print(planned.tables[0].title, "-", ", ".join(planned.plan.motions), flush=True)
     cases: list[tuple[str, Prelude | None, float]] = [("motion", planned.prelude, 0.0)]
     if robot == "nao":
@@ -221,12 +221,13 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--budget", type=float, default=37.0, help="s; a NAO takes 3 s more to and fro")
     parser.add_argument("--enough", type=float, default=0.0, help="m at which the motion stops; 0 plays all")
+    parser.add_argument("--torque", type=float, default=Limits.torque, help="largest share of a limit")
     given = parser.parse_args()
     seeds = range(given.first, given.first + given.seeds)
     if given.study == "plan":
         study_plan(given.budget)
     for robot in {"plan": [], "walk": ["nao"], "robots": given.robots}[given.study]:
-        study_runs(robot, seeds, given.budget, given.enough)
+        study_runs(robot, seeds, given.budget, given.enough, Limits(torque=given.torque))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,9 @@ __all__ = ["Limits", "Played", "Rehearsal", "rehearse"]
 SETTLING = 0.3
 """Time in s after a reset in which the robot sinks into the ground, and nothing is checked."""
 
+ROUNDING = 1e-6
+"""By what a torque at its limit may exceed it in the simulator's arithmetic, relative."""
+
 BEARS = 0.1
 """Share of the weight that a foot bears if the place of its centre of pressure is to count."""
 
@@ -62,7 +65,7 @@ class Played:
         """Return why a motion must not be done; nothing if it may."""
         if self.fell:
             return "it falls"
-        if self.torque > limits.torque:
+        if self.torque > limits.torque + ROUNDING:
             return f"a motor needs {self.torque:.0%} of its torque"
         if self.margin < limits.margin:
             near = max(self.margin, 0.0)
