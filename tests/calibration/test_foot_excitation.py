@@ -13,7 +13,9 @@ from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.setup import OnlineSetup
 
 SOLES = np.array([[0.0, WIDTH / 2, 0.0], [0.0, -WIDTH / 2, 0.0]])
-CELLS = np.concatenate([sole + foot.position_cell_sole for sole, foot in zip(SOLES, LAYOUT.feet, strict=True)])
+CELLS = np.concatenate(
+    [sole + foot.position_cell_sole for sole, foot in zip(SOLES, LAYOUT.feet, strict=True)]
+)
 MIDDLE = CELLS[:, :2].mean(axis=0)
 
 
@@ -43,7 +45,7 @@ def motion(x=0.0, y=0.0, lifted=None, period=2.0, length=2.0):
         R_level_sole=np.broadcast_to(np.eye(3), shape),
         stance=~swing,
         swing=swing,
-        accelerometer=acceleration + [0.0, 0.0, GRAVITY],
+        accelerometer=acceleration + np.array([0.0, 0.0, GRAVITY]),
         gyroscope=np.zeros_like(com),
     )
     return FootMotion(force, reference)
@@ -72,9 +74,7 @@ def test_a_passage_is_the_recursion_of_the_bound(robot):
         covariance = covariance if rows is None else log.step(covariance, rows)
     np.testing.assert_allclose(log.passage().after(log.start), covariance, atol=1e-12, rtol=1e-7)
     twice = log.passage().then(log.passage())
-    np.testing.assert_allclose(
-        twice.after(log.start), log.passage().after(covariance), atol=1e-12, rtol=1e-7
-    )
+    np.testing.assert_allclose(twice.after(log.start), log.passage().after(covariance), atol=1e-12, rtol=1e-7)
     bound = posterior_bound(setup, *one, truth)
     np.testing.assert_allclose(log.uncertainty.of_parameters(covariance), bound.covariance, atol=1e-12)
 

@@ -76,7 +76,7 @@ def test_what_has_no_meaning_is_refused():
         CalibrationMotion(TARGETS, REST, ["hip"], dt=0.1)
     with pytest.raises(ValueError, match="last row of 'rest' must be true"):
         CalibrationMotion(TARGETS, np.roll(REST, 1), ["hip", "knee"], dt=0.1)
-    with pytest.raises(ValueError, match="'again' must be at least 'enough', 0.001, got 0.0005"):
+    with pytest.raises(ValueError, match=r"'again' must be at least 'enough', 0\.001, got 0\.0005"):
         motion(enough=1e-3, again=5e-4)
 
 

@@ -45,7 +45,9 @@ def test_what_is_written_is_read(short, tmp_path):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9, err_msg=name)
     text = (tmp_path / "motion.csv").read_text()
     (tmp_path / "bad.csv").write_text(text.replace("com_x_m", "com_x"))
-    with pytest.raises(ValueError, match=r"lacks the columns \['com_x_m'\]; write it with surefoot calibrate"):
+    with pytest.raises(
+        ValueError, match=r"lacks the columns \['com_x_m'\]; write it with surefoot calibrate"
+    ):
         Prelude.read(tmp_path / "bad.csv")
 
 
@@ -81,7 +83,10 @@ def test_a_tempo_is_a_factor_on_all_speeds(stage):
         ("", "There is no motion ''"),
         ("sway up 1", "There is no motion 'sway up 1'"),
         ("sway left 1 @ fast", "There is no motion"),
-        ("sway left 9", "reach from -1.6 to 1.6 along 'left', and a motion goes from 0 to 9; give it a smaller"),
+        (
+            "sway left 9",
+            "reach from -1.6 to 1.6 along 'left', and a motion goes from 0 to 9; give it a smaller",
+        ),
     ],
 )
 def test_unknown_motions_are_refused(stage, name, match):
@@ -101,11 +106,14 @@ def test_a_walk_begins_after_its_prelude_as_it_does_without(short):
         rows = []
         for _ in range(160):
             _, _, fell, truncated, _ = env.step(zero(env))
-            assert not (fell or truncated)
+            assert not fell
+            assert not truncated
             rows.append(env.command.joint_target)
         commands.append(rows)
         if before:
-            targets = np.array([env.pattern.command(0).joint_target, *(c.joint_target for c in before), rows[0]])
+            targets = np.array(
+                [env.pattern.command(0).joint_target, *(c.joint_target for c in before), rows[0]]
+            )
             assert np.abs(np.diff(targets, axis=0)).max() < 0.05
     np.testing.assert_array_equal(*commands)
 
@@ -139,8 +147,10 @@ def test_an_exercise_begins_after_its_prelude(stage, short):
 
 
 def test_a_prelude_of_another_robot_or_place_is_refused(short):
-    with pytest.raises(ValueError, match="'prelude' moves .* but the robot's motors are"):
+    with pytest.raises(ValueError, match=r"'prelude' moves .* but the robot's motors are"):
         NaoStandEnv(prelude=short._replace(motors=("knee", *short.motors[1:])))
-    aside = NaoStandEnv(prelude=short._replace(position_sole=short.position_sole + [0.0, 0.02, 0.0]))
+    aside = NaoStandEnv(
+        prelude=short._replace(position_sole=short.position_sole + np.array([0.0, 0.02, 0.0]))
+    )
     with pytest.raises(ValueError, match="'prelude' has its soles 20 mm from where the episode begins"):
         aside.reset(seed=0)
