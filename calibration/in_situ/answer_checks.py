@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from surefoot.calibration.in_situ.covariance import weighted_inverse
 from surefoot.calibration.in_situ.fit import InSituFit
@@ -201,7 +200,7 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
     T = transforms(problem, solution)[:, :AXES]
     load = np.zeros(AXES)
     for part, t in zip(problem.sets, T, strict=True):
-        mean = solve_triangular(part.bb, part.bu)[0] @ t.T
+        mean = t @ part.mean
         load += np.sum((part.uu @ t.T) ** 2, axis=0) + part.samples * mean**2
     load = np.sqrt(load)
     channels = fit.matrix.shape[1]

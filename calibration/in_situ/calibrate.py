@@ -28,7 +28,7 @@ from surefoot.calibration.in_situ.compress import CompressedSet, compress
 from surefoot.calibration.in_situ.covariance import (
     fit_covariance,
     inflation,
-    persistence,
+    noise_level,
     pooled_noise,
     weighted_inverse,
     whitening,
@@ -166,8 +166,7 @@ def _fit(
     if factory is not None:
         check_factory(factory, problem, solution)
     check_masses(problem, solution, noise, options)
-    rows = sum(part.uu.shape[0] for part in problem.sets) * len(noise)
-    factor = inflation(problem, solution, rows - rank.found)
+    factor = inflation(problem, solution, rank.found)
     covariance = fit_covariance(problem, solution, noise, factor)
     matrix = None
     if factory is not None and rank.missing:
@@ -197,7 +196,7 @@ def _problem(
     W = whitening(parts)
     if factory is not None or known is not None:
         # What hangs together in time must not overrule what is known beforehand.
-        W = W / np.sqrt(persistence(parts, W))
+        W = W / np.sqrt(noise_level(parts))
     limb, root = _limb_rows(known, moving)
     return Problem(
         sets=parts,

@@ -1,9 +1,10 @@
 r"""A set of thousands of samples as one small triangle.
 
 The readings of a set follow :math:`r = A T u + \Gamma b(t) + e`: the response A to the wrench T u, an offset
-:math:`\Gamma b(t)` that drifts, and noise. The offset is a sum of the slowest cosines over the set's time,
-:math:`b_k(t) = \cos(\pi k t / T)`, the likeliest shapes of a random walk; faster ones would be taken for the
-limb's turning. One orthogonal triangularisation
+:math:`\Gamma b(t)`, and noise, which hangs together in time where the offset walks. Rows are weighted so that
+their noise is white (:mod:`~surefoot.calibration.in_situ.colour`): what a drift could feign counts for as little
+as such a drift leaves it. Where that is asked for, the offset is free to follow the slowest cosines over the
+set's time as well, :math:`b_k(t) = \cos(\pi k t / T)`. One orthogonal triangularisation
 
 .. math::
     Q' [b \; u \; r] =
@@ -20,11 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
+from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.model import signals
+from surefoot.calibration.in_situ.model import DIRECT, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 
 __all__ = ["CompressedSet", "compress", "triangle"]
@@ -46,6 +49,9 @@ _SETTLED = 1e-3
 _MAD_TO_STD = 1.4826
 """Standard deviations in a median absolute deviation of normal noise."""
 
+_RANK = 1e-12
+"""Singular values at or below this share of the largest, for columns of unit length, are rounding."""
+
 _ROWS = 2000
 """Windows to whose means a set is reduced, if its limb turns slowly enough."""
 
@@ -54,6 +60,22 @@ _WITHIN = 1e-3
 
 _LEAST_DURATION = 8.0
 """Time in s that a set must last for each cosine of its offset."""
+
+
+class OffsetAt(NamedTuple):
+    """The offset at one time, linear in what was read.
+
+    Attributes:
+        basis: What the rows of b weigh, shape (d,).
+        drift_signals: What is seen to have drifted by then, less what the signals explain of it: signals, (s,) ...
+        drift_raw: ... and readings, shape (k,).
+        variance: Of the drift, over the variance of the white noise of a sample.
+    """
+
+    basis: NDArray[np.float64]
+    drift_signals: NDArray[np.float64]
+    drift_raw: NDArray[np.float64]
+    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +92,18 @@ class CompressedSet:
         uu: R_uu, shape (s, s).
         ur: R_ur, shape (s, k).
         rr: R_rr, shape (k, k).
-        middle: b at the middle of the set's time, shape (d,).
-        end: b at its end, shape (d,).
+        middle: The offset at the middle of the set's time.
+        end: The offset at its end.
+        mean: Of the signals, shape (s,).
+        spread: Sum of the squares of the readings about their mean in counts^2.
+        gram: Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s).
         score: Signals less what is like b, orthonormal, of the m rows, shape (m, s).
+        scatter: Squares of the residual, over the power that its modes have, shape (k, k).
         residual: What of the rows' readings no linear map of the signals explains, (m, k).
         index: Mean place in the set of the samples that made a row, shape (m,).
         width: Samples that made a row.
+        colour: Of the noise that the rows are weighted by.
+        spacing: Between rows in s, or in samples where there are no times.
     """
 
     name: str
@@ -87,12 +115,18 @@ class CompressedSet:
     uu: Matrix
     ur: Matrix
     rr: Matrix
-    middle: NDArray[np.float64]
-    end: NDArray[np.float64]
+    middle: OffsetAt
+    end: OffsetAt
+    mean: NDArray[np.float64]
+    spread: float
+    gram: Matrix
     score: Matrix
+    scatter: Matrix
     residual: Matrix
     index: NDArray[np.float64]
     width: int
+    colour: Colour
+    spacing: float
 
     @property
     def samples(self) -> int:
@@ -110,6 +144,12 @@ class CompressedSet:
         return max(self.rows - len(self.bb) - int(np.linalg.matrix_rank(self.uu)), 0)
 
     @property
+    def log_colour(self) -> float:
+        """The sum of the logarithms of the power of the rows' noise, before they were weighted."""
+        left, weights = (of(self.rows, self.spacing) for of in (self.colour.left, self.colour.weights))
+        return float(np.sum(np.log(left) - np.log(weights)))
+
+    @property
     def affine_residual(self) -> float:
         """Share of the readings' spread outside the three-space of Lemma 1, by its square root."""
         singular = np.linalg.svd(np.concatenate([self.ur, self.rr]), compute_uv=False)
@@ -120,17 +160,19 @@ class CompressedSet:
         """B = A T of least squares on this set alone, shape (k, s)."""
         return np.asarray(np.linalg.lstsq(self.uu, self.ur, rcond=None)[0].T)
 
-    def leverage(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return R_bb'^-1 b, shape (d,): what an offset at a time takes from the rows; ``at`` is b then."""
-        return np.asarray(solve_triangular(self.bb, at, trans=1))
+    def offset_variance(self, at: OffsetAt) -> float:
+        """Return the variance of the offset at a time, over that of the white noise of a sample."""
+        taken = solve_triangular(self.bb, at.basis, trans=1)
+        return float(taken @ taken) + at.variance
 
-    def lever(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    def lever(self, at: OffsetAt) -> NDArray[np.float64]:
         """Return the signals, shape (s,), by which an error of the response moves the offset at a time."""
-        return np.asarray(self.bu.T @ self.leverage(at))
+        return np.asarray(self.bu.T @ solve_triangular(self.bb, at.basis, trans=1) + at.drift_signals)
 
-    def offset(self, predicted: Matrix, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    def offset(self, predicted: Matrix, at: OffsetAt) -> NDArray[np.float64]:
         """Return the offset at a time, shape (k,), by A T, shape (k, s)."""
-        return np.asarray(at @ solve_triangular(self.bb, self.br - self.bu @ predicted.T))
+        steady = at.basis @ solve_triangular(self.bb, self.br - self.bu @ predicted.T)
+        return np.asarray(steady + at.drift_raw - predicted @ at.drift_signals)
 
 
 def compress(
@@ -154,7 +196,8 @@ def compress(
         channel_lags: Those of the hysteresis of channels, shape (n, k) each, or none.
         like: The same sets, compressed before: the same samples take part, in the same windows.
     """
-    parts = []
+    timed = all(data.time is not None for data in sets)
+    rows = []
     for j, data in enumerate(sets):
         u = signals(data, moving)
         if lags is not None:
@@ -164,37 +207,116 @@ def compress(
         if channel_lags is not None:
             u = np.concatenate([u, channel_lags[j]], axis=1)
         whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
-        width = None if data.time is not None else 1
         if like is not None:
             out, width = like[j].rejected, like[j].width
         else:
-            out = _rejected(u, data.raw, whole) if options.robust else np.zeros_like(whole)
-        parts.append(_triangularise(data, u, whole & ~out, out, options.drift, width))
-    return tuple(parts)
+            out, width = _rejected(u, data.raw, whole) if options.robust else np.zeros_like(whole), None
+        rows.append(_rows(data, u, whole & ~out, out, options.drift or 0, width, timed))
+    colour = _colour(rows) if options.drift is None else Colour()
+    return tuple(_triangularise(one, colour) for one in rows)
 
 
-def _triangularise(
+class _Rows(NamedTuple):
+    """A set in rows of nearly equal weight, in the order of time."""
+
+    name: str
+    used: NDArray[np.bool_]
+    rejected: NDArray[np.bool_]
+    columns: Matrix
+    """(b, u, r), weighted, shape (m, d + s + k)."""
+    terms: int
+    """d."""
+    inputs: int
+    """s."""
+    ends: Matrix
+    """b at the middle and at the end, shape (2, d)."""
+    weight: NDArray[np.float64]
+    place: NDArray[np.float64]
+    width: int
+    spacing: float
+
+
+def _rows(
     data: InSituSet,
     u: Matrix,
     used: NDArray[np.bool_],
     rejected: NDArray[np.bool_],
     drift: int,
     width: int | None,
-) -> CompressedSet:
+    timed: bool,
+) -> _Rows:
     mean = _averages(u, data.raw, used, width)
-    basis, middle, end = _offset_basis(data, mean.place, drift)
-    weighted = mean.weight[:, None] * np.concatenate([basis, mean.signals, mean.raw], axis=1)
-    R = triangle(weighted)
-    d = basis.shape[1]
-    first = d + u.shape[1]
+    basis, ends = _offset_basis(data, mean.place, drift)
+    spacing = float(mean.width)
+    if timed and data.time is not None and len(data.time) > 1:
+        spacing *= float(data.time[-1] - data.time[0]) / (len(data.time) - 1)
+    columns = mean.weight[:, None] * np.concatenate([basis, mean.signals, mean.raw], axis=1)
+    return _Rows(
+        data.name,
+        used,
+        rejected,
+        columns,
+        basis.shape[1],
+        u.shape[1],
+        ends,
+        mean.weight,
+        mean.place,
+        mean.width,
+        spacing,
+    )
+
+
+def _colour(rows: Sequence[_Rows]) -> Colour:
+    """Return the colour of what no linear map of the signals explains."""
+    found, spread = [], 0.0
+    for one in rows:
+        first = one.terms + one.inputs
+        explaining, readings = one.columns[:, :first], one.columns[:, first:]
+        left, singular, _ = np.linalg.svd(_scaled(explaining), full_matrices=False)
+        basis = left[:, singular > _RANK * singular[0]]
+        residual = readings - basis @ (basis.T @ readings)
+        found.append((residual, basis, one.spacing))
+        spread += float(np.sum((readings - readings.mean(axis=0)) ** 2))
+    scatter = sum(residual.T @ residual for residual, _, _ in found)
+    size, turn = np.linalg.eigh(scatter)
+    independent = turn[:, size > _FLOOR**2 * spread]
+    if independent.shape[1] == 0:
+        return Colour()
+    motions = [motion_frequency(one.columns[:, one.terms :][:, DIRECT], one.spacing) for one in rows]
+    return likeliest_colour(
+        [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found],
+        float(np.median(motions)),
+    )
+
+
+def _scaled(columns: Matrix) -> Matrix:
+    size = np.linalg.norm(columns, axis=0)
+    return np.asarray(columns / np.where(size > 0.0, size, 1.0))
+
+
+def _triangularise(rows: _Rows, colour: Colour) -> CompressedSet:
+    d, first = rows.terms, rows.terms + rows.inputs
+    white = colour.weigh(rows.columns, rows.spacing)
+    R = triangle(white)
     uu, ur = R[d:first, d:first], R[d:first, first:]
     slope = np.linalg.lstsq(uu, ur, rcond=None)[0]
-    centred = weighted[:, d:first] - weighted[:, :d] @ solve_triangular(R[:d, :d], R[:d, d:first])
-    residual = weighted[:, first:] - weighted[:, :d] @ solve_triangular(R[:d, :d], R[:d, first:])
+    centred = white[:, d:first] - white[:, :d] @ solve_triangular(R[:d, :d], R[:d, d:first])
+    residual = white[:, first:] - white[:, :d] @ solve_triangular(R[:d, :d], R[:d, first:])
+    square = np.sum(rows.weight**2)
+    mean = rows.weight @ rows.columns / square
+    readings = rows.columns[:, first:] - rows.weight[:, None] * mean[first:]
+    middle, end = _offsets(rows, colour)
+    score = centred @ np.linalg.pinv(uu)
+    residual = residual - centred @ slope
+    power = colour.left(len(white), rows.spacing)
+    modes = dct(residual, norm="ortho", axis=0) / np.sqrt(power)[:, None]
+    scatter = modes.T @ modes
+    # Noise that depends on the load is nowhere less than on average.
+    modes = np.sqrt(np.maximum(power, 1.0))[:, None] * dct(score, norm="ortho", axis=0)
     return CompressedSet(
-        name=data.name,
-        used=used,
-        rejected=rejected,
+        name=rows.name,
+        used=rows.used,
+        rejected=rows.rejected,
         bb=R[:d, :d],
         bu=R[:d, d:first],
         br=R[:d, first:],
@@ -203,11 +325,30 @@ def _triangularise(
         rr=R[first:, first:],
         middle=middle,
         end=end,
-        score=centred @ np.linalg.pinv(uu),
-        residual=residual - centred @ slope,
-        index=mean.place,
-        width=mean.width,
+        mean=mean[d:first],
+        spread=float(np.sum(readings**2)),
+        gram=modes.T @ modes,
+        score=score,
+        scatter=scatter,
+        residual=residual,
+        index=rows.place,
+        width=rows.width,
+        colour=colour,
+        spacing=rows.spacing,
     )
+
+
+def _offsets(rows: _Rows, colour: Colour) -> tuple[OffsetAt, OffsetAt]:
+    """Return the offset at the middle and at the end."""
+    d, first = rows.terms, rows.terms + rows.inputs
+    weights, variances = colour.slow(len(rows.columns), rows.spacing, (0.5, 1.0))
+    # The noise of a row is that of a sample; what drifts is larger there by the root of the samples of a row.
+    per_row = float(np.sqrt(np.mean(rows.weight**2)))
+    found = []
+    for weight, variance, basis in zip(weights, variances, rows.ends, strict=True):
+        seen = weight @ rows.columns / per_row
+        found.append(OffsetAt(basis - seen[:d], seen[d:first], seen[first:], float(variance) / per_row**2))
+    return found[0], found[1]
 
 
 def _rejected(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -312,10 +453,8 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     return np.asarray(distance > limit)
 
 
-def _offset_basis(
-    data: InSituSet, index: NDArray[np.float64], drift: int
-) -> tuple[Matrix, NDArray[np.float64], NDArray[np.float64]]:
-    """Return b at places in the set, shape (m, d), and at the middle and the end of it, (d,) each.
+def _offset_basis(data: InSituSet, index: NDArray[np.float64], drift: int) -> tuple[Matrix, Matrix]:
+    """Return b at places in the set, shape (m, d), and at the middle and the end of it, shape (2, d).
 
     There are ``drift`` cosines at most, fewer in a short set and none without times.
     """
@@ -327,4 +466,4 @@ def _offset_basis(
         share = (np.interp(index, np.arange(len(data.time)), data.time) - data.time[0]) / duration
     places = np.concatenate([share, [0.5, 1.0]])
     basis = np.cos(np.pi * places[:, None] * np.arange(modes + 1))
-    return basis[:-2], basis[-2], basis[-1]
+    return basis[:-2], basis[-2:]

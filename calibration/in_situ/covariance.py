@@ -1,14 +1,13 @@
 r"""The covariance of an in-situ calibration, and of its noise.
 
-The curvature of the fit, :math:`(J' J)^{-1}` in whitened readings, is the covariance if the noise is white.
-Hysteresis, drift and a limb that is not quite rigid are not, so it is raised by the largest of three ratios:
-one; how much more the scores of long stretches scatter than white noise would let them; and how much more the
-sets disagree with each other than their samples' noise lets them (Birge, 1932). A sensor with hysteresis has
-no one slope; what that leaves open of its matrix comes on top.
+With whitened readings :math:`z = X \theta + e` the covariance is :math:`X^+ G X^{+\prime}`, where G is the
+covariance of the rows' noise: the rows are free of drift, but what is left in them of hysteresis and of a limb
+that is not quite rigid hangs together in time (:mod:`~surefoot.calibration.in_situ.colour`). It is raised where
+the sets disagree with each other by more than that (Birge, 1932). A sensor with hysteresis has no one slope;
+what that leaves open of its matrix comes on top.
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,7 @@ from surefoot.calibration.in_situ.solve import (
 __all__ = [
     "fit_covariance",
     "inflation",
-    "persistence",
+    "noise_level",
     "pooled_noise",
     "weighted_inverse",
     "whitening",
@@ -42,14 +41,8 @@ Matrix = NDArray[np.float64]
 _CHANCE = 0.01
 """Probability by white noise alone from which on a ratio means nothing."""
 
-_STRETCHES = (10, 30, 100)
-"""Into how many stretches a set is cut to see how its noise hangs together ..."""
-
-_ROWS_EACH = 10
-"""... if that leaves so many rows in each."""
-
-_IN_USE = 0.5
-"""Length below which a column of the orthonormal signals is one that never varied."""
+_UNUSED = 1e-9
+"""Share of the largest variance of a set's rows below which a signal never varied."""
 
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
@@ -71,43 +64,25 @@ def whitening(sets: Sequence[CompressedSet]) -> Matrix:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
 
-def inflation(problem: Problem, solution: Solution, freedom: int) -> float:
-    """Return the factor on the covariance; a ratio that chance explains counts as one.
+def inflation(problem: Problem, solution: Solution, unknowns: int) -> float:
+    """Return the factor on the covariance by which sets disagree; a ratio that chance explains counts as one.
 
-    ``freedom`` is the number of rows of the sets less that of unknowns.
+    ``unknowns`` is the number that the data determine.
     """
-    sets = float(np.sum(solution.residual**2)) / max(freedom, 1)
-    between = sets if _beyond_chance(sets, freedom) else 1.0
-    return max(between, persistence(problem.sets, problem.whitening))
+    square, freedom = 0.0, -unknowns
+    for part, residual in zip(problem.sets, solution.residual, strict=True):
+        values, vectors = np.linalg.eigh(part.gram)
+        used = values > _UNUSED * values[-1]
+        square += float(np.sum((vectors[:, used].T @ residual) ** 2 / values[used, None]))
+        freedom += int(np.sum(used)) * residual.shape[1]
+    ratio = square / max(freedom, 1)
+    return ratio if freedom > 0 and square > chdtri(freedom, _CHANCE) else 1.0
 
 
-def persistence(sets: Sequence[CompressedSet], whitening: Matrix) -> float:
-    """Return how many times more than white noise the noise weighs; 1 if chance explains it."""
-    ratios = [_between_stretches(sets, whitening, stretches) for stretches in _STRETCHES]
-    return max([1.0, *(ratio for ratio, terms in ratios if _beyond_chance(ratio, terms))])
-
-
-def _beyond_chance(ratio: float, terms: int) -> bool:
-    return terms > 0 and ratio * terms > chdtri(terms, _CHANCE)
-
-
-def _between_stretches(sets: Sequence[CompressedSet], whitening: Matrix, stretches: int) -> tuple[float, int]:
-    """Return the scatter of the scores of stretches over that of white noise, and its degrees of freedom."""
-    scatter, expected, terms = 0.0, 0.0, 0
-    for part in sets:
-        if part.rows < _ROWS_EACH * stretches:
-            continue
-        score = part.score[:, np.linalg.norm(part.score, axis=0) > _IN_USE]
-        white = part.residual @ whitening.T
-        edges = np.linspace(0, part.rows, stretches + 1).astype(int)
-        for first, last in pairwise(edges):
-            piece = score[first:last]
-            scatter += float(np.sum((piece.T @ white[first:last]) ** 2))
-            # A stretch of white noise has its share of the signals, less what the fit has taken away.
-            share = piece.T @ piece
-            expected += float(np.trace(share) - np.sum(share**2)) * white.shape[1]
-        terms += score.shape[1] * white.shape[1] * (stretches - 1)
-    return (scatter / expected, terms) if terms else (1.0, 0)
+def noise_level(sets: Sequence[CompressedSet]) -> float:
+    """Return by how much the noise of the rows weighs more than white noise, over all sets; at least one."""
+    used = np.concatenate([np.diag(part.gram)[np.diag(part.gram) > _UNUSED] for part in sets])
+    return max(float(np.mean(used)), 1.0) if len(used) else 1.0
 
 
 def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
@@ -128,8 +103,9 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     channels, inputs = solution.response.shape
     columns = FitColumns.of(channels)
     unit, size = of_unit_length(solution.jacobian)
-    _, singular, right = np.linalg.svd(unit, full_matrices=False)
+    left, singular, right = np.linalg.svd(unit, full_matrices=False)
     root = right.T / np.maximum(singular, ROUNDING * singular[0]) / size[:, None]
+    root = root @ _noise_root(problem, left)
     linear = channels * inputs
     # From W A to A, row by row.
     unwhiten = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs))
@@ -138,14 +114,37 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     root = to_output @ root
     covariance = root @ root.T
     last = problem.sets[-1]
-    leverage = last.leverage(last.end)
-    covariance[columns.offset, columns.offset] += noise * (leverage @ leverage)
+    covariance[columns.offset, columns.offset] += noise * last.offset_variance(last.end)
     covariance = factor * covariance
     if problem.hysteresis or problem.channel_lags:
         of_matrix, of_offset = _slope_doubt(problem, solution, noise)
         covariance[columns.matrix, columns.matrix] += of_matrix
         covariance[columns.offset, columns.offset] += of_offset
     return np.asarray(covariance)
+
+
+def _noise_root(problem: Problem, left: Matrix) -> Matrix:
+    """Return a root of the covariance of the rows in their orthonormal basis, shape (p, p).
+
+    Args:
+        problem: The problem, the rows of whose sets have the noise of :attr:`CompressedSet.gram`.
+        left: Orthonormal, of all rows, shape (n, p).
+    """
+    channels = len(problem.whitening)
+    spread, first = [], 0
+    for part in problem.sets:
+        signals = len(part.uu)
+        rows = left[first : first + signals * channels].reshape(signals, -1)
+        spread.append((noise_root(part.gram) @ rows).reshape(signals * channels, -1))
+        first += signals * channels
+    factor = np.linalg.qr(np.concatenate([*spread, left[first:]]), mode="r")
+    return np.asarray(factor.T)
+
+
+def noise_root(gram: Matrix) -> Matrix:
+    """Return a symmetric root of a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(gram)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def with_rows(covariance: Matrix, rows: Matrix) -> Matrix:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.compress import CompressedSet, triangle
-from surefoot.calibration.in_situ.covariance import persistence
+from surefoot.calibration.in_situ.covariance import noise_level
 from surefoot.calibration.in_situ.model import AXES
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
 
@@ -138,7 +138,7 @@ def leaning_matrix(problem: Problem, solution: Solution, factory: Matrix) -> tup
     matrix = factory + np.stack([np.linalg.solve(S, product)[:, axis] for axis, S in enumerate(heavier)])
     samples = sum(len(readings) for readings, _ in rows)
     # With weight lambda the factory's row counts as known to s^2 / (n lambda), s^2 being what is left.
-    left = np.min(np.sum(error, axis=0), axis=0) / samples * persistence(problem.sets, problem.whitening)
+    left = np.min(np.sum(error, axis=0), axis=0) / samples * noise_level(problem.sets)
     return matrix, left[:, None, None] / samples * np.linalg.inv(heavier)
 
 

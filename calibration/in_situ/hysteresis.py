@@ -79,12 +79,14 @@ def _criterion(problem: Problem, solution: Solution) -> float:
     """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
     rows = sum(part.rows for part in problem.sets)
     unwhiten = np.linalg.inv(problem.whitening).T
-    left = solution.residual @ unwhiten
-    scatter = sum(part.rr.T @ part.rr for part in problem.sets) + np.einsum("jsi,jsk->ik", left, left)
+    scatter = sum(part.scatter for part in problem.sets)
+    for part, residual in zip(problem.sets, solution.residual @ unwhiten, strict=True):
+        scatter = scatter + residual.T @ np.linalg.pinv(part.gram, hermitian=True) @ residual
     size = np.sqrt(np.diag(scatter))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
     free = len(size) * sum(part.uu.shape[1] for part in problem.sets) + solution.jacobian.shape[1]
-    return float(rows * (logdet + 2.0 * np.sum(np.log(size))) + free * np.log(rows))
+    of_colour = len(size) * sum(part.log_colour for part in problem.sets)
+    return float(rows * (logdet + 2.0 * np.sum(np.log(size))) + of_colour + free * np.log(rows))
 
 
 def _of_loads(

@@ -53,9 +53,10 @@ class KnownLimb:
 class InSituOptions:
     """Options of :func:`~surefoot.calibration.in_situ.calibrate_in_situ`."""
 
-    drift: int = 1
-    """Number of cosines over a set's time along which its offset may drift; 0 for none. Sets without times
-    have none, and each cosine takes 8 s of a set."""
+    drift: int | None = None
+    """How offsets may drift within a set. None lets the residuals tell how fast they walk, if they do, and
+    weighs what is slow by it; 0 is for none. A number of cosines over a set's time leaves these free, whatever
+    their size: what else is as slow is lost. Sets without times have none, and each takes 8 s of a set."""
 
     robust: bool = True
     """Whether samples that disagree with all others are left out."""
@@ -89,8 +90,10 @@ class InSituOptions:
     def __post_init__(self) -> None:
         """Raise ValueError if a value has no meaning."""
         check_positive(self, "residual_tolerance", "mass_tolerance", "scale_tolerance", "axis_tolerance")
-        if self.drift not in range(MOST_DRIFT + 1):
-            raise ValueError(f"'drift' must be a whole number from 0 to {MOST_DRIFT}, got {self.drift!r}.")
+        if self.drift is not None and self.drift not in range(MOST_DRIFT + 1):
+            raise ValueError(
+                f"'drift' must be a whole number from 0 to {MOST_DRIFT}, or None, got {self.drift!r}."
+            )
         stds = self.factory_std
         if stds is not None and (len(stds) != 6 or not all(value > 0.0 for value in stds)):
             raise ValueError(f"'factory_std' must hold six positive shares, one an axis, got {stds!r}.")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from surefoot.envs.leg_rig.spec import HIP_RANGE
 from surefoot.envs.options import positive
 
-__all__ = ["RIG_SPEED_DEG", "HipMotion", "sweep", "swing"]
+__all__ = ["RIG_SPEED_DEG", "HipMotion", "raster", "sweep", "swing"]
 
 RIG_SPEED_DEG = 6.0
 """Highest speed of each hip joint in deg/s: of what the sensors feel then, about 0.1 % is motion."""
@@ -82,6 +82,35 @@ def sweep(
         swings[0] -= 1
     frequency = 2.0 * np.pi / duration * np.array(swings)
     return _rounded_triangles(_samples(duration, rate), amplitude, frequency, np.array([np.pi, phase]))
+
+
+def raster(
+    duration: float = 300.0,
+    rate: float = 100.0,
+    speed_deg: float = RIG_SPEED_DEG,
+    *,
+    range_deg: tuple[float, float] | None = None,
+) -> HipMotion:
+    """Sweep the first joint forth and back while the second goes from one end of its range to the other once.
+
+    This is how one would scan the range, and how the paper's figures look. A slow drift of a sensor looks
+    like the second joint's turn then.
+
+    Args:
+        duration: In s.
+        rate: Samples per s.
+        speed_deg: Highest speed of the first joint in deg/s.
+        range_deg: Ranges (front-back, lateral) in deg; those of the rig by default.
+
+    Raises:
+        ValueError: If numbers are not positive.
+    """
+    for name, value in {"duration": duration, "rate": rate, "speed_deg": speed_deg}.items():
+        positive(name, value)
+    amplitude, time = _half_ranges(range_deg), _samples(duration, rate)
+    period = 2.0 * np.pi * amplitude[0] * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / np.radians(speed_deg)
+    frequency = 2.0 * np.pi / duration * np.array([max(int(duration / period), 1), 0.5])
+    return _rounded_triangles(time, amplitude, frequency, np.array([np.pi, np.pi]))
 
 
 def swing(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.leg_rig.icub import load_icub_leg_spec
-from surefoot.envs.leg_rig.motion import RIG_SPEED_DEG, HipMotion, sweep, swing
+from surefoot.envs.leg_rig.motion import RIG_SPEED_DEG, HipMotion, raster, sweep, swing
 from surefoot.envs.leg_rig.spec import (
     HIP_JOINTS,
     SENSORS,
@@ -24,7 +24,7 @@ from surefoot.envs.leg_rig.spec import (
     sensor_frames,
 )
 
-__all__ = ["HipMotion", "RigRecording", "record_rig", "sweep", "swing"]
+__all__ = ["HipMotion", "RigRecording", "raster", "record_rig", "sweep", "swing"]
 
 _KNEE_ITERATIONS = 6
 
@@ -103,6 +103,7 @@ def record_rig(
     knee_slack: float = 0.0,
     floor: bool = False,
     fast_motion: bool = False,
+    rasters: bool = False,
     at_rest: bool = False,
     icub: bool = False,
 ) -> list[RigRecording]:
@@ -119,6 +120,7 @@ def record_rig(
             spring, weight and contact balance; what its own motion adds is left out.
         floor: Whether the tip of the beam meets a block of foam at the rear end of the front-back range.
         fast_motion: Swing at 0.8 to 2 Hz (:func:`swing`) rather than sweep slowly (:func:`sweep`).
+        rasters: Move the lateral joint once a set while the other sweeps (:func:`raster`), rather than both.
         at_rest: Stand still in each posture, so that no inertia is felt at all.
         icub: Take the right leg of the official iCub v2.5 (:mod:`surefoot.envs.leg_rig.icub`), with its knee
             held and without a floor.
@@ -140,6 +142,8 @@ def record_rig(
         rng = np.random.default_rng([seed, index])
         if fast_motion:
             motion = swing(duration, rate, range_deg=range_deg, seed=int(rng.integers(2**31)))
+        elif rasters:
+            motion = raster(duration, rate, speed_deg, range_deg=range_deg)
         else:
             phase = float(rng.uniform(0.0, 2.0 * np.pi))
             motion = sweep(duration, rate, speed_deg, range_deg=range_deg, phase=phase)
