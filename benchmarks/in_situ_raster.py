@@ -3,11 +3,11 @@
     python benchmarks/in_situ_raster.py                       # 20 seeds, about ten minutes
     python benchmarks/in_situ_raster.py --seeds 3 --paths raster
 
-A raster moves the second joint once while the first sweeps, so that a drift of the sensor's offset looks like
-that turn; a sweep moves both many times. Sensor and IMU have all their errors. For each case it prints how many
-were answered, the error of the limb's weight, the squared error per parameter by the fit's own covariance
-(NEES; 1 where the fit is as sure as it is right), how many 95 % intervals of each kind of parameter hold the
-truth, and why the others were refused.
+A raster moves the second joint once while the first sweeps, so that a drift of the sensor's offset looks
+like that turn; a sweep moves both many times. Sensor and IMU have all their errors. For each case it prints
+how many were answered, the error of the limb's weight, the squared error per parameter by the fit's own
+covariance (NEES; 1 where the fit is as sure as it is right), how many 95 % intervals of each kind of
+parameter hold the truth, and why the others were refused.
 """
 
 import argparse
@@ -34,6 +34,11 @@ from surefoot.experiments.in_situ.instruments import (
 from surefoot.experiments.study.tables import Table, number
 
 Floats = NDArray[np.float64]
+
+_COLUMNS = (
+    *("path", "sensor", "hysteresis", "times", "answered", "weight %", "worst %", "NEES"),
+    *("in 95 %: matrix", "offset", "limb"),
+)
 
 SETS = (1, 2, 3, 4)
 TWO_SIDED = 1.96
@@ -131,14 +136,12 @@ def main() -> None:
         found = scores(case, range(arguments.seeds), arguments.rate)
         rows.append(row(case, found))
         counted = Counter(one.refusal for one in found if one.refusal)
-        refusals += [f"{case.path}, {case.sensor}, {case.hysteresis:.1%}: {n} x {why}" for why, n in counted.items()]
+        name = f"{case.path}, {case.sensor}, {case.hysteresis:.1%}"
+        refusals += [f"{name}: {count} x {why}" for why, count in counted.items()]
     table = Table(
         name="in_situ_raster",
         title=f"{arguments.seeds} sensors a case, four sets of five minutes at {arguments.rate:g} Hz",
-        columns=(
-            "path", "sensor", "hysteresis", "times", "answered", "weight %", "worst %", "NEES",
-            "in 95 %: matrix", "offset", "limb",
-        ),  # fmt: skip
+        columns=_COLUMNS,
         rows=tuple(rows),
         note="Coverage is the mean over parameters, and that of the worst parameter in brackets.",
     )

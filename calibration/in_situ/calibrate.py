@@ -150,17 +150,19 @@ def _fit(
     if rank.missing and options.drift:
         # Too few sets to separate a drift from the load.
         return _fit(given, factory, known, replace(options, drift=0))
-    warnings += check_within(sets, parts, options)
-    if rank.missing:
-        warnings += (rank.warning(),)
+    loops = options.hysteresis and not rank.missing and all(data.time is not None for data in sets)
+    if not loops:
+        warnings += check_within(sets, parts, options)
     if factory is not None:
         problem, first = _leaning(problem, first, options)
     found = minima(problem, first)
     check_rotation(found)
     solution = found[0]
-    loops = options.hysteresis and not rank.missing and all(data.time is not None for data in sets)
     if loops:
         problem, solution = with_hysteresis(sets, problem, solution, options) or (problem, solution)
+        warnings += check_within(sets, problem.sets, options)
+    if rank.missing:
+        warnings += (rank.warning(),)
     check_bending(sets, problem.sets, options, loops=not loops)
     noise = pooled_noise(problem.sets)
     if factory is not None:

@@ -2,22 +2,22 @@ r"""The colour of a sensor's noise: white, or stronger the slower it is, as wher
 
 The residuals of a set, in the order of their rows, have by their cosine transform (DCT-II) the power
 
-.. math:: S(f_k) = \sigma^2 \left(N + (f_d / f_k)^\beta\right), \qquad
+.. math:: S(f_k) = \sigma^2 \left(N + (f_d / f_k)^2\right), \qquad
     N = 1 + \min(f_k / f_0, 1)^2 (f_c / \max(f_k, f_0))^\alpha, \qquad f_k = k / 2 T,
 
-at its mode k: white noise, a **drift** that grows without end the slower it is (:math:`\beta = 2`: the offset
-walks at random), and what is left of **hysteresis**, which is hardly slower than the limb's own motion
-(:math:`f_0`). The parameters are those of the largest likelihood (Whittle, 1953); a mode that the signals
-explain as well counts for what they leave of it. Each part must be worth its parameters (Schwarz, 1978).
+at its mode k: white noise, a **drift**, by which the offset walks at random, and what is left of
+**hysteresis**, which is hardly slower than the limb's own motion (:math:`f_0`). The parameters are those of
+the largest likelihood (Whittle, 1953); a mode that the signals explain as well counts for what they leave
+of it. Each part must be worth its parameters (Schwarz, 1978).
 
-Rows that are weighted by the root of :math:`N / (N + (f_d / f)^\beta)` are free of drift: what a drift could
-feign has the weight that such a drift leaves it, no more and no less. What colour the rows still have, N, is no
-matter of the fit but of its covariance: hysteresis is no noise that is independent of the load, and weights
-against it would only raise the part of it that is fast. The constant is the offset, which is free.
+Rows that are weighted by the root of :math:`N / (N + (f_d / f)^2)` are free of drift: what a drift could
+feign has the weight that such a drift leaves it, no more and no less. What colour the rows still have, N,
+is no matter of the fit but of its covariance: hysteresis is no noise that is independent of the load, and
+weights against it would only raise the part of it that is fast. The constant is the offset, which is free.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import NamedTuple
 
@@ -30,13 +30,13 @@ __all__ = ["Colour", "Part", "Spectrum", "likeliest_colour", "motion_frequency"]
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-_WALKS, _LAGS = (1.0, 1.5, 2.0), (1.0, 2.0, 3.0)
-"""Exponents of drift and of hysteresis that are tried ..."""
+_WALK, _LAGS = 2.0, (1.0, 2.0, 3.0)
+"""Exponent of a random walk, and those of hysteresis that are tried ..."""
 
 _CORNERS, _KNEES, _ROUNDS = 40, 12, 3
 """... with so many corners and frequencies below which hysteresis grows no more, one part after the other."""
 
-_PARAMETERS = {"drift": 2.0, "hysteresis": 3.0}
+_PARAMETERS = {"drift": 1.0, "hysteresis": 3.0}
 """Of each part, for Schwarz's penalty."""
 
 _PER_OCTAVE = 6
@@ -51,7 +51,7 @@ _SLOWER = 0.5
 _NONE = 1e-200
 """What stands for a corner or a power of zero in a logarithm."""
 
-_LEAST_MODES = 12
+_LEAST_MODES = 24
 """Modes below which a set shows no colour."""
 
 _FREE = 0.05
@@ -80,8 +80,8 @@ class Part(NamedTuple):
 class Colour:
     """The power of noise over its white part, 1 + drift + hysteresis."""
 
-    drift: Part = Part()
-    hysteresis: Part = Part()
+    drift: Part = field(default_factory=Part)
+    hysteresis: Part = field(default_factory=Part)
 
     def weights(self, rows: int, spacing: float) -> Vector:
         """Return what takes the drift off the modes 0, 1, ... of a set, shape (rows,), at most one.
@@ -199,7 +199,7 @@ def likeliest_colour(spectra: Sequence[Spectrum], motion: float) -> Colour:
     knees = np.geomspace(slowest, max(2.0 * slowest, float(frequency[-1])), _KNEES)
     lags = [part for part in product(corners, _LAGS, knees) if part[2] < part[0]]
     tried = {
-        "drift": np.array([Part(), *product(corners, _WALKS, (0.0,))]),
+        "drift": np.array([Part(), *product(corners, (_WALK,), (0.0,))]),
         "hysteresis": np.array([Part(), *lags]),
     }
     powers = {name: _powers(grid, frequency) for name, grid in tried.items()}
@@ -229,7 +229,9 @@ def _powers(grid: Matrix, frequency: Vector) -> Matrix:
     """Return the power of parts, one a row of ``grid``, as :meth:`Part.power` does one by one."""
     corner, exponent, knee = (column[:, None] for column in grid.T)
     slow = np.minimum(frequency / np.maximum(knee, _NONE), 1.0) ** 2
-    return np.asarray(slow * np.exp(exponent * np.log(np.maximum(corner, _NONE) / np.maximum(frequency, knee))))
+    return np.asarray(
+        slow * np.exp(exponent * np.log(np.maximum(corner, _NONE) / np.maximum(frequency, knee)))
+    )
 
 
 def _penalty(best: dict[str, int], count: float) -> float:

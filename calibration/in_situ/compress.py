@@ -1,10 +1,10 @@
 r"""A set of thousands of samples as one small triangle.
 
-The readings of a set follow :math:`r = A T u + \Gamma b(t) + e`: the response A to the wrench T u, an offset
-:math:`\Gamma b(t)`, and noise, which hangs together in time where the offset walks. Rows are weighted so that
-their noise is white (:mod:`~surefoot.calibration.in_situ.colour`): what a drift could feign counts for as little
-as such a drift leaves it. Where that is asked for, the offset is free to follow the slowest cosines over the
-set's time as well, :math:`b_k(t) = \cos(\pi k t / T)`. One orthogonal triangularisation
+The readings of a set follow :math:`r = A T u + \Gamma b(t) + e`: the response A to the wrench T u, an
+offset :math:`\Gamma b(t)`, and noise, which hangs together in time where the offset walks. Rows are
+weighted against that (:mod:`~surefoot.calibration.in_situ.colour`): what a drift could feign counts for as
+little as such a drift leaves of it. Where that is asked for, the offset is free to follow the slowest
+cosines over the set's time as well, :math:`b_k(t) = \cos(\pi k t / T)`. One orthogonal triangularisation
 
 .. math::
     Q' [b \; u \; r] =
@@ -67,7 +67,7 @@ class OffsetAt(NamedTuple):
 
     Attributes:
         basis: What the rows of b weigh, shape (d,).
-        drift_signals: What is seen to have drifted by then, less what the signals explain of it: signals, (s,) ...
+        drift_signals: Signals, shape (s,), that go with the drift until then ...
         drift_raw: ... and readings, shape (k,).
         variance: Of the drift, over the variance of the white noise of a sample.
     """
@@ -159,6 +159,11 @@ class CompressedSet:
     def response(self) -> Matrix:
         """B = A T of least squares on this set alone, shape (k, s)."""
         return np.asarray(np.linalg.lstsq(self.uu, self.ur, rcond=None)[0].T)
+
+    def level(self, columns: Matrix) -> float:
+        """Return the mean variance of noise along orthonormal columns, shape (m, c), over that of a row."""
+        power = self.colour.left(self.rows, self.spacing)
+        return float(np.mean(power @ dct(columns, norm="ortho", axis=0) ** 2))
 
     def offset_variance(self, at: OffsetAt) -> float:
         """Return the variance of the offset at a time, over that of the white noise of a sample."""

@@ -1,9 +1,9 @@
 r"""The covariance of an in-situ calibration, and of its noise.
 
-With whitened readings :math:`z = X \theta + e` the covariance is :math:`X^+ G X^{+\prime}`, where G is the
-covariance of the rows' noise: the rows are free of drift, but what is left in them of hysteresis and of a limb
-that is not quite rigid hangs together in time (:mod:`~surefoot.calibration.in_situ.colour`). It is raised where
-the sets disagree with each other by more than that (Birge, 1932). A sensor with hysteresis has no one slope;
+With whitened readings :math:`z = X \theta + e` the covariance is :math:`X^+ G X^{+\prime}`, where G is that
+of the rows' noise: they are free of drift, but what is left in them of hysteresis and of a limb that is not
+quite rigid hangs together in time (:mod:`~surefoot.calibration.in_situ.colour`). It is raised where the
+sets disagree with each other by more than that (Birge, 1932). A sensor with hysteresis has no one slope;
 what that leaves open of its matrix comes on top.
 """
 
@@ -65,7 +65,7 @@ def whitening(sets: Sequence[CompressedSet]) -> Matrix:
 
 
 def inflation(problem: Problem, solution: Solution, unknowns: int) -> float:
-    """Return the factor on the covariance by which sets disagree; a ratio that chance explains counts as one.
+    """Return the factor on the covariance by which sets disagree; one where chance explains it.
 
     ``unknowns`` is the number that the data determine.
     """

@@ -354,23 +354,27 @@ def _residual_share(data: InSituSet, part: CompressedSet) -> float:
 
 
 def _share_of_spread(square: float, part: CompressedSet) -> float:
-    spread = np.sum(part.ur**2) + np.sum(part.rr**2)
-    return float(np.sqrt(max(square, 0.0) / spread)) if spread > 0.0 else 0.0
+    return float(np.sqrt(max(square, 0.0) / part.spread)) if part.spread > 0.0 else 0.0
 
 
 def _bending(data: InSituSet, part: CompressedSet) -> float:
-    """Return the share of the spread that goes with gravity's squares, beyond what noise would."""
+    """Return the share of the spread that goes with gravity's squares, beyond what noise would.
+
+    The squares are weighted like the rows, so that no drift is taken for them.
+    """
     if part.rows < _FEW:
         return 0.0
     g = data.gravity[part.index.astype(int)] / GRAVITY
     # The sixth square follows from the length of gravity.
     squares = np.stack([g[:, i] * g[:, j] for i, j in ((0, 0), (1, 1), (0, 1), (0, 2), (1, 2))], axis=1)
-    basis = np.linalg.qr(np.column_stack([np.ones(len(g)), g, squares]))[0]
+    columns = part.colour.weigh(np.column_stack([np.ones(len(g)), g, squares]), part.spacing)
+    basis = np.linalg.qr(np.column_stack([part.score[:, np.any(part.score, axis=0)], columns]))[0]
+    basis = basis[:, -squares.shape[1] :]
     explained = float(np.sum((basis.T @ part.residual) ** 2))
     left = float(np.sum(part.residual**2)) - explained
     terms, channels = squares.shape[1], part.residual.shape[1]
     by_chance = float(chdtri(terms * channels, _CHANCE)) / channels
-    chance = left * by_chance / max(part.rows - basis.shape[1], 1)
+    chance = left * by_chance / max(part.rows - basis.shape[1], 1) * part.level(basis)
     return _share_of_spread(explained - chance, part)
 
 

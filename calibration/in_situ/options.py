@@ -55,8 +55,8 @@ class InSituOptions:
 
     drift: int | None = None
     """How offsets may drift within a set. None lets the residuals tell how fast they walk, if they do, and
-    weighs what is slow by it; 0 is for none. A number of cosines over a set's time leaves these free, whatever
-    their size: what else is as slow is lost. Sets without times have none, and each takes 8 s of a set."""
+    weighs what is slow by that; 0 is for none. A number of cosines over a set's time leaves these free,
+    whatever their size: what else is as slow is lost. Sets without times have none, and each takes 8 s."""
 
     robust: bool = True
     """Whether samples that disagree with all others are left out."""

@@ -239,7 +239,7 @@ def test_bad_sets(change, message):
 
 
 OPTIONS = {
-    "drift": ({"drift": 9}, "'drift' must be a whole number from 0 to 8, got 9."),
+    "drift": ({"drift": 9}, "'drift' must be a whole number from 0 to 8, or None, got 9."),
     "tolerance": ({"residual_tolerance": 0.0}, "'residual_tolerance' must be positive and finite, got 0.0."),
     "shares": ({"factory_std": (0.1, 0.1)}, "'factory_std' must hold six positive shares, one an axis"),
     "range": ({"code_range": (5.0, 5.0)}, "'code_range' must be (lowest, highest), got (5.0, 5.0)."),

@@ -1,0 +1,128 @@
+"""Offsets that walk: what a drift could feign, and what it leaves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from _in_situ import NOISE, SENSORS, noisy_sets, random_gravity
+from _in_situ_stacked import wrench_of_gravity
+
+from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
+
+
+def walk(rng, rows, size):
+    """A random walk of six channels that spans a size."""
+    path = np.cumsum(rng.standard_normal((rows, 6)), axis=0)
+    return size * path / np.ptp(path, axis=0)
+
+
+def colour_of(noise):
+    constant = np.full((len(noise), 1), len(noise) ** -0.5)
+    residual = noise - constant @ (constant.T @ noise)
+    return likeliest_colour([Spectrum.of(residual, constant, 1.0)], 0.1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_white_noise_has_no_colour(seed):
+    assert colour_of(np.random.default_rng([30, seed]).standard_normal((500, 6))) == Colour()
+
+
+def test_a_random_walk_is_seen_and_its_rows_become_white():
+    rng = np.random.default_rng(31)
+    noise = rng.standard_normal((800, 6)) + 0.2 * np.cumsum(rng.standard_normal((800, 6)), axis=0)
+    colour = colour_of(noise)
+    assert colour.drift.exponent == 2.0
+    # A walk of step q over white noise of s: q^2 / (2 pi f)^2 = s^2 at the corner.
+    assert colour.drift.corner == pytest.approx(0.2 / (2.0 * np.pi), rel=0.3)
+    white = colour.weigh(noise, 1.0)[:, 0]
+    assert abs(np.corrcoef(white[:-1], white[1:])[0, 1]) < 0.1
+    assert colour_of(colour.weigh(noise, 1.0)) == Colour()
+
+
+def test_a_drift_is_followed_to_its_end_as_surely_as_is_claimed():
+    rng = np.random.default_rng(32)
+    colour = Colour(Part(0.2 / (2.0 * np.pi)))
+    weights, variances = colour.slow(400, 1.0, (0.5, 1.0))
+    errors = []
+    for _ in range(300):
+        drift = 0.2 * np.cumsum(rng.standard_normal(400))
+        read = drift + rng.standard_normal(400)
+        mean = read.mean()
+        errors.append([mean - drift[200], mean - drift[-1]] + weights @ read)
+    claimed = np.sqrt(variances)
+    np.testing.assert_allclose(np.std(errors, axis=0), claimed, rtol=0.15)
+
+
+def rasters(sensor, rng, drift, rows=1500):
+    """The paper's first four sets, the second joint moved once a set; the offset walks by so many N (std)."""
+    matrix, mass, com, places = SENSORS[sensor]
+    share = np.linspace(0.0, 1.0, rows)
+    a, b = (
+        np.radians(35.0) * np.sin(2.0 * np.pi * 13.0 * share),
+        np.radians(45.0) * np.sin(np.pi * (share - 0.5)),
+    )
+    gravity = 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
+    sets = []
+    for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
+        wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T
+        path = np.cumsum(rng.standard_normal((rows, 6)), axis=0) / np.sqrt(rows)
+        wrench = wrench + drift * path * NOISE / NOISE[0] + NOISE * rng.standard_normal((rows, 6))
+        sets.append(
+            InSituSet(wrench @ np.linalg.inv(matrix).T, gravity, added, place, time=0.2 * np.arange(rows))
+        )
+    return sets
+
+
+@pytest.mark.parametrize(("sensor", "drift"), [("leg", 0.3), ("foot", 0.1)])
+def test_a_raster_is_answered_within_its_uncertainty(sensor, drift):
+    errors, off, plain = [], [], []
+    mass = SENSORS[sensor][1]
+    for seed in range(6):
+        sets = rasters(sensor, np.random.default_rng([33, seed]), drift)
+        fit = calibrate_in_situ(sets)
+        errors.append((fit.limb.mass - mass) / fit.limb_mass_std)
+        assert fit.limb.mass == pytest.approx(mass, rel=0.02)
+        assert fit.limb_mass_std < 0.01 * mass
+        off.append(fit.limb.mass - mass)
+        still = InSituOptions(drift=0, residual_tolerance=0.5, mass_tolerance=0.5)
+        plain.append(calibrate_in_situ(sets, options=still, refuse=False).limb.mass - mass)
+    assert np.sqrt(np.mean(np.square(errors))) < 1.6
+    assert np.linalg.norm(off) < 0.7 * np.linalg.norm(plain)
+
+
+def static_poses(rng, masses):
+    """A hundred postures a set, at rest, of a sensor in newtons whose zero walks by 2 N; and its limb."""
+    response = np.eye(6) + 0.03 * rng.standard_normal((6, 6)) * np.repeat([1.0, 0.05], 3)[:, None]
+    limb, places = (1.0, np.array([0.01, -0.02, 0.06])), ([0.0] * 3, [0.1, 0.0, 0.1], [-0.02, 0.12, 0.05])
+    sets = []
+    for added, place in list(zip((0.0, 0.5, 0.5), np.array(places), strict=True))[:masses]:
+        gravity = random_gravity(rng, 100)
+        wrench = gravity @ (wrench_of_gravity(*limb) + wrench_of_gravity(added, place)).T
+        scale = np.repeat([1.0, 0.02], 3)
+        noise = walk(rng, 100, 2.0) * scale * 0.5 + 0.02 * scale * rng.standard_normal((100, 6))
+        sets.append(
+            InSituSet((wrench + noise) @ response.T, gravity, added, place, time=10.0 * np.arange(100))
+        )
+    return sets, response, limb
+
+
+@pytest.mark.parametrize("masses", [1, 3])
+@pytest.mark.parametrize("timed", [True, False])
+def test_static_poses_of_a_sensor_whose_zero_walks(masses, timed):
+    gains = []
+    for seed in range(10):
+        sets, response, limb = static_poses(np.random.default_rng([34, seed]), masses)
+        sets = sets if timed else [replace(one, time=None) for one in sets]
+        known = {"factory_matrix": np.eye(6), "limb": KnownLimb(limb[0], 0.002, limb[1], 5e-4)}
+        fit = calibrate_in_situ(sets, **known if masses == 1 else {})
+        # What the limb's weight reads along each axis, over what it is.
+        gains.append(np.diag((fit.matrix @ response @ wrench_of_gravity(*limb))[:3]) / limb[0])
+    np.testing.assert_allclose(gains, 1.0, atol=0.015)
+
+
+def test_noise_that_has_no_colour_changes_nothing():
+    sets, _ = noisy_sets("foot", np.random.default_rng(35))
+    fit, still = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(drift=0))
+    np.testing.assert_array_equal(fit.matrix, still.matrix)
+    np.testing.assert_array_equal(fit.covariance, still.covariance)
