@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from surefoot.calibration.arrays import skew
-from surefoot.calibration.in_situ.compress import CompressedSet
+from surefoot.calibration.in_situ.compress import CompressedSet, triangle
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, STATIC
 from surefoot.calibration.in_situ.solve import (
@@ -137,8 +137,7 @@ def _noise_root(problem: Problem, left: Matrix) -> Matrix:
         rows = left[first : first + signals * channels].reshape(signals, -1)
         spread.append((noise_root(part.gram) @ rows).reshape(signals * channels, -1))
         first += signals * channels
-    factor = np.linalg.qr(np.concatenate([*spread, left[first:]]), mode="r")
-    return np.asarray(factor.T)
+    return triangle(np.concatenate([*spread, left[first:]])).T
 
 
 def noise_root(gram: Matrix) -> Matrix:

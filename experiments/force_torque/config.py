@@ -123,7 +123,7 @@ class Fit(Settings):
 
     sets: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """The others are kept aside to prove it. All by default."""
-    drift: int = InSituOptions.drift
+    drift: int | None = InSituOptions.drift
     robust: StrictBool = InSituOptions.robust
     hysteresis: StrictBool = InSituOptions.hysteresis
     estimate_rotation: StrictBool = InSituOptions.estimate_rotation
