@@ -4,8 +4,8 @@
   depends on; a :class:`Store` keeps what came of each, on the disk.
 * :mod:`~surefoot.experiments.study.runner`: a :class:`Runner` runs the cases that a store lacks, in this
   process, in processes, on dask or on ray; a case that fails is kept as such.
-* :mod:`~surefoot.experiments.study.claims`: what was set out to reach, with a computed verdict.
-* :mod:`~surefoot.experiments.study.tables`, ``statistics``, ``figures``, ``page``: what a person sees.
+* :mod:`~surefoot.experiments.study.tables`: tables, declared by their columns, and claims with a computed
+  verdict; ``statistics``, ``figures``, ``page``: what else a person sees.
 
 A whole study (the tests hold it)::
 
