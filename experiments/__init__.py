@@ -9,7 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from surefoot.experiments.logs.format import Log, LogError, LogTruth, read_log, write_log
+    from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
+    from surefoot.experiments.logs.table import LogError
     from surefoot.experiments.walks.closed_loop import run_loop
     from surefoot.experiments.walks.record import record_walk
     from surefoot.experiments.walks.replay import replay_logs
@@ -28,7 +29,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "logs.format": ("Log", "LogError", "LogTruth", "read_log", "write_log"),
+    "logs.format": ("Log", "LogTruth", "read_log", "write_log"),
+    "logs.table": ("LogError",),
     "walks.closed_loop": ("run_loop",),
     "walks.record": ("record_walk",),
     "walks.replay": ("replay_logs",),

@@ -14,16 +14,7 @@ from surefoot.experiments.walks.replay import starting_map
 
 
 def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
-    """Compute what no estimator can go below on a walk with truth; NaN for what is no walk of a NAO.
-
-    Args:
-        log: The log.
-        judged: Samples that are scored, shape (N,).
-        options: Options of the moment filter besides the log.
-
-    Returns:
-        Bounds on the errors of the CoP in m, of the vertical force (``vgrf``) and of single cells in N.
-    """
+    """Return bounds on errors of CoP (m), vGRF and cells (N) over judged samples; NaN for no NAO's walk."""
     walks = log.truth is not None and bool(log.about.get("speed_m_s"))
     if not walks or not judged.any() or not np.isfinite(log.raw).all():
         return dict.fromkeys(("cop", "vgrf", "cell"), float("nan"))

@@ -47,11 +47,10 @@ a scenario, see :func:`~surefoot.experiments.arena.bound.bound_of`; must survive
 def score_case(
     scenario: Scenario, method: str, options: ArenaOptions, changes: Mapping[str, Any] | None = None
 ) -> Case:
-    """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario.
+    """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario, with changed options.
 
     Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
-    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``. Changes are options of the method,
-    besides the scenario's.
+    and for the scenarios of the CoP paper ``yardsticks`` and ``traces``.
     """
     changed = dict(changes or {})
     name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
@@ -60,10 +59,7 @@ def score_case(
 
 
 def bound_case(scenario: Scenario, options: ArenaOptions, bound: Bound) -> Case:
-    """Return the case of a scenario's bound; its table ``bounds`` has one row a run.
-
-    Rows are ``scenario``, ``seed``, ``bound_cop`` (m), ``bound_vgrf`` (N) and ``bound_cell`` (N).
-    """
+    """Return the case of a scenario's bound: ``bounds``, a row a run (``bound_cop`` in m, others in N)."""
     which = f"{bound.__module__}.{bound.__qualname__}"
     return Case(
         f"{scenario.name} bound", _bound, (scenario, options, bound), (which, _depends(scenario, options))
@@ -77,12 +73,7 @@ def loop_case(severity: float, feed: str, speed: float, seed: int, duration: flo
 
 
 def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Time one robot's updates on one log by a method with its options.
-
-    Returns:
-        ``method``, the median and the mean time in microseconds, and the median of the slowest of four
-        phases: a method may work on some samples only.
-    """
+    """Time one robot's updates: median, mean, and the median of the slowest of four phases, in us."""
     log = read_log(path)
     calibrator = FootCalibrator(
         log.layout, method, mass=log.mass, initial=starting_map(log), dt=log.dt, lag=log.lag, **options

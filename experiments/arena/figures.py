@@ -42,11 +42,7 @@ def overview(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path:
 
 
 def consistency(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
-    """Draw the mean NEES at the ends of walks with the interval that a consistent estimator keeps to.
-
-    Returns:
-        The path, or ``None`` if no method claims an uncertainty.
-    """
+    """Draw the mean NEES at the ends of walks and the interval of a consistent estimator; or ``None``."""
 
     def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
         axes.plot(consistent(runs), [at, at], color="black", linewidth=5, alpha=0.25)
@@ -59,11 +55,7 @@ def consistency(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Pat
 
 
 def detection(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path | None:
-    """Draw how long each fault went unfound, one dot a run.
-
-    Returns:
-        The path, or ``None`` if no fault was ever found.
-    """
+    """Draw how long each fault went unfound, one dot a run; ``None`` if no fault was ever found."""
 
     def draw(axes: Axes, runs: Frame, at: float, name: str) -> None:
         times, look = np.maximum(runs["found"], 0.01), look_of(name)
@@ -77,10 +69,7 @@ def detection(path: Path, scores: Frame, scenarios: Sequence[Scenario]) -> Path 
 
 
 def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> Path:
-    """Draw the running CoP error over time, median and quartiles over runs.
-
-    Panels are, by title, rows of ``method``, ``seed``, ``time`` (s) and ``cop`` (m).
-    """
+    """Draw the running CoP error (m) over time (s), median and quartiles over runs, a panel a title."""
     across = min(columns, len(panels))
     down = -(-len(panels) // across)
     with figure_at(path, max(3.7 * across + 0.4, 6.4), 2.5 * down + 1.2) as figure:

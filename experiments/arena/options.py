@@ -13,41 +13,21 @@ TRUE_MAP = "floor"
 
 @dataclass(frozen=True)
 class ArenaOptions:
-    """How much a study of walks does.
-
-    Attributes:
-        out: Folder for everything that is made.
-        seeds: Number of walks of a scenario, and of each closed loop; the seeds are 0, 1, ...
-        scenarios: Names of scenarios; none for all but those of the CoP paper.
-        methods: Names of methods; none for all. The true map comes on top.
-        jobs: Processes that work at the same time.
-        duration: Length of a walk in s, the standing before it included.
-        settle: Errors count from this time in s on.
-        quick: Whether long scenarios are left out.
-        loops: What the controller is given in the closed loop, by how bad the cells are: 1 is the bad start,
-            3 three times as bad.
-        loop_duration: Length of a walk in the closed loop in s, standing included.
-        factors: What the window's weights are scaled by.
-        sensitivity_seeds: Walks on which each weight is scaled.
-        film_duration: Length of the filmed walk in s; 0 for no film.
-
-    Raises:
-        ValueError: If a number is out of its range, or there is no such method.
-    """
+    """How much a study of walks does; raise ValueError at a number out of range or an unknown method."""
 
     out: Path = Path("out/compare-walking")
-    seeds: int = 20
-    scenarios: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
+    seeds: int = 20  # walks of a scenario and of each closed loop: 0, 1, ...
+    scenarios: tuple[str, ...] = ()  # none for all but those of the CoP paper
+    methods: tuple[str, ...] = ()  # none for all; the true map comes on top
     jobs: int = 2
-    duration: float = STAND_TIME + 30.0
-    settle: float = STAND_TIME + 10.0
-    quick: bool = False
-    loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)
-    loop_duration: float = STAND_TIME + 20.0
-    factors: tuple[float, ...] = ()
-    sensitivity_seeds: int = 5
-    film_duration: float = 0.0
+    duration: float = STAND_TIME + 30.0  # of a walk in s, with the standing before it
+    settle: float = STAND_TIME + 10.0  # errors count from this time in s on
+    quick: bool = False  # without long scenarios
+    loops: Mapping[float, tuple[str, ...]] = field(default_factory=dict)  # feeds by severity
+    loop_duration: float = STAND_TIME + 20.0  # in s, standing included
+    factors: tuple[float, ...] = ()  # of the window's weights
+    sensitivity_seeds: int = 5  # walks on which each weight is scaled
+    film_duration: float = 0.0  # in s; 0 for no film
 
     def __post_init__(self) -> None:
         """Check the numbers and the names."""

@@ -1,7 +1,6 @@
 """Replay the streams of a scenario as one batch, and keep what the scores need and nothing else.
 
-A covariance of 16 parameters is 256 numbers a sample; it is held against the truth as it appears, once a
-second, and forgotten.
+A covariance is held against the truth as it appears, once a second, and forgotten.
 """
 
 import time
@@ -26,45 +25,29 @@ SNAPSHOT = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """How the errors of one run agree with the uncertainty that the method claims.
+    """How the errors of one run agree with the uncertainty claimed: squared errors by it, over their number.
 
-    Attributes:
-        time: Times of M looks in s, shape (M,).
-        nees: Squared error of (a, b) by the covariance claimed, over the number of parameters, shape (M,);
-            1 is right, more is too sure of itself. NaN where nothing is claimed.
-        nees_cop: The same of the centre of pressure.
-        nees_force: The same of single channels, without what they have to do with each other.
-        nis: Sum of the normalised squared innovations after the settling time.
-        nis_rows: Number of rows in that sum.
+    1 is right, more is too sure of itself, NaN where nothing is claimed.
     """
 
-    time: Floats
-    nees: Floats
-    nees_cop: Floats
-    nees_force: Floats
-    nis: float
-    nis_rows: float
+    time: Floats  # of M looks in s, shape (M,)
+    nees: Floats  # of (a, b), shape (M,)
+    nees_cop: Floats  # of the centre of pressure
+    nees_force: Floats  # of single channels, without what they have to do with each other
+    nis: float  # sum of the normalised squared innovations after the settling time
+    nis_rows: float  # number of rows in that sum
 
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What a method made of one stream of N samples and K channels.
+    """What a method made of one stream of N samples and K channels."""
 
-    Attributes:
-        force: Calibrated channels in N, shape (N, K).
-        scale: a in F = a F0 + b, F0 being the force by the starting map, shape (N, K).
-        offset: b in N, shape (N, K).
-        flags: Bits of :class:`~surefoot.calibration.Flag`, shape (N, K).
-        consistency: How sure it was, and how right to be.
-        seconds: Time per sample and robot of the batch in s.
-    """
-
-    force: Floats
-    scale: Floats
-    offset: Floats
-    flags: NDArray[np.int64]
+    force: Floats  # in N, shape (N, K)
+    scale: Floats  # a in F = a F0 + b, F0 by the starting map, shape (N, K)
+    offset: Floats  # b in N, shape (N, K)
+    flags: NDArray[np.int64]  # bits of :class:`~surefoot.calibration.Flag`, shape (N, K)
     consistency: Consistency
-    seconds: float
+    seconds: float  # a sample and robot of the batch
 
 
 def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]:

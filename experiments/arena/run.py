@@ -1,7 +1,6 @@
 """A study of walks: the same recorded streams, several methods, many seeds; and walks on the feet themselves.
 
-Everything lands in one folder: logs, results, tables, figures and the page. What is finished is kept, so that
-a run that was interrupted goes on where it was, and a new method is scored without the old ones.
+What is finished is kept in the folder, so that a run that was interrupted goes on where it was.
 """
 
 from dataclasses import dataclass, field, replace
@@ -33,39 +32,22 @@ FALL_TO_SHOW = STAND_TIME + 6.0
 
 @dataclass(eq=False)
 class ArenaResults:
-    """What a study of walks found.
-
-    Attributes:
-        options: How it was run.
-        scenarios: What was run, in order.
-        scores: One row a run: ``scenario``, ``method``, see :mod:`surefoot.experiments.arena.score`.
-        errors: Running CoP errors: ``scenario``, ``method``, ``seed``, ``time`` (s), ``cop`` (m).
-        yardsticks: Errors as the CoP paper scores them, see :mod:`surefoot.experiments.arena.yardsticks`.
-        traces: Ends of walks, see there.
-        sensitivity: The same for the window with a weight scaled: ``weight``, ``factor``.
-        loop: One row a closed loop, see :class:`~surefoot.experiments.walks.closed_loop.LoopRun`.
-        timing: Time of an update by method, see :func:`~surefoot.experiments.arena.cases.time_method`.
-        film: The film, or why there is none.
-        filmed: Severity, speed in m/s and seed of the film.
-        left_out: Walks of each scenario that ended in a fall before they were worth a score.
-        failures: What was raised in cases that failed, by their names.
-        seconds: Time that each stage took in s.
-    """
+    """What a study of walks found."""
 
     options: ArenaOptions
     scenarios: tuple[Scenario, ...]
-    scores: Frame = field(default_factory=pd.DataFrame)
-    errors: Frame = field(default_factory=pd.DataFrame)
-    yardsticks: Frame = field(default_factory=pd.DataFrame)
-    traces: Frame = field(default_factory=pd.DataFrame)
-    sensitivity: Frame = field(default_factory=pd.DataFrame)
-    loop: Frame = field(default_factory=pd.DataFrame)
-    timing: Frame = field(default_factory=pd.DataFrame)
+    scores: Frame = field(default_factory=pd.DataFrame)  # a row a run, see ``arena.score``
+    errors: Frame = field(default_factory=pd.DataFrame)  # running, of the CoP: time (s), cop (m)
+    yardsticks: Frame = field(default_factory=pd.DataFrame)  # as the CoP paper scores
+    traces: Frame = field(default_factory=pd.DataFrame)  # ends of walks
+    sensitivity: Frame = field(default_factory=pd.DataFrame)  # yardsticks of the window, a weight scaled
+    loop: Frame = field(default_factory=pd.DataFrame)  # a row a closed loop, see :class:`LoopRun`
+    timing: Frame = field(default_factory=pd.DataFrame)  # see :func:`time_method`
     film: Film = field(default_factory=lambda: Film(None, None, "not asked for"))
-    filmed: tuple[float, float, int] | None = None
-    left_out: dict[str, int] = field(default_factory=dict)
-    failures: dict[str, str] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
+    filmed: tuple[float, float, int] | None = None  # severity, speed in m/s, seed
+    left_out: dict[str, int] = field(default_factory=dict)  # falls before there was a score
+    failures: dict[str, str] = field(default_factory=dict)  # raised, by case
+    seconds: dict[str, float] = field(default_factory=dict)  # of each stage
 
     @property
     def speeds(self) -> tuple[float, ...]:
@@ -76,13 +58,10 @@ class ArenaResults:
 def run_arena(
     options: ArenaOptions, *, bound: Bound | None = None, console: Console | None = None
 ) -> ArenaResults:
-    """Do everything but the page: walk, record, replay, score, time, close the loop, film.
+    """Walk, record, replay, score, time, close the loop, film, and save; without a bound there is none.
 
-    What was found is in files under ``options.out`` as well; without a bound there is none.
-
-    Raises:
-        ValueError: If there is no scenario of a name, or nothing in them that could be scored, or the folder
-            cannot be used.
+    Raises ValueError if there is no scenario of a name, nothing could be scored, or the folder cannot be
+    used.
     """
     prepare_rendering()
     chosen = scenarios_named(options.scenarios, quick=options.quick)
@@ -160,10 +139,7 @@ def _film(run: Runner, results: ArenaResults) -> None:
 
 
 def telling_walk(loop: Frame) -> tuple[float, int]:
-    """Return speed and seed of the walk to film, of closed loops of one severity.
-
-    Raw it falls, best after some steps; calibrated it does not.
-    """
+    """Return speed and seed of the walk to film: raw it falls, best after some steps, calibrated not."""
     fell = loop.pivot(index=["speed", "seed"], columns="feed", values="fell").astype(bool)
     if {"none", "moment"} <= set(fell.columns):
         telling = fell[fell["none"] & ~fell["moment"]]

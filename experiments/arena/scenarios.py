@@ -1,8 +1,8 @@
 """The arena's scenarios: what is walked, what is wrong, and which question that answers.
 
-One line a scenario. The bad start, unless a scenario says otherwise, is that of all comparisons: scales off
-by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute, a centre of mass off by 3 mm, a
-mass off by 0.5 %, noise and bias of a NAO's IMU, and telemetry 20 +- 4 ms late.
+The bad start is that of all comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per
+square root of a minute, a centre of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms
+late.
 """
 
 from collections.abc import Mapping
@@ -28,33 +28,19 @@ _FAULT_STREAM = 0xFA17
 
 @dataclass(frozen=True)
 class Scenario:
-    """One line of the table.
+    """One line of the table."""
 
-    Attributes:
-        name: Short name, for files and the command.
-        title: What to call it.
-        answers: The question that it answers, and where that is asked.
-        walk: The walk.
-        condition: Name of the cells that read it.
-        faults: Faults of one channel, without channel and start, which are drawn.
-        options: Options that every method is given, by name.
-        method_options: Options of single methods, by the method's name.
-        most_seeds: Most walks, for long ones.
-        long: Whether it takes minutes of walking, and so is no part of a quick run.
-        paper: Whether it is scored as the CoP paper scores, too.
-    """
-
-    name: str
+    name: str  # for files and the command
     title: str
-    answers: str
+    answers: str  # the question, and where it is asked
     walk: Walk
-    condition: str = INSTANT.name
-    faults: tuple[Fault, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
-    method_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    most_seeds: int | None = None
-    long: bool = False
-    paper: bool = False
+    condition: str = INSTANT.name  # name of the cells that read it
+    faults: tuple[Fault, ...] = ()  # of one channel; channel and start are drawn
+    options: Mapping[str, Any] = field(default_factory=dict)  # that every method is given
+    method_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of single methods
+    most_seeds: int | None = None  # for long ones
+    long: bool = False  # no part of a quick run
+    paper: bool = False  # scored as the CoP paper scores, too
 
     def seeds(self, seeds: int) -> range:
         """Number its walks, where ``seeds`` are asked for."""
@@ -65,12 +51,7 @@ class Scenario:
         return {**self.options, **self.method_options.get(method, {})}
 
     def faults_of(self, seed: int, earliest: float) -> tuple[Fault, ...]:
-        """Draw which cell a fault befalls, and when: within one stride from a time on.
-
-        Args:
-            seed: Of the walk.
-            earliest: Time in s.
-        """
+        """Draw which cell a fault befalls, and when: within one stride from a time in s on."""
         rng = np.random.default_rng([_FAULT_STREAM, seed])
         channel, start = int(rng.integers(8)), earliest + rng.uniform(0.0, 1.6)
         # The other one of a swap is a cell of the same foot: plugs of one foot are within reach.
@@ -272,11 +253,7 @@ SCENARIOS = MappingProxyType({scenario.name: scenario for scenario in _TABLE})
 
 
 def scenarios_named(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ...]:
-    """Return scenarios by their names; all of :data:`SCENARIOS` for none, but a quick run's are not long.
-
-    Raises:
-        ValueError: If there is none of a name; the message lists what there is.
-    """
+    """Return scenarios by names, or raise ValueError with what there is; all for none, quick without long."""
     known = {**SCENARIOS, **{scenario.name: scenario for scenario in PAPER_SCENARIOS.values()}}
     unknown = [name for name in names if name not in known]
     if unknown:

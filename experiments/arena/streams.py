@@ -30,26 +30,15 @@ _NOISE_STREAM = 0xFA18
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """A log of N samples and how to judge what a method makes of it.
+    """A log of N samples and how to judge what a method makes of it."""
 
-    Attributes:
-        log: The log, with truth.
-        seed: Of the walk.
-        judged: Samples whose errors count, shape (N,).
-        began: When the walk began, or anything moved, in s.
-        faults: What befell its channels.
-        fell: Whether the walk ended in a fall; the log then ends before it.
-        cop: Centre of pressure to score against in m, where it is known better than from the
-            true forces, shape (N, 2).
-    """
-
-    log: Log
+    log: Log  # with truth
     seed: int
-    judged: NDArray[np.bool_]
-    began: float
-    faults: tuple[Fault, ...] = ()
-    fell: bool = False
-    cop: Floats | None = None
+    judged: NDArray[np.bool_]  # samples whose errors count, shape (N,)
+    began: float  # to walk, or anything moved, in s
+    faults: tuple[Fault, ...] = ()  # of its channels
+    fell: bool = False  # the log then ends before it
+    cop: Floats | None = None  # to score against in m, (N, 2), where known better than from the true forces
 
     @property
     def truth(self) -> LogTruth:
@@ -72,11 +61,7 @@ def held(readings: Floats) -> Floats:
 
 
 def streams_of(scenario: Scenario, options: ArenaOptions) -> tuple[list[Stream], int]:
-    """Read the recorded walks of a scenario and do to them what it says.
-
-    Returns:
-        The streams, and how many walks are left out because the robot fell before it was worth a score.
-    """
+    """Return the recorded walks of a scenario with its faults, and how many fell too early for a score."""
     streams, left_out = [], 0
     for seed in scenario.seeds(options.seeds):
         paths = log_paths(scenario.walk, seed, options.duration, options.logs)

@@ -1,7 +1,6 @@
 """The walks of the arena: recorded once, read by cells of several kinds, and kept.
 
-Files are named by a hash of all that made them. A walk that is asked for again is read from its files; a
-change of the environments, the sensors, the beliefs or any option is another recording.
+Files are named by a hash of all that made them: code and options.
 """
 
 from collections.abc import Mapping
@@ -26,26 +25,15 @@ CHIPS = Condition("chips", "on the chips' own clocks", HX711_LOAD_CELLS, "nomina
 
 @dataclass(frozen=True)
 class Walk:
-    """A walk to record.
+    """A walk to record."""
 
-    Attributes:
-        name: Short name, for files.
-        speed: Forward speed in m/s.
-        duration: Duration in s, standing included; ``None`` for what the arena's options say.
-        env: Further options of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
-        sensors: IMU, encoders and link, as options of :class:`~surefoot.wrappers.FootSensors`.
-        beliefs: Errors of the robot about itself, as options of :class:`~surefoot.wrappers.SelfCalibration`.
-        clock_error: By how many s telemetry is later (even seeds) or earlier (odd seeds) than assumed.
-        conditions: What cells read it.
-    """
-
-    name: str
-    speed: float = 0.04
-    duration: float | None = None
-    env: Mapping[str, Any] = field(default_factory=dict)
-    sensors: Mapping[str, Any] = field(default_factory=dict)
-    beliefs: Mapping[str, Any] = field(default_factory=dict)
-    clock_error: float = 0.0
+    name: str  # for files
+    speed: float = 0.04  # in m/s
+    duration: float | None = None  # in s with standing; ``None`` for the arena's
+    env: Mapping[str, Any] = field(default_factory=dict)  # options of NaoWalkEnv
+    sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
+    beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
+    clock_error: float = 0.0  # s by which telemetry is later (even seeds) or earlier than assumed
     conditions: tuple[Condition, ...] = (INSTANT,)
 
     def lasting(self, duration: float) -> float:

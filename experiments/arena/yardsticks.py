@@ -1,7 +1,6 @@
 """The CoP paper's way to score, and the truth's: one row a walk, way to read the feet and yardstick.
 
-The paper scores against its own calibration from known weights, applied to the same readings; here that is
-the yardstick ``"baseline"`` beside ``"truth"``.
+The yardstick ``"baseline"`` is the calibration from known weights, applied to the same readings.
 """
 
 from typing import Any
@@ -27,12 +26,7 @@ whatever converges has converged."""
 
 
 def yardsticks_of(stream: Stream, method: str, force: Floats, settle: float) -> list[dict[str, Any]]:
-    """Score forces that a method found, in N, shape (N, K), against the truth and against the baseline.
-
-    Returns:
-        Rows of ``condition``, ``speed``, ``seed``, ``method``, ``against`` and the errors of
-        :class:`~surefoot.experiments.walks.score.Score`.
-    """
+    """Score forces in N, (N, K), against truth and baseline: rows with the errors of :class:`Score`."""
     others = {"truth": stream.truth.force}
     if method not in (TRUE_MAP, "baseline"):
         others["baseline"] = _baseline(stream)
@@ -50,12 +44,7 @@ def other_way(stream: Stream, way: str, settle: float) -> list[dict[str, Any]]:
 
 
 def trace_of(stream: Stream, method: str, force: Floats) -> list[dict[str, Any]]:
-    """Return the end of a walk as a method saw it, and with the true map the truth as well.
-
-    Returns:
-        Rows of ``condition``, ``speed``, ``method``, ``time`` (s, shape (n,)), ``cop`` in the world (m, shape
-        (n, 2)) and ``vgrf`` of the feet (N, shape (n, 2)).
-    """
+    """Return the end of a walk as a method saw it: rows of time (s), CoP in the world (m), vGRF (N)."""
     log, truth = stream.log, stream.truth
     end = log.time[-1]
     shown = (log.time >= max(end - TRACE[0], 0.0)) & (log.time <= end - TRACE[1])

@@ -12,8 +12,6 @@ from typer.core import TyperGroup
 import surefoot
 from surefoot.experiments.cli import calibrate, compare, demo, evaluate, sweep, train
 
-__all__ = ["app"]
-
 
 class _InOrder(TyperGroup):
     """Shows commands in this order, groups among them."""

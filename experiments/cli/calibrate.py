@@ -8,8 +8,6 @@ from typer import Argument, Option
 
 from surefoot.experiments.cli.console import console, fail, one_line_errors, show
 
-__all__ = ["app"]
-
 app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
 
 

@@ -8,8 +8,6 @@ from typer import Option
 
 from surefoot.experiments.cli.console import Jobs, Names, Out, fail, one_line_errors, show
 
-__all__ = ["app"]
-
 app = typer.Typer(help="Compare calibrators in simulation, and report.", no_args_is_help=True)
 
 

@@ -9,8 +9,6 @@ import typer
 from rich.console import Console
 from typer import Option
 
-__all__ = ["CONTROLLERS", "Jobs", "Names", "Out", "console", "fail", "one_line_errors", "show"]
-
 console = Console()
 if not console.is_terminal:
     console = Console(width=160)

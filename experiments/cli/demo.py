@@ -8,8 +8,6 @@ from typer import Option
 
 from surefoot.experiments.cli.console import Jobs, Names, Out, fail, one_line_errors, show
 
-__all__ = ["demo", "view"]
-
 
 def demo(
     out: Out = Path("out/demo"),

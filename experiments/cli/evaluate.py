@@ -8,8 +8,6 @@ from typer import Argument, Option
 
 from surefoot.experiments.cli.console import CONTROLLERS, Jobs, Names, console, fail, one_line_errors, show
 
-__all__ = ["evaluate"]
-
 
 def evaluate(
     ctx: typer.Context,

@@ -8,8 +8,6 @@ from typer import Argument, Option
 
 from surefoot.experiments.cli.console import CONTROLLERS, Names, fail, one_line_errors, show
 
-__all__ = ["replay", "sweep"]
-
 
 def sweep(
     plan: Annotated[Path | None, Argument(help="TOML that says what to sweep; options go before it.")] = None,

@@ -8,8 +8,6 @@ from typer import Option
 
 from surefoot.experiments.cli.console import console, fail, one_line_errors
 
-__all__ = ["train"]
-
 
 def train(
     out: Annotated[Path, Option(help="Folder of the training; one that was stopped there goes on.")] = Path(

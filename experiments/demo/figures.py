@@ -109,11 +109,7 @@ def _over_time(
 
 
 def rmse_overview(path: Path, scores: Frame, paper: Mapping[tuple[str, float], tuple[float, float]]) -> Path:
-    """Draw mean errors with 95 % intervals by method and speed, with the paper's own figures.
-
-    Scores have ``panel``, ``speed`` (m/s), ``method``, ``cop`` (m) and ``vgrf`` (N); the paper's, by method
-    and speed, are drawn where a panel's rows say ``paper``.
-    """
+    """Draw mean errors (CoP in m, vGRF in N) by method and speed, and the paper's where rows say so."""
     titles = list(dict.fromkeys(scores["panel"]))
     speeds, methods = sorted(scores["speed"].unique()), in_order(scores["method"])
     dash: dict[str, Any] = {"marker": "_", "markersize": 14, "markeredgewidth": 2.2, "linestyle": "none"}
@@ -147,10 +143,7 @@ def rmse_overview(path: Path, scores: Frame, paper: Mapping[tuple[str, float], t
 
 
 def sensitivity_curves(path: Path, runs: Frame) -> Path:
-    """Draw the window's errors against its weights (the paper's sensitivity study).
-
-    Runs have ``panel``, ``weight``, ``factor``, ``speed``, ``seed``, ``cop`` (m) and ``vgrf`` (N).
-    """
+    """Draw the window's errors (CoP in m, vGRF in N) against its weights, a row a panel and metric."""
     titles, weights = (list(dict.fromkeys(runs[name])) for name in ("panel", "weight"))
     metrics = [(title, *metric) for title in titles for metric in _METRICS]
     with figure_at(path, 3.3 * len(weights), 2.1 * len(metrics) + 0.5) as figure:

@@ -160,11 +160,7 @@ _CALIBRATED = ("window", "moment", "true")
 
 
 def weight_claims(coefficient: float, cop: float, vgrf: float) -> list[Claim]:
-    """Return the claims about known weights.
-
-    From the largest relative difference to a coefficient of Table 2, and the CoP rmse in m and the vGRF rmse
-    in N of held-out placements.
-    """
+    """Return the claims about known weights: of a relative difference, CoP rmse in m, vGRF rmse in N."""
     return [
         Claim("Table 2 coefficients, relative", "≤ 1e-8", f"{coefficient:.1e}", coefficient <= 1e-8),
         Claim("known weights, held-out CoP (mm)", "≤ 0.5", number(1e3 * cop), cop <= 5e-4),
@@ -173,11 +169,7 @@ def weight_claims(coefficient: float, cop: float, vgrf: float) -> list[Claim]:
 
 
 def walking_claims(scores: Frame, condition: str, update_ms: float) -> list[Claim]:
-    """Return the claims about the window while walking: against the paper's numbers and quasi-static.
-
-    From the scores of :func:`surefoot.experiments.demo.tables.walking_table` in the paper's conditions, and
-    the median time of an update in ms.
-    """
+    """Return the claims about the window, against the paper and quasi-static, and about an update in ms."""
     claims = []
     for speed, published in WALKING_TABLES.items():
         for metric, title, unit, factor in _METRICS:

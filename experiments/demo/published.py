@@ -1,7 +1,4 @@
-"""What the CoP paper printed, to be set beside what comes out here.
-
-Numbers from "Online self-calibration of CoP measurement" (PMC12899417), Tables 2 to 6.
-"""
+"""What the CoP paper (PMC12899417) printed in Tables 2 to 6, to be set beside what comes out here."""
 
 from typing import NamedTuple
 
@@ -9,21 +6,13 @@ import numpy as np
 
 
 class WeightTable(NamedTuple):
-    """Codes of eight cells under known loads and the lines through them, as in Table 2.
-
-    Attributes:
-        channel_names: The cells in the order of the rows.
-        load: Loads in kg, shape (n,).
-        code: Codes of the converters, shape (8, n).
-        scale: Printed scaling coefficients in kg per count, shape (8,).
-        offset: Printed biasing coefficients in kg, shape (8,).
-    """
+    """Codes of eight cells under known loads and the lines through them, as in Table 2."""
 
     channel_names: tuple[str, ...]
-    load: np.ndarray
-    code: np.ndarray
-    scale: np.ndarray
-    offset: np.ndarray
+    load: np.ndarray  # in kg, shape (n,)
+    code: np.ndarray  # of the converters, shape (8, n)
+    scale: np.ndarray  # in kg per count, shape (8,)
+    offset: np.ndarray  # in kg, shape (8,)
 
 
 class MethodErrors(NamedTuple):

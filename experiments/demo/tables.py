@@ -55,11 +55,7 @@ def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Ta
 
 
 def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, str]]) -> Table:
-    """Return one speed as the paper's Tables 4 to 6, with the truth beside the paper's baseline.
-
-    Scores have one row a walk, method and yardstick (:mod:`surefoot.experiments.arena.yardsticks`).
-    Conditions are named as in them, and as they are called; the paper's own is the first.
-    """
+    """Return one speed as the paper's Tables 4 to 6 and the truth; the first condition is the paper's."""
     rows = []
     here = scores[scores["speed"] == speed]
     for condition, title in conditions:

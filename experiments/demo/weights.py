@@ -32,11 +32,7 @@ _BEFORE, _AFTER = "initial coefficients", "calibrated from weights"
 
 
 def paper_table_2() -> tuple[Table, float]:
-    """Fit the counts that the paper prints, and compare with the coefficients that it prints.
-
-    Returns:
-        The table, and the largest relative difference of a coefficient.
-    """
+    """Fit the paper's counts: a table beside its coefficients, and the largest relative difference."""
     fit = fit_channels(TABLE_2.code.T, TABLE_2.load, TABLE_2.channel_names).value
     difference = np.maximum(np.abs(fit.scale / TABLE_2.scale - 1), np.abs(fit.offset / TABLE_2.offset - 1))
     columns: dict[str, Callable[[int], str]] = {

@@ -26,21 +26,13 @@ _PAIRS = (
 
 @dataclass(frozen=True)
 class Difference:
-    """Two runs of the same seeds.
+    """Two runs of the same seeds."""
 
-    Attributes:
-        controller: Who acted in the first.
-        what: Which is taken from which, in words.
-        severity: Of the sensors; ``None`` where all feet are true.
-        interval: First less second, in return.
-        judged: Whether more is better: what true feet are ahead by is a cost, and no merit.
-    """
-
-    controller: str
-    what: str
-    severity: float | None
-    interval: Interval
-    judged: bool = True
+    controller: str  # who acted in the first
+    what: str  # which is taken from which, in words
+    severity: float | None  # ``None`` where all feet are true
+    interval: Interval  # first less second, in return
+    judged: bool = True  # whether more is better: what true feet are ahead by is a cost, and no merit
 
     @property
     def clear(self) -> str:

@@ -52,48 +52,25 @@ _Cop = tuple[NDArray[Any], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Episode:
-    """Everything that makes an episode.
+    """Everything that makes an episode."""
 
-    Attributes:
-        number: Its place in the study.
-        controller: Name of the controller (:mod:`surefoot.experiments.policy.controllers`).
-        controller_hash: Of the file behind it, or nothing.
-        trained: What it was trained on, or nothing.
-        feed: One of :data:`surefoot.experiments.walks.walkers.FEEDS`.
-        cop_input: One of :data:`COP_INPUTS`.
-        scenario: Name of the scenario.
-        environment: Id of its environment.
-        options: Options of the environment.
-        cells: Name of the load cells' preset.
-        sensors: Further options of :class:`~surefoot.wrappers.FootSensors`; ``None`` for no sensors at all.
-        calibration: Options of :class:`~surefoot.wrappers.SelfCalibration`, ``method`` among them; ``None``
-            for the true centre of pressure.
-        severity: Factor of all errors of the load cells; 0 on true feet.
-        seed: Of the episode and of its sensors.
-        duration: Longest duration in s; ``None`` for the environment's own.
-        settle: The controller is asked from this time in s on, and before it the action is zero; ``None`` for
-            the environment's own quiet stand.
-        of_task: Whether it is an episode of a policy's task: then return and time count from the end of the
-            quiet stand on, and a policy that was made for another task is refused.
-    """
-
-    number: int
+    number: int  # its place in the study
     controller: str
-    controller_hash: str
-    trained: str
+    controller_hash: str  # of the file behind it, or nothing
+    trained: str  # on what, or nothing
     feed: str
     cop_input: str
     scenario: str
-    environment: str
-    options: Mapping[str, Any]
-    cells: str
-    sensors: Mapping[str, Any] | None
-    calibration: Mapping[str, Any] | None
-    severity: float
+    environment: str  # id
+    options: Mapping[str, Any]  # of the environment
+    cells: str  # name of a preset
+    sensors: Mapping[str, Any] | None  # of FootSensors; ``None`` for no sensors at all
+    calibration: Mapping[str, Any] | None  # of SelfCalibration; ``None`` for the true CoP
+    severity: float  # factor of all errors of the cells; 0 on true feet
     seed: int
-    duration: float | None
-    settle: float | None
-    of_task: bool
+    duration: float | None  # longest, in s; ``None`` for the environment's own
+    settle: float | None  # the controller is asked from this time in s on; ``None`` as above
+    of_task: bool  # scores count after the quiet stand, and another task's policy is refused
 
     def to_json(self) -> str:
         """Return it as one line of JSON."""
@@ -101,11 +78,7 @@ class Episode:
 
     @classmethod
     def from_json(cls, text: str) -> "Episode":
-        """Return the episode that :meth:`to_json` wrote.
-
-        Raises:
-            ValueError: If it was written by an earlier version.
-        """
+        """Return the episode that :meth:`to_json` wrote; ValueError if an earlier version did."""
         try:
             return cls(**json.loads(text))
         except TypeError as error:
@@ -115,15 +88,10 @@ class Episode:
 def episode_moments(
     episode: Episode, controller: Controller | None = None, **drawing: Any
 ) -> Iterator[Moment]:
-    """Run an episode, a control step at a time, until its end or the fall.
+    """Run an episode to its end or the fall, perhaps with another controller than the named one.
 
-    Args:
-        episode: Which one.
-        controller: Acts in place of the named one.
-        **drawing: Further options of the environment that change nothing but pictures.
-
-    Raises:
-        ValueError: If the controller's file is another one than the episode names, or something is refused.
+    Drawing options change nothing but pictures. Raises ValueError if the controller's file is another one
+    than the episode names, or something is refused.
     """
     change = _change(episode, controller)
     env, tap, controller = _made(episode, controller, drawing)
@@ -133,11 +101,7 @@ def episode_moments(
 
 
 def check_episode(episode: Episode) -> None:
-    """Make everything that an episode needs, and run nothing.
-
-    Raises:
-        ValueError: If any of it is refused, naming scenario and controller.
-    """
+    """Make everything that an episode needs; raise ValueError with scenario and controller if refused."""
     try:
         env, _, _ = _made(episode, None, {})
     except Exception as error:
@@ -150,12 +114,11 @@ def check_episode(episode: Episode) -> None:
 def episode_row(episode: Episode, controller: Controller | None = None) -> dict[str, Any]:
     """Run an episode, perhaps with another controller than the named one, and return one row about it.
 
-    Returns:
-        What the episode is, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
-        (otherwise the time is censored), ``cop_error`` (rms distance between the centre of pressure fed back
-        and the true one, in m) and ``tracking`` (between the true one and its plan, in m), both while the
-        controller is asked, ``digest`` (a hash of all actions, rewards and centres of pressure),
-        ``wall_time`` in s, ``error`` (empty) and versions.
+    What the episode is, ``return`` (the sum of rewards), ``steps``, ``time`` on its feet in s, ``fell``
+    (otherwise the time is censored), ``cop_error`` (rms distance between the centre of pressure fed back and
+    the true one, in m) and ``tracking`` (between the true one and its plan, in m), both while the controller
+    is asked, ``digest`` (a hash of all actions, rewards and centres of pressure), ``wall_time`` in s,
+    ``error`` (empty) and versions.
     """
     began = time.perf_counter()
     total, counted, errors, digest = 0.0, 0, [(float("nan"),) * 2], sha256()

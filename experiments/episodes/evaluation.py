@@ -1,8 +1,4 @@
-"""The preset of ``surefoot evaluate``: policies at the task that they were trained for.
-
-Seeds are paired: the same seed gives the same command, payload, pushes, ground and sensors whatever is fed
-back. Scores begin when the quiet stand, in which nobody acts, is over.
-"""
+"""The preset of ``surefoot evaluate``: policies at the task that they were trained for, paired by seed."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,11 +24,7 @@ def evaluation_plan(
     cop_inputs: tuple[str, ...] = COP_INPUTS[:1],
     task: str = next(iter(TASKS)),
 ) -> EpisodePlan:
-    """Return the plan of an evaluation; the order in which things are named makes no other one.
-
-    Raises:
-        ValueError: If a name does not exist or is given twice, or a number is out of its range.
-    """
+    """Return the plan of an evaluation, whatever order things are named in; ValueError at a wrong one."""
     for name, value, least in (("seeds", seeds, 1), ("first_seed", first_seed, 0)):
         if not isinstance(value, int) or isinstance(value, bool) or value < least:
             raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")

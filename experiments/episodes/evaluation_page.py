@@ -71,9 +71,7 @@ _AGAIN = (
 class EvaluationPage:
     """Tables and figures of an evaluation, and the page that holds them.
 
-    Raises:
-        ValueError: If there are no episodes, or of several tasks, or one of them twice, or of a controller
-            that was another file in some of them.
+    Raises ValueError if there are no episodes, or of several tasks, or one of them twice.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -185,10 +183,7 @@ class EvaluationPage:
         ]
 
     def commands(self) -> list[str]:
-        """Return the commands that run these episodes again: controllers that were run alike share one.
-
-        Who was given as a file of episodes, under a name of its own, cannot be run by it and is left out.
-        """
+        """Return the commands that run these episodes again, but for controllers given as files."""
         alike: dict[str, list[str]] = {}
         for name in (name for name, origin in self.origins.items() if origin.runs):
             own = self.frame[self.frame["controller"] == name]

@@ -34,10 +34,7 @@ _MARKERS = "osD^vP"
 def outcome_figures(
     folder: Path, rows: Frame, suffix: str = "", since: str = ""
 ) -> tuple[ReportFigure, ReportFigure]:
-    """Draw what came of one scenario: returns and falls over severity, and survival over time.
-
-    The files' names end in a suffix; ``since`` says from when on time counts.
-    """
+    """Draw what came of one scenario, in files with a suffix; ``since`` says when time begins."""
     returns = against_severity(folder / f"returns{suffix}.svg", rows)
     standing = survival_curves(folder / f"survival{suffix}.svg", rows)
     means = "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity."
@@ -46,10 +43,7 @@ def outcome_figures(
 
 
 def survival_curves(path: Path, rows: Frame) -> Path:
-    """Draw shares on their feet over time with 95 % bands: a panel a severity (across) and controller (down).
-
-    True feet, which have no severity, are in every panel.
-    """
+    """Draw shares on their feet over time with 95 % bands: severities across, controllers down."""
     controllers = controllers_of(rows)
     names = drawn_names(controllers)
     severities = severities_of(rows) or [0.0]
@@ -74,10 +68,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
 
 
 def against_severity(path: Path, rows: Frame) -> Path:
-    """Draw mean return and share of falls against severity with 95 % intervals, a line a controller.
-
-    True feet, which have no severity, are drawn across.
-    """
+    """Draw mean return and share of falls against severity with 95 % intervals; true feet across."""
     controllers = controllers_of(rows)
     names = drawn_names(controllers)
     severities = severities_of(rows)

@@ -18,14 +18,7 @@ LAST_SECONDS = 12.0
 
 
 def film_episode(path: Path, episode: Episode, *, until: float | None = None) -> Path:
-    """Run an episode again and film its end, with the true (black) and the fed centre of pressure, as .mp4.
-
-    What is shown begins 12 s before it is known to end, in s, or with the episode.
-
-    Raises:
-        OSError: If nothing can be drawn on this machine.
-        ValueError: If something in the episode is refused.
-    """
+    """Film the last 12 s of an episode, or all, with true (black) and fed CoP, as .mp4; OSError as drawn."""
     who = f"{short_name(episode.controller)}, {look_of(episode.feed).label}, {episode.scenario}"
 
     def draw(moment: Moment) -> NDArray[np.uint8]:

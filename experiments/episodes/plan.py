@@ -25,38 +25,22 @@ _NOT_IN_FILES = ("own", "cop_inputs")
 
 @dataclass(frozen=True)
 class EpisodePlan:
-    """A grid; every combination is one episode.
+    """A grid of valid names; every combination is one episode. Raises ValueError at what cannot be done.
 
     True feet have no errors to scale: feed ``"true"`` is run once a seed, at severity 0. It alone is run with
     other inputs than what is fed back.
-
-    Attributes:
-        controllers: Names of controllers (:mod:`surefoot.experiments.policy.controllers`).
-        feeds: Of :data:`~surefoot.experiments.walks.walkers.FEEDS`.
-        scenarios: Names of scenarios.
-        severities: Factors of all errors of the load cells.
-        seeds: Of the episodes.
-        duration: Longest duration of an episode in s, standing included; ``None`` for the environment's own.
-        settle: The controller is asked from this time in s on: calibrators need a quiet stand; ``None`` for
-            the environment's own.
-        cells: Name of the load cells' preset.
-        cop_inputs: Of :data:`~surefoot.experiments.episodes.episode.COP_INPUTS`.
-        own: Scenarios besides the table's, by name.
-
-    Raises:
-        ValueError: If an axis is empty or says something twice, or something in it does not exist.
     """
 
     controllers: tuple[str, ...] = ("zero", "stabiliser")
     feeds: tuple[str, ...] = ("true", "none", "moment")
     scenarios: tuple[str, ...] = ("speed-0.04",)
-    severities: tuple[float, ...] = (1.0, 3.0)
+    severities: tuple[float, ...] = (1.0, 3.0)  # factors of all errors of the cells
     seeds: tuple[int, ...] = tuple(range(10))
-    duration: float | None = STAND_TIME + 20.0
-    settle: float | None = STAND_TIME
-    cells: str = "hx711-load-cells"
+    duration: float | None = STAND_TIME + 20.0  # longest, in s, with standing; ``None`` for the environment's
+    settle: float | None = STAND_TIME  # controllers are asked from this time in s on; ``None`` as above
+    cells: str = "hx711-load-cells"  # name of a preset
     cop_inputs: tuple[str, ...] = COP_INPUTS[:1]
-    own: Mapping[str, LoopScenario] = field(default_factory=dict)
+    own: Mapping[str, LoopScenario] = field(default_factory=dict)  # scenarios besides the table's
 
     def __post_init__(self) -> None:
         """Raise ValueError at what cannot be done, before anything is."""
@@ -148,11 +132,7 @@ def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1
 
 
 def plan_from_toml(path: Path, **changes: Any) -> EpisodePlan:
-    """Return a plan from a file, which docs/sweep.md describes, with other values in place of the file's.
-
-    Raises:
-        ValueError: If the file is none, or says what there is not.
-    """
+    """Return a plan from a file as in docs/sweep.md, with changed values; raise ValueError."""
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:

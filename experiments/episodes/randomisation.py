@@ -24,10 +24,7 @@ _GAPS = {
 
 
 class Answer(NamedTuple):
-    """What randomisation and calibration are worth at one severity, over the seeds that all four have.
-
-    The differences of returns, paired by seed, are called as in the table of them.
-    """
+    """What randomisation and calibration are worth at one severity, over the seeds that all four have."""
 
     severity: float
     seeds: frozenset[int]
@@ -47,10 +44,7 @@ class Answer(NamedTuple):
 
     @property
     def deciding(self) -> tuple[str, Interval]:
-        """Which of the two alone, and the difference to it, decides whether both together are worse.
-
-        Worse than nothing is a difference whose interval ends below zero: the one that ends lowest.
-        """
+        """Which of the two alone decides whether both are worse: the difference that ends lowest."""
         gaps = {"calibration": self.on_calibration, "randomisation": self.on_randomisation}
         # One episode has no interval, and decides nothing.
         ends = {name: gap.mean + gap.half if gap.n > 1 else float("inf") for name, gap in gaps.items()}
@@ -110,10 +104,7 @@ def answers(frame: Frame, clean: str, randomised: str) -> list[Answer]:
 
 
 def two_by_two(frame: Frame, clean: str, randomised: str, found: Sequence[Answer]) -> Table:
-    """Return {trained clean, trained randomised} x {drifting, calibrated}, beside the true feet.
-
-    Arguments as in :func:`answers`, and what it found.
-    """
+    """Return {trained clean, trained randomised} x {drifting, calibrated}, beside the true feet."""
     given = frame[frame["cop_input"] == "given"]
     true = given[given["feed"] == "true"]
     on_true = set.intersection(*(set(true[true["controller"] == who]["seed"]) for who in (clean, randomised)))

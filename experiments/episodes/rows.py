@@ -1,7 +1,6 @@
 """Rows of episodes from the disk: read whole, or refused with what is wrong.
 
-Each row says by itself what the episode was and with what it was made: a policy's file may be another one by
-the time a page is made of its episodes, so that nothing is read from it then.
+Each row says what the episode was and with what it was made: no policy's file is read again for it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -47,28 +46,16 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class Origin:
-    """What is known of a controller whose episodes are there; nothing where nobody wrote it down.
+    """What is known of a controller whose episodes are there; nothing where nobody wrote it down."""
 
-    Attributes:
-        file: Hash of the file behind it when it was run, see
-            :func:`~surefoot.experiments.policy.controllers.controller_hash`.
-        trained: What it was trained on, see :func:`~surefoot.experiments.policy.controllers.trained_on`.
-        versions: With what it was run.
-        runs: Whether it runs under its name: other names were made up for a file of episodes.
-    """
-
-    file: str = ""
-    trained: str = ""
-    versions: str = ""
-    runs: bool = True
+    file: str = ""  # hash of the file behind it when it was run
+    trained: str = ""  # on what
+    versions: str = ""  # with what it was run
+    runs: bool = True  # under its name: other names were made up for a file of episodes
 
 
 def read_rows(path: Path) -> Frame:
-    """Return the rows of a study, those of one that is under way too, from its folder or its table alone.
-
-    Raises:
-        ValueError: If there are none, or the file is no table.
-    """
+    """Return the rows of a study, also if under way, from its folder or table; ValueError if none."""
     if (path / PLAN).is_file():
         store = Store(path)
         store.read()
@@ -89,14 +76,9 @@ def read_rows(path: Path) -> Frame:
 
 
 def read_episodes(path: Path, controller: str = "") -> Frame:
-    """Return the checked episodes of an evaluation, in order; those that failed are left out.
+    """Return checked episodes of a file or folder, in order, without failures; ValueError names the column.
 
-    Args:
-        path: An ``episodes.parquet``, or its folder.
-        controller: Who acted, in place of what the file says.
-
-    Raises:
-        ValueError: If there are none, or the file is damaged or holds something else, naming the column.
+    A controller's name stands in place of what the file says.
     """
     frame = read_rows(path)
     if "error" in frame:
@@ -133,11 +115,7 @@ def in_order(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
 
 
 def origins_of(frame: Frame) -> dict[str, Origin]:
-    """Return what is known of the controllers of some episodes.
-
-    Raises:
-        ValueError: If one was another file in some of them.
-    """
+    """Return what is known of controllers; ValueError if one was another file in some episodes."""
     frame = frame if "runs" in frame else _with_origin(frame)
     return {name: _origin(name, frame[frame["controller"] == name]) for name in controllers_of(frame)}
 

@@ -29,10 +29,7 @@ from surefoot.experiments.study.tables import Frame
 
 @dataclass(frozen=True, eq=False)
 class EpisodeResults:
-    """What a study found: one row an episode (:func:`episode_row`), and how many of them this run added.
-
-    Its folder, if it was a temporary one, is gone by now.
-    """
+    """What a study found, a row an episode, and how many this run added; a temporary folder is gone."""
 
     plan: EpisodePlan
     folder: Path
@@ -61,23 +58,11 @@ def run_plan(
     any_version: bool = False,
     console: Console | None = None,
 ) -> EpisodeResults:
-    """Run every episode of a plan that has no row yet, seed by seed.
+    """Run every episode of a plan that has no row yet, seed by seed, keep them in a folder, or nowhere.
 
-    Args:
-        plan: What to run.
-        folder: Where the results lie; that of an interrupted study is taken up again. ``None`` keeps nothing.
-        backend: One of :data:`~surefoot.experiments.study.backends.BACKENDS`; by default one job works in
-            this process, and more in processes of their own.
-        jobs: How many episodes are run at the same time on this machine.
-        address: Of a cluster that is running.
-        retry_failed: Whether episodes that failed before are run again.
-        any_version: Whether to go on with rows of other versions of the software.
-        console: Where progress is shown; the terminal's error output by default.
-
-    Raises:
-        ValueError: If there is no such backend, or it is not installed, or a scenario or a controller is
-            refused before anything is run.
-        StudyError: If the folder cannot be used, the disk is full, or a worker runs other software.
+    Backend, jobs and address are those of :func:`~surefoot.experiments.study.backends.workers`. Raises
+    ValueError if something is refused before anything is run, StudyError if the folder cannot be used, the
+    disk is full, or a worker runs other software.
     """
     with ExitStack() as stack:
         if folder is None:
@@ -147,11 +132,7 @@ class Replayed:
 
 
 def replay_episode(path: Path, number: int) -> Replayed:
-    """Run an episode of a study's folder, or of its table, again and compare it with its row.
-
-    Raises:
-        ValueError: If there are no results, or none of this episode, or an earlier version wrote them.
-    """
+    """Run an episode of a folder or table again and compare it with its row; ValueError if none."""
     frame = read_rows(path)
     if missing := [name for name in ("case", "spec", *OUTCOME, *VERSIONS) if name not in frame]:
         raise ValueError(

@@ -1,8 +1,4 @@
-"""What a robot does in an episode and what happens to it, by name.
-
-Most are the arena's (:mod:`surefoot.experiments.arena.scenarios`): the same walks, faults and errors of the
-robot about itself, here with the loop closed. A sweep may name others of its own, based on these.
-"""
+"""What a robot does in an episode and what happens to it: mostly the arena's, with the loop closed."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
@@ -28,36 +24,20 @@ _FAULT_AFTER = STAND_TIME + 10.0
 
 @dataclass(frozen=True)
 class LoopScenario:
-    """A task and its circumstances, with the loop closed.
+    """A task and its circumstances, with the loop closed."""
 
-    Attributes:
-        name: Short name, for files and the command.
-        title: What to call it.
-        environment: Id of the environment.
-        options: Options of the environment.
-        sensors: IMU, encoders and link, as options of :class:`~surefoot.wrappers.FootSensors`.
-        beliefs: Errors of the robot about itself, as options of :class:`~surefoot.wrappers.SelfCalibration`.
-        methods: Further options of single feeds' calibrations, by feed.
-        fault_of: Scenario of the arena that says which fault a seed draws, or ``None``.
-        of_task: Whether it is a policy's task, see :class:`~surefoot.experiments.episodes.episode.Episode`;
-            then joints and tilt are measured with their errors on true feet as well.
-    """
-
-    name: str
+    name: str  # for files and the command
     title: str
-    environment: str = _WALK
-    options: Mapping[str, Any] = field(default_factory=dict)
-    sensors: Mapping[str, Any] = field(default_factory=dict)
-    beliefs: Mapping[str, Any] = field(default_factory=dict)
-    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    fault_of: str | None = None
-    of_task: bool = False
+    environment: str = _WALK  # id
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the environment
+    sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
+    beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
+    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # options by feed
+    fault_of: str | None = None  # scenario of the arena that says which fault a seed draws
+    of_task: bool = False  # a policy's: joints and tilt are measured on true feet as well
 
     def options_for(self, duration: float | None) -> dict[str, Any]:
-        """Return the environment's options for an episode of some length in s.
-
-        A plan goes on beyond the episode's end: what is scored is standing first and then the task.
-        """
+        """Return the environment's options for s; its plan goes on beyond the episode's end."""
         around: dict[str, dict[str, Any]] = {
             _WALK: {
                 "duration": max(duration or 0.0, _SHORTEST_WALK) + 2 * STAND_TIME,
@@ -84,11 +64,7 @@ class LoopScenario:
 
 
 def scenario_of_task(name: str) -> LoopScenario:
-    """Return the scenario in which policies for a task are evaluated.
-
-    Raises:
-        ValueError: If there is no such task.
-    """
+    """Return the scenario in which policies for a task are evaluated."""
     task = task_named(name)
     return LoopScenario(
         task.name, task.name, task.env_id, methods={"moment": dict(EXPECTED_LOADS)}, of_task=True
@@ -132,12 +108,7 @@ SCENARIOS: Mapping[str, LoopScenario] = MappingProxyType(_table())
 
 
 def scenario_named(name: str, others: Mapping[str, LoopScenario] = MappingProxyType({})) -> LoopScenario:
-    """Return the scenario of a name, of others or of :data:`SCENARIOS`.
-
-    Raises:
-        ValueError: If there is none of the name, or its environment is not registered; the message lists
-            what there is.
-    """
+    """Return the scenario of a name, of others or of :data:`SCENARIOS`; ValueError lists what there is."""
     known = {n: s for n, s in {**SCENARIOS, **others}.items() if s.environment in registry or n in others}
     if name not in known:
         raise ValueError(f"There is no scenario '{name}'. Available: {', '.join(known)}.")

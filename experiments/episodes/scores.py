@@ -2,8 +2,8 @@
 
 A difference is *clear* if its 95 % interval leaves zero out.
 
-**The share of a loss that is won back** is that of means over the seeds that the calibration, drifting and
-true feet have in common; its interval is a bootstrap over these seeds.
+**The share of a loss that is won back** is that of means over the seeds in common; its interval is a
+bootstrap over these seeds.
 
 **The severity at which half fall** is where the share of falls crosses one half, linearly between the
 severities that were run, once it is made not to decrease (isotonic regression); its 95 % interval is that of
@@ -80,25 +80,17 @@ def same_seeds(frame: Frame) -> bool:
 
 
 def difference(frame: Frame, first: Run, second: Run, severity: float | None = None) -> Interval | None:
-    """Return the difference of two runs' returns over the seeds of both, first less second.
-
-    Returns:
-        The mean with its 95 % interval, or ``None`` if no seed is in both.
-
-    Raises:
-        ValueError: If one of them was run more than once with the same seed.
-    """
+    """Return first less second of returns over the seeds of both, ``None`` if there are none."""
     a, b = (_returns(frame, run, severity) for run in (first, second))
     both = a.index.intersection(b.index)
     return None if both.empty else mean_interval(a[both].to_numpy() - b[both].to_numpy())
 
 
 def won_back(frame: Frame, feed: str, severity: float) -> tuple[float, float, float] | None:
-    """Return which share of the return that one controller loses to drifting feet a calibration wins back.
+    """Return which share of what drifting feet cost one controller a feed wins back, and its 95 % interval.
 
-    Returns:
-        The share, and the ends of its 95 % interval; ``None`` if it is no calibration, was not run on the
-        same seeds as true and drifting feet, or these differ by nothing clear.
+    ``None`` if it is no calibration, shares no seeds with true and drifting feet, or these do not clearly
+    differ.
     """
     if feed in ("true", "none"):
         return None
@@ -164,11 +156,7 @@ class HalfFall:
 
 
 def half_fall(rows: Frame) -> HalfFall | None:
-    """Return the severity at which half fall, of rows of one controller, feed and scenario.
-
-    Returns:
-        It, or ``None`` where fewer than two severities have been run on the same seeds.
-    """
+    """Return the severity at which half fall; ``None`` where fewer than two severities share seeds."""
     table = rows.pivot_table(index="seed", columns="severity", values="fell", aggfunc="mean").dropna()
     if table.shape[1] < 2 or not len(table):
         return None

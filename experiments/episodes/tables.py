@@ -92,10 +92,7 @@ _WORST: Mapping[str, Cell] = {
 
 
 def score_table(frame: Frame, name: str = "policy", title: str = "Feet of different kinds") -> Table:
-    """Return the scores of an evaluation: a row for each controller, feed, input and severity.
-
-    Where there is but one controller, it has no column.
-    """
+    """Return a row for each controller (named if several), feed, input and severity."""
     if same_seeds(frame):
         means = f"Means of {frame['seed'].nunique()} paired episodes"
     else:

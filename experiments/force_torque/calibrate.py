@@ -17,8 +17,6 @@ from surefoot.experiments.force_torque.page import write_in_situ_page
 from surefoot.experiments.force_torque.tables import Calibrated, shown_tables
 from surefoot.experiments.study.tables import Table
 
-__all__ = ["SAMPLE", "CalibratedSensor", "calibrate_in_situ_log"]
-
 SAMPLE = Path(__file__).resolve().parent / "samples" / "in_situ_leg.parquet"
 """A simulated log that ships with the package: the iCub's leg with eight added masses."""
 
@@ -28,20 +26,12 @@ ALIKE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class CalibratedSensor:
-    """Where the result of a calibration lies.
-
-    Attributes:
-        fit: The calibration.
-        files: What was written, by what it is: ``"calibration"`` (JSON), ``"yaml"``, ``"ros2"``, ``"report"``
-            and, where full scales are known, ``"icub"``.
-        tables: What to show at once.
-        notices: Warnings of the fit and what the log lacks, in plain words.
-    """
+    """Where the result of a calibration lies."""
 
     fit: InSituFit
-    files: dict[str, Path]
-    tables: tuple[Table, ...]
-    notices: tuple[str, ...]
+    files: dict[str, Path]  # by what they are: "calibration" (JSON), "yaml", "ros2", "report", "icub"
+    tables: tuple[Table, ...]  # what to show at once
+    notices: tuple[str, ...]  # warnings of the fit and what the log lacks
 
 
 def calibrate_in_situ_log(

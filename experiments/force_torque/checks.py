@@ -1,8 +1,4 @@
-"""What would mislead an in-situ fit, and what it can do without.
-
-A check either refuses with file, set, column, what was found and the cure, or adds a notice and returns what
-is left. Units and signs are compared with gravity and the factory matrix.
-"""
+"""What would mislead an in-situ fit is refused with a cure; what it can do without is left out, and noted."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -13,8 +9,6 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.table import LogError
-
-__all__ = ["check_against_factory", "checked", "contiguous"]
 
 FEWEST = 8
 """Samples without which a set is no set: an affine map of gravity has four unknowns a channel."""
@@ -58,11 +52,7 @@ _LOOKS = {
 
 
 def checked(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Return what a fit can use of a set, and add to the notices what is left out.
-
-    Raises:
-        LogError: If a value, a time, a channel, a unit or a sign is not as it must be, or too little is left.
-    """
+    """Return what a fit can use of a set, note what is left out; LogError at what must not be."""
     samples = _check_times(_check_values(samples, notices), notices)
     samples = _check_channels(samples, range_count, notices)
     _check_acceleration(samples)
@@ -258,10 +248,7 @@ def _check_spin(samples: Samples) -> None:
 def check_against_factory(
     sets: list[tuple[Samples, NDArray[np.float64]]], matrix: NDArray[np.float64] | None, notices: list[str]
 ) -> None:
-    """Compare gravity in the sensor's frame, (n, 3) a set, with the force by the factory matrix, (6, k).
-
-    What hangs is pulled down: raise LogError if the force is along minus gravity, as one sign is wrong.
-    """
+    """Refuse gravity, (n, 3) a set in the sensor's frame, against the force by a matrix, (6, k)."""
     first = sets[0][0]
     if matrix is None:
         notices.append(

@@ -19,8 +19,6 @@ from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.logs.settings import Number, Positive, Settings, array_of, must_be
 from surefoot.experiments.logs.table import LogError
 
-__all__ = ["SI", "AddedMass", "Columns", "InSituConfig", "config_beside", "read_config"]
-
 SI = {
     "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY,
     "rad/s": 1.0, "deg/s": float(np.pi / 180.0), "degC": 0.0, "K": -273.15,
@@ -178,11 +176,7 @@ class InSituConfig(Settings):
         return self
 
     def override(self, **names: Any) -> "InSituConfig":
-        """Return it with names of columns from the command line; ``None`` keeps what there was.
-
-        Raises:
-            LogError: If there are too few or too many names for a quantity.
-        """
+        """Return it with names of columns from the command line, ``None`` for none; LogError if not right."""
         given = {key: value for key, value in names.items() if value is not None}
         # One of the two sources of gravity named on the command line stands for both.
         if len(given.keys() & {"gravity", "specific_force"}) == 1:
@@ -198,11 +192,7 @@ def config_beside(log: Path) -> InSituConfig:
 
 
 def read_config(path: Path) -> InSituConfig:
-    """Read the TOML file, and the factory matrix that it names.
-
-    Raises:
-        LogError: If it is not there, not TOML, holds an unknown key, or a value of the wrong kind.
-    """
+    """Read the TOML file, and the factory matrix that it names; LogError if it is none, or is wrong."""
     if not path.is_file():
         raise LogError(f"{path}: no such file; see docs/in-situ-log.md for what it holds.")
     try:

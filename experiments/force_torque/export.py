@@ -19,14 +19,6 @@ from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import write_text
 
-__all__ = [
-    "offset_wrench",
-    "read_calibration",
-    "write_json",
-    "write_ros2_parameters",
-    "write_yaml",
-]
-
 FORMAT = "surefoot-in-situ-calibration"
 VERSION = 1
 
@@ -102,14 +94,7 @@ def _plain(value: Any) -> Any:
 
 
 def write_json(fit: InSituFit, path: Path, **facts: Any) -> Path:
-    """Write a calibration whole as JSON.
-
-    Args:
-        fit: The calibration.
-        path: Where.
-        **facts: ``channels``, names of the raw columns; ``sensor``, its name; ``notices``, what the log
-            lacked.
-    """
+    """Write a calibration whole as JSON, with facts for :func:`_facts`."""
     write_text(path, json.dumps(_facts(fit, **facts), indent=1, allow_nan=False) + "\n")
     return path
 
@@ -171,11 +156,7 @@ def _stats_of(given: dict[str, Any]) -> FitStats:
 
 
 def offset_wrench(fit: InSituFit, temperature: float | None = None) -> NDArray[np.float64]:
-    """Return what the broadcaster of ROS 2 must add to the wrench C r of a driver: -C o, shape (6,).
-
-    Raises:
-        ValueError: If the fit knows what the temperature does, and none is given.
-    """
+    """Return what ROS 2's broadcaster must add to C r of a driver: -C o, (6,), at a temperature."""
     offset = fit.offset
     if fit.temperature_coefficient is not None:
         if temperature is None:
@@ -194,9 +175,9 @@ def write_ros2_parameters(
 ) -> Path:
     """Write parameters of ROS 2's ``force_torque_sensor_broadcaster``.
 
-    The broadcaster publishes (reported + offset) x multiplier axis by axis and takes no matrix: C has to be
-    applied by the driver, which reports C r. The offset in this file is then -C o, so that C r - C o = C (r -
-    o) is published, at a temperature as :func:`offset_wrench` takes it. A comment holds C.
+    It publishes (reported + offset) x multiplier axis by axis and takes no matrix: the driver has to report C
+    r, and the offset in this file is -C o, at a temperature as :func:`offset_wrench` takes it. A comment
+    holds C.
     """
     rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in fit.matrix)
     add = offset_wrench(fit, temperature).tolist()

@@ -12,17 +12,6 @@ from surefoot.calibration.in_situ.validation import force_ellipsoid
 from surefoot.experiments.force_torque.tables import Calibrated
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
 
-__all__ = [
-    "COUNTS",
-    "FORCES",
-    "Cloud",
-    "Panel",
-    "draw_ellipsoids",
-    "force_ellipsoids",
-    "raw_ellipsoids",
-    "residuals_over_time",
-]
-
 FORCES = ("x (N)", "y (N)", "z (N)")
 COUNTS = ("1st (1000 counts)", "2nd", "3rd")
 """Labels of the axes. Counts of mixed directions may differ in size by tens: forces alone share a scale."""
@@ -34,19 +23,12 @@ _GREY = "#7f7f7f"
 
 
 class Cloud(NamedTuple):
-    """Points and the gravity that belongs to them.
+    """Points and the gravity that belongs to them."""
 
-    Attributes:
-        points: In the axes' unit, shape (n, 3); rows that are not finite are left out.
-        gravity: In m/s^2, shape (n, 3).
-        look: Its colour and label.
-        mark: A point to mark with a cross, shape (3,).
-    """
-
-    points: NDArray[np.float64]
-    gravity: NDArray[np.float64]
+    points: NDArray[np.float64]  # in the axes' unit, shape (n, 3); rows that are not finite are left out
+    gravity: NDArray[np.float64]  # in m/s^2, shape (n, 3)
     look: Look
-    mark: NDArray[np.float64] | None = None
+    mark: NDArray[np.float64] | None = None  # with a cross, shape (3,)
 
 
 class Panel(NamedTuple):

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path
 
-__all__ = ["read_matrix", "write_icub_matrix"]
-
 ICUB_COUNTS = 32767.0
 """Counts at the end of an FTSens's converter."""
 
@@ -23,18 +21,9 @@ _UNIT = 2**15
 
 
 def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> Path:
-    """Write C as the iCub's FTSens reads it; offset and covariance are not in that format.
+    """Write C, (6, 6) in N and N m per count, as the iCub's FTSens reads it, to 2^-15 of full scale.
 
-    Each entry is rounded to 2^-15 of full scale per 32767 counts.
-
-    Args:
-        matrix: C in N and N m per count, shape (6, 6).
-        full_scale: Of the sensor in whole N and N m, shape (6,).
-        path: Where.
-
-    Raises:
-        ValueError: If the sensor has other than six channels, a full scale is no positive whole number, or an
-            entry, as a share of full scale per 32767 counts, is not in [-1, 1).
+    Full scales are six whole numbers of N and N m. Raises ValueError at other channels, scales or entries.
     """
     matrix, scale = np.asarray(matrix, dtype=np.float64), np.asarray(full_scale, dtype=np.float64)
     if matrix.shape != (6, 6):
@@ -63,15 +52,7 @@ def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> P
 
 
 def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Read a factory matrix: six rows of numbers (commas or spaces between them), or an iCub's file.
-
-    Returns:
-        C in N and N m per count, shape (6, k), and the full scales in N and N m, shape (6,), where the file
-        has them.
-
-    Raises:
-        LogError: If the file is not there or holds neither.
-    """
+    """Read six rows of numbers, or an iCub's file: C in N and N m per count, (6, k), and full scales."""
     if not path.is_file():
         raise LogError(f"{path}: no such file; factory.file gives its path from the configuration.")
     text = path.read_text(encoding="utf-8", errors="replace")

@@ -28,8 +28,6 @@ from surefoot.experiments.force_torque.config import (
 from surefoot.experiments.force_torque.table import Samples, read_samples
 from surefoot.experiments.logs.table import LogError
 
-__all__ = ["InSituLog", "read_in_situ_log"]
-
 SMOOTHED = 0.3
 """Time in s over which the gyroscope's rate of change is taken, if that is rows enough."""
 
@@ -41,21 +39,13 @@ _ALIKE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class InSituLog:
-    """What was read, ready to be fitted.
+    """What was read, ready to be fitted."""
 
-    Attributes:
-        sets: One for each added mass.
-        channels: Names of the raw columns.
-        config: What the TOML file and the command line gave.
-        files: Names of the files.
-        notices: What the log lacks and the fit can do without.
-    """
-
-    sets: tuple[InSituSet, ...]
-    channels: tuple[str, ...]
-    config: InSituConfig
+    sets: tuple[InSituSet, ...]  # one for each added mass
+    channels: tuple[str, ...]  # names of the raw columns
+    config: InSituConfig  # of the TOML file and the command line
     files: tuple[str, ...]
-    notices: tuple[str, ...]
+    notices: tuple[str, ...]  # what the log lacks and the fit can do without
 
     @property
     def fitted(self) -> tuple[InSituSet, ...]:

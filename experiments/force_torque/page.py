@@ -7,8 +7,6 @@ from surefoot.experiments.force_torque import figures, tables
 from surefoot.experiments.logs.page import write_log_page
 from surefoot.experiments.study.page import ReportFigure, Section
 
-__all__ = ["write_in_situ_page"]
-
 
 def write_in_situ_page(path: Path, found: tables.Calibrated) -> Path:
     """Write the page of a calibrated log, with its figures inside, and return its path."""

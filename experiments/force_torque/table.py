@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from surefoot.experiments.force_torque.config import SI, Columns, InSituConfig
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
 
-__all__ = ["Samples", "read_samples"]
-
 Floats = NDArray[np.float64]
 
 _VECTORS = {"gravity": "m_s2", "specific_force": "m_s2", "angular_velocity": "rad_s", "added_com": "m"}
@@ -33,30 +31,19 @@ _LISTED = 24
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Rows of one set of one file, in SI units and in the accelerometer's own axes.
-
-    Attributes:
-        name: The set.
-        file: The file, for messages.
-        columns: Names of the columns that were found; either ``gravity`` or ``specific_force`` is None.
-        rows: Numbers of the rows in the file, for messages, shape (n,).
-        raw: Counts, shape (n, k).
-        acceleration: Specific force (up at rest) or gravity (down) in m/s^2, shape (n, 3).
-        time: In s, as temperature (degrees Celsius) and added mass (kg) of shape (n,).
-        angular_velocity: In rad/s, as the place of the added mass (m) of shape (n, 3).
-    """
+    """Rows of one set of one file, in SI units and in the accelerometer's own axes."""
 
     name: str
     file: str
-    columns: Columns
-    rows: NDArray[np.int64]
-    raw: Floats
-    acceleration: Floats
-    time: Floats | None
-    angular_velocity: Floats | None
-    temperature: Floats | None
-    added_mass: Floats | None
-    added_com: Floats | None
+    columns: Columns  # that were found; either ``gravity`` or ``specific_force`` is None
+    rows: NDArray[np.int64]  # numbers in the file, for messages, shape (n,)
+    raw: Floats  # counts, shape (n, k)
+    acceleration: Floats  # specific force (up at rest) or gravity (down) in m/s^2, shape (n, 3)
+    time: Floats | None  # in s, shape (n,)
+    angular_velocity: Floats | None  # in rad/s, shape (n, 3)
+    temperature: Floats | None  # in degrees Celsius, shape (n,)
+    added_mass: Floats | None  # in kg, shape (n,)
+    added_com: Floats | None  # in m, shape (n, 3)
 
     def __str__(self) -> str:
         """What messages call it."""
@@ -80,11 +67,7 @@ class Samples:
 
 
 def read_samples(path: Path, config: InSituConfig) -> list[Samples]:
-    """Read one file, and return the samples of each of its sets.
-
-    Raises:
-        LogError: If it is no table, lacks a column, or holds what is not a number.
-    """
+    """Read one file, and return the samples of each of its sets; LogError if it is no such table."""
     absent = "'surefoot calibrate ft --sample' shows one that works."
     table = read_table(path, absent, separator=config.csv.separator, decimal=config.csv.decimal)
     found = _found(table, config.columns)

@@ -18,28 +18,12 @@ from surefoot.calibration.in_situ.validation import (
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.study.tables import Table, number
 
-__all__ = [
-    "Calibrated",
-    "limb_table",
-    "matrix_table",
-    "offset_table",
-    "semi_axes_table",
-    "set_table",
-    "shown_tables",
-    "weighing_tables",
-]
-
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """A log and the calibration that was made of it.
-
-    Attributes:
-        log: The log.
-        fit: The calibration.
-    """
+    """A log and the calibration that was made of it."""
 
     log: InSituLog
     fit: InSituFit
@@ -66,8 +50,7 @@ class Calibrated:
     def offsets(self) -> Floats:
         """Offset of each set in counts that its forces are shown with, shape (J, k).
 
-        Fitted to each set alike, made it the fit or not, with the calibrated response and whatever hangs
-        there: the fit's own follow drift and hysteresis within the set.
+        Fitted to each set alike: the fit's own follow drift and hysteresis within the set.
         """
         fit, found = self.fit, []
         for data in self.sets:
@@ -99,10 +82,7 @@ class Calibrated:
         return name if self.numbers[index] is not None else f"{name} (kept aside)"
 
     def wrench(self, index: int, matrix: Floats) -> Floats:
-        """Return the wrench of a set by a matrix, (6, k), less its offset and brought to rest, shape (n, 6).
-
-        In N and N m; NaN where a reading is missing.
-        """
+        """Return a set's wrench by a matrix, (6, k), brought to rest, in N and N m, (n, 6); NaN: missing."""
         data = self.sets[index]
         wrench = (data.raw - self.offsets[index]) @ matrix.T
         return np.asarray(wrench - motion_wrench(data, self.fit.limb))

@@ -78,9 +78,7 @@ REST = 60.0
 def exact_errors(sensor: str, rate: float) -> dict[str, Rows]:
     """Run the paper's method on a sensor at rest whose only errors are its matrix and offsets.
 
-    Returns:
-        ``exact``: ``sensor`` and relative errors: ``offset`` (III-B, worst set), ``matrix_force`` and
-        ``matrix_torque`` (III-C, in the Frobenius norm of the rows), ``limb`` (mass) and ``first_moment``.
+    ``exact`` has relative errors: offset (III-B, worst set), matrix (III-C, Frobenius norm of rows), limb.
     """
     recordings = record_rig(rate=rate, at_rest=True)
     counts, truth = read_sensors(sensor_config(sensor, exact=True), sensor, [recordings], [0])[0]
@@ -102,10 +100,8 @@ def exact_errors(sensor: str, rate: float) -> dict[str, Rows]:
 def sweep_and_calibrate(seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
     """Run the paper's experiment with a foot's and a leg's sensor and an IMU of each seed, at a rate in Hz.
 
-    Returns:
-        ``fits``, a row a sensor, seed and method (``clipped``: the converter ended, and :func:`fit_row`);
-        ``sets``, a row a set that was not fitted (:func:`set_rows`); ``shown``, the points of seed 0 that
-        figures show, a row a sensor and set.
+    ``fits`` has a row a sensor, seed and method (``clipped``: the converter ended, and :func:`fit_row`),
+    ``sets`` those of :func:`set_rows`, ``shown`` the points of seed 0 that figures show.
     """
     runs = [record_rig(rate=rate, seed=seed) for seed in seeds]
     force = read_imus(runs, seeds)[..., FORCE]
@@ -138,16 +134,8 @@ def sweep_and_calibrate(seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
 def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[str, Rows]:
     """Fit sets at rest whose gravity is exact; compare errors with the bound and the covariance of the fit.
 
-    Args:
-        seeds: Of the sensors.
-        kind: A key of :data:`KINDS`.
-        rate: Samples per s.
-
-    Returns:
-        ``white``, a row a sensor and seed: ``kind``, ``sensor``, ``seed``, ``nees`` and ``unknowns``, and the
-        squared errors of the offsets in N^2 and (N m)^2, means over sets and axes, beside their bounds
-        (``force_square``, ``force_bound``, ``torque_square``, ``torque_bound``), the same of the limb's mass
-        in kg^2 (``limb_square``, ``limb_bound``), and ``refusal``.
+    ``white`` has, a row a sensor and seed, squared errors of the offsets in N^2 and (N m)^2, means over sets
+    and axes, and of the limb's mass in kg^2, beside their bounds. Kinds are those of :data:`KINDS`.
     """
     options = InSituOptions(drift=0) if kind == "still" else InSituOptions()
     runs = [record_rig(range(1, FITTED + 1), rate=rate, at_rest=True, seed=seed) for seed in seeds]
@@ -190,9 +178,7 @@ def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[s
 def compare_motion(index: int, seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
     """Calibrate from one kind of motion, by its place in :data:`MOTIONS`; fast ones take at least 100 Hz.
 
-    Returns:
-        ``motions``, a row a sensor and seed: ``motion`` (the index), ``sensor``, ``seed``, ``minutes`` of
-        data, and :func:`fit_row`.
+    ``motions`` has a row a sensor and seed: ``minutes`` of data, and :func:`fit_row`.
     """
     motion = MOTIONS[index]
     rate = max(rate, 100.0) if motion.fast else rate

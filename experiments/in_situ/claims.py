@@ -15,21 +15,13 @@ OURS = "measurement"
 
 
 class Limit(NamedTuple):
-    """A limit that every number has to keep.
-
-    Attributes:
-        name: What is measured.
-        most: What it may be at most.
-        values: One number a sensor, seed and set (or one in all).
-        refused: Numbers that are missing because a sound fit was refused.
-        printed: What the paper printed for it.
-    """
+    """A limit that every number has to keep."""
 
     name: str
     most: float
-    values: NDArray[np.float64]
-    refused: int = 0
-    printed: str = ""
+    values: NDArray[np.float64]  # one number a sensor, seed and set (or one in all)
+    refused: int = 0  # numbers that are missing because a sound fit was refused
+    printed: str = ""  # in the paper
 
     @property
     def share(self) -> float:

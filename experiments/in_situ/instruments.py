@@ -1,8 +1,6 @@
 """Sensors on the rig of in-situ calibration: true wrenches and motion in, what a robot would have out.
 
-Everything random belongs to a seed: the F/T sensor with its response, offsets, noise, creep and hysteresis,
-and the IMU on the beam with its biases and noise. The offsets jump between data sets, as masses are changed.
-A fit gets counts, the IMU's readings and the added masses; the truth goes beside it, for scores.
+Everything random belongs to a seed. Offsets jump between data sets, as masses are changed.
 """
 
 from collections.abc import Sequence
@@ -52,29 +50,16 @@ _STREAM = 0x1F75
 
 
 class SensorTruth(NamedTuple):
-    """What the simulator knows of a sensor.
+    """What the simulator knows of a sensor."""
 
-    Attributes:
-        response: A in counts per N and N m, shape (6, 6).
-        offsets: o of each set in counts, the mean of its beginning and end, shape (J, 6).
-        offset: o at the end of the last set in counts, shape (6,).
-        limb: What hangs beyond the sensor, nothing added.
-    """
-
-    response: Floats
-    offsets: Floats
-    offset: Floats
-    limb: Limb
+    response: Floats  # A in counts per N and N m, shape (6, 6)
+    offsets: Floats  # o in counts, means of each set's beginning and end, shape (J, 6)
+    offset: Floats  # o at the end of the last set in counts, shape (6,)
+    limb: Limb  # beyond the sensor, nothing added
 
 
 def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> StrainGauges:
-    """Return the sensor of the rig's foot or leg.
-
-    Args:
-        sensor: "foot" or "leg".
-        white: Leave the noise as the only error: no hysteresis, creep, drift or converter.
-        exact: Leave the noise out as well.
-    """
+    """Return the sensor of "foot" or "leg"; white leaves its noise as the only error, exact none."""
     config = preset(f"icub-ftsens-{sensor}", StrainGauges)
     if white or exact:
         config = replace(
@@ -92,11 +77,7 @@ def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> S
 def read_sensors(
     config: StrainGauges, sensor: str, runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int]
 ) -> list[tuple[Floats, SensorTruth]]:
-    """Return what a sensor of each of S seeds reads of J recordings of one length n and rate.
-
-    Returns:
-        Counts, shape (J, n, 6), and the truth, for each seed.
-    """
+    """Return counts (J, n, 6) that each seed's sensor reads of J recordings of one rate, and the truth."""
     limb = Limb(*getattr(runs[0][0], f"limb_{sensor}"))
     wrench = np.array([[getattr(recording, f"wrench_{sensor}") for recording in run] for run in runs])
     place = ("foot", "leg").index(sensor)
@@ -144,14 +125,7 @@ def read_imus(
 def static_sets(
     sensor: str, recordings: Sequence[RigRecording], counts: Floats, specific_force: Floats
 ) -> tuple[InSituSet, ...]:
-    """Return sets of a limb that is taken to be at rest.
-
-    Args:
-        sensor: "foot" or "leg".
-        recordings: Of which the names, times and added masses are used.
-        counts: Shape (J, n, 6).
-        specific_force: Of the accelerometer without its bias, shape (J, n, 3).
-    """
+    """Return sets of a limb at rest: counts (J, n, 6), specific force without bias (J, n, 3)."""
     parts = zip(recordings, counts, specific_force, strict=True)
     return tuple(_set(sensor, recording, raw, -force) for recording, raw, force in parts)
 
@@ -159,15 +133,7 @@ def static_sets(
 def moving_sets(
     sensor: str, recordings: Sequence[RigRecording], counts: Floats, readings: Floats, bias: Floats
 ) -> tuple[InSituSet, ...]:
-    """Return sets of a limb in motion, carried from the IMU to the sensor.
-
-    Args:
-        sensor: As in :func:`static_sets`.
-        recordings: Likewise, and the IMU's place.
-        counts: Likewise.
-        readings: Of the IMU, shape (J, n, 6).
-        bias: Of its accelerometer in m/s^2, shape (3,).
-    """
+    """Return sets of a limb in motion, of an IMU's readings (J, n, 6) and bias in m/s^2, at the sensor."""
     found = []
     for recording, raw, read in zip(recordings, counts, readings, strict=True):
         place, dt = getattr(recording, f"position_imu_{sensor}"), float(recording.time[1] - recording.time[0])

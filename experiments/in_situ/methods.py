@@ -42,27 +42,17 @@ FORCE, TORQUE = slice(0, 3), slice(3, 6)
 
 @dataclass(frozen=True, eq=False)
 class MethodResult:
-    """What a method made of a sensor's sets.
+    """What a method made of a sensor's sets."""
 
-    Attributes:
-        matrix: C in N and N m per count, shape (6, 6).
-        offsets: o of every set in counts, shape (J, 6).
-        limb: The body beyond the sensor.
-    """
-
-    matrix: Floats
-    offsets: Floats
-    limb: Limb
+    matrix: Floats  # C in N and N m per count, shape (6, 6)
+    offsets: Floats  # o of every set in counts, shape (J, 6)
+    limb: Limb  # beyond the sensor
 
 
 def calibrate_by_all(
     sets: Sequence[InSituSet], nominal: Floats, options: InSituOptions
 ) -> dict[str, MethodResult | str]:
-    """Calibrate by every method, with the first :data:`FITTED` sets; the others get an offset each.
-
-    Returns:
-        A calibration, or why it was refused, by the names of :data:`METHODS`.
-    """
+    """Calibrate the first :data:`FITTED` sets by every method, or say why not; others get offsets."""
     found: dict[str, MethodResult | str] = {}
     for name, loops in (("measurement", True), ("no-loop", False)):
         fit = calibrate_in_situ(sets[:FITTED], options=replace(options, hysteresis=loops), refuse=False)
@@ -76,10 +66,7 @@ def calibrate_by_all(
 
 
 def of_fit(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult | str:
-    """Return a fit with offsets for the sets that were not fitted, or its first refusal.
-
-    What hangs on the sensor in those sets is not looked up.
-    """
+    """Return a fit with offsets for unseen sets, whatever hangs there, or its first refusal."""
     if fit.refusals:
         return str(fit.refusals[0])
     unseen = sets[len(fit.offsets) :]
@@ -88,11 +75,7 @@ def of_fit(fit: InSituFit, sets: Sequence[InSituSet]) -> MethodResult | str:
 
 
 def paper_calibration(sets: Sequence[InSituSet]) -> MethodResult:
-    """Calibrate as the paper does: filter, offset of each set (III-B), matrix from the first four (III-C).
-
-    Raises:
-        CalibrationRefused: If the rank of Eq. 21 is short.
-    """
+    """Calibrate as the paper does: filter, offset of each set (III-B), matrix from the first four (III-C)."""
     smooth = [filtered(data) for data in sets]
     offsets = np.array([estimate_offset(data.raw, data.gravity).offset for data in smooth])
     fit = estimate_matrix(smooth[:FITTED], offsets[:FITTED], noise_margin=0.0)
@@ -114,12 +97,7 @@ def wrench_error(matrix: Floats, response: Floats, wrench: Floats) -> tuple[floa
 
 
 def fit_row(found: MethodResult | str, truth: SensorTruth, wrench: Floats) -> dict[str, Any]:
-    """Score a calibration against the truth, under true wrenches that were not fitted, shape (n, 6).
-
-    Returns:
-        ``limb_error`` (share of the limb's weight), ``com_error`` (m, largest of the axes), ``force_error``
-        and ``torque_error`` (shares of the load) and ``refusal``.
-    """
+    """Score a calibration under true wrenches that were not fitted, (n, 6): in shares, ``com_error`` in m."""
     if isinstance(found, str):
         nothing = dict.fromkeys(("limb_error", "com_error", "force_error", "torque_error"), np.nan)
         return {**nothing, "refusal": found}
@@ -134,13 +112,7 @@ def fit_row(found: MethodResult | str, truth: SensorTruth, wrench: Floats) -> di
 
 
 def set_rows(found: MethodResult | str, sets: Sequence[InSituSet]) -> list[dict[str, Any]]:
-    """Check the sets that were not fitted as the paper does (Tables I to III).
-
-    Returns:
-        A row a set: ``set`` (its number), ``axis_1`` to ``axis_3`` (N), ``ratio``, ``added`` (kg, true),
-        ``mass`` (kg), ``place_x`` to ``place_z`` (m; NaN where nothing was added) and ``mass_error`` (kg),
-        ``place_error`` (m, largest of the axes).
-    """
+    """Check the sets that were not fitted as the paper does (Tables I to III): axes in N, kg, places in m."""
     if isinstance(found, str):
         return []
     rows = []

@@ -1,8 +1,4 @@
-"""What the in-situ paper printed, to be set beside what comes out here.
-
-Numbers from Traversaro, Pucci and Nori, "In situ calibration of six-axis force-torque sensors using
-accelerometer measurements" (ICRA 2015), Tables I to III.
-"""
+"""What the in-situ paper (Traversaro, Pucci and Nori, ICRA 2015) printed in its Tables I to III."""
 
 from typing import NamedTuple
 
@@ -10,23 +6,13 @@ Triple = tuple[float, float, float]
 
 
 class PrintedRow(NamedTuple):
-    """What one sensor showed of one validation set, calibrated and by its manufacturer's matrix.
+    """What a sensor showed of a validation set, by this and the maker's matrix; minus signs are lost."""
 
-    Attributes:
-        axes: Semi-axes in N (Table I) by the proposed calibration ...
-        axes_maker: ... and by the manufacturer's.
-        mass: Added mass in kg (Table II), proposed ...
-        mass_maker: ... and the manufacturer's.
-        place: Its centre of mass in cm (Table III), proposed; None where nothing was added. Minus signs were
-            lost in print.
-        place_maker: The manufacturer's.
-    """
-
-    axes: Triple
+    axes: Triple  # semi-axes in N (Table I)
     axes_maker: Triple
-    mass: float
+    mass: float  # added, in kg (Table II)
     mass_maker: float
-    place: Triple | None
+    place: Triple | None  # its centre of mass in cm (Table III); None where nothing was added
     place_maker: Triple | None
 
     @property

@@ -34,25 +34,15 @@ UNCHECKED = InSituOptions(
 
 @dataclass(frozen=True)
 class SpoiltExperiment:
-    """One experiment that went wrong.
-
-    Attributes:
-        name: What tables call it.
-        rig: Options of the rig.
-        configurations: Sets that are recorded.
-        spoil: What happens to the sets.
-        factory: How the maker's matrix was spoilt that the fit leans on; ``None`` for a fit without one.
-        harmless: Whether it is a control, which must be answered.
-        clips: Whether the range of the converter is given.
-    """
+    """One experiment that went wrong."""
 
     name: str
-    rig: dict[str, Any] = field(default_factory=dict)
+    rig: dict[str, Any] = field(default_factory=dict)  # options of the rig
     configurations: tuple[int, ...] = (1, 2, 3, 4)
-    spoil: Callable[[Sets], list[InSituSet]] = list
+    spoil: Callable[[Sets], list[InSituSet]] = list  # what happens to the sets
     factory: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    harmless: bool = False
-    clips: bool = False
+    harmless: bool = False  # a control, which must be answered
+    clips: bool = False  # whether the range of the converter is given
 
 
 def _two_orientations(sets: Sets) -> list[InSituSet]:
@@ -114,18 +104,10 @@ SPOILT = (
 
 
 def spoil_and_calibrate(index: int, seed: int, rate: float) -> dict[str, list[dict[str, Any]]]:
-    """Try one spoilt experiment with one sensor.
+    """Try one experiment of :data:`SPOILT` with one seed's sensor, at a rate in Hz.
 
-    Args:
-        index: In :data:`SPOILT`.
-        seed: Of the sensor.
-        rate: Samples per s.
-
-    Returns:
-        ``refusals``, one row: ``case``, ``harmless``, ``seed``, ``refused``, ``refusal`` (why), and errors
-        of the forces and torques: of the answer or, where it was refused, of a fit whose thresholds
-        were taken away (``force_error``, ``torque_error``; NaN where it still could not answer), and of III-C
-        (``paper_force``, ``paper_torque``).
+    ``refusals`` has errors of forces and torques of the answer or, where it was refused, of a fit without
+    thresholds (NaN where it still could not answer), and of III-C.
     """
     case = SPOILT[index]
     recordings = record_rig(case.configurations, rate=rate, seed=seed, **case.rig)

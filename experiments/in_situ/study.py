@@ -1,8 +1,4 @@
-"""The experiment of the in-situ paper, simulated: sensors of many seeds, four ways to calibrate them.
-
-Everything lands in one folder: results, tables, figures, ``results.json`` and the page. Cases that are
-finished are kept, so that a run that was interrupted goes on where it was.
-"""
+"""The experiment of the in-situ paper, simulated: sensors of many seeds, four ways to calibrate them."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,37 +32,19 @@ SLOWEST = {"exact": 10.0, "refusals": 5.0}
 
 @dataclass(frozen=True)
 class InSituStudyOptions:
-    """How much the study does.
-
-    Attributes:
-        out: Folder for everything that is made.
-        seeds: Number of sweeps, sensors and IMUs; the seeds are 0, 1, ...
-        jobs: Processes that work at the same time.
-        rate: Samples per s; fast motion takes at least 100.
-        white_rate: Samples per s of the sets with white noise alone, of which the bound knows how many there
-            are.
-        moving_seeds: Seeds at most for which motions are compared.
-        refused_seeds: Seeds at most that the spoilt experiments are tried on.
-        kinds: Which of KINDS are compared with the bound.
-        motions: Which of MOTIONS are compared, by their places.
-        spoilt: Which of SPOILT are tried, by their places.
-        quick: Whether it was cut short by :meth:`quickly`.
-
-    Raises:
-        ValueError: If a number is not positive.
-    """
+    """How much the study does; raise ValueError if a number is not positive."""
 
     out: Path = Path("out/compare-in-situ")
-    seeds: int = 50
+    seeds: int = 50  # sweeps, sensors and IMUs
     jobs: int = 2
-    rate: float = 100.0
-    white_rate: float = 4.0
-    moving_seeds: int = 10
-    refused_seeds: int = 3
+    rate: float = 100.0  # samples per s; fast motion takes at least 100
+    white_rate: float = 4.0  # of sets with white noise alone, whose samples the bound counts
+    moving_seeds: int = 10  # at most, for motions
+    refused_seeds: int = 3  # at most, for spoilt experiments
     kinds: tuple[str, ...] = tuple(KINDS)
     motions: tuple[int, ...] = tuple(range(len(MOTIONS)))
     spoilt: tuple[int, ...] = tuple(range(len(SPOILT)))
-    quick: bool = False
+    quick: bool = False  # cut short by :meth:`quickly`
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -82,11 +60,7 @@ class InSituStudyOptions:
 
 @dataclass(eq=False)
 class InSituStudyResults:
-    """What the study found; the functions of ``cases`` and ``refusals`` describe the rows of each table.
-
-    ``shown`` is what figures show of seed 0; ``failures`` is what was raised in cases that failed, by their
-    names, and ``seconds`` how long each stage took.
-    """
+    """What the study found; the functions of ``cases`` and ``refusals`` describe the rows of each table."""
 
     options: InSituStudyOptions
     exact: Frame = field(default_factory=pd.DataFrame)
@@ -124,11 +98,7 @@ def study_cases(options: InSituStudyOptions) -> dict[str, list[Case]]:
 
 
 def run_in_situ_study(options: InSituStudyOptions, *, console: Console | None = None) -> InSituStudyResults:
-    """Do everything but the page; what was found is in files under ``options.out`` as well.
-
-    Raises:
-        StudyError: If the folder is in use, or the disk is full.
-    """
+    """Do everything but the page, and save it; StudyError if the folder is in use or the disk full."""
     results = InSituStudyResults(options)
     stages = study_cases(options)
     cases = [case for listed in stages.values() for case in listed]

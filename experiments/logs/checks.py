@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from surefoot.calibration.reference import Reference
 from surefoot.experiments.logs.table import LogError, LogTable
 
-__all__ = ["LISTED", "check_columns", "check_increasing", "check_reference", "check_time"]
-
 LISTED = "docs/log-format.md lists every column and its unit."
 
 FARTHEST = 5.0
@@ -20,10 +18,7 @@ LARGEST = 1e9
 
 
 def check_columns(table: LogTable, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Return columns as floats; raise LogError if one is missing or holds what it must not.
-
-    A raw reading may be NaN: no sample arrived.
-    """
+    """Return columns as floats; LogError if one is missing or wrong; raw readings may be NaN: no sample."""
     table.require(names, LISTED)
     values = {name: table.numbers(name, flags=True) for name in names}
     for name, column in values.items():
@@ -74,10 +69,7 @@ def check_time(time: NDArray[np.float64], dt: float, max_gap: float, file: str) 
 
 
 def check_increasing(time: NDArray[np.float64], file: str, *, repeats: bool = False) -> None:
-    """Raise LogError if there are fewer than two times, or one is missing, repeated or out of order.
-
-    With ``repeats`` two rows may have one time: packets that were held up arrive together.
-    """
+    """Raise LogError if times are not increasing; with ``repeats`` packets that arrive together may be."""
     if len(time) < 2:
         raise LogError(f"{file}: {len(time)} rows are no walk; a log needs at least two.")
     # Written so that a NaN, which compares as neither, is refused as well.

@@ -10,17 +10,6 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
 
-__all__ = [
-    "channel_slugs",
-    "columns_of",
-    "names_of",
-    "raw_names_of",
-    "reference_of",
-    "stack",
-    "truth_names_of",
-    "truth_of",
-]
-
 Floats = NDArray[np.float64]
 
 _VECTORS = {

@@ -1,8 +1,6 @@
-"""Which feet surely stand and which surely swing.
+"""Which feet surely stand and which surely swing: no calibrator learns from one that is neither.
 
-What the log holds comes first, then what was commanded, then a guess from the soles' own motion: the lower
-sole carries the robot, and the other one swings where it is well above it and moves. What is not sure is
-neither, and no calibrator learns from a foot that is neither.
+What the log holds comes first, then what was commanded, then a guess from the soles' own motion.
 """
 
 import numpy as np
@@ -12,8 +10,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.experiments.logs.checks import check_columns
 from surefoot.experiments.logs.table import LogError, LogTable
-
-__all__ = ["GUESSED", "contacts"]
 
 SURE, SURE_ALOFT = 0.05, 0.025
 """Times in s by which a contact must hold before and after a moment to be sure of it, and by which a sole
@@ -43,11 +39,7 @@ Bools = NDArray[np.bool_]
 def contacts(
     table: LogTable, names: tuple[str, str], reference: Reference, dt: float
 ) -> tuple[Bools, Bools, str]:
-    """Return which feet surely stand, which surely swing, shape (N, 2) each, and in words how it is known.
-
-    Raises:
-        LogError: If only some of the columns for contacts are there, or one holds other than 0 and 1.
-    """
+    """Return which feet surely stand and which surely swing, (N, 2) each, and how it is known."""
     phases = [f"reference_{name}_{phase}" for phase in ("stance", "swing") for name in names]
     commands = [f"command_{name}_contact" for name in names]
     for wanted, source in ((phases, "as the log says"), (commands, "as the log says was commanded")):
@@ -69,10 +61,9 @@ def contacts(
 
 
 def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
-    """Guess contacts from how high the soles are and how fast they move against each other.
+    """Guess stance and swing, (N, 2) each, from how high the soles are and how fast they move apart.
 
-    A foot that is held up without moving may as well stand on a stair: it is neither. Stance and swing have
-    shape (N, 2) each.
+    A foot that is held up without moving may as well stand on a stair: it is neither.
     """
     apart = reference.position_sole[:, 0] - reference.position_sole[:, 1]
     known = np.isfinite(apart).all(axis=-1) & np.isfinite(reference.com_acceleration[:, 2])

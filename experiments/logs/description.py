@@ -11,8 +11,6 @@ from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
 from surefoot.experiments.logs.settings import Number, Positive, Settings
 
-__all__ = ["Description", "MotionFacts", "describe"]
-
 _UNITS = {"position_cell_sole": "_m", "mass_below": "_kg", "com_below_sole": "_m"}
 """What keys end in besides the name of a field of a foot or a sensor."""
 
@@ -28,31 +26,18 @@ Seconds = Annotated[Number, Field(ge=0.0, lt=10.0)]
 
 
 class MotionFacts(Settings):
-    """What a description holds under ``motion``: how references are made of joints and IMU.
+    """What a description holds under ``motion``: how references are made of joints and IMU."""
 
-    Attributes:
-        model: The robot's drawing, MJCF or URDF; paths are from the log's folder.
-        torso: Its floating body.
-        imu: Site or body of the IMU, which is fixed to the torso.
-        soles: Sites or bodies of the left and of the right sole frame.
-        table: A table with joints and IMU at a rate of their own, or ``None`` if they are in the log.
-        dt_s: Nominal time between two rows of them; by default that of the log.
-        delay_s: How long before their ``time_s`` joints and IMU were measured.
-        readings_age_s: How long before their ``time_s`` the feet were measured.
-        averaged: Whether a row of the IMU is the mean since the row before.
-        held_rad: Angles of joints that have no column.
-    """
-
-    model: Path
-    torso: str
-    imu: str
-    soles: tuple[str, str]
-    table: Path | None = None
-    dt_s: Annotated[Seconds, Field(gt=0.0)] = np.nan
-    delay_s: Seconds = 0.0
-    readings_age_s: Seconds = 0.0
-    averaged: bool = False
-    held_rad: dict[str, Number] = Field(default_factory=dict)
+    model: Path  # the drawing, MJCF or URDF; paths are from the log's folder
+    torso: str  # its floating body
+    imu: str  # site or body that is fixed to the torso
+    soles: tuple[str, str]  # sites or bodies of the left and of the right sole frame
+    table: Path | None = None  # joints and IMU at a rate of their own, or ``None`` if in the log
+    dt_s: Annotated[Seconds, Field(gt=0.0)] = np.nan  # between two rows of them; by default the log's
+    delay_s: Seconds = 0.0  # how long before their ``time_s`` joints and IMU were measured
+    readings_age_s: Seconds = 0.0  # the same of the feet
+    averaged: bool = False  # whether a row of the IMU is the mean since the row before
+    held_rad: dict[str, Number] = Field(default_factory=dict)  # angles of joints without a column
 
     @model_validator(mode="after")
     def _two_places(self) -> Self:
@@ -85,33 +70,21 @@ def _map(given: Any) -> Parameters:
 
 
 class Description(Settings):
-    """A log's description; other keys than these are left alone.
-
-    Attributes:
-        layout: The feet.
-        mass_kg: As the robot assumes it.
-        nominal: The map that is known of the sensors' type alone.
-        calibrated: The map that a calibration before the session gave; older logs call it "bench".
-        dt_s: Nominal time between rows.
-        lag_samples: By how many rows the reference is late.
-        seed: Of a simulated walk.
-        about: Anything else.
-        motion: How references are made, if the log has none.
-    """
+    """A log's description; other keys than these are left alone."""
 
     model_config = ConfigDict(extra="ignore")
 
     format: Literal["surefoot-log"]
     format_version: Literal[1]
     layout: Annotated[FeetLayout, PlainValidator(_layout)]
-    mass_kg: Positive
+    mass_kg: Positive  # as the robot assumes it
     nominal: Annotated[Parameters, PlainValidator(_map)]
     calibrated: Annotated[Parameters, PlainValidator(_map)] | None = Field(
         None, validation_alias=AliasChoices("calibrated", "bench")
     )
-    dt_s: Positive
+    dt_s: Positive  # nominal time between rows
     lag_samples: Annotated[int, Field(ge=0)] = 0
-    seed: int | None = None
+    seed: int | None = None  # of a simulated walk
     about: dict[str, Any] = Field(default_factory=dict)
     motion: MotionFacts | None = None
 

@@ -40,8 +40,6 @@ from surefoot.experiments.logs.motion import read_motion
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
 from surefoot.experiments.study.files import atomic_path, write_text
 
-__all__ = ["Log", "LogError", "LogTruth", "read_log", "write_log"]
-
 METADATA_KEY = b"surefoot"
 MAX_GAP = 0.1
 """Longest time in s between two rows of one log: a calibrator's filters do not bridge more."""

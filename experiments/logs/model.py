@@ -1,7 +1,6 @@
 """A robot's drawing, made ready for joint angles and an IMU.
 
-Any MJCF or URDF file will do that has a floating body which carries the IMU, hinges and two soles. Places are
-sites, or bodies where a URDF has only links.
+Any MJCF or URDF file with a floating body that carries the IMU, hinges and two soles (sites or bodies).
 """
 
 from typing import Any
@@ -14,8 +13,6 @@ from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError
 from surefoot.wrappers.belief_errors import NO_ERRORS
 from surefoot.wrappers.nominal import NominalModel
-
-__all__ = ["LogModel", "load_model"]
 
 _IMU = "surefoot_imu"
 
@@ -31,10 +28,8 @@ Floats = NDArray[np.float64]
 class LogModel:
     """The robot of a log as it believes itself to be; postures are those of :class:`NominalModel`.
 
-    Attributes:
-        joint_names: Names of the hinges, in the order of joint angles.
-        mass: Mass of the drawing in kg.
-        R_torso_imu: Rotation from the IMU's axes to the torso's, shape (3, 3).
+    ``joint_names`` are the hinges in the order of angles, ``mass`` is the drawing's in kg, ``R_torso_imu``
+    rotates from the IMU's axes to the torso's.
     """
 
     def __init__(self, nominal: NominalModel, right_first: bool, R_torso_imu: Floats) -> None:

@@ -1,9 +1,4 @@
-"""Joint angles and IMU in place of references: what such a log must hold.
-
-The description's ``motion`` names the robot's drawing and the parts of it that matter; the columns
-``joint_<name>_rad``, ``accelerometer_<axis>_m_s2`` and ``gyroscope_<axis>_rad_s`` lie in the log itself, or,
-where joints and IMU come at a rate of their own, in a second table beside it.
-"""
+"""Joint angles and IMU in place of references: what such a log, or a table beside it, must hold."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -16,8 +11,6 @@ from surefoot.experiments.logs.checks import LISTED, check_increasing
 from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError, LogTable
-
-__all__ = ["Motion", "read_motion"]
 
 CLOCK_SPAN = 257
 """Rows over which the times of joints and IMU are averaged: they come at an even rate, but late by chance."""
@@ -43,35 +36,18 @@ GYROSCOPE = tuple(f"gyroscope_{axis}_rad_s" for axis in "xyz")
 
 
 class Motion(NamedTuple):
-    """Joints and IMU over M rows at an even rate, some of which may be missing.
+    """Joints and IMU over M rows at an even rate, some of which may be missing."""
 
-    Attributes:
-        number: Number of each row, counted in periods, shape (M,).
-        time: When it was measured in s on the clock of the feet, chance in its lateness averaged out,
-            shape (M,).
-        period: Time between two numbers in s.
-        joint: Angles of the model's hinges in rad, shape (M, J).
-        accelerometer: Specific force in m/s^2, IMU axes, shape (M, 3).
-        gyroscope: Angular velocity in rad/s, IMU axes, shape (M, 3).
-    """
-
-    number: NDArray[np.int64]
-    time: NDArray[np.float64]
-    period: float
-    joint: NDArray[np.float64]
-    accelerometer: NDArray[np.float64]
-    gyroscope: NDArray[np.float64]
+    number: NDArray[np.int64]  # of each row, counted in periods, shape (M,)
+    time: NDArray[np.float64]  # in s on the clock of the feet, without the chance in its lateness, shape (M,)
+    period: float  # between two numbers in s
+    joint: NDArray[np.float64]  # angles of the model's hinges in rad, shape (M, J)
+    accelerometer: NDArray[np.float64]  # specific force in m/s^2, IMU axes, shape (M, 3)
+    gyroscope: NDArray[np.float64]  # in rad/s, IMU axes, shape (M, 3)
 
 
 def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> Motion:
-    """Return joints and IMU of a table.
-
-    A row in which one of their columns is NaN, or what no IMU reads, carries none of them: it is left out.
-    Joints are those of the model, in its order.
-
-    Raises:
-        LogError: If a column is missing, not of numbers or of another unit, or if time is not as it must be.
-    """
+    """Return joints (the model's, in order) and IMU of a table, without rows that lack one; or LogError."""
     file = table.file
     unknown = [name for name in facts.held_rad if name not in joints]
     if unknown:

@@ -8,8 +8,6 @@ import surefoot
 from surefoot.experiments.study.page import Section, write_page
 from surefoot.experiments.study.tables import Table
 
-__all__ = ["write_log_page"]
-
 
 def write_log_page(
     path: Path,
@@ -20,17 +18,7 @@ def write_log_page(
     notices: tuple[str, ...],
     sections: Callable[[Path], Iterable[Section]],
 ) -> Path:
-    """Write the page, and return its path.
-
-    Args:
-        path: Where.
-        title: Its heading.
-        made_of: The log or the method that it was made of, or by.
-        introduction: What was done.
-        log: What was calibrated.
-        notices: What the log lacks, and warnings.
-        sections: Returns what follows, with figures drawn into a folder that it is given.
-    """
+    """Write the page of a log that was made of, or by, something; sections draw into a folder."""
     quiet = () if notices else ("Nothing in the log calls for a warning.",)
     first = Section("log", "The log", paragraphs=quiet, findings=notices, tables=(log,))
     with tempfile.TemporaryDirectory() as folder:

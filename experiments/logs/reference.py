@@ -1,8 +1,4 @@
-"""References from logged joints and IMU.
-
-The robot's beliefs are made as :mod:`surefoot.wrappers.beliefs` makes them while the robot walks, packet by
-packet, but each is asked for the very moment of a sample of the feet: a log need not wait for what is late.
-"""
+"""References from logged joints and IMU, as :mod:`surefoot.wrappers.beliefs` makes them, but not late."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +11,6 @@ from surefoot.experiments.logs.table import LogError
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.telemetry import TelemetryLayout
-
-__all__ = ["check_spin", "make_reference"]
 
 FASTER, FAST = 15.0, 0.3
 """A gyroscope that turns this many times faster than the robot on its soles, and by more rad/s than this, is

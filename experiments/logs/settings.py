@@ -17,8 +17,6 @@ from pydantic import (
 
 from surefoot.experiments.logs.table import LogError
 
-__all__ = ["Number", "Positive", "Settings", "array_of", "must_be"]
-
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0.0)]
 
@@ -40,11 +38,7 @@ class Settings(BaseModel):
 
     @classmethod
     def read(cls, given: Any, where: str) -> Self:
-        """Return the settings that ``where``, a file, states.
-
-        Raises:
-            LogError: With the file, the key, what is wrong there and what was given.
-        """
+        """Return the settings that a file states; LogError names file, key, what is wrong and was given."""
         try:
             return cls.model_validate(given)
         except ValidationError as error:

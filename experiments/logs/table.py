@@ -10,8 +10,6 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-__all__ = ["LogError", "LogTable", "read_table"]
-
 _SHOWN = 4
 """Missing columns that a message names."""
 
@@ -22,12 +20,7 @@ class LogError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class LogTable:
-    """The columns of one file.
-
-    Attributes:
-        file: Its name in messages.
-        data: The columns.
-    """
+    """The columns of one file, which messages name."""
 
     file: str
     data: pa.Table
@@ -55,11 +48,7 @@ class LogTable:
         return tuple(names)
 
     def numbers(self, name: str, *, flags: bool = False) -> NDArray[np.float64]:
-        """Return a column as floats, NaN where a cell is empty, shape (rows,).
-
-        Raises:
-            LogError: If a cell holds anything else; true and false are allowed as flags.
-        """
+        """Return a column as floats, NaN where empty, (rows,); LogError at anything else but flags."""
         column = self.data.column(name)
         kind = column.type
         if pa.types.is_null(kind):
@@ -85,17 +74,7 @@ class LogTable:
 
 
 def read_table(path: Path, absent: str, *, separator: str = ",", decimal: str = ".") -> LogTable:
-    """Read a ``.parquet`` or ``.csv`` file.
-
-    Args:
-        path: The file.
-        absent: What the message says where there is no such file.
-        separator: Between the cells of a row of a CSV file.
-        decimal: Decimal point of a CSV file.
-
-    Raises:
-        LogError: If the file is not there, is no table, or has two columns of one name.
-    """
+    """Read a ``.parquet`` or ``.csv`` file, or raise LogError; ``absent`` is said where there is none."""
     if not path.is_file():
         raise LogError(f"{path}: no such file; {absent}")
     if path.suffix not in (".parquet", ".csv"):

@@ -10,17 +10,9 @@ from surefoot.envs.prelude import Prelude
 from surefoot.experiments.motion.rehearsal import Limits, Rehearsal, rehearse
 from surefoot.experiments.study.tables import Table
 
-__all__ = ["PlannedMotion", "plan_motion"]
-
 
 class PlannedMotion(NamedTuple):
-    """A motion, and what it will bring.
-
-    Attributes:
-        plan: The choice.
-        prelude: The motion.
-        tables: What each part brings, what single motions would, and which were refused.
-    """
+    """A motion, and what it will bring: tables of its parts, of single motions, and of those refused."""
 
     plan: FootExcitation
     prelude: Prelude
@@ -36,19 +28,11 @@ def plan_motion(
     limits: Limits | None = None,
     **options: Any,
 ) -> PlannedMotion:
-    """Plan a motion.
+    """Plan a motion of at most a budget in s, which ends early at a standard deviation that is enough.
 
-    Args:
-        robot: As in :class:`~surefoot.envs.ExerciseEnv`.
-        budget: Most time in s.
-        goal: What is lowered, as in :func:`~surefoot.calibration.plan_foot_excitation`.
-        enough: At which standard deviation of it the plan ends.
-        limits: What every motion must keep to.
-        **options: Of the moment filter.
-
-    Raises:
-        ValueError: If the robot or an argument is refused, if nothing fits into the budget, or if the motions
-            that went well one by one do not when they are played together.
+    Robots are those of :class:`~surefoot.envs.ExerciseEnv`, goals those of
+    :func:`~surefoot.calibration.plan_foot_excitation`, options the moment filter's. Raises ValueError if
+    something is refused, nothing fits, or motions that went well alone do not together.
     """
     limits = Limits() if limits is None else limits
     stage = Rehearsal(robot)

@@ -21,8 +21,6 @@ from surefoot.wrappers.belief_errors import NO_ERRORS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-__all__ = ["Limits", "Played", "Rehearsal", "rehearse"]
-
 SETTLING = 0.3
 """Time in s after a reset in which the robot sinks into the ground, and nothing is checked."""
 
@@ -47,19 +45,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Played:
-    """How a motion went.
+    """How a motion went."""
 
-    Attributes:
-        motion: What its channels read and what the robot believed.
-        fell: Whether it fell.
-        torque: Largest torque of a leg's motor as a share of its limit.
-        margin: Distance of the centre of pressure from the edge, as in :class:`Limits`.
-    """
-
-    motion: FootMotion
+    motion: FootMotion  # what its channels read and what the robot believed
     fell: bool
-    torque: float
-    margin: float
+    torque: float  # largest of a leg's motor, as a share of its limit
+    margin: float  # as in :class:`Limits`
 
     def refusal(self, limits: Limits) -> str:
         """Return why a motion must not be done; nothing if it may."""
@@ -74,15 +65,7 @@ class Played:
 
 
 class Rehearsal:
-    """A robot in simulation that plays motions.
-
-    Args:
-        robot: As in :class:`~surefoot.envs.ExerciseEnv`.
-
-    Attributes:
-        env: The bare environment.
-        layout: How its channels make up the feet's wrenches.
-    """
+    """A robot in simulation, as in :class:`~surefoot.envs.ExerciseEnv`, that plays motions."""
 
     def __init__(self, robot: str | Path | Any) -> None:
         self.env = ExerciseEnv(robot, duration=None, joint_noise=0.0, velocity_noise=0.0)
@@ -141,15 +124,9 @@ def _limits(limited: Any, ranges: Any) -> Any:
 def rehearse(
     rehearsal: Rehearsal, names: Sequence[str] | None = None, limits: Limits | None = None
 ) -> tuple[MovingRobot, dict[str, str]]:
-    """Find out what a robot can do.
+    """Return a robot with the motions that it can do, and why it cannot do the others.
 
-    Args:
-        rehearsal: The robot.
-        names: Motions to try; when not given, of all that are offered the farthest of each kind that goes.
-        limits: What they must keep to.
-
-    Returns:
-        The robot with the motions that it can do, and why it cannot do the others.
+    By default the farthest of each kind that goes is taken, of all that are offered.
     """
     limits = Limits() if limits is None else limits
     motions: dict[str, FootMotion] = {}

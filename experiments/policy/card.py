@@ -21,8 +21,6 @@ from surefoot.experiments.study.figures import figure_at
 from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.tables import Frame
 
-__all__ = ["SCORES", "WHOSE", "draw_curve", "own_scores", "write_card"]
-
 FIGURE, CARD, SCORES = "curve.png", "card.md", "evaluation.csv"
 
 WHOSE = ("controller", "policy file", "task", "seeds")
@@ -58,13 +56,7 @@ def draw_curve(curve: Frame, path: Path, most: float) -> Path:
 
 
 def own_scores(out: Path) -> Frame | None:
-    """Return what an evaluation wrote of the very policy that lies in a folder, on the task it was made for.
-
-    ``None`` if there is nothing of it: scores of an earlier policy, or of others, are not its own.
-
-    Raises:
-        FileNotFoundError: If there is no policy.
-    """
+    """Return what an evaluation wrote of the very policy in a folder on its own task; ``None`` if nothing."""
     task = _task_of(PolicyNetwork.load(out / POLICY))
     try:
         scores: Frame = pd.read_csv(out / SCORES, dtype=str, keep_default_na=False)
@@ -79,11 +71,7 @@ def own_scores(out: Path) -> Frame | None:
 
 
 def write_card(out: Path) -> Path:
-    """Write the card of the policy in a folder, with its scores if they lie there, see :func:`own_scores`.
-
-    Raises:
-        FileNotFoundError: If there is no policy.
-    """
+    """Write the card of the policy in a folder, with its own scores; FileNotFoundError without a policy."""
     network = PolicyNetwork.load(out / POLICY)
     notes, task = network.notes, _task_of(network)
     options: dict[str, Any] = notes.get("options", {})

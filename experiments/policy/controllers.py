@@ -28,18 +28,6 @@ from surefoot.controllers import Stabiliser, zero_action
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.policy.tasks import TASKS, shipped_file, shipped_policy, task_in
 
-__all__ = [
-    "BUILT_IN",
-    "Controller",
-    "check_fits",
-    "controller_hash",
-    "drawn_names",
-    "labels",
-    "load_controller",
-    "short_name",
-    "trained_on",
-]
-
 Controller = Callable[[Mapping[str, Any]], NDArray[np.float32]]
 """Answers an observation with an action."""
 
@@ -62,18 +50,10 @@ _LONGEST_DRAWN = 40
 
 
 def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = False) -> Controller:
-    """Return a controller for an environment.
+    """Return a controller, named as above, for an environment with all wrappers, or raise ValueError.
 
-    Args:
-        name: As in the table above.
-        env: What it will control, with all wrappers; ``state_layout`` is that of its ``unwrapped``.
-        same_task: Whether to refuse a policy file that says it was made for another environment, see
-            :func:`check_fits`. An evaluation does; a sweep, which puts a policy into circumstances that it
-            was not made for, does not.
-
-    Raises:
-        ValueError: If there is no such controller, file, module or function, or it is for another robot or
-            task.
+    ``same_task`` refuses a policy that says it was made for another environment. An evaluation does; a sweep,
+    which puts a policy into circumstances that it was not made for, does not.
     """
     bare: Any = env.unwrapped
     if name in _BUILT_IN:
@@ -94,8 +74,7 @@ def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = Fals
 def check_fits(policy: Any, env: gym.Env[Any, Any], name: str = "", *, same_task: bool = True) -> None:
     """Raise ValueError if a policy was made for another robot or, if that counts, for another task.
 
-    Observations of two tasks may have the same sizes, so that the notes of a policy's making decide. Policies
-    from elsewhere need not have such notes; without any nothing is refused.
+    Its notes decide, as observations of two tasks may have the same sizes; without any nothing is refused.
     """
     notes = getattr(policy, "notes", None)
     made_for = notes.get("task") if isinstance(notes, Mapping) else None
@@ -110,15 +89,9 @@ def check_fits(policy: Any, env: gym.Env[Any, Any], name: str = "", *, same_task
 
 
 def controller_hash(name: str, env_id: str = "") -> str:
-    """Return 16 digits of a hash of the file behind a controller, or nothing if there is none.
+    """Return 16 digits of a hash of the file behind a controller, or nothing; ValueError if not there.
 
-    Args:
-        name: As in the table above.
-        env_id: Of the environment, which says which of the shipped policies is meant; without one, the hash
-            is that of all of them.
-
-    Raises:
-        ValueError: If there is no such file or module.
+    Of shipped policies the environment says which one is meant; without one, the hash is that of all of them.
     """
     if name in _BUILT_IN:
         return ""
@@ -166,11 +139,7 @@ def labels(controllers: Sequence[str]) -> dict[str, str]:
 
 
 def drawn_names(controllers: Sequence[str]) -> dict[str, str]:
-    """Return a name for each controller that a figure can write, no two of them alike.
-
-    A long name is cut to its last characters, with a number where these are the same; a dollar sign starts no
-    formula.
-    """
+    """Return a name for each controller that a figure can write, cut and numbered so that none are alike."""
     found: dict[str, str] = {}
     for name, brief in labels(controllers).items():
         cut, number = _cut(brief, ""), 1

@@ -9,15 +9,9 @@ import numpy as np
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.experiments.policy.view import PARTS, PolicyView, make_task
 
-__all__ = ["export_zip", "network_of"]
-
 
 def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = None) -> PolicyNetwork:
-    """Return the mean of a PPO policy as numbers, with the scaling of its inputs folded into the first layer.
-
-    Raises:
-        ValueError: If it is no ``MlpPolicy`` of tanh layers, or was trained on another view.
-    """
+    """Return the mean of a PPO policy as numbers, inputs' scaling in its first layer; or ValueError."""
     policy = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]
     kinds = [type(layer).__name__ for layer in layers]
@@ -53,11 +47,8 @@ def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = N
 def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bool = False) -> PolicyNetwork:
     """Turn what ``PPO.save`` wrote of a model that was trained on :class:`PolicyView` into a policy file.
 
-    Opening such a zip runs pickled code: its maker must be trusted.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        PolicyFileError: If it is not trusted, or is no such zip.
+    Opening such a zip runs pickled code, so its maker must be trusted: else, or if it is none,
+    PolicyFileError.
     """
     if not zip_path.is_file():
         raise FileNotFoundError(f"There is no file '{zip_path}'.")

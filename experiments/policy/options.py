@@ -7,8 +7,6 @@ import numpy as np
 from surefoot.calibration.checks import check_count
 from surefoot.experiments.policy.tasks import SENSORS, task_named
 
-__all__ = ["TRAINING_SEEDS", "TrainOptions"]
-
 TRAINING_SEEDS = 1_000_000_000
 """Training draws seeds from here on; evaluation takes those below."""
 
@@ -23,42 +21,23 @@ REWARD_SCALE = 0.05
 class TrainOptions:
     """A training; the same options give the same policy, also if it was stopped and resumed on its way.
 
-    Attributes:
-        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
-        sensors: One of :data:`surefoot.experiments.policy.tasks.SENSORS`.
-        steps: Decisions of the policy, of four steps each, in all environments together.
-        seed: Of everything random, 0 to 999.
-        environments: Environments that are stepped in turn.
-        rollout: Decisions in each environment between two updates.
-        every: Updates from one checkpoint to the next.
-        learning_rate: Of Adam at the start; it falls linearly to a twentieth.
-        discount: Per decision, every 1/20 s: rewards 1.6 s ahead count about a third.
-        epochs: Passes over a rollout in one update.
-        batch: Samples of one gradient step.
-        hidden: Width of both hidden layers.
-        initial_log_std: Logarithm of the standard deviation of the exploration's weights at the start.
-        explore: Decisions after which the exploration is drawn again (gSDE; Raffin, Kober and Stulp, 2022).
-            Between them it is a function of what is seen: the robot sways slowly and does not shake, for
-            feet that shake measure nothing.
-
-    Raises:
-        ValueError: If an option is out of its range, naming it.
+    Raises ValueError with the option that is out of range. Exploration is gSDE (Raffin et al., 2022).
     """
 
     task: str = "balance"
     sensors: str = "true"
-    steps: int = 160_000
-    seed: int = 0
-    environments: int = 8
-    rollout: int = 256
-    every: int = 8
-    learning_rate: float = 1e-3
-    discount: float = 0.97
-    epochs: int = 8
-    batch: int = 512
-    hidden: int = 64
-    initial_log_std: float = -2.5
-    explore: int = 8
+    steps: int = 160_000  # decisions of the policy in all environments together
+    seed: int = 0  # of everything random, 0 to 999
+    environments: int = 8  # that are stepped in turn
+    rollout: int = 256  # decisions in each environment between two updates
+    every: int = 8  # updates from one checkpoint to the next
+    learning_rate: float = 1e-3  # of Adam at the start; it falls linearly to a twentieth
+    discount: float = 0.97  # per decision, every 1/20 s: rewards 1.6 s ahead count about a third
+    epochs: int = 8  # passes over a rollout in one update
+    batch: int = 512  # samples of one gradient step
+    hidden: int = 64  # width of both hidden layers
+    initial_log_std: float = -2.5  # of the exploration's weights at the start
+    explore: int = 8  # decisions until it is drawn again (gSDE): feet that shake measure nothing
 
     def __post_init__(self) -> None:
         """Raise ValueError at what cannot be trained."""

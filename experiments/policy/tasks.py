@@ -10,18 +10,6 @@ from typing import Any
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.walks.walkers import FEEDS
 
-__all__ = [
-    "EXPECTED_LOADS",
-    "SENSORS",
-    "TASKS",
-    "Task",
-    "calibration_of",
-    "shipped_file",
-    "shipped_policy",
-    "task_in",
-    "task_named",
-]
-
 SENSORS = ("true", "randomised")
 """What a policy may be trained on: the true centre of pressure, or drifting sensors of every severity."""
 
@@ -31,34 +19,18 @@ EXPECTED_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.08, "co
 
 @dataclass(frozen=True)
 class Task:
-    """A task, what a policy sees of it, and how it is trained.
+    """A task, what a policy sees of it, and how it is trained."""
 
-    Attributes:
-        name: Short name, for files and the command.
-        env_id: Id of the environment.
-        title: What a policy for it is called.
-        scales: Parts of the state that a policy sees besides the legs' joints, and the unit of each: a policy
-            sees the part divided by it.
-        training: Options of the environment while training: without the long stand that calibrators need, and
-            with fewer pushes, which change returns far more than anything that a policy tries.
-        most: Largest reward of one step.
-        limits: What a policy for it cannot do.
-        speed: Change of a posture per second at a full command: what a policy shakes its own feet with while
-            it explores.
-        memory: Time constant in s with which a posture returns.
-        hold: Steps for which an action holds: a policy decides at 20 Hz, about as fast as a body can follow.
-    """
-
-    name: str
+    name: str  # for files and the command
     env_id: str
-    title: str
-    scales: Mapping[str, float]
-    training: Mapping[str, Any]
-    most: float
-    limits: str
-    speed: float = 1.5
-    memory: float = 1.0
-    hold: int = 4
+    title: str  # of a policy for it
+    scales: Mapping[str, float]  # of parts of the state that are seen besides the legs' joints: divisors
+    training: Mapping[str, Any]  # options while training: a short stand, fewer pushes
+    most: float  # largest reward of one step
+    limits: str  # what a policy for it cannot do
+    speed: float = 1.5  # change of a posture per second at a full command
+    memory: float = 1.0  # time constant in s with which a posture returns
+    hold: int = 4  # steps for which an action holds: 20 Hz, about as fast as a body can follow
 
 
 _SEEN = {"tilt": 0.1, "gyroscope": 0.5, "cop_reference": 0.03, "com_reference_velocity": 0.05}
@@ -94,11 +66,7 @@ TASKS: Mapping[str, Task] = MappingProxyType({task.name: task for task in (_BALA
 
 
 def task_named(name: str) -> Task:
-    """Return the task of a name.
-
-    Raises:
-        ValueError: If there is none of the name; the message lists what there is.
-    """
+    """Return the task of a name, or raise ValueError with what there is."""
     if name not in TASKS:
         raise ValueError(f"There is no task '{name}'. Available: {', '.join(map(repr, TASKS))}.")
     return TASKS[name]

@@ -1,9 +1,7 @@
-"""Train a policy: PPO of Stable-Baselines3, on checkpoints that hold numbers only.
+"""Train a policy: PPO of Stable-Baselines3, on checkpoints that hold numbers only (``weights_only=True``).
 
-Training goes from checkpoint to checkpoint. At each of them every source of randomness is seeded again from
-the seed and the number of updates done, so that a training that was stopped and resumed ends with the same
-policy, to the last digit, as one that was not. A checkpoint is read with ``weights_only=True``: nothing in it
-is executed.
+At each checkpoint every source of randomness is seeded again from the seed and the number of updates done: a
+training that was stopped and resumed ends with the same policy, to the last digit, as one that was not.
 """
 
 import json
@@ -26,8 +24,6 @@ from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.policy.view import PolicyView, make_task
 from surefoot.experiments.study.files import atomic_path, locked, write_text
 
-__all__ = ["Trainer", "TrainingError", "remove_training"]
-
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
 """What a training leaves in its folder."""
 
@@ -41,24 +37,11 @@ class TrainingError(ValueError):
 
 
 class Trainer:
-    """A training in a folder; it goes on where the folder's checkpoint stands.
+    """A training in a folder, which is its alone until closed; it goes on from the folder's checkpoint.
 
-    No other process trains in it until this training has ended or is closed.
-
-    Args:
-        out: The folder, which is made.
-        options: The training.
-        restart: Whether to remove first what the folder holds.
-
-    Attributes:
-        updates: Updates done so far.
-        curve: A row an update: steps, mean return and length of the episodes that ended, share that fell,
-            standard deviation of the actions.
-
-    Raises:
-        TrainingError: If another training is at work in the folder, or it holds another one, or its
-            checkpoint is damaged.
-        OSError: If it cannot be written to.
+    ``curve`` has a row an update: steps, mean return and length of the episodes that ended, share that fell,
+    standard deviation of the actions. Raises TrainingError if the folder is in use, holds another training,
+    or a damaged checkpoint.
     """
 
     def __init__(self, out: Path, options: TrainOptions, *, restart: bool = False) -> None:

@@ -16,8 +16,6 @@ from surefoot.envs.robots.nao import motor_of_joint
 from surefoot.experiments.policy.tasks import Task, calibration_of, task_named
 from surefoot.experiments.walks.walkers import TruthTap, feed_named, on_feet
 
-__all__ = ["PARTS", "PolicyView", "input_names", "make_task"]
-
 PARTS = ("state", "cop", "cop_valid")
 """Parts of an observation that a policy sees, in this order."""
 
@@ -37,17 +35,7 @@ _COP_UNIT, _ERROR_UNIT = 0.03, 0.01
 def make_task(
     feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath.
-
-    Args:
-        feed: One of :data:`~surefoot.experiments.walks.walkers.FEEDS`.
-        severity: Factor of all errors of the feet's sensors.
-        task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
-        **env_options: Of the task's environment.
-
-    Raises:
-        ValueError: If there is no such feed or task, or an option is refused.
-    """
+    """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath."""
     calibration = calibration_of(feed_named(feed))
     bare = gym.make(task_named(task).env_id, disable_env_checker=True, **env_options)
     return on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
@@ -56,11 +44,9 @@ def make_task(
 def _input_matrix(
     state_layout: Mapping[str, slice], standing: NDArray[np.float64], task: Task
 ) -> NDArray[np.float64]:
-    """Return the matrix that picks and scales what a policy sees of (state, cop, cop_valid, 1), (N, S + 6).
+    """Return the matrix that picks and scales what is seen of (state, cop, cop_valid, 1), (N, S + 6).
 
-    Legs' joints, the parts of the state that the task names, the felt centre of pressure, its difference to
-    the commanded one, and whether it is felt. Not the joints' velocities, which encoders measure badly, nor
-    arms and head.
+    Not the joints' velocities, which encoders measure badly, nor arms and head.
     """
     size = max(where.stop for where in state_layout.values())
     all_parts = np.eye(size + _COP_PARTS)
@@ -83,18 +69,7 @@ class PolicyView(gym.Wrapper[Any, Any, Any, Any]):
     """Show a policy its inputs as one vector, and let it command speeds of postures.
 
     The observation becomes ``Box(-inf, inf, (N,))`` of scaled numbers, the action ``Box(-1, 1, (4,))``, the
-    speeds of :data:`surefoot.controllers.posture.POSTURES`.
-
-    Args:
-        env: The task's environment, see :func:`make_task`.
-        task: The task.
-        reward_scale: What rewards are multiplied by.
-
-    Attributes:
-        task: As given.
-        hold: Steps of the environment for which an action holds; their rewards are added up.
-        inputs: Matrix that makes inputs of (state, cop, cop_valid, 1), shape (N, S + 6).
-        drive: Turns actions into residuals.
+    speeds of :data:`surefoot.controllers.posture.POSTURES`, which holds for ``hold`` steps; rewards add up.
     """
 
     def __init__(self, env: gym.Env[Any, Any], task: str = "balance", *, reward_scale: float = 1.0) -> None:

@@ -1,8 +1,7 @@
 """Who does the work: this process, processes of this machine, or a cluster of dask or ray.
 
-Each of them takes a task and gives a future. A worker that dies costs nothing but the task that it died of:
-loky breaks all of its processes with one, dask and ray say which task it was. Whatever may have killed a
-worker is done once more, by itself; if that kills its worker too, its result is :class:`Died`.
+A worker that dies costs nothing but the task that it died of. Whatever may have killed one is done once more,
+by itself; if that kills its worker too, its result is :class:`Died`.
 """
 
 import warnings
@@ -39,15 +38,10 @@ class Died:
 
 @dataclass(frozen=True)
 class Workers:
-    """Somebody to work.
+    """Somebody to work."""
 
-    Attributes:
-        submit: Takes a function and what to give it, and returns a future.
-        under_way: How many tasks are handed out at the same time.
-    """
-
-    submit: Callable[..., "Future[Any]"]
-    under_way: int = 1
+    submit: Callable[..., "Future[Any]"]  # a function and what to give it in, a future out
+    under_way: int = 1  # tasks that are handed out at the same time
 
     def results(self, tasks: Mapping[int, Task]) -> Iterator[tuple[int, Any]]:
         """Yield the number and the result of each task, in any order; what a task raises is raised here."""
@@ -80,16 +74,7 @@ class Workers:
 
 @contextmanager
 def workers(backend: str, jobs: int, address: str | None = None) -> Iterator[Workers]:
-    """Bring up workers.
-
-    Args:
-        backend: One of :data:`BACKENDS`.
-        jobs: How many, on this machine.
-        address: Of a running scheduler of dask or head of ray; then its workers do it, however many.
-
-    Raises:
-        ValueError: If there is no such backend, or what it needs is not installed or not reached.
-    """
+    """Bring up workers here, or those at an address of dask or ray; raise ValueError at what is refused."""
     if backend not in BACKENDS:
         raise ValueError(f"There is no backend '{backend}'. Available: {', '.join(map(repr, BACKENDS))}.")
     if jobs < 1:

@@ -127,10 +127,7 @@ def draw_curve(
 
 
 def draw_mean(axes: Axes, values: Any, factor: float, at: float, name: str, *, upright: bool = False) -> None:
-    """Draw a mean of one number a run with its 95 % interval, in the look of a way, on a logarithmic axis.
-
-    It stands at a place on the other axis; its values go to the right, or upwards.
-    """
+    """Draw a mean with its 95 % interval at a place of the other axis: rightwards or upright."""
     interval, look = mean_interval(values), look_of(name)
     # What is nothing, a logarithmic axis cannot show.
     if interval.n == 0 or not interval.mean > 1e-9:

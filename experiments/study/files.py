@@ -9,10 +9,7 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Lend a name beside ``path`` with its ending, and rename the file into place once all is written.
-
-    The folder is made. If the body raises, the file is removed and what stood at ``path`` before stays.
-    """
+    """Lend a name beside ``path``, and rename the file into place once all is written, or remove it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
@@ -30,10 +27,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def locked(folder: Path, refusal: Exception) -> Iterator[None]:
-    """Keep others, where ``refusal`` is raised, out of a folder for as long as this process lives.
-
-    The lock of a killed process is gone with it. Where the system has no such locks, nobody is kept out.
-    """
+    """Keep others, who get ``refusal``, out of a folder while this process lives, where the system can."""
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:

@@ -45,11 +45,7 @@ class ReportFigure:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page; parts appear in the order of the fields.
-
-    Its anchor is what links point at; findings are statements computed from the figures, set apart; video and
-    poster are addresses beside the page; commands are lines for a shell.
-    """
+    """A section of the page in the order of its fields; video and poster are addresses beside the page."""
 
     anchor: str
     title: str
@@ -79,11 +75,7 @@ def write_page(
     lead: Section | None = None,
     made: str = "",
 ) -> Path:
-    """Write the page, and return its path.
-
-    It opens with the lead: its film, which must lie beside the page, its paragraphs, its figures and then its
-    tables; then comes the introduction, what was done. By default it says that it was made now and here.
-    """
+    """Write the page: its lead, what was done, and the sections; return its path."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

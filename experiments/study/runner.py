@@ -44,11 +44,7 @@ class Runner:
     seconds: dict[str, float]
 
     def do(self, what: str, work: Sequence[Task]) -> list[Any]:
-        """Do the pieces of a stage and return their results in the order given.
-
-        Raises:
-            StudyError: If a worker died; what a piece raises is raised here.
-        """
+        """Do the pieces of a stage, return results in the order given; raise StudyError if a worker died."""
         found: list[Any] = [None] * len(work)
         with self._stage(what, len(work)) as seen:
             for number, result in self.workers.results(dict(enumerate(work))):
@@ -71,12 +67,8 @@ class Runner:
     ) -> int:
         """Run the cases that a store does not hold yet, put down what comes of each, and return how many.
 
-        Cases that failed before are run again, unless ``retry_failed`` is false; ``any_version`` takes
-        results of other code as they are, here before or from a cluster; ``failed`` makes rows of a failed
-        case, and ``count`` says by a word what outcomes are counted beside the bar.
-
-        Raises:
-            StudyError: If a worker runs other software, or the disk is full.
+        ``any_version`` takes results of other code as they are, here before or from a cluster; ``failed``
+        makes rows of a failed case, and ``count`` says by a word what outcomes are counted beside the bar.
         """
         listed = list(cases)
         # Before anything runs: what is on the disk now is what has been imported.
@@ -127,11 +119,7 @@ def runner(
     backend: str = "",
     address: str | None = None,
 ) -> Iterator[Runner]:
-    """Lend what runs the stages of a study, and notes in ``seconds`` how long each took.
-
-    By default one job works in this very process; ``backend`` and ``address`` are those of
-    :func:`~surefoot.experiments.study.backends.workers`, which says what is refused.
-    """
+    """Lend what runs the stages of a study, and notes seconds of each; one job works in this very process."""
     bars = Progress(
         TextColumn("{task.description:28s}"),
         BarColumn(),

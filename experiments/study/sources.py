@@ -22,11 +22,7 @@ _ENVIRONMENT = re.compile(r"surefoot/\w+-v\d+")
 
 @cache
 def source_hash(*entries: str) -> str:
-    """Return 16 hex digits that change when the code behind some modules or packages changes.
-
-    Raises:
-        ModuleNotFoundError: If there is no such module; one of somebody else must have been imported.
-    """
+    """Return 16 hex digits that change with the code behind some modules or packages."""
     digest = sha256()
     for module in sorted(source_modules(*entries)):
         path = _file(module)
@@ -45,11 +41,7 @@ def code_of(module: str) -> str:
 
 @cache
 def source_modules(*entries: str) -> frozenset[str]:
-    """Return the modules of surefoot that some modules need, directly or not, and these themselves.
-
-    Raises:
-        ModuleNotFoundError: If there is no such module.
-    """
+    """Return the modules of surefoot that some modules need, directly or not, and these themselves."""
     found: set[str] = set()
     waiting = list(entries)
     while waiting:

@@ -13,17 +13,11 @@ from scipy import stats
 
 
 class Interval(NamedTuple):
-    """A mean and how sure it is.
+    """A mean and how sure it is."""
 
-    Attributes:
-        mean: Mean of the finite values.
-        half: Half the width of the two-sided 95 % interval of the mean (Student t); NaN below two values.
-        n: Number of finite values.
-    """
-
-    mean: float
-    half: float
-    n: int
+    mean: float  # of the finite values
+    half: float  # half the width of the two-sided 95 % interval (Student t); NaN below two values
+    n: int  # number of finite values
 
     @property
     def apart(self) -> bool:
@@ -72,18 +66,11 @@ def fall_share(fell: ArrayLike) -> Share:
 
 
 class Survival(NamedTuple):
-    """A survival curve: from each time on, the share on its feet and its 95 % band.
+    """A survival curve: from each time on, the share on its feet and its 95 % band, shape (n,) each."""
 
-    Attributes:
-        time: Times in s from 0 on, shape (n,).
-        share: Share that stands from each on, shape (n,).
-        low: Lower end of the band, shape (n,); NaN where nothing is known of it.
-        high: Upper end, shape (n,).
-    """
-
-    time: NDArray[np.float64]
+    time: NDArray[np.float64]  # in s, from 0 on
     share: NDArray[np.float64]
-    low: NDArray[np.float64]
+    low: NDArray[np.float64]  # NaN where nothing is known of it
     high: NDArray[np.float64]
 
 

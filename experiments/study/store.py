@@ -1,12 +1,8 @@
 """A study's folder: nothing that was computed is lost, and nothing is computed twice.
 
-A :class:`Case` is a function and its arguments; its *key* is a hash of what it depends on, its *code* a hash
-of the sources behind the function, with the versions of NumPy, SciPy and MuJoCo. What came of it is kept
-under the key, and is found again while the code is the same.
-
-Every finished case is one line of ``journal.jsonl``, written and synchronised before the next one is counted.
-A process that is killed, or a disk that is full, therefore costs at most the cases that were under way; a
-line that is damaged costs its case, which is run again.
+What came of a :class:`Case` is kept under its key, and found again while the code is the same. Every finished
+case is one line of ``journal.jsonl``, synchronised before the next: a killed process or a full disk costs the
+cases under way, a damaged line its case.
 """
 
 import json
@@ -34,21 +30,12 @@ class StudyError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One piece of a study; it depends on nothing but what is named here.
+    """One piece of a study; it depends on nothing but what is named here, and must survive pickling."""
 
-    Attributes:
-        name: What messages call it.
-        run: A function of a module, which returns rows (or a data frame) by the name of their table. It and
-            its arguments must survive pickling.
-        arguments: What it is given.
-        depends: What the result depends on, if that is not the arguments: folders and objects whose ``repr``
-            differs from run to run must not be in it.
-    """
-
-    name: str
-    run: Callable[..., Mapping[str, Any]]
+    name: str  # what messages call it
+    run: Callable[..., Mapping[str, Any]]  # of a module; returns rows (or a data frame) by table
     arguments: tuple[Any, ...]
-    depends: Any = None
+    depends: Any = None  # if not the arguments: no folders, nothing whose ``repr`` differs from run to run
 
     @property
     def key(self) -> str:
@@ -75,12 +62,7 @@ class Outcome:
 
 
 class Store:
-    """The results of a study in a folder; use it within :meth:`opened`.
-
-    Attributes:
-        outcomes: What came of each case, by its key.
-        damaged: How many lines of the journal could not be read.
-    """
+    """The results of a study in a folder, ``outcomes`` by key of the case; use it within :meth:`opened`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -96,11 +78,7 @@ class Store:
         *,
         any_version: bool = False,
     ) -> Iterator["Store"]:
-        """Take the folder for one study; a plan that it holds goes on with the same versions alone.
-
-        Raises:
-            StudyError: If the folder holds another study, or is in use, or the disk is full.
-        """
+        """Take the folder for one study, or raise StudyError; a plan goes on with the same versions alone."""
         busy = StudyError(f"Another study is at work in '{self.folder}'; wait for it.")
         with self._explained(), locked(self.folder, busy):
             if plan is not None:
@@ -135,11 +113,7 @@ class Store:
         return any_version or found.code == case.code
 
     def add(self, outcome: Outcome) -> None:
-        """Write what came of a case to the disk.
-
-        Raises:
-            StudyError: If it does not fit there; the journal then ends with the case before.
-        """
+        """Write what came of a case to the disk, or raise StudyError: the journal ends before it then."""
         data = (_dump(asdict(outcome)) + "\n").encode()
         with self._explained():
             size = os.fstat(self._journal).st_size

@@ -1,9 +1,8 @@
 """How well calibrated forces agree with what the robot's own motion asks of the ground.
 
-A log of a real robot holds no truth. What can be measured is how far the feet's total and centre of
-pressure lie from those that mass, joints and IMU ask for (CoP paper, Eqs. 9 to 11). Both sides pass the
-paper's zero-phase filter of 10 Hz. The motion's own errors are in the difference, and a calibrator that
-follows the motion makes it small whether the motion is right or not: agreement is not truth.
+The feet's total and centre of pressure against those that mass, joints and IMU ask for (CoP paper, Eqs. 9 to
+11), behind the paper's zero-phase filter. A calibrator that follows the motion makes it small whether the
+motion is right or not: agreement is not truth.
 """
 
 from typing import Any, NamedTuple
@@ -15,8 +14,6 @@ from surefoot.calibration import Reference, ground_reference, zero_phase
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
 from surefoot.experiments.logs.format import MAX_GAP, Log
 
-__all__ = ["Agreement", "Ground", "agreement", "asked_of", "carried_by"]
-
 LARGEST = 1e6
 """Magnitude, in any unit, beyond which a value of a reference is left out, as calibrators leave it out."""
 
@@ -25,18 +22,11 @@ CUTOFF = 10.0
 
 
 class Ground(NamedTuple):
-    """The ground under both feet, at the moments that the references describe: N - lag rows.
+    """The ground under both feet, at the moments that the references describe: N - lag rows."""
 
-    Attributes:
-        time: Times in s.
-        vgrf: Vertical force of both feet in N; NaN where it is not known.
-        cop: Centre of pressure from the middle between the soles, in the level frame's axes, in m, two
-            columns; NaN where there is none. From there, because a level frame may lie anywhere.
-    """
-
-    time: NDArray[np.float64]
-    vgrf: NDArray[np.float64]
-    cop: NDArray[np.float64]
+    time: NDArray[np.float64]  # in s
+    vgrf: NDArray[np.float64]  # of both feet in N; NaN where it is not known
+    cop: NDArray[np.float64]  # from the middle of the soles, level axes, in m, two columns; NaN for none
 
 
 class Agreement(NamedTuple):

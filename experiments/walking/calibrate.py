@@ -22,26 +22,16 @@ from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
 from surefoot.experiments.walks.replay import starting_map
 
-__all__ = ["CalibratedLog", "calibrate_log"]
-
 
 @dataclass(frozen=True)
 class CalibratedLog:
-    """Where the result of a calibration lies.
+    """Where the result of a calibration lies."""
 
-    Attributes:
-        walk: Calibrated forces, centres of pressure, parameters and flags of every sample, a Parquet table.
-        parameters: The last map with its uncertainty, in JSON as a log's description holds it.
-        page: What a person reads: one HTML file.
-        tables: What to show at once.
-        notices: What the log lacks.
-    """
-
-    walk: Path
-    parameters: Path
-    page: Path
-    tables: tuple[Table, ...]
-    notices: tuple[str, ...]
+    walk: Path  # forces, CoP, parameters and flags of every sample, a Parquet table
+    parameters: Path  # the last map with its uncertainty, JSON as in a log's description
+    page: Path  # one HTML file
+    tables: tuple[Table, ...]  # what to show at once
+    notices: tuple[str, ...]  # what the log lacks
 
 
 def calibrate_log(
@@ -55,21 +45,11 @@ def calibrate_log(
     settle: float = 0.0,
     zero_phase: bool = False,
 ) -> CalibratedLog:
-    """Replay a log, and write the result.
+    """Replay a log by a method from a map, and write the result into a folder; a stem begins all names.
 
-    Args:
-        log: The log.
-        method: A key of :data:`~surefoot.calibration.METHODS`.
-        start: ``"nominal"`` or ``"calibrated"``; by default as in the log, else ``"nominal"``.
-        folder: Where the files go.
-        stem: How their names begin.
-        file: What messages call the log.
-        settle: Samples before this time in s do not count in a score.
-        zero_phase: Whether to filter with hindsight.
-
-    Raises:
-        LogError: If there is no such starting map, or the feet's total cannot be in newtons.
-        ValueError: If there is no such method, or nothing to score after ``settle``.
+    Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; messages call the log ``file``.
+    Raises LogError if there is no such map or the feet's total cannot be in newtons, ValueError if there is
+    no such method or nothing to score.
     """
     method, about = method_name(method), log.about
     start = str(about.get("start", "nominal")) if start is None else start

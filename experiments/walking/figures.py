@@ -13,14 +13,6 @@ from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_
 from surefoot.experiments.walking.agreement import Ground, asked_of, carried_by
 from surefoot.experiments.walking.tables import Facts
 
-__all__ = [
-    "cells_over_time",
-    "cop_against_motion",
-    "flags_over_time",
-    "force_of_feet",
-    "parameters_over_time",
-]
-
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999933")
 _ASKED = look_of("reference")._replace(label="what the motion asks for", line="-")
 

@@ -1,8 +1,4 @@
-"""What a log lacks, and units that cannot be right.
-
-What would mislead any calibrator is refused. What merely leaves something open is a notice: the calibration
-goes on, and shows it.
-"""
+"""What would mislead any calibrator is refused; what a log merely lacks is a notice, and shown."""
 
 import numpy as np
 
@@ -12,8 +8,6 @@ from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.agreement import asked_of
-
-__all__ = ["check_weight", "log_notices"]
 
 MOST = 3.0
 """By how much the feet's total may differ from the weight, as a factor, before units must be wrong: scales of

@@ -7,8 +7,6 @@ from surefoot.experiments.logs.page import write_log_page
 from surefoot.experiments.study.page import ReportFigure, Section
 from surefoot.experiments.walking import figures, tables
 
-__all__ = ["write_walking_page"]
-
 
 def write_walking_page(path: Path, facts: tables.Facts) -> Path:
     """Write the page of a calibrated log, with its figures inside, and return its path."""

@@ -13,18 +13,6 @@ from surefoot.experiments.study.tables import Table, number
 from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.walks.score import score_forces
 
-__all__ = [
-    "FLAG_WORDS",
-    "Facts",
-    "agreement_table",
-    "flag_table",
-    "log_table",
-    "nis_per_row",
-    "parameter_table",
-    "score_table",
-    "shown_tables",
-]
-
 Floats = NDArray[np.float64]
 
 FLAG_WORDS = {
@@ -48,10 +36,7 @@ FLAG_WORDS = {
 
 
 class MapChange(NamedTuple):
-    """How a map differs from the first, F = a F_start + b: (a - 1) in percent and b in N, shape (N, K) each.
-
-    Standard deviations of both are ``None`` if the method claims none.
-    """
+    """How F = a F_start + b is: (a - 1) in percent, b in N and their standard deviations, (N, K) each."""
 
     scale: Floats
     offset: Floats
@@ -60,27 +45,16 @@ class MapChange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What tables, figures and page are made of.
-
-    Attributes:
-        log: The log.
-        start: Name of the map to start from.
-        initial: That map.
-        estimate: What the method made of the log.
-        settle: Samples before this time in s do not count in errors.
-        method: The method.
-        file: Name of the log.
-        notices: What the log lacks.
-    """
+    """What tables, figures and page are made of."""
 
     log: Log
-    start: str
-    initial: Parameters
+    start: str  # name of the starting map
+    initial: Parameters  # that map
     estimate: Estimate
-    settle: float = 0.0
+    settle: float = 0.0  # samples before this time in s do not count in errors
     method: str = ""
-    file: str = ""
-    notices: tuple[str, ...] = ()
+    file: str = ""  # name of the log
+    notices: tuple[str, ...] = ()  # what the log lacks
 
     @cached_property
     def before(self) -> Floats:

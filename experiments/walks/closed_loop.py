@@ -1,8 +1,7 @@
 """The walker on true, drifting and calibrated feet: who falls, and when.
 
-The controller is the same; what differs is the centre of pressure in its observation. Seeds are paired: the
-same seed gives the same starting state, ground, pushes and sensors whatever is fed back, so that runs differ
-by nothing but the feed until the robot's own steps begin to differ.
+The controller is the same; what differs is the centre of pressure that it observes. The same seed gives the
+same starting state, ground, pushes and sensors whatever is fed back.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,27 +22,16 @@ Floats = NDArray[np.float64]
 
 
 class Moment(NamedTuple):
-    """An episode after one control step.
+    """An episode after one control step."""
 
-    Attributes:
-        time: Time since the reset in s.
-        bare: The environment beneath all wrappers.
-        observation: What the robot felt.
-        true_observation: The same without sensors in between.
-        fell: Whether the robot has fallen; the episode ends then.
-        action: What the controller answered to the observation before.
-        reward: What was paid for it.
-        asked: Whether the controller was asked, and not the quiet stand's zero action.
-    """
-
-    time: float
-    bare: Any
+    time: float  # since the reset in s
+    bare: Any  # the environment beneath all wrappers
     observation: dict[str, Any]
-    true_observation: dict[str, Any]
-    fell: bool
-    action: Any = None
+    true_observation: dict[str, Any]  # without sensors in between
+    fell: bool  # the episode ends then
+    action: Any = None  # answered to the observation before
     reward: float = 0.0
-    asked: bool = True
+    asked: bool = True  # the controller was, and not the quiet stand's zero action
 
     @property
     def cop_error(self) -> float:
@@ -79,38 +67,20 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopRun:
-    """How one walk went.
-
-    Attributes:
-        severity: How bad the cells were.
-        speed: Walking speed in m/s.
-        seed: Its seed.
-        feed: What was fed back (see :data:`surefoot.experiments.walks.walkers.FEEDS`).
-        fell: Whether it ended in a fall.
-        time: Time on its feet in s.
-        cop_error: RMSE of the centre of pressure fed back, against the truth, in m.
-        tracking: RMSE of the true centre of pressure against its plan in m.
-    """
+    """How one walk went."""
 
     severity: float
-    speed: float
+    speed: float  # in m/s
     seed: int
     feed: str
     fell: bool
-    time: float
-    cop_error: float
-    tracking: float
+    time: float  # on its feet in s
+    cop_error: float  # rmse of the CoP fed back against the truth in m
+    tracking: float  # rmse of the true CoP against its plan in m
 
 
 def cells_of(severity: float) -> LoadCells:
-    """Scale how far the preset ``hx711-load-cells`` is off, and how fast it drifts.
-
-    Severity 1 is the preset: scales 12 % and offsets 1.5 N off, drifting by 2 % and 1 N per square root of a
-    minute; 3 is three times as bad.
-
-    Raises:
-        ValueError: If the severity is negative or not finite.
-    """
+    """Scale the errors and drift of ``hx711-load-cells``; severity 1 is the preset, 3 three times as bad."""
     scaled = ("initial_scale_std", "initial_offset_std", "scale_drift", "offset_drift")
     preset = HX711_LOAD_CELLS
     return replace(preset, **{name: severity * getattr(preset, name) for name in scaled})
@@ -126,8 +96,7 @@ def moments(
 ) -> Iterator[Moment]:
     """Run an episode, a control step at a time, until its end or the fall, and close its environment.
 
-    The controller is asked when the quiet stand, which settles for a time in s, is over; what it sees of an
-    observation may be changed.
+    The controller is asked after a quiet stand of ``settle`` s; what it sees may be changed.
     """
     bare: Any = env.unwrapped
     waiting, steps, done = round(settle / bare.dt), 0, False
@@ -149,16 +118,7 @@ def moments(
 def walk_moments(
     feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0, **env_options: Any
 ) -> Iterator[Moment]:
-    """Walk, a moment a control step, until the end or the fall.
-
-    Args:
-        feed: One of :data:`surefoot.experiments.walks.walkers.FEEDS`.
-        speed: Walking speed in m/s.
-        seed: Seed of the walk and of its sensors.
-        duration: Duration in s, standing included.
-        severity: How bad the cells are, see :func:`cells_of`.
-        **env_options: Further options of the environment, such as ``render_mode``.
-    """
+    """Walk for a duration in s, standing included, a moment a control step, at a speed in m/s."""
     env, tap = make_walker(feed, speed=speed, duration=duration, cells=cells_of(severity), **env_options)
     bare: Any = env.unwrapped
     # Calibrators need a quiet stand to begin with: until then nobody is moved by what they say.

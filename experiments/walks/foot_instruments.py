@@ -23,21 +23,11 @@ _STREAM = 0x10605
 
 
 class FootInstruments:
-    """What one condition reads under one walk.
+    """What one condition reads under one walk, by a random stream of an ``index``.
 
-    Args:
-        cells: The load cells, if there are any.
-        ankle: The six-axis sensors, if there are any.
-        index: Number of the random stream.
-        seed: Seed of the walk.
-        truth: The truth of the first moment.
-        drawing: The robot.
-
-    Attributes:
-        layout: How the channels add up to the feet's wrenches.
-        nominal: The map by the data sheets, shape (K,).
-        calibrated: The map from weights before the walk; ``None`` unless there are load cells alone.
-        about: What maps axis by axis leave out: cross-talk, and the weight that counts as part of the zero.
+    ``nominal`` and ``calibrated`` are maps of K channels, by the data sheets and from weights before the walk
+    (``None`` unless there are load cells alone); ``about`` says what maps axis by axis leave out: cross-talk,
+    and the weight that counts as part of the zero.
     """
 
     def __init__(

@@ -29,21 +29,13 @@ _SETTLING = 16
 
 @dataclass(frozen=True)
 class Condition:
-    """What cells a robot walks on, and what it knows of them.
-
-    Attributes:
-        name: Short name, for files.
-        title: What to call it.
-        cells: The load cells, or ``None`` for a robot without.
-        start: The map that calibrators start from: ``"calibrated"`` or ``"nominal"``.
-        ankle: The six-axis sensors in the ankles, if there are any.
-    """
+    """What cells a robot walks on (``None`` for none), and what it knows of them."""
 
     name: str
     title: str
     cells: LoadCells | None
-    start: str
-    ankle: ForceTorque | None = None
+    start: str  # the map of calibrators: ``"calibrated"`` or ``"nominal"``
+    ankle: ForceTorque | None = None  # six-axis sensors
 
     @property
     def age(self) -> float:

@@ -1,8 +1,7 @@
 """Replay logs through the online methods: many walks at once, each as the robot would have.
 
-Methods are batched, and a batch of robots costs little more than one. What robots of one batch must share is
-length, mass, lag and layout; their starting maps may differ, because readings are handed over as forces by
-each log's own starting map and the result is brought back to counts afterwards.
+Robots of one batch share length, mass, lag and layout; their starting maps may differ, because readings are
+handed over as forces by each log's own map and the result is brought back to counts.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,34 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters, Reference, replay
-from surefoot.experiments.logs.format import Log, LogError
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.logs.table import LogError
 
 Floats = NDArray[np.float64]
 
 
 class LogBatch(NamedTuple):
-    """Walks that go through a method side by side, as robots of one batch.
+    """Walks that go through a method side by side, as robots of one batch."""
 
-    Attributes:
-        members: Which of the logs they are.
-        force: Readings as forces by each log's own starting map in N, shape (N, B, K).
-        reference: The robots' beliefs, N rows of B robots in every field.
-        steps: Times since the sample before in s, shape (N,).
-    """
-
-    members: list[int]
-    force: Floats
-    reference: Reference
-    steps: Floats
+    members: list[int]  # which of the logs they are
+    force: Floats  # by each log's own starting map in N, shape (N, B, K)
+    reference: Reference  # N rows of B robots in every field
+    steps: Floats  # times since the sample before in s, shape (N,)
 
 
 def batches_of(logs: Sequence[Log], starts: Sequence[Parameters]) -> Iterator[LogBatch]:
-    """Put those logs together that share length, mass, lag and layout.
-
-    Args:
-        logs: Walks of any lengths and robots.
-        starts: The map that each starts from.
-    """
+    """Put those logs together that share length, mass, lag and layout; each starts from its own map."""
     groups: dict[tuple[Any, ...], list[int]] = {}
     for i, log in enumerate(logs):
         key = (len(log), round(log.mass, 9), log.lag, log.dt, log.layout.wrench_map.tobytes())
@@ -57,34 +45,17 @@ def batches_of(logs: Sequence[Log], starts: Sequence[Parameters]) -> Iterator[Lo
 
 
 class Replayed(NamedTuple):
-    """What a method made of one log of N samples.
+    """What a method made of one log of N samples."""
 
-    Attributes:
-        force: Calibrated channels in N, shape (N, K).
-        cop: Centre of pressure of both feet in the reference's level frame in m, shape (N, 2).
-        scale: Newtons per count, shape (N, K).
-        offset: Force that a reading of zero stands for in N, shape (N, K).
-        flags: Bits of :class:`~surefoot.calibration.Flag`, shape (N, K).
-    """
-
-    force: Floats
-    cop: Floats
-    scale: Floats
-    offset: Floats
-    flags: NDArray[np.int64]
+    force: Floats  # calibrated, in N, shape (N, K)
+    cop: Floats  # of both feet in the reference's level frame in m, shape (N, 2)
+    scale: Floats  # newtons per count, shape (N, K)
+    offset: Floats  # force that a reading of zero stands for in N, shape (N, K)
+    flags: NDArray[np.int64]  # bits of :class:`~surefoot.calibration.Flag`, shape (N, K)
 
 
 def starting_map(log: Log, start: str | None = None) -> Parameters:
-    """Return the map that a replay starts from.
-
-    Args:
-        log: The log.
-        start: ``"nominal"`` or ``"calibrated"`` (``"bench"`` in older logs); by default what the log's
-            ``about`` has under ``start``, else ``"nominal"``.
-
-    Raises:
-        LogError: If the log has no such map.
-    """
+    """Return the nominal or the calibrated map, or raise LogError; by default what ``about`` says."""
     if start is None:
         start = str(log.about.get("start", "nominal"))
     if start not in ("nominal", "calibrated", "bench"):

@@ -25,27 +25,16 @@ Floats = NDArray[np.float64]
 
 
 class Score(NamedTuple):
-    """Errors of one estimate over one walk.
+    """Errors of one estimate over one walk, rms."""
 
-    Attributes:
-        cop: RMSE of the centre of pressure in m.
-        cop_x: Its part along the world's x axis (forward) in m.
-        cop_y: Its part along y (left) in m.
-        vgrf: RMSE of the vertical force of both feet together in N.
-        vgrf_foot: RMSE of the vertical force of single feet in N.
-        cell: RMSE of the force of single cells in N.
-        samples: Number of samples that count.
-        held: Share of them in which the estimate had no centre of pressure of its own.
-    """
-
-    cop: float
-    cop_x: float
-    cop_y: float
-    vgrf: float
-    vgrf_foot: float
-    cell: float
-    samples: int
-    held: float
+    cop: float  # in m
+    cop_x: float  # its part along the world's x axis (forward) in m
+    cop_y: float  # its part along y (left) in m
+    vgrf: float  # of both feet together in N
+    vgrf_foot: float  # of single feet in N
+    cell: float  # in N
+    samples: int  # that count
+    held: float  # share of them in which the estimate had no centre of pressure of its own
 
 
 def cop_world(
@@ -54,16 +43,10 @@ def cop_world(
     position_sole: Floats,
     R_world_sole: Floats,
 ) -> Floats:
-    """Find the centre of pressure of both feet in the world, held where there is none.
+    """Return the CoP of both feet in the world in m, (N, 2), held below 5 N; NaN before the first.
 
-    Args:
-        force: Forces of the channels in N, shape (N, K).
-        layout: How the channels make up wrenches.
-        position_sole: Origins of the sole frames in the world in m, shape (N, 2, 3).
-        R_world_sole: Rotations from the sole frames to the world, shape (N, 2, 3, 3).
-
-    Returns:
-        Centre of pressure in m, shape (N, 2). Below 5 N the last one is held; NaN before the first.
+    Of forces in N, (N, K), and the sole frames' origins in m, (N, 2, 3), and rotations to the world, (N, 2,
+    3, 3).
     """
     return _hold(cop_of_feet(sole_wrenches(force, layout), position_sole, R_world_sole))
 

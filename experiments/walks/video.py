@@ -56,20 +56,15 @@ class Reel:
 def prepare_rendering() -> None:
     """Choose a way to draw without a screen, unless someone has chosen or there is a screen.
 
-    It must be called before MuJoCo draws for the first time in a process. Where EGL is missing nothing is
-    chosen: MuJoCo cannot even be imported by a process that is told to use what is not there.
+    To be called before MuJoCo draws first. Where EGL is missing nothing is chosen: MuJoCo cannot even be
+    imported by a process that is told to use what is not there.
     """
     if sys.platform == "linux" and not _has_screen() and find_library("EGL"):
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: float = 1.0) -> Reel:
-    """Film one walk into memory; arguments as in :func:`surefoot.experiments.walks.closed_loop.walk_moments`.
-
-    Raises:
-        OSError: If nothing can be drawn on this machine.
-        ValueError: If there is no such feed, or the robot cannot walk so.
-    """
+    """Film one walk into memory; arguments as in :func:`walk_moments`, refused as in :func:`pictures`."""
     options: dict[str, Any] = {"render_mode": "rgb_array", "width": WIDTH, "height": HEIGHT}
     options |= {"speed": speed, "seed": seed, "duration": duration, "severity": severity}
     frames, fell_at = [], None
@@ -82,12 +77,7 @@ def shoot(feed: str, *, speed: float, seed: int, duration: float, severity: floa
 def pictures(
     run: Callable[[], Iterator[Moment]], draw: Callable[[Moment], NDArray[np.uint8]], begin: float
 ) -> Iterator[tuple[NDArray[np.uint8], Moment]]:
-    """Run an episode and draw it from a time in s on, with its fall; yield pictures and their moments.
-
-    Raises:
-        OSError: If nothing can be drawn on this machine.
-        ValueError: If something in the episode is refused.
-    """
+    """Run an episode and yield pictures and moments from a time in s on; OSError if nothing can be drawn."""
     prepare_rendering()
     try:
         for k, moment in enumerate(run()):
@@ -108,10 +98,7 @@ def pictures(
 
 
 def join_reels(folder: Path, left: Reel, right: Reel) -> Film:
-    """Set two walks side by side in ``walk.mp4``; one that has ended shows its last picture on.
-
-    The still picture, ``walk.png``, is from just after the first fall, or from half way.
-    """
+    """Set two walks side by side in ``walk.mp4``; ``walk.png`` is from the first fall, or from half way."""
     frames = _side_by_side([left, right])
     falls = [reel.fell_at for reel in (left, right) if reel.fell_at is not None]
     shown = int((min(falls) + 0.3 - FIRST_MOMENT) * FRAMES_PER_SECOND) if falls else len(frames) // 2
@@ -128,11 +115,7 @@ def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
 
 
 def watch_walk(feed: str, **walk: Any) -> None:
-    """Show one walk in a window; ``walk`` as in :func:`shoot`.
-
-    Raises:
-        OSError: If there is no screen to show it on.
-    """
+    """Show one walk in a window; ``walk`` as in :func:`shoot`; raise OSError without a screen."""
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
     for moment in walk_moments(feed, render_mode="human", **walk):
@@ -149,10 +132,7 @@ def mark_cop(feed: str, moment: Moment) -> None:
 
 
 def write_film(path: Path, frames: Iterable[NDArray[np.uint8]], quality: int = 7) -> Path:
-    """Write pictures of shape (height, width, 3) to an .mp4, of a quality from 0 to 10, atomically.
-
-    Or to an animated .webp or .gif, which takes every other picture.
-    """
+    """Write pictures (height, width, 3) to an .mp4, or every other one to an animated .webp or .gif."""
     with atomic_path(path) as part:
         if path.suffix in ANIMATIONS:
             stills = [Image.fromarray(frame) for frame in list(frames)[::2]]

@@ -1,7 +1,4 @@
-"""One robot on different feet: the same task, pattern and controller behind another wrapper.
-
-The source of the centre of pressure that a controller sees is its *feed*, see :data:`FEEDS`.
-"""
+"""One robot on different feet: the same task, pattern and controller on another feed of its CoP."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -34,22 +31,14 @@ STAND_TIME = 4.0
 
 
 def feed_named(name: str) -> str:
-    """Return the name of a feed.
-
-    Raises:
-        ValueError: If there is no such feed; the message lists what there is.
-    """
+    """Return the name of a feed, or raise ValueError with what there is."""
     if name not in FEEDS:
         raise ValueError(f"There is no feed '{name}'. Available: {', '.join(map(repr, FEEDS))}.")
     return name
 
 
 class TruthTap(gym.ObservationWrapper[Any, Any, Any]):
-    """Keep the last true observation within reach of who scores; nothing that is observed changes.
-
-    Attributes:
-        seen: The true observation that sensors stand in front of.
-    """
+    """Keep the last true observation, ``seen``, for who scores; nothing that is observed changes."""
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Keep what is seen."""
@@ -80,20 +69,11 @@ def on_feet(
     cells: str | LoadCells = HX711_LOAD_CELLS,
     sensors: Mapping[str, Any] | None = MappingProxyType({}),
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return an environment behind sensors and a calibration: the one way in which studies make theirs.
+    """Return an environment behind sensors and a calibration, and the tap that sees its truth.
 
-    Args:
-        bare: The environment, which knows only truth.
-        calibration: Options of :class:`SelfCalibration`; ``None`` shows the true centre of pressure.
-        cells: The load cells.
-        sensors: Further options of :class:`FootSensors`; ``None`` for no sensors at all, where joints and
-            tilt are true as well.
-
-    Returns:
-        The environment to step, and the tap that sees the truth beneath its sensors.
-
-    Raises:
-        ValueError: If an option is refused, or there is a calibration and nothing to calibrate.
+    Studies make theirs in this one way. Options are those of :class:`SelfCalibration`, ``None`` for the true
+    centre of pressure, and of :class:`FootSensors`, ``None`` for no sensors at all, where joints and tilt are
+    true as well. Raises ValueError if one is refused, or there is nothing to calibrate.
     """
     tap = TruthTap(bare)
     if sensors is None:
@@ -115,11 +95,7 @@ def make_walker(
     render_mode: str | None = None,
     **env_options: Any,
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return a walker on the feet of a feed; on true feet joints and tilt are true as well.
-
-    The duration in s includes the standing; options are those of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
-    What is returned, and refused, is that of :func:`on_feet`.
-    """
+    """Return a walker on a feed's feet, as :func:`on_feet`, for a duration in s with standing, at m/s."""
     calibration = FEEDS[feed_named(feed)]
     # The walk is cut off before the pattern stops: what is scored is standing first and then walking.
     bare = gym.make(

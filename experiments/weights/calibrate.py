@@ -10,20 +10,13 @@ from surefoot.experiments.logs.table import LogError, read_table
 from surefoot.experiments.study.files import write_text
 from surefoot.experiments.study.tables import Table, number
 
-__all__ = ["fit_weighings"]
-
 
 def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
     """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2).
 
     The table has one weighing a row: the weight that every cell bore by itself as ``load_kg`` or ``load_N``,
-    and each cell's reading as ``raw_<cell>_count``. A cell that was not weighed in a row is left empty there.
-
-    Returns what to show, and the path of the map, which is JSON as a log's description holds it.
-
-    Raises:
-        LogError: If a column is missing or does not hold numbers.
-        ValueError: If a cell saw fewer than two loads.
+    and readings as ``raw_<cell>_count``, empty where not weighed. Returns what to show, and the map's path;
+    raises LogError or ValueError at what is refused.
     """
     table = read_table(path, "give a CSV of weighings, one a row.")
     units = {"load_kg": GRAVITY, "load_N": 1.0}

@@ -1,17 +1,8 @@
-"""Known weights on simulated cells, one by one, then at known holes of a plate.
+"""Known weights on simulated cells, one by one, then at known holes of a plate (CoP paper, section 3.1).
 
-As the CoP paper does (section 3.1): every cell bears weights of 1 g to 6 kg by itself, then weights stand at
-holes 1 cm apart on each foot's plate. Whole holes are held out, so that the score is of places that the fit
-never saw.
-
-What can go wrong: the cells' scales and offsets, noise and rounding (from the sensor's configuration); a
-curve in each cell; cells that do not sit where the drawing has them; weights with play in their holes. How
-the plate shares a load among its cells follows from its statics, with cells of unequal stiffness. That alone
-moves no centre of pressure, since forces and moments balance however they are shared; it decides which part
-of its curve each cell works on, and it leaves one combination of the four forces unseen.
-
-Weights of 510 g and less stay below the 5 N threshold: they take part in the channels' fit and in the score
-of the vertical force, and have no centre of pressure to score.
+Whole holes are held out of the fit for the score. Cells have curves, sit off the drawing and share the load
+by the plate's statics and their stiffnesses; weights have play in their holes. Weights of 510 g and less stay
+below the 5 N threshold: they have no centre of pressure to score.
 """
 
 from dataclasses import dataclass, field
@@ -30,8 +21,6 @@ from surefoot.calibration.weights.cop_correction import CopCorrectionFit, Placem
 from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.sensors.devices.load_cells import LoadCells, LoadCellState, load_cells, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-
-__all__ = ["Placements", "WeighingReport", "WeighingSetup", "run_weighing"]
 
 _STREAM = 7001
 """Keeps this randomness apart from every other stream with the same seed."""
@@ -83,43 +72,25 @@ class WeighingSetup:
 
 @dataclass(frozen=True, eq=False)
 class Placements:
-    """Weighings of one foot at holes that its fit never saw.
+    """Weighings of one foot at holes that its fit never saw."""
 
-    Attributes:
-        hole: Where the weights stood in the sole frame in m, shape (n, 2).
-        load: The weights in N, shape (n,).
-        cop_initial: Centres of pressure by the data sheet's map in m, shape (n, 2); NaN below 5 N.
-        cop_calibrated: The same by the fitted channels and the fitted correction.
-    """
-
-    hole: NDArray[np.float64]
-    load: NDArray[np.float64]
-    cop_initial: NDArray[np.float64]
-    cop_calibrated: NDArray[np.float64]
+    hole: NDArray[np.float64]  # where the weights stood in the sole frame in m, shape (n, 2)
+    load: NDArray[np.float64]  # in N, shape (n,)
+    cop_initial: NDArray[np.float64]  # by the data sheet's map in m, shape (n, 2); NaN below 5 N
+    cop_calibrated: NDArray[np.float64]  # by the fitted channels and correction
 
 
 @dataclass(frozen=True, eq=False)
 class WeighingReport:
-    """What known weights gave.
-
-    Attributes:
-        channel_names: The cells, in order.
-        channel_load: Weights put on each cell in kg, shape (n,).
-        channel_code: Mean counts under them, shape (n, K): the left part of a Table 2.
-        channels: The fit of the cells in N; ``channels.value`` is the calibrated map.
-        corrections: The fit of each foot's centre of pressure, (left, right).
-        initial: Errors on held-out holes by the data sheet's map (the left column of a Table 3).
-        calibrated: Errors on held-out holes by the fitted channels and the fitted correction.
-        held_out: The weighings at these holes, (left, right).
-    """
+    """What known weights gave; feet are (left, right)."""
 
     channel_names: tuple[str, ...]
-    channel_load: NDArray[np.float64]
-    channel_code: NDArray[np.float64]
-    channels: ChannelFit
+    channel_load: NDArray[np.float64]  # on each cell in kg, shape (n,)
+    channel_code: NDArray[np.float64]  # mean counts under them, shape (n, K)
+    channels: ChannelFit  # in N; ``channels.value`` is the calibrated map
     corrections: tuple[CopCorrectionFit, ...]
-    initial: PlacementScore
-    calibrated: PlacementScore
+    initial: PlacementScore  # on held-out holes, by the data sheet's map
+    calibrated: PlacementScore  # there, by the fitted channels and correction
     held_out: tuple[Placements, ...]
 
 
@@ -158,21 +129,11 @@ def run_weighing(
     layout: FeetLayout | None = None,
     seed: int = 0,
 ) -> WeighingReport:
-    """Calibrate a robot's load cells with known weights.
+    """Calibrate a robot's load cells with known weights, and score the fits on held-out holes.
 
-    Args:
-        setup: What is weighed.
-        cells: The cells.
-        state: The very cells to calibrate, as they came out of ``load_cells(cells).init``; by default some
-            are drawn. Only errors of scale and offset are read from it.
-        layout: Where the cells are by the drawing, four a foot; by default a NAO's shoes.
-        seed: Of everything random.
-
-    Returns:
-        The fits and their errors on held-out holes.
-
-    Raises:
-        ValueError: If a foot does not have four cells, or there are fewer holes than asked for.
+    Args ``state`` are the very cells, as ``load_cells(cells).init`` made them, of which errors of scale and
+    offset are used; by default some are drawn. The layout has four cells a foot, a NAO's shoes by default.
+    Raises ValueError for other layouts or too few holes.
     """
     setup = WeighingSetup() if setup is None else setup
     layout = nao_shoe_layout() if layout is None else layout
@@ -229,11 +190,7 @@ def _positions(foot: FootLayout) -> NDArray[np.float64]:
 def _place(
     setup: WeighingSetup, foot: FootLayout, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Return every weight at every chosen hole of one foot.
-
-    Returns:
-        Holes (n, 2) in m, loads (n,) in N, whether held out (n,), and the cells' true loads (n, 4) in N.
-    """
+    """Return holes (n, 2) in m, loads (n,) in N, which are held out (n,) and the cells' loads (n, 4) in N."""
     drawn = _positions(foot)
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     # The sides are not exact in binary: without the slack, rounding would decide about the outermost row.
