@@ -150,7 +150,7 @@ def _fit(
     if rank.missing and options.drift:
         # Too few sets to separate a drift from the load.
         return _fit(given, factory, known, replace(options, drift=0))
-    loops = options.hysteresis and not rank.missing and all(data.time is not None for data in sets)
+    loops = options.hysteresis and not rank.missing
     if not loops:
         warnings += check_within(sets, parts, options)
     if factory is not None:
