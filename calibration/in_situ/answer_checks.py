@@ -86,6 +86,9 @@ _FACTORY_SCALE = (0.5, 2.0)
 _FACTORY_STD = 0.1
 """Deviation of a factory matrix's scale, as a share: real sensors were off by 11 and 19 %."""
 
+_MOSTLY = 0.5
+"""Share of the information on the scale above which it is the factory's."""
+
 _SIGMAS = 4.0
 """Deviations between the limb by the readings and as it was given that are worth a warning."""
 
@@ -347,12 +350,18 @@ def limb_warnings(known: KnownLimb, fit: InSituFit, alone: tuple[float, float] |
     )
 
 
-def with_factory_scale(fit: InSituFit) -> InSituFit:
-    """Return a fit whose scale is the factory's with a covariance that doubts it, and a warning."""
+def with_factory_scale(fit: InSituFit, share: float = 1.0) -> InSituFit:
+    """Return a fit whose scale is the factory's with a covariance that doubts it, and a warning.
+
+    ``share`` is the factory matrix's of the information on the scale: what is off by a common factor is so in
+    all of its entries, and goes into the fit by that share.
+    """
     covariance, columns = fit.covariance.copy(), fit.columns
-    scale = _FACTORY_STD * fit.matrix.ravel()
+    scale = share * _FACTORY_STD * fit.matrix.ravel()
     covariance[columns.matrix, columns.matrix] += np.outer(scale, scale)
-    weight = _FACTORY_STD * fit.limb.parameters[:STATIC]
+    weight = share * _FACTORY_STD * fit.limb.parameters[:STATIC]
     covariance[columns.limb, columns.limb] += np.outer(weight, weight)
+    if share <= _MOSTLY:
+        return replace(fit, covariance=covariance)
     warning = "The scale of all forces is the factory matrix's; weigh the limb to know it."
     return replace(fit, covariance=covariance, warnings=(*fit.warnings, warning))

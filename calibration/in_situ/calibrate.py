@@ -38,6 +38,7 @@ from surefoot.calibration.in_situ.data import InSituSet, about_one_temperature
 from surefoot.calibration.in_situ.factory import choose_shares, information, leaning_matrix
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.hysteresis import with_hysteresis
+from surefoot.calibration.in_situ.information import data_share
 from surefoot.calibration.in_situ.input_checks import check_bending, check_sets, check_within
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -161,6 +162,8 @@ def _fit(
     if loops:
         problem, solution = with_hysteresis(sets, problem, solution, options) or (problem, solution)
         warnings += check_within(sets, problem.sets, options)
+    if factory is not None and not rank.missing:
+        rank = _without_priors(problem, solution, rank, options)
     if rank.missing:
         warnings += (rank.warning(),)
     check_bending(sets, problem.sets, options, loops=not loops)
@@ -170,11 +173,15 @@ def _fit(
     check_masses(problem, solution, noise, options)
     factor = inflation(problem, solution, rank.found)
     covariance = fit_covariance(problem, solution, noise, factor)
+    of_data = data_share(problem, solution, noise, factor, options.axis_tolerance)
+    if problem.prior_response is not None or len(problem.limb_root):
+        warnings += of_data.warnings(FitColumns.of(len(noise)))
     matrix = None
     if factory is not None and rank.missing:
         matrix, of_rows = leaning_matrix(problem, solution, factory)
         covariance = with_rows(covariance, of_rows)
     fit = _outcome(problem, solution, noise, covariance, rank, matrix, warnings)
+    fit = replace(fit, data_share=of_data.share)
     if reference is not None:
         fit = replace(fit, temperature_reference=reference)
     check_scale(fit, options)
@@ -183,7 +190,21 @@ def _fit(
     if known is not None:
         alone = _limb_alone(problem, solution, factor)
         return replace(fit, warnings=fit.warnings + limb_warnings(known, fit, alone))
-    return with_factory_scale(fit) if rank.missing else fit
+    if factory is None:
+        return fit
+    of_mass = float(of_data.share[fit.columns.limb][MASS])
+    return with_factory_scale(fit, 1.0 if rank.missing else 1.0 - of_mass)
+
+
+def _without_priors(problem: Problem, solution: Solution, rank: DataRank, options: InSituOptions) -> DataRank:
+    """Return what the data know beside a factory matrix, which may be less than their rank."""
+    noise = pooled_noise(problem.sets)
+    of_data = data_share(
+        problem, solution, noise, inflation(problem, solution, rank.found), options.axis_tolerance
+    )
+    if not of_data.unseen:
+        return rank
+    return DataRank(rank.found + rank.missing - of_data.unseen, of_data.unseen, of_data.left_open)
 
 
 def _problem(

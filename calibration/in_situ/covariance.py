@@ -30,6 +30,7 @@ __all__ = [
     "fit_covariance",
     "inflation",
     "noise_level",
+    "output_derivatives",
     "pooled_noise",
     "weighted_inverse",
     "whitening",
@@ -110,7 +111,7 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     # From W A to A, row by row.
     unwhiten = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs))
     root[:linear] = unwhiten @ root[:linear]
-    to_output = _derivatives(problem, solution, noise)
+    to_output = output_derivatives(problem, solution, noise)
     root = to_output @ root
     covariance = root @ root.T
     last = problem.sets[-1]
@@ -177,7 +178,7 @@ def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[M
     return of_matrix, of_offset
 
 
-def _derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
+def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     """Return d(C, o, m, m c) by d(A row by row, phi, rotation)."""
     A, channels = solution.A, len(solution.response)
     inputs, columns = problem.inputs, FitColumns.of(channels)

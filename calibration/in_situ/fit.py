@@ -105,6 +105,8 @@ class InSituFit:
         hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if loads
             were not seen to lag.
         channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
+        data_share: Of the information on each entry of ``covariance``, the share that the readings give by
+            themselves, without a factory matrix or a known limb, shape (7 k + 4,).
     """
 
     matrix: NDArray[np.float64]
@@ -126,6 +128,7 @@ class InSituFit:
     temperature_reference: float = 0.0
     hysteresis: NDArray[np.float64] | None = None
     channel_hysteresis: NDArray[np.float64] | None = None
+    data_share: NDArray[np.float64] | None = None
 
     @property
     def columns(self) -> FitColumns:

@@ -27,6 +27,9 @@ from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["OffsetFit", "estimate_offset"]
 
+_MOST = 0.05
+"""Share of their spread by which readings may leave the three-space where it holds."""
+
 _EXACT = 1e-9
 """Readings that leave the three-space by less than this share of their spread leave it by rounding alone."""
 
@@ -65,9 +68,13 @@ class OffsetFit:
     def affine(self) -> bool:
         """Whether Lemma 1 holds: the readings leave the three-space by at most three times the noise.
 
-        If not, the sensor has hysteresis, the limb bends, a temperature drifts or something touches.
+        If not, the sensor has hysteresis, the limb bends, its zero or a temperature drifts or something
+        touches. Readings that leave it by more than 5 % of their spread do not show that it holds, whatever
+        they leave within it.
         """
-        return self.affine_residual <= _EXACT or bool(self.affine_to_noise <= 3.0)
+        if self.affine_residual <= _EXACT:
+            return True
+        return self.affine_residual <= _MOST and bool(self.affine_to_noise <= 3.0)
 
     def coordinates(self, raw: ArrayLike) -> NDArray[np.float64]:
         """Return readings in the three-space, U1' (r - r_mean) (in-situ paper, Eq. 13, left; Fig. 5).
@@ -94,8 +101,8 @@ def estimate_offset(
         raw: Counts, shape (n, k) with k >= 3. Samples that are not finite are left out.
         gravity: In the sensor's frame, or in any frame that is fixed to it, in m/s^2, shape (n, 3).
         noise: Standard deviation of a reading in counts, one number or shape (k,), that Lemma 1's residual is
-            compared with; by default what Eq. 13 leaves within the three-space, which is right for channels
-            of equal noise.
+            compared with; by default what Eq. 13 leaves within the three-space from one sample to the next,
+            so that a drift is not taken for noise, which is right for channels of equal noise.
         minimum_spread: Standard deviation of gravity along its least seen direction, over gravity's size,
             that is asked for. It must lie above the noise of ``gravity``.
 
@@ -145,6 +152,9 @@ def estimate_offset(
     residual = r_factor - g_factor @ K.T @ basis.T
     free = n - 4
     within = float(np.sum((residual @ basis) ** 2))
+    left = (r - r_mean) @ basis - (g - g_mean) @ K.T
+    # What a drift, a bend or a loop leaves within the three-space changes little from sample to sample.
+    jumps = float(np.sum(np.diff(left, axis=0) ** 2)) / 2.0 * n / max(n - 1, 1)
     outside = float(np.sum(singular[3:] ** 2))
     scatter = residual.T @ residual / free if free else np.full((channels, channels), np.nan)
     leverage = 1.0 / n + float(np.sum(np.linalg.solve(g_factor[:3].T, g_mean) ** 2))
@@ -155,7 +165,7 @@ def estimate_offset(
         mean=r_mean,
         response=K,
         affine_residual=float(np.sqrt(outside / np.sum(singular**2))),
-        affine_to_noise=_to_noise(outside, within, free, basis, noise),
+        affine_to_noise=_to_noise(outside, within, min(within, jumps), free, basis, noise),
         # The tilt of U1 errs by as much as K does in the other directions, to first order.
         covariance=leverage * scatter,
         result=FitResult.DETERMINED,
@@ -172,7 +182,12 @@ def estimate_offset(
 
 
 def _to_noise(
-    outside: float, within: float, free: int, basis: NDArray[np.float64], noise: ArrayLike | None
+    outside: float,
+    within: float,
+    jumps: float,
+    free: int,
+    basis: NDArray[np.float64],
+    noise: ArrayLike | None,
 ) -> float:
     """Return what leaves the three-space as a multiple of the noise, per direction (Lemma 1)."""
     channels = len(basis)
@@ -180,7 +195,9 @@ def _to_noise(
         return np.nan
     left = outside / (free * (channels - 3))
     if noise is None:
-        expected = within / (3 * free)
+        expected = jumps / (3 * free)
+        # A drift may be one of the three directions itself.
+        left = max(left, within / (3 * free))
     else:
         deviation = np.asarray(noise, dtype=np.float64)
         if deviation.shape not in ((), (channels,)):

@@ -9,6 +9,7 @@ from _in_situ_stacked import wrench_of_gravity
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
+from surefoot.calibration.results import FitResult
 
 
 def walk(rng, rows, size):
@@ -126,3 +127,27 @@ def test_noise_that_has_no_colour_changes_nothing():
     fit, still = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(drift=0))
     np.testing.assert_array_equal(fit.matrix, still.matrix)
     np.testing.assert_array_equal(fit.covariance, still.covariance)
+
+
+def test_the_data_alone_need_no_prior():
+    sets, _ = noisy_sets("foot", np.random.default_rng(36))
+    fit = calibrate_in_situ(sets)
+    np.testing.assert_allclose(fit.data_share, 1.0, atol=1e-3)
+
+
+def test_two_moving_sets_say_that_the_factory_matrix_knows_the_scale():
+    # The faintest inertia makes the rank full, and says nothing of the scale.
+    matrix, mass, _, _ = SENSORS["leg"]
+    rng = np.random.default_rng(37)
+    sets, _ = noisy_sets("leg", rng, n=1500)
+    share, time = np.linspace(0.0, 1.0, 1500), sets[0].time
+    angles = np.radians([45.0, 35.0, 0.0]) * np.sin(2.0 * np.pi * np.array([1.1, 5.0, 1.0]) * share[:, None])
+    rate = np.gradient(angles, time, axis=0)
+    turning = np.gradient(rate, time, axis=0)
+    moving = [replace(one, angular_velocity=rate, angular_acceleration=turning) for one in sets[1:3]]
+    fit = calibrate_in_situ(moving, factory_matrix=0.9 * matrix, options=InSituOptions(scale_tolerance=0.5))
+    assert fit.result is FitResult.PARTLY_DETERMINED
+    assert fit.data_share[fit.columns.limb][0] < 0.5
+    assert abs(fit.limb.mass - mass) < 2.0 * fit.limb_mass_std
+    assert any("leans on the factory matrix" in warning for warning in fit.warnings)
+    assert any("of what is known of the limb's mass" in warning for warning in fit.warnings)

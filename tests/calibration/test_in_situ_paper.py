@@ -192,6 +192,23 @@ def test_a_limb_that_bends_leaves_the_three_space():
     assert fit.affine_to_noise > 3.0
 
 
+def test_a_zero_that_drifts_leaves_the_three_space():
+    rng = np.random.default_rng(8)
+    one = paper_sets("foot", rng)[0][0]
+    noisy = one.raw + 5.0 * rng.standard_normal(one.raw.shape)
+    # 4 N and 0.2 N m over the set, in no direction that gravity's readings have.
+    ramp = np.linspace(-2.0, 2.0, len(noisy))[:, None] * np.linalg.solve(
+        FOOT_MATRIX, [1, -1, 1, 0.05, 0, 0.05]
+    )
+    drifting = estimate_offset(noisy + ramp, one.gravity)
+    assert estimate_offset(noisy, one.gravity).affine
+    assert not drifting.affine
+    assert drifting.affine_to_noise > 3.0
+    # Shuffled, a drift looks like noise, and is too much of it.
+    shuffled = rng.permutation(len(noisy))
+    assert not estimate_offset((noisy + ramp)[shuffled], one.gravity[shuffled]).affine
+
+
 def test_semi_axes_follow_from_the_response(sensor):
     sets, _ = paper_sets(sensor, None)
     fit = estimate_offset(sets[0].raw, sets[0].gravity)

@@ -1,0 +1,127 @@
+r"""What the readings know by themselves, and what a factory matrix or a known limb knows.
+
+The rows of the readings alone, :math:`J_d` of a fit's Jacobian, are already free of what is no matter of
+the calibration: offsets, drift and loops of hysteresis have been projected out or weighted down. They leave
+a quantity :math:`q = c^\top \theta` the variance :math:`V_q = c^\top (J_d^\top J_d)^{-1} c`, and all rows
+together :math:`P_q`. So of all that is known of q, :math:`1 / P_q`, the data know the share :math:`P_q /
+V_q`: one where no prior was needed, zero where the data say nothing.
+
+A direction counts as seen if the data alone know it to a share of its size. The rank of a matrix would not
+do: the faintest motion makes it full.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.in_situ.covariance import output_derivatives
+from surefoot.calibration.in_situ.fit import FitColumns
+from surefoot.calibration.in_situ.model import AXES, INERTIA, MASS, MOMENT
+from surefoot.calibration.in_situ.solve import Problem, Solution
+
+__all__ = ["DataShare", "data_share"]
+
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
+_MOST = 0.9
+"""Share of the information that the data give from which on the rest is not worth a word."""
+
+_UNKNOWN = 1e3
+"""What nobody knows counts as known to so many times its size."""
+
+_REACH = 0.1
+"""Lever in m by which first moments are judged at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class DataShare:
+    """What the data know of a fit.
+
+    Attributes:
+        share: Of the information on each entry of the fit's covariance, shape (7 k + 4,), from 0 to 1.
+        seen: Directions that the data alone know.
+        unseen: Directions that they do not.
+        left_open: What takes part in those, in words.
+    """
+
+    share: Vector
+    seen: int
+    unseen: int
+    left_open: tuple[str, ...]
+
+    def warnings(self, columns: FitColumns) -> tuple[str, ...]:
+        """Return what leans on what was known beforehand, if much does."""
+        known = {
+            "the matrix": float(np.mean(self.share[columns.matrix])),
+            "the limb's mass": float(self.share[columns.limb][MASS]),
+            "its centre of mass": float(np.mean(self.share[columns.limb][MOMENT])),
+        }
+        if min(known.values()) > _MOST:
+            return ()
+        listed = ", ".join(f"{share:.0%} of what is known of {name}" for name, share in known.items())
+        return (f"The readings alone give {listed}; the rest is what was known beforehand.",)
+
+
+def data_share(
+    problem: Problem, solution: Solution, noise: Matrix, factor: float, tolerance: float
+) -> DataShare:
+    """Return what the data know of a fit at its solution.
+
+    Args:
+        problem: With what was known beforehand.
+        solution: Its solution.
+        noise: Covariance of a sample, shape (k, k).
+        factor: The inflation of the covariance.
+        tolerance: Deviation as a share of its size up to which a direction is seen.
+    """
+    channels, inputs = solution.response.shape
+    of_data = sum(len(part.uu) for part in problem.sets) * channels
+    scale = _sizes(problem, solution)
+    J = solution.jacobian * scale
+    data, prior = J[:of_data], J[of_data:]
+    # The rows' noise beyond white: what counts is how sure the data are, not how many.
+    data = data / np.sqrt(factor)
+    squares = data.T @ data
+    values, vectors = np.linalg.eigh(squares)
+    weak = values < 1.0 / tolerance**2
+    taking = np.sum(vectors[:, weak] ** 2, axis=1) > 0.5 / max(int(np.sum(weak)), 1) ** 2
+    to_output = output_derivatives(problem, solution, noise) * scale
+    to_output[:, : channels * inputs] = to_output[:, : channels * inputs] @ np.kron(
+        np.linalg.inv(problem.whitening), np.eye(inputs)
+    )
+    nothing = np.eye(len(squares)) / _UNKNOWN**2
+    alone = np.einsum("qp,pq->q", to_output, np.linalg.solve(squares + nothing, to_output.T))
+    together = np.linalg.solve(squares + prior.T @ prior + nothing, to_output.T)
+    known = np.einsum("qp,pq->q", to_output, together)
+    last = problem.sets[-1]
+    own = np.zeros(len(known))
+    own[FitColumns.of(channels).offset] = np.diag(noise) * last.offset_variance(last.end)
+    share = np.clip((known + own) / np.maximum(alone + own, np.finfo(float).tiny), 0.0, 1.0)
+    return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(problem, taking, channels, inputs))
+
+
+def _sizes(problem: Problem, solution: Solution) -> Vector:
+    """Return the sizes of the unknowns (W A row by row, phi, rotation)."""
+    white = problem.whitening @ solution.response
+    columns = np.sqrt(np.mean(white**2, axis=0))
+    mass = abs(float(solution.limb[MASS]))
+    reach = max(float(np.linalg.norm(solution.limb[MOMENT])) / max(mass, np.finfo(float).tiny), _REACH)
+    limb = np.full(problem.outer, mass * reach**2)
+    limb[MASS], limb[MOMENT] = mass, mass * reach
+    limb[problem.loops] = 1.0
+    limb[problem.parameters :] = 1.0
+    return np.concatenate([np.tile(columns, len(white)), limb])
+
+
+def _names(problem: Problem, taking: NDArray[np.bool_], channels: int, inputs: int) -> tuple[str, ...]:
+    response = taking[: channels * inputs].reshape(channels, inputs)
+    limb = taking[channels * inputs :]
+    named = {
+        "the matrix": response[:, :AXES],
+        "the limb's mass": limb[MASS],
+        "its centre of mass": limb[MOMENT],
+        "its inertia": limb[INERTIA] if problem.moving else limb[:0],
+    }
+    return tuple(name for name, parts in named.items() if parts.any())
