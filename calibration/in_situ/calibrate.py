@@ -7,7 +7,8 @@ inertial parameters and an offset for each set. The paper's own regression is in
 :mod:`~surefoot.calibration.in_situ.paper_matrix`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +39,7 @@ from surefoot.calibration.in_situ.data import InSituSet, about_one_temperature
 from surefoot.calibration.in_situ.factory import choose_shares, information, leaning_matrix
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.hysteresis import with_hysteresis
-from surefoot.calibration.in_situ.information import data_share
+from surefoot.calibration.in_situ.information import data_share, slow_turn
 from surefoot.calibration.in_situ.input_checks import check_bending, check_sets, check_within
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -170,7 +171,9 @@ def _fit(
     noise = pooled_noise(problem.sets)
     if factory is not None:
         check_factory(factory, problem, solution)
-    check_masses(problem, solution, noise, options)
+    slow = slow_turn(sets, problem.sets)
+    with _slow_first(slow):
+        check_masses(problem, solution, noise, options)
     factor = inflation(problem, solution, rank.found)
     covariance = fit_covariance(problem, solution, noise, factor)
     of_data = data_share(problem, solution, noise, factor, options.axis_tolerance)
@@ -184,9 +187,12 @@ def _fit(
     fit = replace(fit, data_share=of_data.share)
     if reference is not None:
         fit = replace(fit, temperature_reference=reference)
-    check_scale(fit, options)
-    if not rank.missing:
-        check_axes(fit, problem, solution, options)
+    with _slow_first(slow):
+        check_scale(fit, options)
+        if not rank.missing:
+            check_axes(fit, problem, solution, options)
+    if slow is not None:
+        fit = replace(fit, warnings=(*fit.warnings, str(slow)))
     if known is not None:
         alone = _limb_alone(problem, solution, factor)
         return replace(fit, warnings=fit.warnings + limb_warnings(known, fit, alone))
@@ -194,6 +200,18 @@ def _fit(
         return fit
     of_mass = float(of_data.share[fit.columns.limb][MASS])
     return with_factory_scale(fit, 1.0 if rank.missing else 1.0 - of_mass)
+
+
+@contextmanager
+def _slow_first(slow: CalibrationRefused | None) -> Iterator[None]:
+    """Where a drift may be behind a refusal, say so before it."""
+    try:
+        yield
+    except CalibrationRefused as refusal:
+        if slow is None:
+            raise
+        cure = f"{slow.cure} If that is not it: {refusal.cure}"
+        raise CalibrationRefused(f"{slow.reason} {refusal.reason}", cure) from refusal
 
 
 def _without_priors(problem: Problem, solution: Solution, rank: DataRank, options: InSituOptions) -> DataRank:

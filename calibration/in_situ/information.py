@@ -10,23 +10,31 @@ A direction counts as seen if the data alone know it to a share of its size. The
 do: the faintest motion makes it full.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.covariance import output_derivatives
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import FitColumns
-from surefoot.calibration.in_situ.model import AXES, INERTIA, MASS, MOMENT
+from surefoot.calibration.in_situ.model import AXES, DIRECT, INERTIA, MASS, MOMENT
 from surefoot.calibration.in_situ.solve import Problem, Solution
+from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["DataShare", "data_share"]
+__all__ = ["DataShare", "data_share", "slow_turn"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
 _MOST = 0.9
 """Share of the information that the data give from which on the rest is not worth a word."""
+
+_SLOW, _TURNED = 0.15, 0.02
+"""A turn is slow if drift leaves less than the first share of its spread; one below the second share of
+gravity's size is none."""
 
 _UNKNOWN = 1e3
 """What nobody knows counts as known to so many times its size."""
@@ -100,6 +108,35 @@ def data_share(
     own[FitColumns.of(channels).offset] = np.diag(noise) * last.offset_variance(last.end)
     share = np.clip((known + own) / np.maximum(alone + own, np.finfo(float).tiny), 0.0, 1.0)
     return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(problem, taking, channels, inputs))
+
+
+def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
+    """Return along which direction gravity turned no faster than offsets drift, and the cure, if there is one.
+
+    The spread that the weights against drift leave is held against the spread that there was.
+    """
+    seen, left, size = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    for data, part in zip(sets, parts, strict=True):
+        gravity = data.gravity[part.used]
+        centred = gravity - gravity.mean(axis=0)
+        seen += centred.T @ centred
+        size += float(np.sum(gravity**2))
+        left += part.uu[:, DIRECT].T @ part.uu[:, DIRECT]
+    values, vectors = np.linalg.eigh(seen)
+    wide = values > (_TURNED**2) * size
+    root = vectors[:, wide] / np.sqrt(values[wide])
+    shares, turned = np.linalg.eigh(root.T @ left @ root)
+    if not len(shares) or shares[0] > _SLOW**2:
+        return None
+    direction = root @ turned[:, 0]
+    direction /= np.linalg.norm(direction)
+    spread = float(np.sqrt(direction @ seen @ direction / size))
+    x, y, z = direction
+    return CalibrationRefused(
+        f"Along ({x:.2f}, {y:.2f}, {z:.2f}) gravity turned no faster than the sensor's offset drifts: of a "
+        f"spread of {spread:.2f} of its size such a drift leaves {spread * np.sqrt(max(shares[0], 0.0)):.3f}.",
+        "Go through these postures several times in a set, or come back to the first ones at its end.",
+    )
 
 
 def _sizes(problem: Problem, solution: Solution) -> Vector:

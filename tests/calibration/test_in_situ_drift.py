@@ -9,7 +9,7 @@ from _in_situ_stacked import wrench_of_gravity
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
-from surefoot.calibration.results import FitResult
+from surefoot.calibration.results import CalibrationRefused, FitResult
 
 
 def walk(rng, rows, size):
@@ -85,11 +85,21 @@ def test_a_raster_is_answered_within_its_uncertainty(sensor, drift):
         errors.append((fit.limb.mass - mass) / fit.limb_mass_std)
         assert fit.limb.mass == pytest.approx(mass, rel=0.02)
         assert fit.limb_mass_std < 0.01 * mass
+        assert any("turned no faster than the sensor's offset drifts" in warning for warning in fit.warnings)
         off.append(fit.limb.mass - mass)
         still = InSituOptions(drift=0, residual_tolerance=0.5, mass_tolerance=0.5)
         plain.append(calibrate_in_situ(sets, options=still, refuse=False).limb.mass - mass)
     assert np.sqrt(np.mean(np.square(errors))) < 1.6
     assert np.linalg.norm(off) < 0.7 * np.linalg.norm(plain)
+
+
+def test_a_raster_that_a_drift_hides_is_refused_for_that():
+    sets = rasters("foot", np.random.default_rng(38), drift=2.0)
+    with pytest.raises(
+        CalibrationRefused, match=r"Along \(.*1\.00, .*\) gravity turned no faster"
+    ) as refused:
+        calibrate_in_situ(sets)
+    assert "come back to the first ones" in str(refused.value)
 
 
 def static_poses(rng, masses):
