@@ -111,7 +111,7 @@ def data_share(
 
 
 def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
-    """Return along which direction gravity turned no faster than offsets drift, and the cure, if there is one.
+    """Return along which direction gravity turned no faster than offsets drift, and the cure; or None.
 
     The spread that the weights against drift leave is held against the spread that there was.
     """
@@ -132,9 +132,10 @@ def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> Cali
     direction /= np.linalg.norm(direction)
     spread = float(np.sqrt(direction @ seen @ direction / size))
     x, y, z = direction
+    rest = spread * float(np.sqrt(max(shares[0], 0.0)))
     return CalibrationRefused(
         f"Along ({x:.2f}, {y:.2f}, {z:.2f}) gravity turned no faster than the sensor's offset drifts: of a "
-        f"spread of {spread:.2f} of its size such a drift leaves {spread * np.sqrt(max(shares[0], 0.0)):.3f}.",
+        f"spread of {spread:.2f} of its size such a drift leaves {rest:.3f}.",
         "Go through these postures several times in a set, or come back to the first ones at its end.",
     )
 
