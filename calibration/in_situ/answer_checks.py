@@ -86,8 +86,8 @@ _FACTORY_SCALE = (0.5, 2.0)
 _FACTORY_STD = 0.1
 """Deviation of a factory matrix's scale, as a share: real sensors were off by 11 and 19 %."""
 
-_MOSTLY = 0.5
-"""Share of the information on the scale above which it is the factory's."""
+_LET = 2.0
+"""Deviations of the limb's mass by the data alone up to which they let a factory matrix draw it away."""
 
 _SIGMAS = 4.0
 """Deviations between the limb by the readings and as it was given that are worth a warning."""
@@ -350,18 +350,21 @@ def limb_warnings(known: KnownLimb, fit: InSituFit, alone: tuple[float, float] |
     )
 
 
-def with_factory_scale(fit: InSituFit, share: float = 1.0) -> InSituFit:
+def with_factory_scale(fit: InSituFit, of_data: float = 0.0) -> InSituFit:
     """Return a fit whose scale is the factory's with a covariance that doubts it, and a warning.
 
-    ``share`` is the factory matrix's of the information on the scale: what is off by a common factor is so in
-    all of its entries, and goes into the fit by that share.
+    ``of_data`` is the share of the information on the scale that the data give. What is off in the factory
+    matrix by a common factor goes into the fit by the rest, but no further than the data let it.
     """
     covariance, columns = fit.covariance.copy(), fit.columns
-    scale = share * _FACTORY_STD * fit.matrix.ravel()
+    doubt = _FACTORY_STD * (1.0 - of_data)
+    if of_data > 0.0:
+        doubt = min(doubt, _LET * fit.limb_mass_std / (fit.limb.mass * float(np.sqrt(of_data))))
+    scale = doubt * fit.matrix.ravel()
     covariance[columns.matrix, columns.matrix] += np.outer(scale, scale)
-    weight = share * _FACTORY_STD * fit.limb.parameters[:STATIC]
+    weight = doubt * fit.limb.parameters[:STATIC]
     covariance[columns.limb, columns.limb] += np.outer(weight, weight)
-    if share <= _MOSTLY:
+    if of_data > 0.0:
         return replace(fit, covariance=covariance)
     warning = "The scale of all forces is the factory matrix's; weigh the limb to know it."
     return replace(fit, covariance=covariance, warnings=(*fit.warnings, warning))

@@ -199,7 +199,7 @@ def _fit(
     if factory is None:
         return fit
     of_mass = float(of_data.share[fit.columns.limb][MASS])
-    return with_factory_scale(fit, 1.0 if rank.missing else 1.0 - of_mass)
+    return with_factory_scale(fit, 0.0 if rank.missing else of_mass)
 
 
 @contextmanager
