@@ -214,7 +214,7 @@ GRAVITY_UNIT = r"m/s\^2|gravity is"
 ROTATION = r"estimate_rotation|turned|rotat"
 BIAS = r"calibrate the accelerometer|bias"
 SCALE = r"calibrate the accelerometer|accelerometer's scale|gravity is"
-WHOLE = r"transpos|invers|rows of the factory|units of (its|the factory)|order of"
+WHOLE = r"transpos|inver[ts]|rows of the factory|units of (its|the factory)|order of"
 ENTRY = r"[Ee]ntry \["
 SPEED = r"too fast|fast"
 SOFT = r"bend|not rigid|gives"
@@ -410,7 +410,7 @@ def main() -> None:
 
 def _first_cause(message: str) -> str:
     """Return the likeliest cause of a message, or all of it where it has none."""
-    found = re.search(r"Likeliest: (.*?)(?:; then |\.(?: |$))", message)
+    found = re.search(r"Likeliest: (.*?)(?: \([<>]? ?\d+ %\)|, which leaves)", message)
     return found.group(1) if found else message
 
 

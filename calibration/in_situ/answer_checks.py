@@ -1,13 +1,14 @@
 """Checks of a fit's answer: what the data determine, and what contradicts them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.covariance import weighted_inverse
+from surefoot.calibration.in_situ.covariance import noise_level, weighted_inverse
 from surefoot.calibration.in_situ.fit import InSituFit
+from surefoot.calibration.in_situ.input_checks import Contradiction
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
@@ -20,19 +21,21 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
 from surefoot.calibration.in_situ.solve import (
+    ROUNDING,
     Problem,
     Solution,
     expand,
     hanging,
     of_unit_length,
-    solve,
     transforms,
 )
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
+from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
 __all__ = [
     "DataRank",
+    "added_slope",
     "check_axes",
     "check_factory",
     "check_masses",
@@ -40,6 +43,7 @@ __all__ = [
     "check_scale",
     "data_rank",
     "limb_warnings",
+    "projected",
     "with_factory_scale",
 ]
 
@@ -72,13 +76,19 @@ _NO_LOAD = 1e-300
 _ONE_TURN = float(np.cos(np.radians(5.0)))
 """Cosine of the angle below which two rotations are one."""
 
-_CORRUPT, _CORRUPT_RATIO = 0.3, 3.0
-"""A row of the factory matrix is looked at if its share of unexplained wrench is above the first, and above
-the second times the other rows'."""
+_AGED = 0.1
+"""Share of what hangs there up to which no factory matrix is looked at."""
 
-_ALONE, _MISPRINT = 0.95, 0.7
-"""One of its entries is to blame if it explains the first share of what the row leaves, and if it must change
-by the second share of the row's largest entry: sensors age by less."""
+_CORRUPT, _BETTER = 0.4, 0.7
+"""A factory matrix that misses the first share may be meant otherwise: that is named if it leaves less than
+the second share of it."""
+
+_ALIKE = 0.02
+"""Shares that differ by less are alike."""
+
+_ALONE, _MISPRINT = 0.6, 0.7
+"""One of its entries is to blame if another in its place leaves less than the first share, and if it must
+change by the second share of the row's largest entry: sensors age by less."""
 
 _FACTORY_SCALE = (0.5, 2.0)
 """The weight that a factory matrix shows over the true one must lie between these: sensors age by less."""
@@ -98,15 +108,15 @@ _STRAINED = 3.0
 _SLIGHT = 0.15
 """Share of the tolerance up to which no set is looked at by itself."""
 
-_CULPRIT, _WEIGHED = 0.2, 0.3
-"""A set is to blame if the others fit together at less than the first share of the cost of all, and see it
-off by more than the second share of the tolerance."""
+_POUND = 0.45359237
+"""In kg."""
 
-_BELIEVABLE = 3.0
-"""What follows from a fit this far off, in shares of the largest mass, shows only that something is wrong."""
+_CULPRIT, _WEIGHED = 0.8, 0.3
+"""A set is looked at if another mass in it explains the first share of what is left, and is off by more than
+the second share of the tolerance."""
 
-_NO_MASS = 0.02
-"""A mass in kg so small that its place means nothing."""
+_TURNED, _TURNED_SIGMAS = 0.5, 4.0
+"""Share of the tolerance, in rad, and deviations by which an IMU may seem turned without a warning."""
 
 _REACH = 0.1
 """Lever in m by which moments of masses that all hang at one place are judged."""
@@ -219,90 +229,180 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
             )
 
 
-def check_factory(factory: Matrix, problem: Problem, solution: Solution) -> None:
-    """Raise CalibrationRefused if a factory matrix's sign, unit or one entry contradicts the readings."""
-    T = transforms(problem, solution)[:, :AXES]
-    measured = np.concatenate([part.response[:, : T.shape[2]] for part in problem.sets], axis=1)
-    expected = np.concatenate(list(T), axis=1)
-    shown = factory @ measured
-    wrong = expected - shown
-    size = np.linalg.norm(wrong, axis=1) / np.linalg.norm(expected, axis=1)
-    row = int(np.argmax(size))
-    if size[row] >= max(_CORRUPT, _CORRUPT_RATIO * float(np.median(np.delete(size, row)))):
-        _check_entries(factory, measured, wrong[row], row)
-    scale = float(np.sum(shown[:3] * expected[:3]) / np.sum(expected[:3] ** 2))
+def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> None:
+    """Raise CalibrationRefused if a factory matrix contradicts the readings, and name how it is to be read.
+
+    Forces and torques (over the largest lever) that it shows of all sets are held against what hangs there:
+    by a solution that does without it if the data determine one, else by the limb that it shows itself.
+    """
+    expected = np.concatenate(list(transforms(problem, solution)[:, :AXES, DIRECT]), axis=1)
+    measured = np.concatenate([part.response[:, DIRECT] for part in problem.sets], axis=1)
+    masses = problem.added[:, MASS]
+    levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
+    lever = max(float(np.max(levers, initial=0.0)), _REACH)
+    weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
+
+    def missed(matrix: Matrix) -> float:
+        hangs = expected if determined else _hangs(matrix, problem, solution)
+        if hangs is None:
+            return np.inf
+        return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
+
+    now = missed(factory)
+    if now < _AGED:
+        return
+    at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
+    readings = [(missed(matrix), words) for words, matrix in _other_readings(factory)]
+    least = min(share for share, _ in readings)
+    best, words = next(one for one in readings if one[0] < least + _ALIKE)
+    entry, changed = min(_other_entries(factory, measured, expected, missed), default=(np.inf, ""))
+    if now > _CORRUPT and best < min(_BETTER * now, entry):
+        raise CalibrationRefused(
+            f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {best:.0%}.",
+            "Correct that, or compare the matrix with the maker's sheet.",
+        )
+    if entry < _ALONE * now:
+        raise CalibrationRefused(
+            f"{changed} leaves {entry:.0%} of what hangs there, and the matrix as it is {at_odds}.",
+            "Compare the matrix with the maker's sheet, its signs and exponents first.",
+        )
+    shown = (factory @ measured)[:3]
+    scale = float(np.sum(shown * expected[:3]) / np.sum(expected[:3] ** 2))
     if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
         raise CalibrationRefused(
             f"By the factory matrix the readings show {scale:.3g} times the forces that hang there.",
-            "Check the sign of gravity (down; an accelerometer reads up), the units of the matrix (N and N m "
-            "per count) and of the masses (kg).",
+            "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
+            "those of the masses (kg).",
         )
 
 
-def _check_entries(factory: Matrix, measured: Matrix, wrong: Vector, row: int) -> None:
-    """Raise CalibrationRefused if one entry of a row alone explains what the row leaves."""
-    share = (measured @ wrong) ** 2 / (np.sum(measured**2, axis=1) * np.sum(wrong**2))
-    column = int(np.argmax(share))
-    step = float(measured[column] @ wrong / np.sum(measured[column] ** 2))
-    if share[column] < _ALONE or abs(step) < _MISPRINT * np.max(np.abs(factory[row])):
-        return
-    raise CalibrationRefused(
-        f"Entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, contradicts the "
-        f"readings: with {factory[row, column] + step:.4g} in its place row {row} leaves "
-        f"{1.0 - share[column]:.1%} of what it leaves now, and the other rows fit as they are.",
-        "Compare the matrix with the maker's sheet, its signs and exponents first.",
-    )
-
-
-def check_masses(problem: Problem, solution: Solution, noise: Matrix, options: InSituOptions) -> None:
-    """Raise CalibrationRefused if the readings contradict added masses; name the set if it is one."""
-    freedom = solution.residual.size - solution.jacobian.shape[1]
-    strained = freedom > 0 and np.sum(solution.residual**2) >= _STRAINED * freedom
-    if not strained or not np.any(problem.added[:, MASS] > 0.0):
-        return
-    seen = _seen_masses(problem, solution, noise)
-    off = _disagreement(problem, seen)
-    if np.max(off) <= _SLIGHT * options.mass_tolerance:
-        return
-    cure = "Weigh what was added and measure where it hung, or leave the set out."
-    # Of several sets without which the others agree, the one that would need the smallest change.
-    amount, j, follows = min(
-        _suspects(problem, solution, noise), key=lambda one: one[0], default=(0.0, 0, seen[0])
-    )
-    if _WEIGHED * options.mass_tolerance < amount < _BELIEVABLE:
-        raise CalibrationRefused(
-            f"The added mass of '{problem.sets[j].name}' contradicts the other sets: "
-            f"{_place(problem.added[j])} was given, and {_place(follows)} follows from the others.",
-            cure,
-        )
-    if np.max(off) > options.mass_tolerance:
-        j = int(np.argmax(off))
-        by_all = f", and {_place(seen[j])} follows from all sets together" if off[j] < _BELIEVABLE else ""
-        raise CalibrationRefused(
-            "The added masses contradict each other or the readings, most of all that of "
-            f"'{problem.sets[j].name}': {_place(problem.added[j])} was given{by_all}.",
-            cure,
-        )
-
-
-def _suspects(problem: Problem, solution: Solution, noise: Matrix) -> list[tuple[float, int, Vector]]:
-    """Return sets without which the others agree: how far off they are, which, and (m, m c) by the others."""
-    suspects = []
-    for j in range(len(problem.sets)):
-        others = _without(problem, solution, j)
-        if others is not None and others.cost < _CULPRIT * solution.cost:
-            by_others = _seen_masses(problem, others, noise)
-            suspects.append((float(_disagreement(problem, by_others)[j]), j, by_others[j]))
-    return suspects
-
-
-def _without(problem: Problem, solution: Solution, left_out: int) -> Solution | None:
-    """Return the fit of the other sets, if they determine all."""
-    sets = tuple(part for i, part in enumerate(problem.sets) if i != left_out)
-    others = replace(problem, sets=sets, added=np.delete(problem.added, left_out, axis=0))
-    if not sets or (problem.prior_response is None and data_rank(others, solution.limb).missing):
+def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:
+    """Return T of all sets side by side with the limb that a matrix shows; None if its mass is negative."""
+    seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
+    limb = solution.limb.copy()
+    limb[:STATIC] = np.mean(seen - problem.added[:, :STATIC], axis=0)
+    if limb[MASS] <= 0.0:
         return None
-    return solve(others, [solution.outer])
+    return np.concatenate(list(transforms(problem, replace(solution, limb=limb))[:, :AXES, DIRECT]), axis=1)
+
+
+def _other_readings(factory: Matrix) -> list[tuple[str, Matrix]]:
+    """Return what may be wrong with a whole matrix, or with units, and the matrix as it then is."""
+    forces, torques = np.repeat([1.0, 0.0], 3)[:, None], np.repeat([0.0, 1.0], 3)[:, None]
+    found = [
+        (words, (force * forces + torque * torques) * factory)
+        for words, force, torque in (
+            ("the sign of gravity or of the factory matrix is turned", -1.0, -1.0),
+            ("all places of the masses, or the factory's torques, are negated", 1.0, -1.0),
+            ("the factory's forces are negated", -1.0, 1.0),
+            ("masses are in grams", 1e3, 1e3),
+            ("masses are in lb, and kg are expected", 1.0 / _POUND, 1.0 / _POUND),
+            ("places are in mm, and m are expected", 1.0, 1e3),
+            ("places are in cm, and m are expected", 1.0, 1e2),
+            ("units of the factory's torques are N mm", 1.0, 1e-3),
+            ("units of the factory matrix are kgf", GRAVITY, GRAVITY),
+        )
+    ]
+    found.append(("rows of the factory matrix are torques first", np.roll(factory, 3, axis=0)))
+    if factory.shape[0] == factory.shape[1]:
+        inverse = np.asarray(np.linalg.inv(factory), dtype=np.float64)
+        found.append(("the factory matrix is transposed", factory.T))
+        found.append(("the factory matrix is inverted: counts per N", inverse))
+        found.append(("the factory matrix is inverted and transposed", inverse.T))
+    return found
+
+
+def _other_entries(
+    factory: Matrix, measured: Matrix, expected: Matrix, missed: Callable[[Matrix], float]
+) -> list[tuple[float, str]]:
+    """Return what another value of each entry misses, and that value, in words."""
+    wrong, found = expected - factory @ measured, []
+    steps = wrong @ measured.T / np.maximum(np.sum(measured**2, axis=1), _NO_LOAD)
+    misprint = np.abs(steps) >= _MISPRINT * np.max(np.abs(factory), axis=1, keepdims=True)
+    for row, column in np.argwhere(misprint):
+        matrix = factory.copy()
+        matrix[row, column] += steps[row, column]
+        words = (
+            f"Entry [{row}, {column}] of the factory matrix, {factory[row, column]:.4g}, contradicts the "
+            f"readings: {matrix[row, column]:.4g} in its place"
+        )
+        found.append((missed(matrix), words))
+    return found
+
+
+def check_masses(
+    problem: Problem, solution: Solution, noise: Matrix, options: InSituOptions
+) -> tuple[str, ...]:
+    """Raise Contradiction if the readings contradict what was added; return warnings if they doubt it."""
+    freedom = solution.residual.size - solution.jacobian.shape[1]
+    left = float(np.sum(solution.residual**2))
+    if not (freedom > 0 and left >= _STRAINED * freedom) or not np.any(problem.added[:, MASS] > 0.0):
+        return ()
+    off = _disagreement(problem, _seen_masses(problem, solution, noise))
+    contradiction = Contradiction(
+        "The added masses contradict each other or the readings.",
+        "Weigh what was added and measure where it hung, or leave the set out.",
+    )
+    if np.max(off) > options.mass_tolerance:
+        raise contradiction
+    added = problem.added[:, :STATIC]
+    for j in range(len(added)) if np.max(off) > _SLIGHT * options.mass_tolerance else ():
+        changes = np.zeros((STATIC, *problem.added.shape))
+        changes[:, j, :STATIC] = np.eye(STATIC)
+        step, explained = _explained(problem, solution, changes)
+        changed = added.copy()
+        changed[j] += step
+        amount = float(np.max(_disagreement(problem, changed)))
+        if explained > _CULPRIT * left and amount > _WEIGHED * options.mass_tolerance:
+            raise contradiction
+    if problem.rotation:
+        return ()
+    turn, explained = _explained(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
+    angle = float(np.linalg.norm(turn))
+    spread = max(left / freedom, noise_level(problem.sets))
+    if angle < _TURNED * options.mass_tolerance or explained < _TURNED_SIGMAS**2 * spread:
+        return ()
+    if angle > options.mass_tolerance:
+        raise contradiction
+    return (
+        f"The IMU seems to be turned by {np.degrees(angle):.1f} degrees against the sensor's frame, and the "
+        "wrench with it: give its rotation (R_sensor_accelerometer), or let the fit find it "
+        "('estimate_rotation', with the limb at rest).",
+    )
+
+
+def _turn(added: Matrix, axis: Vector) -> Matrix:
+    """Return the change of what was added by turning all places about an axis, shape (J, p)."""
+    change = np.zeros_like(added)
+    change[:, MOMENT] = np.cross(axis, added[:, MOMENT])
+    return change
+
+
+def _explained(problem: Problem, solution: Solution, changes: NDArray[np.float64]) -> tuple[Vector, float]:
+    """Return the step along changes of what was added, (q, J, p), that fits best, and what it explains."""
+    slopes = np.stack([added_slope(problem, solution, change) for change in changes], axis=1)
+    rows = solution.residual.ravel()
+    free = projected(solution, slopes)
+    step = -np.linalg.lstsq(free, np.pad(rows, (0, len(free) - len(rows))), rcond=None)[0]
+    return np.asarray(step), float(np.sum((free @ step) ** 2))
+
+
+def added_slope(problem: Problem, solution: Solution, change: Matrix) -> Vector:
+    """Return the slope of the rows of the sets, whitened, by a change of what was added, shape (J, p)."""
+    dT = np.einsum("jp,pws->jws", change, problem.basis)
+    if problem.rotation:
+        dT[..., DIRECT] = dT[..., DIRECT] @ solution.rotation
+    white = problem.whitening @ solution.A
+    rows = [part.uu[:, : d.shape[1]] @ d.T @ white.T for part, d in zip(problem.sets, dT, strict=True)]
+    return np.stack(rows).ravel()
+
+
+def projected(solution: Solution, slopes: Matrix) -> Matrix:
+    """Return what the unknowns of a solution leave of slopes of the rows of the sets, shape (rows, q)."""
+    left, singular, _ = np.linalg.svd(solution.jacobian, full_matrices=False)
+    basis = left[:, singular > ROUNDING * singular[0]]
+    slopes = np.pad(slopes, ((0, len(basis) - len(slopes)), (0, 0)))
+    return np.asarray(slopes - basis @ (basis.T @ slopes))
 
 
 def _seen_masses(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
@@ -325,14 +425,6 @@ def _disagreement(problem: Problem, seen: Matrix) -> Vector:
     moments = added[:, MOMENT] - np.mean(added[mass > 0.0, MOMENT], axis=0) * (mass > 0.0)[:, None]
     reach = max(float(np.max(np.linalg.norm(moments, axis=1))), _REACH * heaviest)
     return np.asarray(np.maximum(off[:, MASS] / heaviest, np.max(off[:, MOMENT], axis=1) / reach))
-
-
-def _place(parameters: Vector) -> str:
-    mass = parameters[MASS]
-    if abs(mass) < _NO_MASS:
-        return f"{mass:.3f} kg"
-    x, y, z = parameters[MOMENT] / mass
-    return f"{mass:.3f} kg at ({x:.3f}, {y:.3f}, {z:.3f}) m"
 
 
 def limb_warnings(known: KnownLimb, fit: InSituFit, alone: tuple[float, float] | None) -> tuple[str, ...]:

@@ -38,9 +38,15 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituSet, about_one_temperature
 from surefoot.calibration.in_situ.factory import choose_shares, information, leaning_matrix
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
+from surefoot.calibration.in_situ.hypotheses import Evidence, explained
 from surefoot.calibration.in_situ.hysteresis import with_hysteresis
 from surefoot.calibration.in_situ.information import data_share, slow_turn
-from surefoot.calibration.in_situ.input_checks import check_bending, check_sets, check_within
+from surefoot.calibration.in_situ.input_checks import (
+    Contradiction,
+    check_bending,
+    check_sets,
+    check_within,
+)
 from surefoot.calibration.in_situ.model import (
     AXES,
     MASS,
@@ -67,6 +73,9 @@ __all__ = ["calibrate_in_situ"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
+
+_FEW_REJECTED = 0.01
+"""Share of samples that may disagree with all others as chance has it."""
 
 _EVEN_SHARE = 0.1
 """Share by which axes may first differ from a factory matrix."""
@@ -110,6 +119,9 @@ def calibrate_in_situ(
             "The readings leave a matrix without an inverse: some axis of the sensor does not show in them.",
             "Check the channels, add masses at other places, or lean more on a factory matrix.",
         )
+    except Contradiction as symptom:
+        warnings = check_sets(sets, options, leaning=factory is not None)
+        refusal = explained(symptom, _evidence(tuple(sets), factory, limb, options), warnings)
     except CalibrationRefused as reason:
         refusal = reason
     if refuse:
@@ -156,6 +168,9 @@ def _fit(
     if not loops:
         warnings += check_within(sets, parts, options)
     if factory is not None:
+        free = replace(problem, prior_response=None)
+        by_data = minima(free, starts(free, None, None))[0]
+        check_factory(factory, problem, by_data, determined=not data_rank(free, by_data.limb).missing)
         problem, first = _leaning(problem, first, options)
     found = minima(problem, first)
     check_rotation(found)
@@ -169,11 +184,9 @@ def _fit(
         warnings += (rank.warning(),)
     check_bending(sets, problem.sets, options, loops=not loops)
     noise = pooled_noise(problem.sets)
-    if factory is not None:
-        check_factory(factory, problem, solution)
     slow = slow_turn(sets, problem.sets)
     with _slow_first(slow):
-        check_masses(problem, solution, noise, options)
+        warnings += check_masses(problem, solution, noise, options)
     factor = inflation(problem, solution, rank.found)
     covariance = fit_covariance(problem, solution, noise, factor)
     of_data = data_share(problem, solution, noise, factor, options.axis_tolerance)
@@ -223,6 +236,24 @@ def _without_priors(problem: Problem, solution: Solution, rank: DataRank, option
     if not of_data.unseen:
         return rank
     return DataRank(rank.found + rank.missing - of_data.unseen, of_data.unseen, of_data.left_open)
+
+
+def _evidence(
+    given: tuple[InSituSet, ...], factory: Matrix | None, known: KnownLimb | None, options: InSituOptions
+) -> Evidence:
+    """Return what causes are judged by: the fit without hysteresis, of all samples where many disagree."""
+    moving = any(data.moves for data in given)
+    sets, reference, _ = about_one_temperature(given)
+    parts = compress(sets, options, moving, reference is not None)
+    if max(float(np.mean(part.rejected)) for part in parts) > _FEW_REJECTED:
+        options = replace(options, robust=False)
+        parts = compress(sets, options, moving, reference is not None)
+    problem = _problem(sets, parts, None, known, options, moving, reference is not None)
+    first = starts(problem, factory, problem.limb if known is not None else None)
+    if factory is not None and data_rank(problem, first[0]).missing:
+        problem = _problem(sets, parts, factory, known, options, moving, reference is not None)
+        problem, first = _leaning(problem, first, options)
+    return Evidence(sets, problem, minima(problem, first)[0], options)
 
 
 def _problem(

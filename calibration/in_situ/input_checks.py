@@ -1,19 +1,21 @@
 """Checks of recordings: what no calibration can come from."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from surefoot.calibration.imu.gravity_spread import gravity_spread
+from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["check_bending", "check_sets", "check_within"]
+__all__ = ["TOO_FAST", "Contradiction", "check_bending", "check_sets", "check_within", "turning"]
 
 _GRAVITY = (8.8, 10.8)
 """Between these the length of gravity must lie in m/s^2, with the bias that an accelerometer may have."""
@@ -83,12 +85,22 @@ _LEAST_SAMPLES = 4
 _CHANCE = 1e-4
 """Probability at which noise alone may seem to bend a limb."""
 
+_SMOOTHED, _FEWEST = 0.3, 5
+"""Time in s, and rows at least, over which the turning of gravity is taken."""
+
+TOO_FAST = "the limb moved too fast to be taken as at rest"
+"""What is said of that."""
+
 _FEW = 30
 """Rows below which bending does not show."""
 
 _BENDING, _BENDING_WITH_LOOPS = 0.1, 0.35
 """Share of the tolerated residual that may go with gravity's squares; the second while hysteresis may be part
 of it."""
+
+
+class Contradiction(CalibrationRefused):
+    """Raised where sets contradict each other or themselves, for which there may be many causes."""
 
 
 def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool) -> tuple[str, ...]:
@@ -138,7 +150,7 @@ def _check_added(data: InSituSet) -> None:
             "in grams.",
             "Give masses in kg.",
         )
-    reach = float(np.linalg.norm(data.added_com))
+    reach = float(np.linalg.norm(data.added_com)) * (data.added_mass > 0.0)
     if reach > _FARTHEST:
         raise CalibrationRefused(
             f"'{data.name}': the added mass hangs {reach:.3g} m away from the sensor: its place is likely in "
@@ -161,24 +173,51 @@ def _check_accelerometer(sets: Sequence[InSituSet], rows: Sequence[NDArray[np.in
     last = np.cumsum([len(there) for there in rows])
     for data, of_set in zip(sets, np.split(plain, last[:-1]), strict=True):
         _check_length(data, of_set + GRAVITY)
-    off = float(np.sqrt(np.mean(plain**2)))
+    off = _rms(plain)
     if max(abs(float(np.median(plain))), float(np.std(plain))) <= _LENGTH_OFF * GRAVITY:
         return ()
     moves = any(data.moves for data in sets)
     size = plain + GRAVITY
     scale = float(np.mean(size) / GRAVITY)
     by_scale = float(np.std(size)) / scale
-    by_bias, _, bias = _length_fit(felt, circling, bias=True)
-    left = float(np.sqrt(np.mean(by_bias**2)))
-    what = f"Gravity is {np.median(size):.2f} m/s^2 long and spreads by {np.std(size):.2f}"
+    of_bias, _, bias = _length_fit(felt, circling, bias=True)
+    shown = ", ".join(f"{value:.2f}" for value in bias)
     cure = "calibrate the accelerometer first, or forces and offsets will be off by as much."
-    if min(left, by_scale) < _EXPLAINS * off:
-        if by_scale <= left:
-            return (f"{what}: the accelerometer's scale is off by {100.0 * (scale - 1.0):+.1f} %; {cure}",)
-        shown = ", ".join(f"{value:.2f}" for value in bias)
-        return (f"{what}: the accelerometer has a bias of about ({shown}) m/s^2; {cure}",)
+    causes = [
+        (by_scale, f"the accelerometer's scale is off by {100.0 * (scale - 1.0):+.1f} %; {cure}"),
+        (_rms(of_bias), f"the accelerometer has a bias of about ({shown}) m/s^2; {cure}"),
+    ]
+    if not moves and all(data.time is not None for data in sets):
+        turns = [_circling(turning(data), there) for data, there in zip(sets, rows, strict=True)]
+        causes.append((_rms(_length_fit(felt, np.concatenate(turns), bias=False)[0]), f"{TOO_FAST}."))
+    left, words = min(causes)
+    what = f"Gravity is {np.median(size):.2f} m/s^2 long and spreads by {np.std(size):.2f}"
+    if left < _EXPLAINS * off:
+        return (f"{what}: {words}",)
     # A base that moves as well is no fault of the accelerometer's.
-    return () if moves else (f"{what}: the limb moved too fast to be taken as at rest, or {cure}",)
+    return () if moves else (f"{what}: {TOO_FAST}, or {cure}",)
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def turning(data: InSituSet) -> InSituSet:
+    """Return a set that was taken to be at rest with the motion that gravity shows: none about its direction.
+
+    Where gaps or few samples hide it, the set itself is returned.
+    """
+    if data.time is None or len(data.time) < 2:
+        return data
+    dt = float(np.median(np.diff(data.time)))
+    window = max(_FEWEST, 2 * round(0.5 * _SMOOTHED / dt) + 1)
+    if len(data.time) <= 2 * window or not np.isfinite(data.gravity).all():
+        return data
+    g = data.gravity
+    change = savitzky_golay(g, window=window, derivative=1, dt=dt)
+    spin = -np.cross(g, change) / np.maximum(np.sum(g**2, axis=1, keepdims=True), np.finfo(float).tiny)
+    rate = savitzky_golay(spin, window=window, derivative=1, dt=dt)
+    return replace(data, angular_velocity=spin, angular_acceleration=rate)
 
 
 def _length_fit(
@@ -235,8 +274,7 @@ def _check_length(data: InSituSet, sizes: NDArray[np.float64]) -> None:
         return
     if spread > _SPEEDING * length and not data.moves:
         raise CalibrationRefused(
-            f"{_length_reason(data, length)} It spreads by {spread:.2g}: the limb moved too fast to be taken "
-            "as at rest.",
+            f"{_length_reason(data, length)} It spreads by {spread:.2g}: {TOO_FAST}.",
             "Give the gyroscope's readings as well, or move slowly.",
         )
     raise CalibrationRefused(
@@ -305,7 +343,7 @@ def check_within(
     for data, part in zip(sets, parts, strict=True):
         share = float(np.mean(part.rejected))
         if share > (_REJECTED_MOVING if data.moves else _REJECTED):
-            raise CalibrationRefused(
+            raise Contradiction(
                 f"'{data.name}': {share:.0%} of the samples disagree with all others"
                 f"{_when(data, part.rejected)}.",
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
@@ -337,8 +375,8 @@ def check_bending(
             raise _bends(data, bending)
 
 
-def _bends(data: InSituSet, share: float) -> CalibrationRefused:
-    return CalibrationRefused(
+def _bends(data: InSituSet, share: float) -> Contradiction:
+    return Contradiction(
         f"'{data.name}': {share:.1%} of the readings' spread goes with gravity's squares: the limb bends as "
         "it turns, or the sensor is not linear.",
         "Hold the joints beyond the sensor fast, or lighten what is added.",
@@ -378,11 +416,11 @@ def _bending(data: InSituSet, part: CompressedSet) -> float:
     return _share_of_spread(explained - chance, part)
 
 
-def _unexplained(data: InSituSet, part: CompressedSet, share: float) -> CalibrationRefused:
+def _unexplained(data: InSituSet, part: CompressedSet, share: float) -> Contradiction:
     size = np.linalg.norm(part.residual / (np.std(part.residual, axis=0) + np.finfo(float).tiny), axis=1)
     worst = np.zeros_like(part.used)
     worst[part.index.astype(int)[size > _WORST * np.median(size)]] = True
-    return CalibrationRefused(
+    return Contradiction(
         f"'{data.name}': {share:.1%} of the readings' spread follows gravity in no linear way"
         f"{_when(data, worst)}.",
         "Something touched the limb, the motion was too fast or the sensor's hysteresis is large: record the "
