@@ -201,7 +201,7 @@ def check_scale(fit: InSituFit, options: InSituOptions) -> None:
     """Raise CalibrationRefused if the limb's mass, and with it the scale of all forces, is unknown."""
     mass, deviation = fit.limb.mass, fit.limb_mass_std
     if not (mass > 0.0 and deviation <= options.scale_tolerance * mass):
-        raise CalibrationRefused(
+        raise Contradiction(
             f"The limb's mass comes out as {mass:.3g} kg with a standard deviation of {deviation:.2g} kg, so "
             "the scale of all forces is as unsure.",
             "Add larger masses or at places further apart, record for longer, or give the limb's mass.",
@@ -269,7 +269,7 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     shown = (factory @ measured)[:3]
     scale = float(np.sum(shown * expected[:3]) / np.sum(expected[:3] ** 2))
     if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
-        raise CalibrationRefused(
+        raise Contradiction(
             f"By the factory matrix the readings show {scale:.3g} times the forces that hang there.",
             "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
             "those of the masses (kg).",

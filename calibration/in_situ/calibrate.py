@@ -115,13 +115,16 @@ def calibrate_in_situ(
     try:
         return _fit(tuple(sets), factory, limb, options)
     except np.linalg.LinAlgError:
-        refusal = CalibrationRefused(
-            "The readings leave a matrix without an inverse: some axis of the sensor does not show in them.",
-            "Check the channels, add masses at other places, or lean more on a factory matrix.",
+        refusal = _explained(
+            Contradiction(
+                "The readings leave a matrix without an inverse: some axis of the sensor does not show in "
+                "them.",
+                "Check the channels, add masses at other places, or lean more on a factory matrix.",
+            ),
+            (tuple(sets), factory, limb, options),
         )
     except Contradiction as symptom:
-        warnings = check_sets(sets, options, leaning=factory is not None)
-        refusal = explained(symptom, _evidence(tuple(sets), factory, limb, options), warnings)
+        refusal = _explained(symptom, (tuple(sets), factory, limb, options))
     except CalibrationRefused as reason:
         refusal = reason
     if refuse:
@@ -236,6 +239,18 @@ def _without_priors(problem: Problem, solution: Solution, rank: DataRank, option
     if not of_data.unseen:
         return rank
     return DataRank(rank.found + rank.missing - of_data.unseen, of_data.unseen, of_data.left_open)
+
+
+def _explained(
+    symptom: Contradiction,
+    given: tuple[tuple[InSituSet, ...], Matrix | None, KnownLimb | None, InSituOptions],
+) -> CalibrationRefused:
+    """Return a symptom with its likeliest cause."""
+    sets, factory, _, options = given
+    try:
+        return explained(symptom, _evidence(*given), check_sets(sets, options, leaning=factory is not None))
+    except np.linalg.LinAlgError:
+        return symptom
 
 
 def _evidence(

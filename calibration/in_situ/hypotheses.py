@@ -51,6 +51,9 @@ _THINNED = 2000
 _EDGES = 40
 """Stretches of a set at whose ends a step or a touch is looked for first."""
 
+_FINER = 4
+"""By how much the search becomes finer; it ends at single samples."""
+
 _SHORTEST = 3
 """Rows that a touch must last."""
 
@@ -224,7 +227,7 @@ def _steps_and_touches(evidence: Evidence) -> Iterator[Cause]:
             edges = np.unique(np.linspace(0, n, _EDGES + 1).astype(int))
             spans = _spans(edges, n, touch)
             first, last, gain = _best_span(evidence, j, spans)
-            for width in (n // _EDGES, n // _EDGES**2):
+            for width in (n // _EDGES, n // _EDGES // _FINER, _FINER):
                 near = [_near(first, width, n), _near(last, width, n) if touch else np.array([n])]
                 fine = [(a, b) for a in near[0] for b in near[1] if b - a >= _SHORTEST]
                 first, last, gain = _best_span(evidence, j, [*fine, (first, last)])
@@ -257,7 +260,7 @@ def _spans(edges: NDArray[np.int_], n: int, touch: bool) -> list[tuple[int, int]
 
 
 def _near(edge: int, width: int, n: int) -> NDArray[np.int_]:
-    return np.unique(np.clip(edge + np.linspace(-width, width, 9).astype(int), 1, n - 1))
+    return np.unique(np.clip(edge + np.linspace(-width, width, 2 * _FINER + 1).astype(int), 1, n - 1))
 
 
 def _best_span(evidence: Evidence, j: int, spans: list[tuple[int, int]]) -> tuple[int, int, float]:

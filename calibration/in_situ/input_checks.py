@@ -70,6 +70,9 @@ _REJECTED, _REJECTED_MOVING = 0.05, 0.1
 """Share of samples that may disagree with all others; the second where the limb moves, as the error of a
 differentiated gyroscope has long tails."""
 
+_STRAY = 0.002
+"""Share of samples that may be left out without a warning."""
+
 _MOST_BENDS, _SOME_BENDS = 0.7, 0.2
 """Share of the residual from which on bending explains it; the second after the fit, beside hysteresis."""
 
@@ -349,10 +352,10 @@ def check_within(
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
                 "again with the foot in the air.",
             )
-        if part.rejected.any():
+        if share > _STRAY:
             warnings.append(
                 f"'{data.name}': {np.sum(part.rejected)} samples that disagree with all others were left out"
-                f"{_when(data, part.rejected)}."
+                f"{_when(data, part.rejected)}: something may have touched the limb."
             )
         left = _residual_share(data, part)
         if left > options.residual_tolerance:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from _in_situ import ADDED_COM_LEG, ADDED_MASS, SENSORS, make_set, moving_sets, noisy_sets, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
+from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
@@ -132,6 +133,93 @@ def test_refuses_with_the_reason_and_the_cure(make, message):
     assert message in str(fit.refusals[0])
     for value in (fit.matrix, fit.offset, fit.covariance, fit.limb.mass):
         assert np.isnan(value).all()
+
+
+def stepped(sets):
+    def leap(raw):
+        raw[350:] += RESPONSE @ [6.0, -4.0, 8.0, 0.3, 0.0, 0.1]
+
+    return [sets[0], with_raw(sets[1], leap), *sets[2:]]
+
+
+def pushed(sets):
+    def push(raw):
+        raw[300:420] += RESPONSE @ [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]
+
+    return [*sets[:3], with_raw(sets[3], push)]
+
+
+def rotated(sets):
+    R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
+    return [replace(one, gravity=one.gravity @ R) for one in sets]
+
+
+def exchanged(sets):
+    return [
+        replace(sets[0], added_mass=sets[3].added_mass, added_com=sets[3].added_com),
+        *sets[1:3],
+        replace(sets[3], added_mass=0.0, added_com=sets[0].added_com),
+    ]
+
+
+CAUSES = {
+    "a step": (stepped, "the zero of 'data set 2' leaps at 35.0 s (> 99 %)", "Cut the set there"),
+    "a push": (pushed, "something touched the limb in 'data set 4' from 30.0 s to 41.9 s", "Leave that time"),
+    "an IMU that is turned": (rotated, "the IMU is turned by 10 degrees", "'estimate_rotation'"),
+    "sets exchanged": (exchanged, "what was added in 'data set 1' and 'data set 4' is exchanged", "Weigh"),
+    "one mass": (heavier, "the added mass of 'data set 3' is 0.703 kg, and 0.620 kg", "Weigh"),
+    "a limb that bends": (bending, "the limb bends as it turns", "Hold the joints"),
+}
+
+
+@pytest.mark.parametrize("factory", [None, MATRIX], ids=["alone", "with a factory matrix"])
+@pytest.mark.parametrize(("make", "cause", "cure"), CAUSES.values(), ids=CAUSES.keys())
+def test_the_likeliest_cause_is_named_first(make, cause, cure, factory):
+    with pytest.raises(CalibrationRefused, match=re.escape(f"Likeliest: {cause}")) as raised:
+        calibrate_in_situ(make(leg_sets()), factory_matrix=factory)
+    assert cure in raised.value.cure
+
+
+def test_a_turned_imu_that_moves_is_named():
+    sets, _ = moving_sets(np.random.default_rng(5), noise=1.0)
+    R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
+    turned = [
+        replace(
+            one,
+            gravity=one.gravity @ R,
+            angular_velocity=one.angular_velocity @ R,
+            angular_acceleration=one.angular_acceleration @ R,
+        )
+        for one in sets
+    ]
+    with pytest.raises(CalibrationRefused, match="Likeliest: the IMU is turned by 10 degrees"):
+        calibrate_in_situ(turned)
+
+
+TRANSFORMS = {
+    "transposed": (lambda F: F.T, "the factory matrix is transposed"),
+    "inverted": (np.linalg.inv, "the factory matrix is inverted"),
+    "torques first": (lambda F: np.roll(F, 3, axis=0), "rows of the factory matrix are torques first"),
+    "N mm": (lambda F: np.concatenate([F[:3], 1e3 * F[3:]]), "units of the factory's torques are N mm"),
+}
+
+
+@pytest.mark.parametrize(("change", "words"), TRANSFORMS.values(), ids=TRANSFORMS.keys())
+def test_a_factory_matrix_that_is_read_wrongly_is_named(change, words):
+    with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}"):
+        calibrate_in_situ(leg_sets(), factory_matrix=change(MATRIX))
+
+
+@pytest.mark.parametrize(
+    ("mass", "place", "words"),
+    [(1.0 / 0.45359237, 1.0, "masses are in lb"), (1.0, -1.0, "all places of the masses")],
+)
+def test_units_and_signs_of_masses_contradict_a_factory_matrix(mass, place, words):
+    sets = [
+        replace(one, added_mass=mass * one.added_mass, added_com=place * one.added_com) for one in leg_sets()
+    ]
+    with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}"):
+        calibrate_in_situ(sets, factory_matrix=MATRIX)
 
 
 def test_a_foot_in_contact_is_refused():
