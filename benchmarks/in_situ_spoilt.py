@@ -74,9 +74,8 @@ def recorded(seed: int, gyroscope: bool, sensor: str = "leg", **rig: Any) -> Log
     config = sensor_config(sensor)
     counts, truth = read_sensors(config, sensor, [recordings], [seed])[0]
     felt = read_imus([recordings], [seed], IMU)[0]
-    window = max(7, 2 * round(0.15 * how["rate"]) + 1)
     if gyroscope:
-        sets = moving_sets(sensor, recordings, counts, felt, np.zeros(3), window)
+        sets = moving_sets(sensor, recordings, counts, felt, np.zeros(3))
     else:
         sets = static_sets(sensor, recordings, counts, felt[..., :3])
     loads = np.concatenate([getattr(one, f"wrench_{sensor}") for one in unseen])

@@ -9,6 +9,7 @@ fewer than they are, n (1 - rho) / (1 + rho) by their correlation from one to th
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -146,8 +147,12 @@ class Likely(NamedTuple):
 def likeliest(evidence: Evidence) -> list[Likely]:
     """Return causes that explain something, the likeliest first."""
     nothing = Cause("", "", evidence.problem, evidence.solution, 0, 1)
-    tried = [nothing, *(cause for look in CAUSES for cause in look(evidence))]
-    values = [deviance(cause.problem, cause.solution) for cause in tried]
+    tried = [nothing]
+    for look in CAUSES:
+        # What is garbage with one cause left out may have no answer with another.
+        with suppress(np.linalg.LinAlgError):
+            tried += look(evidence)
+    values = [_deviance(cause) for cause in tried]
     best = tried[int(np.argmin(values))]
     rows = sum(part.rows for part in evidence.problem.sets)
     share = _independent(best.problem.sets)
@@ -162,6 +167,14 @@ def likeliest(evidence: Evidence) -> list[Likely]:
     weights /= weights.sum()
     order = np.argsort(scores)
     return [Likely(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
+
+
+def _deviance(cause: Cause) -> float:
+    try:
+        value = deviance(cause.problem, cause.solution)
+    except np.linalg.LinAlgError:
+        return np.inf
+    return value if np.isfinite(value) else np.inf
 
 
 def explained(symptom: CalibrationRefused, evidence: Evidence, warnings: Sequence[str]) -> CalibrationRefused:
