@@ -23,7 +23,6 @@ from surefoot.calibration.in_situ.answer_checks import added_slope, projected
 from surefoot.calibration.in_situ.compress import CompressedSet, compress
 from surefoot.calibration.in_situ.covariance import whitening
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.hysteresis import deviance
 from surefoot.calibration.in_situ.input_checks import TOO_FAST, turning
 from surefoot.calibration.in_situ.model import (
     DIRECT,
@@ -170,10 +169,15 @@ def likeliest(evidence: Evidence) -> list[Likely]:
 
 
 def _deviance(cause: Cause) -> float:
-    try:
-        value = deviance(cause.problem, cause.solution)
-    except np.linalg.LinAlgError:
-        return np.inf
+    """Return minus twice the log-likelihood at the noise's likeliest covariance; infinite for no answer."""
+    parts = cause.problem.sets
+    rows = sum(part.rows for part in parts)
+    left = (cause.solution.residual @ np.linalg.inv(cause.problem.whitening).T).reshape(-1, len(parts[0].rr))
+    scatter = left.T @ left + sum(part.rr.T @ part.rr for part in parts)
+    size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
+    _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
+    of_colour = len(size) * sum(part.log_colour for part in parts)
+    value = float(rows * (logdet + 2.0 * np.sum(np.log(size))) + of_colour)
     return value if np.isfinite(value) else np.inf
 
 

@@ -29,7 +29,7 @@ from surefoot.calibration.in_situ.model import AXES, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, solve, transforms
 
-__all__ = ["deviance", "lag_signals", "with_hysteresis"]
+__all__ = ["lag_signals", "with_hysteresis"]
 
 Matrix = NDArray[np.float64]
 
@@ -75,8 +75,8 @@ def _lags(shares: NDArray[np.float64]) -> bool:
     return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
 
 
-def deviance(problem: Problem, solution: Solution) -> float:
-    """Return minus twice the log-likelihood of the readings, at the noise's likeliest covariance."""
+def _criterion(problem: Problem, solution: Solution) -> float:
+    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
     rows = sum(part.rows for part in problem.sets)
     unwhiten = np.linalg.inv(problem.whitening).T
     scatter = sum(part.scatter for part in problem.sets)
@@ -84,15 +84,9 @@ def deviance(problem: Problem, solution: Solution) -> float:
         scatter = scatter + residual.T @ np.linalg.pinv(part.gram, hermitian=True) @ residual
     size = np.sqrt(np.diag(scatter))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
+    free = len(size) * sum(part.uu.shape[1] for part in problem.sets) + solution.jacobian.shape[1]
     of_colour = len(size) * sum(part.log_colour for part in problem.sets)
-    return float(rows * (logdet + 2.0 * np.sum(np.log(size))) + of_colour)
-
-
-def _criterion(problem: Problem, solution: Solution) -> float:
-    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
-    rows = sum(part.rows for part in problem.sets)
-    free = len(problem.whitening) * sum(part.uu.shape[1] for part in problem.sets)
-    return deviance(problem, solution) + float((free + solution.jacobian.shape[1]) * np.log(rows))
+    return float(rows * (logdet + 2.0 * np.sum(np.log(size))) + of_colour + free * np.log(rows))
 
 
 def _of_loads(
