@@ -168,7 +168,6 @@ CAUSES = {
     "an IMU that is turned": (rotated, "the IMU is turned by 10 degrees", "'estimate_rotation'"),
     "sets exchanged": (exchanged, "what was added in 'data set 1' and 'data set 4' is exchanged", "Weigh"),
     "one mass": (heavier, "the added mass of 'data set 3' is 0.703 kg, and 0.620 kg", "Weigh"),
-    "a limb that bends": (bending, "the limb bends as it turns", "Hold the joints"),
 }
 
 
