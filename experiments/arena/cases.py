@@ -27,14 +27,9 @@ from surefoot.experiments.study.store import Case
 from surefoot.experiments.walks.closed_loop import run_loop
 from surefoot.experiments.walks.replay import starting_map
 
-SLICE = 2.0
-"""Time in s between points of the errors that are drawn over time."""
-
-TIMED = 1600
-"""Samples of one walk on which an update is timed: 20 s."""
-
-PHASES = 4
-"""The window solves at every fourth sample: one of four samples is the slow one."""
+SLICE = 2.0  # time in s between points of the errors that are drawn over time
+TIMED = 1600  # samples of one walk on which an update is timed: 20 s
+PHASES = 4  # the window solves at every fourth sample: one of four samples is the slow one
 
 Tables = dict[str, list[dict[str, Any]]]
 

@@ -9,8 +9,7 @@ from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Claim, Frame, at_least, at_most, number, plural, with_interval
 
-START = "none"
-"""The method that leaves the readings as the starting map gives them."""
+START = "none"  # the method that leaves the readings as the starting map gives them
 
 
 def scenario_findings(scores: Frame, scenario: Scenario, left_out: int = 0) -> tuple[str, ...]:

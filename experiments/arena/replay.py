@@ -19,8 +19,7 @@ from surefoot.experiments.walks.replay import LogBatch, batches_of, starting_map
 
 Floats = NDArray[np.float64]
 
-SNAPSHOT = 1.0
-"""Time between looks at a covariance in s."""
+SNAPSHOT = 1.0  # time between looks at a covariance in s
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,8 @@ from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, ForceTorque, Imu, Link, LoadCells
 
-PLAIN = "speed-0.04"
-"""The scenario without anything special, which others are held against."""
-
-SPEEDS = (0.02, 0.04, 0.1)
-"""Speeds of the CoP paper in m/s."""
+PLAIN = "speed-0.04"  # the scenario without anything special, which others are held against
+SPEEDS = (0.02, 0.04, 0.1)  # speeds of the CoP paper in m/s
 
 _FAULT_STREAM = 0xFA17
 

@@ -36,8 +36,7 @@ from surefoot.experiments.walks.score import cop_world, rms, vertical_forces
 Floats = NDArray[np.float64]
 
 _FLAGS = (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED)
-FAULT_FLAGS = reduce(or_, _FLAGS)
-"""Flags that accuse a channel."""
+FAULT_FLAGS = reduce(or_, _FLAGS)  # flags that accuse a channel
 
 _NAMED = {
     "dead": Flag.DEAD,
@@ -50,14 +49,9 @@ _NAMED = {
 }
 """The flag that names each kind of fault."""
 
-RUNNING = 2.0
-"""Length in s of the piece that the running error is taken over."""
-
-END = 10.0
-"""Length in s of the end of a walk, which says what is reached; a third of a short walk."""
-
-GRACE = 1.0
-"""Time in s after a fault in which it may be found and isolated, and errors do not count."""
+RUNNING = 2.0  # length in s of the piece that the running error is taken over
+END = 10.0  # length in s of the end of a walk, which says what is reached; a third of a short walk
+GRACE = 1.0  # time in s after a fault in which it may be found and isolated, and errors do not count
 
 
 def score_run(stream: Stream, played: Played) -> dict[str, Any]:

@@ -31,8 +31,7 @@ Floats = NDArray[np.float64]
 Line = Callable[[Floats, Floats], Floats | None]
 """Makes what is drawn over time of a quantity and of its truth."""
 
-DRAWN = ("truth", "none", "quasi-static", "window", "moment")
-"""What is drawn over time, in drawing order."""
+DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
 
 _METRICS = (("cop", 1e3, "CoP rmse (mm)"), ("vgrf", 1.0, "vGRF rmse (N)"))
 _SPEED_LOOKS = tuple(

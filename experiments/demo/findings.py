@@ -155,8 +155,7 @@ def _difference(gaps: Column, factor: float, unit: str) -> str:
 
 _METRICS = (("cop", "CoP", "mm", 1e3), ("vgrf", "vGRF", "N", 1.0))
 
-_CALIBRATED = ("window", "moment", "true")
-"""Feeds that nobody was to fall on."""
+_CALIBRATED = ("window", "moment", "true")  # feeds that nobody was to fall on
 
 
 def weight_claims(coefficient: float, cop: float, vgrf: float) -> list[Claim]:

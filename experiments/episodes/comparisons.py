@@ -8,11 +8,8 @@ from surefoot.experiments.study.figures import short_label
 from surefoot.experiments.study.statistics import Interval
 from surefoot.experiments.study.tables import Frame, Verdict, flat
 
-CALIBRATED = "moment"
-"""The feed that is compared with the others."""
-
-NOBODY = "zero"
-"""The controller that does nothing."""
+CALIBRATED = "moment"  # the feed that is compared with the others
+NOBODY = "zero"  # the controller that does nothing
 
 _PAIRS = (
     ("true", "none", "true less drifting"),

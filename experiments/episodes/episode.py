@@ -25,21 +25,18 @@ from surefoot.experiments.walks.walkers import TruthTap, on_feet
 OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
 """What a repetition must bring out again to the last digit."""
 
-VERSIONS = ("surefoot", "python", "numpy", "mujoco", "gymnasium", "code")
-"""With what a row was made."""
+VERSIONS = ("surefoot", "python", "numpy", "mujoco", "gymnasium", "code")  # with what a row was made
 
 COP_INPUTS = ("given", "frozen", "swapped", "shuffled")
 """The centre of pressure that a controller sees: the feed's; the same, held at its value at the end of the
 quiet stand; another episode's at the same time; that of another episode at times in random order."""
 
-TAKEN = ("swapped", "shuffled")
-"""Those that take another episode's."""
+TAKEN = ("swapped", "shuffled")  # those that take another episode's
 
 DONOR = 500_000
 """What is added to an episode's seed to get that of the episode whose centre of pressure it takes."""
 
-TABLE = "episodes"
-"""Name of the table of a study's store that holds the rows."""
+TABLE = "episodes"  # name of the table of a study's store that holds the rows
 
 _WHAT = ("controller", "controller_hash", "trained", "feed", "cop_input", "scenario", "severity", "seed")
 """What of an episode has a column of its own."""

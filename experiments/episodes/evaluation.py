@@ -10,8 +10,7 @@ from surefoot.experiments.policy.controllers import Controller
 from surefoot.experiments.policy.tasks import TASKS
 from surefoot.experiments.walks.walkers import FEEDS, feed_named
 
-EVALUATED = ("true", "none", "weights", "quasi-static", "window", "moment")
-"""Feeds of an evaluation."""
+EVALUATED = ("true", "none", "weights", "quasi-static", "window", "moment")  # feeds of an evaluation
 
 
 def evaluation_plan(

@@ -13,8 +13,7 @@ from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.walks.closed_loop import Moment
 from surefoot.experiments.walks.video import HEIGHT, WIDTH, headed, mark_cop, pictures, write_film
 
-LAST_SECONDS = 12.0
-"""What is kept of a long episode, in s: its end, where the fall is."""
+LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the fall is
 
 
 def film_episode(path: Path, episode: Episode, *, until: float | None = None) -> Path:

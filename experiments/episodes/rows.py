@@ -19,8 +19,7 @@ from surefoot.experiments.walks.walkers import FEEDS
 
 EPISODES = f"{TABLE}.parquet"
 
-_UNNAMED = "policy"
-"""What a controller is called that nobody named."""
+_UNNAMED = "policy"  # what a controller is called that nobody named
 
 _KNOWN: Mapping[str, Collection[str]] = {
     "controller": (),

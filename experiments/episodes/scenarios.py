@@ -15,11 +15,8 @@ from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 _WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
 _BALANCE, _CARRY = "surefoot/NaoBalance-v0", "surefoot/NaoCarry-v0"
 
-_SHORTEST_WALK = 2.0
-"""Shortest walk in s that a pattern is planned for."""
-
-_FAULT_AFTER = STAND_TIME + 10.0
-"""Time in s from which on a fault that a seed draws may come."""
+_SHORTEST_WALK = 2.0  # shortest walk in s that a pattern is planned for
+_FAULT_AFTER = STAND_TIME + 10.0  # time in s from which on a fault that a seed draws may come
 
 
 @dataclass(frozen=True)

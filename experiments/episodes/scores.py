@@ -21,14 +21,9 @@ from scipy import optimize
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import Column, Frame
 
-_SHARE_RESAMPLES = 4000
-"""Bootstrap samples of the seeds behind a share that is won back."""
-
-_CROSSING_RESAMPLES = 2000
-"""Resamples of the seeds behind the severity at which half fall."""
-
-_STREAM = 0x5EED
-"""Seed of these resamples."""
+_SHARE_RESAMPLES = 4000  # bootstrap samples of the seeds behind a share that is won back
+_CROSSING_RESAMPLES = 2000  # resamples of the seeds behind the severity at which half fall
+_STREAM = 0x5EED  # seed of these resamples
 
 
 class Run(NamedTuple):

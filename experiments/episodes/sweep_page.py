@@ -31,8 +31,7 @@ _HEAT = "Share of episodes that end in a fall; what was not run is blank."
 
 _FILM = f"Its last {LAST_SECONDS:g} s; dots: the true centre of pressure (black) and the one fed back."
 
-_LISTED = 5
-"""How many of the worst episodes are listed at least."""
+_LISTED = 5  # how many of the worst episodes are listed at least
 
 
 class SweepPage:

@@ -23,11 +23,8 @@ from surefoot.experiments.study.tables import (
     with_interval,
 )
 
-FEW_FALLS = 5
-"""Falls below which the mean time to fall has no interval worth the name."""
-
-MOST_FAILURES = 50
-"""Failed episodes that are listed."""
+FEW_FALLS = 5  # falls below which the mean time to fall has no interval worth the name
+MOST_FAILURES = 50  # failed episodes that are listed
 
 
 def percent(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -> str:

@@ -20,8 +20,7 @@ from surefoot.experiments.study.tables import Table
 SAMPLE = Path(__file__).resolve().parent / "samples" / "in_situ_leg.parquet"
 """A simulated log that ships with the package: the iCub's leg with eight added masses."""
 
-ALIKE = 0.01
-"""Share by which the limb's fitted mass may differ from the known one without a notice."""
+ALIKE = 0.01  # share by which the limb's fitted mass may differ from the known one without a notice
 
 
 @dataclass(frozen=True, eq=False)

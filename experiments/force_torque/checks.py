@@ -10,35 +10,25 @@ from surefoot.calibration import GRAVITY
 from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.table import LogError
 
-FEWEST = 8
-"""Samples without which a set is no set: an affine map of gravity has four unknowns a channel."""
+FEWEST = 8  # samples without which a set is no set: an affine map of gravity has four unknowns a channel
 
 MANY = 0.01
 """Share of a channel's readings at the end of its range from which the channel is saturated, not grazed."""
 
-MOSTLY = 0.5
-"""Share of missing readings from which a channel counts as dead."""
+MOSTLY = 0.5  # share of missing readings from which a channel counts as dead
 
 RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)
 """Last codes of 16- and 24-bit converters; 0 is left out, as it is a reading like others."""
 
-GAP = 3.0
-"""Times the usual step from which two rows have a gap between them."""
+GAP = 3.0  # times the usual step from which two rows have a gap between them
 
 POSES = 0.1
 """Share of gaps from which the rows are poses held one by one, which have no rate: no pause is a gap."""
 
-SLOWEST_GYROSCOPE = 0.5
-"""Time in s between two rows from which a gyroscope cannot be followed."""
-
-TURNED = 0.5
-"""Time in s over which both sides of dg/dt = -w x g are summed."""
-
-CLEAR = 0.5
-"""Correlation from which two signals have a common sign."""
-
-LARGEST = 1e9
-"""Magnitude at which absurd values are clipped, so that their squares stay finite."""
+SLOWEST_GYROSCOPE = 0.5  # time in s between two rows from which a gyroscope cannot be followed
+TURNED = 0.5  # time in s over which both sides of dg/dt = -w x g are summed
+CLEAR = 0.5  # correlation from which two signals have a common sign
+LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
 _LOOKS = {
     1.0: "it looks like g: say units.acceleration = 'g'",

@@ -43,8 +43,7 @@ Rotation = Annotated[
 class Columns(Settings):
     """Names of the table's columns; ``None`` where the default name, or a pattern, finds them."""
 
-    time: str | None = None
-    """Empty for samples without an order in time."""
+    time: str | None = None  # empty for samples without an order in time
     set: str | None = None
     raw: Annotated[tuple[str, ...], Field(min_length=6)] | None = None
     specific_force: Axes | None = None

@@ -16,8 +16,7 @@ FORCES = ("x (N)", "y (N)", "z (N)")
 COUNTS = ("1st (1000 counts)", "2nd", "3rd")
 """Labels of the axes. Counts of mixed directions may differ in size by tens: forces alone share a scale."""
 
-_SHOWN = 400
-"""Points of a cloud."""
+_SHOWN = 400  # points of a cloud
 
 _GREY = "#7f7f7f"
 

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path
 
-ICUB_COUNTS = 32767.0
-"""Counts at the end of an FTSens's converter."""
+ICUB_COUNTS = 32767.0  # counts at the end of an FTSens's converter
 
 _UNIT = 2**15
 

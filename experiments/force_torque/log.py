@@ -28,13 +28,11 @@ from surefoot.experiments.force_torque.config import (
 from surefoot.experiments.force_torque.table import Samples, read_samples
 from surefoot.experiments.logs.table import LogError
 
-SMOOTHED = 0.3
-"""Time in s over which the gyroscope's rate of change is taken, if that is rows enough."""
+SMOOTHED = 0.3  # time in s over which the gyroscope's rate of change is taken, if that is rows enough
 
 _FEWEST_ROWS = 7
 
-_ALIKE = 1e-6
-"""In kg or m."""
+_ALIKE = 1e-6  # in kg or m
 
 
 @dataclass(frozen=True, eq=False)

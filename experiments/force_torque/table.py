@@ -25,8 +25,7 @@ _PURPOSES = {
     "angular_velocity": "the gyroscope",
 }
 
-_LISTED = 24
-"""Columns of the file that a message names."""
+_LISTED = 24  # columns of the file that a message names
 
 
 @dataclass(frozen=True, eq=False)

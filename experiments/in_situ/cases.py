@@ -46,11 +46,8 @@ KINDS = {
 }
 """The errors of the sensors whose fits are compared with the bound and with their own covariance."""
 
-DRAWN = ("measurement", "manufacturer")
-"""Methods whose forces figures show."""
-
-_SHOWN = 400
-"""Samples a set that figures show."""
+DRAWN = ("measurement", "manufacturer")  # methods whose forces figures show
+_SHOWN = 400  # samples a set that figures show
 
 
 @dataclass(frozen=True)

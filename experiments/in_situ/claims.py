@@ -10,8 +10,7 @@ from surefoot.experiments.in_situ.cases import MOTIONS
 from surefoot.experiments.in_situ.study import InSituStudyResults
 from surefoot.experiments.study.tables import Frame, number, plural
 
-OURS = "measurement"
-"""The method that is to keep the limits."""
+OURS = "measurement"  # the method that is to keep the limits
 
 
 class Limit(NamedTuple):

@@ -40,11 +40,8 @@ XSENS_MTX = Imu(
 per root hertz, 50 m/s^2 and 1200 deg/s of range. Its gyroscope was zeroed at rest; its accelerometer was not
 calibrated. The walks are ours: the maker gives none."""
 
-OFFSET_SHIFT = (2.0, 0.05)
-"""Standard deviation of what the offsets jump by between sets, in N and N m."""
-
-WINDOW = 15
-"""Samples, an odd number, over which the angular acceleration is taken."""
+OFFSET_SHIFT = (2.0, 0.05)  # standard deviation of what the offsets jump by between sets, in N and N m
+WINDOW = 15  # samples, an odd number, over which the angular acceleration is taken
 
 _STREAM = 0x1F75
 

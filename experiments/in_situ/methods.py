@@ -22,8 +22,7 @@ from surefoot.experiments.in_situ.instruments import SensorTruth
 
 Floats = NDArray[np.float64]
 
-FITTED = 4
-"""Sets that are fitted, the first ones; the others validate (in-situ paper, IV)."""
+FITTED = 4  # sets that are fitted, the first ones; the others validate (in-situ paper, IV)
 
 METHODS = {
     "measurement": "measurement-space fit",
@@ -33,11 +32,8 @@ METHODS = {
 }
 """What is compared, and what tables call it."""
 
-FILTER = 3.0
-"""Length of the paper's filter in s: 301 samples at 100 Hz."""
-
-FORCE, TORQUE = slice(0, 3), slice(3, 6)
-"""Parts of a wrench."""
+FILTER = 3.0  # length of the paper's filter in s: 301 samples at 100 Hz
+FORCE, TORQUE = slice(0, 3), slice(3, 6)  # parts of a wrench
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,7 @@ from surefoot.experiments.in_situ.methods import paper_calibration, wrench_error
 
 Sets = Sequence[InSituSet]
 
-SENSOR = "leg"
-"""Whose sensor they are tried on: the knee and the floor matter to it most."""
+SENSOR = "leg"  # whose sensor they are tried on: the knee and the floor matter to it most
 
 UNCHECKED = InSituOptions(
     residual_tolerance=1e9, mass_tolerance=1e9, scale_tolerance=1e9, axis_tolerance=1e300

@@ -10,11 +10,8 @@ from surefoot.experiments.logs.table import LogError, LogTable
 
 LISTED = "docs/log-format.md lists every column and its unit."
 
-FARTHEST = 5.0
-"""Distance in m of a robot's centre of mass from its soles that none goes beyond."""
-
-LARGEST = 1e9
-"""Magnitude at which absurd values are clipped, so that their squares stay finite."""
+FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that none goes beyond
+LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
 
 def check_columns(table: LogTable, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:

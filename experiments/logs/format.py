@@ -41,8 +41,7 @@ from surefoot.experiments.logs.table import LogError, LogTable, read_table
 from surefoot.experiments.study.files import atomic_path, write_text
 
 METADATA_KEY = b"surefoot"
-MAX_GAP = 0.1
-"""Longest time in s between two rows of one log: a calibrator's filters do not bridge more."""
+MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
 
 
 @dataclass(frozen=True, eq=False)

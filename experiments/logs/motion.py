@@ -19,17 +19,13 @@ LOST, AROUND = 1.6, 16
 """A step of this many periods or more between two rows may mean that rows in between were lost: they were if
 as many rows after it are, by their median, later than those before by most of a period."""
 
-PACKET = "packet"
-"""A column that numbers the packets, where the robot does."""
-
-LARGEST_ANGLE = 2.1 * np.pi
-"""Joint angle in rad that no hinge goes beyond."""
+PACKET = "packet"  # a column that numbers the packets, where the robot does
+LARGEST_ANGLE = 2.1 * np.pi  # joint angle in rad that no hinge goes beyond
 
 LARGEST_FORCE, LARGEST_SPIN = 500.0, 100.0
 """Specific force in m/s^2 and angular velocity in rad/s beyond which a row of an IMU is an error."""
 
-LARGEST_VALUE = 1e9
-"""What no sensor reads in any unit."""
+LARGEST_VALUE = 1e9  # what no sensor reads in any unit
 
 ACCELEROMETER = tuple(f"accelerometer_{axis}_m_s2" for axis in "xyz")
 GYROSCOPE = tuple(f"gyroscope_{axis}_rad_s" for axis in "xyz")

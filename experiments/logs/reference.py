@@ -16,14 +16,9 @@ FASTER, FAST = 15.0, 0.3
 """A gyroscope that turns this many times faster than the robot on its soles, and by more rad/s than this, is
 in other units: degrees are 57 times as many."""
 
-APART = 0.1
-"""Time in s over which turning is taken."""
-
-AHEAD = 3
-"""Rows of motion after a moment that differences and interpolation may need."""
-
-NEEDED = 2
-"""Rows without a loss that a moment must have before and behind it."""
+APART = 0.1  # time in s over which turning is taken
+AHEAD = 3  # rows of motion after a moment that differences and interpolation may need
+NEEDED = 2  # rows without a loss that a moment must have before and behind it
 
 
 def make_reference(

@@ -10,8 +10,7 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-_SHOWN = 4
-"""Missing columns that a message names."""
+_SHOWN = 4  # missing columns that a message names
 
 
 class LogError(ValueError):

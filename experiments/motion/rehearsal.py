@@ -21,22 +21,16 @@ from surefoot.wrappers.belief_errors import NO_ERRORS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-SETTLING = 0.3
-"""Time in s after a reset in which the robot sinks into the ground, and nothing is checked."""
-
-ROUNDING = 1e-6
-"""By what a torque at its limit may exceed it in the simulator's arithmetic, relative."""
-
-BEARS = 0.1
-"""Share of the weight that a foot bears if the place of its centre of pressure is to count."""
+SETTLING = 0.3  # time in s after a reset in which the robot sinks into the ground, and nothing is checked
+ROUNDING = 1e-6  # by what a torque at its limit may exceed it in the simulator's arithmetic, relative
+BEARS = 0.1  # share of the weight that a foot bears if the place of its centre of pressure is to count
 
 
 @dataclass(frozen=True)
 class Limits:
     """What a motion must keep to."""
 
-    torque: float = 0.95
-    """Largest torque of a leg's motor, as a share of its limit."""
+    torque: float = 0.95  # largest torque of a leg's motor, as a share of its limit
 
     margin: float = 0.12
     """Least distance of a foot's centre of pressure from the edge of its sole, as a share of half its

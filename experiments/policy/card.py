@@ -35,11 +35,8 @@ _TRAINED = {
 }
 """What a policy was trained on, in words."""
 
-_LAST_UPDATES = 20
-"""Updates at the end of a training that a card sums up."""
-
-_SMOOTHED = 10
-"""Updates over which a learning curve is averaged."""
+_LAST_UPDATES = 20  # updates at the end of a training that a card sums up
+_SMOOTHED = 10  # updates over which a learning curve is averaged
 
 
 def draw_curve(curve: Frame, path: Path, most: float) -> Path:

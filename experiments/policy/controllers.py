@@ -28,16 +28,14 @@ from surefoot.controllers import Stabiliser, zero_action
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.policy.tasks import TASKS, shipped_file, shipped_policy, task_in
 
-Controller = Callable[[Mapping[str, Any]], NDArray[np.float32]]
-"""Answers an observation with an action."""
+Controller = Callable[[Mapping[str, Any]], NDArray[np.float32]]  # answers an observation with an action
 
 _BUILT_IN: Mapping[str, Callable[[Mapping[str, slice]], Controller]] = {
     "zero": lambda layout: zero_action,
     "stabiliser": Stabiliser,
 }
 
-BUILT_IN = tuple(_BUILT_IN)
-"""Controllers that learnt nothing."""
+BUILT_IN = tuple(_BUILT_IN)  # controllers that learnt nothing
 
 _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomised"}
 """Policies that come with the package, and what they were trained on."""
@@ -45,8 +43,7 @@ _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomi
 _FILES = (".npz", ".zip")
 """Endings of files: a zip of Stable-Baselines3 is refused, with what to do, and not taken for a module."""
 
-_LONGEST_DRAWN = 40
-"""Characters of a name for which a figure has room."""
+_LONGEST_DRAWN = 40  # characters of a name for which a figure has room
 
 
 def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = False) -> Controller:

@@ -7,14 +7,9 @@ import numpy as np
 from surefoot.calibration.checks import check_count
 from surefoot.experiments.policy.tasks import SENSORS, task_named
 
-TRAINING_SEEDS = 1_000_000_000
-"""Training draws seeds from here on; evaluation takes those below."""
-
-LARGEST_SEVERITY = 2.0
-"""Severity of the worst sensors of a randomised training."""
-
-REWARD_SCALE = 0.05
-"""What rewards are multiplied by, so that returns are of the order of ten."""
+TRAINING_SEEDS = 1_000_000_000  # training draws seeds from here on; evaluation takes those below
+LARGEST_SEVERITY = 2.0  # severity of the worst sensors of a randomised training
+REWARD_SCALE = 0.05  # what rewards are multiplied by, so that returns are of the order of ten
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,13 @@ from surefoot.envs.robots.nao import motor_of_joint
 from surefoot.experiments.policy.tasks import Task, calibration_of, task_named
 from surefoot.experiments.walks.walkers import TruthTap, feed_named, on_feet
 
-PARTS = ("state", "cop", "cop_valid")
-"""Parts of an observation that a policy sees, in this order."""
-
-_LEGS = 12
-"""Hinge joints of both legs, which come first."""
+PARTS = ("state", "cop", "cop_valid")  # parts of an observation that a policy sees, in this order
+_LEGS = 12  # hinge joints of both legs, which come first
 
 _COP_PARTS = 6
 """Numbers beside the state: the centre of pressure (2), whether it is valid (3), and a constant one."""
 
-_JOINT_UNIT = 0.1
-"""Unit in which a policy sees joint angles, in rad."""
+_JOINT_UNIT = 0.1  # unit in which a policy sees joint angles, in rad
 
 _COP_UNIT, _ERROR_UNIT = 0.03, 0.01
 """Units in which it sees the centre of pressure, and its difference to the commanded one, in m."""

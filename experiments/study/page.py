@@ -19,13 +19,11 @@ from surefoot.experiments.study.runner import machine
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.tables import Frame, Table, Verdict, flat, plural
 
-MADE = "made.json"
-"""Beside a study's tables: its command, code and date."""
+MADE = "made.json"  # beside a study's tables: its command, code and date
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
-_WORDS = 28
-"""A cell that is longer than so many letters is text: it stands on the left and is wrapped."""
+_WORDS = 28  # a cell that is longer than so many letters is text: it stands on the left and is wrapped
 
 
 @dataclass(frozen=True)

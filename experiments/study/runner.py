@@ -28,8 +28,7 @@ from surefoot.experiments.study.backends import Died, Task, Workers, workers
 from surefoot.experiments.study.store import Case, Outcome, Store, StudyError
 from surefoot.experiments.study.tables import plural
 
-LONGEST_ERROR = 4000
-"""Characters of a failed case's traceback that are kept, its end."""
+LONGEST_ERROR = 4000  # characters of a failed case's traceback that are kept, its end
 
 Failed = Callable[[Case, str], Mapping[str, Any]]
 """Makes the rows of a case that failed, from what was raised."""

@@ -12,14 +12,9 @@ from rich.text import Text
 
 from surefoot.experiments.study.statistics import Interval, mean_interval
 
-Frame = Any
-"""A pandas data frame: type checkers do not follow what indexing one gives."""
-
-Column = Any
-"""A pandas series, likewise."""
-
-Cell = Callable[[Any], str]
-"""Makes a cell of what its row is about."""
+Frame = Any  # a pandas data frame: type checkers do not follow what indexing one gives
+Column = Any  # a pandas series, likewise
+Cell = Callable[[Any], str]  # makes a cell of what its row is about
 
 
 class Verdict(str):

@@ -17,8 +17,7 @@ from surefoot.experiments.logs.format import MAX_GAP, Log
 LARGEST = 1e6
 """Magnitude, in any unit, beyond which a value of a reference is left out, as calibrators leave it out."""
 
-CUTOFF = 10.0
-"""Cutoff of the filter that both sides pass, in Hz."""
+CUTOFF = 10.0  # cutoff of the filter that both sides pass, in Hz
 
 
 class Ground(NamedTuple):

@@ -16,8 +16,7 @@ cells that nobody calibrated are off by tens of percent."""
 STILL = 0.003
 """Standard deviation in m of the centre of pressure that the motion asks for, below which a robot stands."""
 
-ALIKE = 0.03
-"""Relative difference between the mass in the description and the drawing's that needs no word."""
+ALIKE = 0.03  # relative difference between the mass in the description and the drawing's that needs no word
 
 _UNITS = {
     1000.0: "millinewtons or a mass in tonnes",

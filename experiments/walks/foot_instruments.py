@@ -18,8 +18,7 @@ from surefoot.wrappers.instruments import Instruments, SensorsInAnkles
 
 Floats = NDArray[np.float64]
 
-_STREAM = 0x10605
-"""Keeps the instruments' randomness apart from every other stream with the same seed."""
+_STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
 
 
 class FootInstruments:

@@ -23,8 +23,7 @@ from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-_SETTLING = 16
-"""Rows cut off at the beginning of a log, in which telemetry has not yet arrived."""
+_SETTLING = 16  # rows cut off at the beginning of a log, in which telemetry has not yet arrived
 
 
 @dataclass(frozen=True)

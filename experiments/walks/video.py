@@ -26,14 +26,9 @@ from surefoot.experiments.walks.closed_loop import Moment, walk_moments
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
-FIRST_MOMENT = 3.0
-"""Time in s at which a film begins: before it the robot stands."""
-
-PIXELS_PER_METRE = 700
-"""Scale of the view from above."""
-
-OVERSAMPLING = 2
-"""The view from above is drawn larger by this factor and made smaller, for smooth edges."""
+FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
+PIXELS_PER_METRE = 700  # scale of the view from above
+OVERSAMPLING = 2  # the view from above is drawn larger by this factor and made smaller, for smooth edges
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.sensors.devices.load_cells import LoadCells, LoadCellState, load_cells, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
-_STREAM = 7001
-"""Keeps this randomness apart from every other stream with the same seed."""
+_STREAM = 7001  # keeps this randomness apart from every other stream with the same seed
 
 
 @dataclass(frozen=True)
@@ -36,23 +35,15 @@ class WeighingSetup:
     placement_loads: tuple[float, ...] = (0.01, 0.1, 0.5, 1.0, 2.0, 4.0, 6.0)
     """Weights put at every hole that is used in kg."""
 
-    hole_pitch: float = 0.01
-    """Distance between holes in m."""
-
-    fitted_holes: int = 40
-    """Holes that the correction of the centre of pressure is fitted to."""
-
-    held_out_holes: int = 20
-    """Further holes that it is only scored on."""
-
-    readings: int = 80
-    """Conversions averaged for each weighing: one second at 80 per second."""
+    hole_pitch: float = 0.01  # distance between holes in m
+    fitted_holes: int = 40  # holes that the correction of the centre of pressure is fitted to
+    held_out_holes: int = 20  # further holes that it is only scored on
+    readings: int = 80  # conversions averaged for each weighing: one second at 80 per second
 
     stiffness: tuple[float, float, float, float] = (1.0, 0.8, 1.1, 0.9)
     """Stiffnesses of the four cells of a foot relative to each other."""
 
-    cell_position_std: float = 5e-4
-    """How far cells sit from the drawing in m, per axis."""
+    cell_position_std: float = 5e-4  # how far cells sit from the drawing in m, per axis
 
     nonlinearity: float = 5e-4
     """Largest bow of a cell's curve as a share of its capacity; each cell draws its own, either way."""
