@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import console, fail, one_line_errors, show
+from surefoot.experiments.cli.console import Paths, console, fail, one_line_errors, show
 
 app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
 
@@ -50,9 +50,7 @@ def weights(
 
 @app.command()
 def ft(
-    logs: Annotated[
-        list[Path] | None, Argument(help="A log, or one file a set; docs/in-situ-log.md.")
-    ] = None,
+    logs: Annotated[Paths, Argument(help="A log, or one file a set; docs/in-situ-log.md.")] = None,
     config: Annotated[Path | None, Option(help="TOML; by default the one beside the first log.")] = None,
     sample: Annotated[bool, Option("--sample", help="Calibrate surefoot's own sample.")] = False,
     raw: Annotated[str | None, Option(help="Columns of the channels, separated by commas.")] = None,
@@ -86,21 +84,12 @@ def ft(
 
 @app.command()
 def motion(
-    robot: Annotated[
-        str, Argument(help="nao, g1, t1, op3, or the path of an MJCF file with robot and floor.")
-    ],
+    robot: Annotated[str, Argument(help="nao, g1, t1, op3, or path of an MJCF file with robot and floor.")],
     budget: Annotated[float, Option(help="Most time in s.")] = 40.0,
-    goal: Annotated[
-        str, Option(help="What to learn: cop, or channel for the worst channel's force.")
-    ] = "cop",
-    enough: Annotated[
-        float, Option(help="End the plan at this standard deviation: in mm of the CoP, or N of a channel.")
-    ] = 0.0,
+    goal: Annotated[str, Option(help="cop, or channel for the worst channel's force.")] = "cop",
+    enough: Annotated[float, Option(help="End at this deviation: mm of the CoP, or N of a channel.")] = 0.0,
     torque: Annotated[float, Option(help="Largest share of a leg motor's torque.")] = 0.95,
-    margin: Annotated[
-        float,
-        Option(help="Least distance of a foot's CoP from the sole's edge, as a share of half the sole."),
-    ] = 0.12,
+    margin: Annotated[float, Option(help="Least CoP margin to the edge, share of half the sole.")] = 0.12,
     out: Annotated[Path | None, Option(help="Where to write it; by default <robot>_motion.csv.")] = None,
 ) -> None:
     """Plan how a robot should move to calibrate its feet: joint targets over time, and what they bring."""

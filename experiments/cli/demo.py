@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from surefoot.experiments.cli.console import Jobs, Names, Out, fail, one_line_errors, show
+from surefoot.experiments.cli.console import Feeds, Jobs, Out, fail, one_line_errors, show
 
 
 def demo(
@@ -26,19 +26,14 @@ def demo(
 
 
 def view(
-    feed: Annotated[
-        Names,
-        Option(
-            help="true, none (drifting raw), tare, quasi-static, window (default) or moment; again for more."
-        ),
-    ] = None,
+    feed: Feeds = None,
     speed: Annotated[float, Option(help="Walking speed in m/s.")] = 0.04,
     seed: Annotated[int, Option(help="Seed of the walk and its sensors.")] = 0,
     duration: Annotated[float, Option(help="Duration in s, 4 s of standing included.")] = 20.0,
     severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
     video: Annotated[Path | None, Option(help="Film into this .mp4, .webp or .gif: no window.")] = None,
 ) -> None:
-    """Watch the walker in a window, or film it."""
+    """Watch the walker, fed the CoP of the window method by default, in a window, or film it."""
     from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
 
     prepare_rendering()

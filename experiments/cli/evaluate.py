@@ -6,32 +6,32 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import CONTROLLERS, Jobs, Names, console, fail, one_line_errors, show
+from surefoot.experiments.cli.console import (
+    CONTROLLERS,
+    Feeds,
+    Jobs,
+    Names,
+    Numbers,
+    console,
+    fail,
+    one_line_errors,
+    show,
+)
 
 
 def evaluate(
     ctx: typer.Context,
     controllers: Annotated[Names, Argument(help=f"{CONTROLLERS}; the shipped policy by default.")] = None,
     task: Annotated[str, Option(help="balance or walk.")] = "balance",
-    feed: Annotated[
-        Names,
-        Option(
-            help="true, none (drifting raw), weights, tare, quasi-static, window or moment; again for more."
-        ),
-    ] = None,
+    feed: Feeds = None,
     severity: Annotated[
-        list[float] | None, Option(help="How bad the feet's sensors are; again for more. 1 by default.")
+        Numbers, Option(help="How bad the sensors are; again for more. 1 by default.")
     ] = None,
     seeds: Annotated[int, Option(help="Episodes of each.", min=1)] = 50,
     first_seed: Annotated[int, Option(help="Seed of the first of them.", min=0)] = 20_000,
     uses_cop: Annotated[bool, Option("--uses-cop", help="Also freeze, swap and shuffle the CoP.")] = False,
-    out: Annotated[
-        Path | None,
-        Option(help="Folder for episodes, scores, a page and the policy's card; an interrupted one goes on."),
-    ] = None,
-    page_of: Annotated[
-        Names, Option(help="Run nothing: a page in --out of FILE or CONTROLLER=FILE; again for more.")
-    ] = None,
+    out: Annotated[Path | None, Option(help="Folder for the results; an interrupted one goes on.")] = None,
+    page_of: Annotated[Names, Option(help="Only a page of FILE or CONTROLLER=FILE; again for more.")] = None,
     jobs: Jobs = 1,
 ) -> None:
     """Score controllers on true, drifting and calibrated feet, on the same episodes."""

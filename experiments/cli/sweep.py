@@ -6,17 +6,15 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import CONTROLLERS, Names, fail, one_line_errors, show
+from surefoot.experiments.cli.console import CONTROLLERS, Feeds, Names, Numbers, fail, one_line_errors, show
 
 
 def sweep(
     plan: Annotated[Path | None, Argument(help="TOML that says what to sweep; options go before it.")] = None,
     controller: Annotated[Names, Option(help=f"{CONTROLLERS}; again for more.")] = None,
-    feed: Annotated[Names, Option(help="What is fed back as the CoP; again for more.")] = None,
+    feed: Feeds = None,
     scenario: Annotated[Names, Option(help="A scenario; again for more.")] = None,
-    severity: Annotated[
-        list[float] | None, Option(help="Factor of the cells' errors; again for more.")
-    ] = None,
+    severity: Annotated[Numbers, Option(help="Factor of the cells' errors; again for more.")] = None,
     seeds: Annotated[int | None, Option(help="Episodes of each combination.", min=1)] = None,
     first_seed: Annotated[int, Option(help="The first of the seeds.", min=0)] = 0,
     duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,

@@ -10,23 +10,14 @@ from surefoot.experiments.cli.console import console, fail, one_line_errors
 
 
 def train(
-    out: Annotated[Path, Option(help="Folder of the training; one that was stopped there goes on.")] = Path(
-        "out/policy"
-    ),
+    out: Annotated[Path, Option(help="Folder; one that was stopped there goes on.")] = Path("out/policy"),
     task: Annotated[str, Option(help="balance, or walk.")] = "balance",
-    sensors: Annotated[
-        str, Option(help="CoP trained on: true, or randomised (drifting sensors of every severity).")
-    ] = "true",
+    sensors: Annotated[str, Option(help="CoP trained on: true, or randomised (drifting).")] = "true",
     seed: Annotated[int, Option(help="Of everything random.", min=0, max=999)] = 0,
     steps: Annotated[int | None, Option(help="Decisions in all; 160 000 by default.", min=1)] = None,
     restart: Annotated[bool, Option("--restart", help="Start again, whatever the folder holds.")] = False,
-    export: Annotated[
-        Path | None,
-        Option(help="Train nothing: turn this Stable-Baselines3 zip into a policy file in --out."),
-    ] = None,
-    trusted: Annotated[
-        bool, Option("--trusted", help="The zip's maker is trusted: opening it runs pickled code.")
-    ] = False,
+    export: Annotated[Path | None, Option(help="Only turn this Stable-Baselines3 zip into a policy.")] = None,
+    trusted: Annotated[bool, Option("--trusted", help="Trust the zip's maker: pickled code runs.")] = False,
 ) -> None:
     """Train a policy by PPO, and write it with its learning curve and a card."""
     from surefoot.experiments.policy.options import TrainOptions

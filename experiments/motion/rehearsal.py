@@ -31,7 +31,6 @@ class Limits:
     """What a motion must keep to."""
 
     torque: float = 0.95  # largest torque of a leg's motor, as a share of its limit
-
     margin: float = 0.12
     """Least distance of a foot's centre of pressure from the edge of its sole, as a share of half its
     length or width; less where one foot is taking over from the other, for a tenth of a second."""

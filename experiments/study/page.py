@@ -4,7 +4,8 @@ import base64
 import json
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.resources import files
@@ -88,6 +89,23 @@ def write_page(
     )
     write_text(path, page)
     return path
+
+
+def write_log_page(
+    path: Path,
+    title: str,
+    made_of: str,
+    introduction: str,
+    log: Table,
+    notices: tuple[str, ...],
+    sections: Callable[[Path], Iterable[Section]],
+) -> Path:
+    """Write the page of a log that was made of, or by, something; sections draw into a folder."""
+    quiet = () if notices else ("Nothing in the log calls for a warning.",)
+    first = Section("log", "The log", paragraphs=quiet, findings=notices, tables=(log,))
+    with tempfile.TemporaryDirectory() as folder:
+        made = f"Made with surefoot {surefoot.__version__} {made_of}."
+        return write_page(path, title, (introduction,), (first, *sections(Path(folder))), made=made)
 
 
 def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None:

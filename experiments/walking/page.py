@@ -3,9 +3,23 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from surefoot.experiments.logs.page import write_log_page
-from surefoot.experiments.study.page import ReportFigure, Section
+from surefoot.experiments.study.page import ReportFigure, Section, write_log_page
+from surefoot.experiments.study.tables import flat
 from surefoot.experiments.walking import figures, tables
+
+_AGREEMENT = """
+    Mass, joints and IMU give what the ground must exert. A calibration brings the feet nearer to that; what
+    is left are the errors of both. If the robot's mass or centre of mass is wrong, the feet agree with a
+    motion that is wrong: weigh the robot, and check the model."""
+
+_CAPTIONS = (
+    "Centre of pressure of all feet from the middle between the soles, and its distance from the one that "
+    "the motion asks for.",
+    "Vertical force of all feet and of each.",
+    "Every channel by the map that the calibration started from, and calibrated.",
+    "Scale and offset of every channel against the map that the calibration started from",
+    "When each flag was raised.",
+)
 
 
 def write_walking_page(path: Path, facts: tables.Facts) -> Path:
@@ -23,55 +37,21 @@ def write_walking_page(path: Path, facts: tables.Facts) -> Path:
 
 
 def _sections(folder: Path, facts: tables.Facts) -> Iterator[Section]:
-    yield Section(
-        "agreement",
-        "Agreement with the robot's own motion",
-        (
-            "Mass, joints and IMU give what the ground must exert. A calibration brings the feet nearer to "
-            "that; what is left are the errors of both. If the robot's mass or centre of mass is wrong, the "
-            "feet agree with a motion that is wrong: weigh the robot, and check the model.",
-        ),
-        tables=(tables.agreement_table(facts),),
-        figures=(
-            ReportFigure(
-                figures.cop_against_motion(folder / "cop.svg", facts),
-                "Figure 1",
-                "Centre of pressure of all feet from the middle between the soles, and its distance from the "
-                "one that the motion asks for.",
-            ),
-        ),
-    )
+    def figure(number: int, path: Path, more: str = "") -> ReportFigure:
+        return ReportFigure(path, f"Figure {number}", _CAPTIONS[number - 1] + more)
+
+    cop = figure(1, figures.cop_against_motion(folder / "cop.svg", facts))
+    table, title = tables.agreement_table(facts), "Agreement with the robot's own motion"
+    yield Section("agreement", title, (flat(_AGREEMENT),), tables=(table,), figures=(cop,))
     if facts.log.truth is not None:
         yield Section("truth", "Errors against the truth", tables=(tables.score_table(facts),))
-    yield Section(
-        "forces",
-        "Forces",
-        figures=(
-            ReportFigure(
-                figures.force_of_feet(folder / "feet.svg", facts),
-                "Figure 2",
-                "Vertical force of all feet and of each.",
-            ),
-            ReportFigure(
-                figures.cells_over_time(folder / "cells.svg", facts),
-                "Figure 3",
-                "Every channel by the map that the calibration started from, and calibrated.",
-            ),
-        ),
-    )
-    drawn = figures.parameters_over_time(folder / "parameters.svg", facts)
-    bands = (
-        "; the method claims no uncertainty."
-        if facts.estimate.covariance is None
-        else ", with bands of ± one standard deviation."
-    )
-    text = f"Scale and offset of every channel against the map that the calibration started from{bands}"
-    yield Section(
-        "parameters",
-        "Parameters",
-        tables=(tables.parameter_table(facts),),
-        figures=(ReportFigure(drawn, "Figure 4", text),),
-    )
+    feet = figure(2, figures.force_of_feet(folder / "feet.svg", facts))
+    cells = figure(3, figures.cells_over_time(folder / "cells.svg", facts))
+    yield Section("forces", "Forces", figures=(feet, cells))
+    known = facts.estimate.covariance is not None
+    bands = ", with bands of ± one standard deviation." if known else "; the method claims no uncertainty."
+    drawn = figure(4, figures.parameters_over_time(folder / "parameters.svg", facts), bands)
+    yield Section("parameters", "Parameters", tables=(tables.parameter_table(facts),), figures=(drawn,))
     flags = figures.flags_over_time(folder / "flags.svg", facts)
-    shown = () if flags is None else (ReportFigure(flags, "Figure 5", "When each flag was raised."),)
+    shown = () if flags is None else (figure(5, flags),)
     yield Section("flags", "Flags", tables=(tables.flag_table(facts),), figures=shown)

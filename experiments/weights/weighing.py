@@ -29,30 +29,17 @@ _STREAM = 7001  # keeps this randomness apart from every other stream with the s
 class WeighingSetup:
     """What is weighed, and how carefully."""
 
-    channel_loads: tuple[float, ...] = (0.0, 0.001, 0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 4.0, 6.0)
-    """Weights put on each cell by itself in kg."""
-
-    placement_loads: tuple[float, ...] = (0.01, 0.1, 0.5, 1.0, 2.0, 4.0, 6.0)
-    """Weights put at every hole that is used in kg."""
-
+    channel_loads: tuple[float, ...] = (0.0, 0.001, 0.01, 0.05, 0.2, 0.5, 1.0, 2.0, 4.0, 6.0)  # kg
+    placement_loads: tuple[float, ...] = (0.01, 0.1, 0.5, 1.0, 2.0, 4.0, 6.0)  # kg, at every hole
     hole_pitch: float = 0.01  # distance between holes in m
     fitted_holes: int = 40  # holes that the correction of the centre of pressure is fitted to
     held_out_holes: int = 20  # further holes that it is only scored on
     readings: int = 80  # conversions averaged for each weighing: one second at 80 per second
-
-    stiffness: tuple[float, float, float, float] = (1.0, 0.8, 1.1, 0.9)
-    """Stiffnesses of the four cells of a foot relative to each other."""
-
+    stiffness: tuple[float, float, float, float] = (1.0, 0.8, 1.1, 0.9)  # of a foot's cells, relative
     cell_position_std: float = 5e-4  # how far cells sit from the drawing in m, per axis
-
-    nonlinearity: float = 5e-4
-    """Largest bow of a cell's curve as a share of its capacity; each cell draws its own, either way."""
-
-    hole_play: float = 1e-4
-    """How far a weight stands from the middle of its hole in m, per axis (standard deviation)."""
-
-    seconds_per_weighing: float = 0.0
-    """Time from one weighing to the next in s, in which the cells drift as configured; 0 if settled."""
+    nonlinearity: float = 5e-4  # largest bow of a cell's curve, drawn either way, as a share of its capacity
+    hole_play: float = 1e-4  # std of a weight's distance from the middle of its hole in m, per axis
+    seconds_per_weighing: float = 0.0  # from one to the next, in which the cells drift; 0 if settled
 
     def __post_init__(self) -> None:
         """Raise ValueError if a number is too small."""
