@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FootMotion, MovingRobot, Parameters, plan_foot_excitation
 from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
-from surefoot.experiments.motion.plan import plan_motion
-from surefoot.experiments.motion.rehearsal import Limits, Rehearsal, rehearse
+from surefoot.experiments.motion.plan import Limits, Rehearsal, plan_motion, rehearse
 from surefoot.experiments.walks.score import cop_world
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import LoadCells, sized

@@ -93,8 +93,7 @@ def motion(
     out: Annotated[Path | None, Option(help="Where to write it; by default <robot>_motion.csv.")] = None,
 ) -> None:
     """Plan how a robot should move to calibrate its feet: joint targets over time, and what they bring."""
-    from surefoot.experiments.motion.plan import plan_motion
-    from surefoot.experiments.motion.rehearsal import Limits
+    from surefoot.experiments.motion.plan import Limits, plan_motion
 
     path = Path(f"{Path(robot).stem}_motion.csv") if out is None else out
     with one_line_errors(path):

@@ -36,7 +36,7 @@ def evaluate(
 ) -> None:
     """Score controllers on true, drifting and calibrated feet, on the same episodes."""
     from surefoot.experiments.episodes.episode import COP_INPUTS
-    from surefoot.experiments.episodes.evaluation import evaluation_plan
+    from surefoot.experiments.episodes.plan import evaluation_plan
     from surefoot.experiments.episodes.rows import in_order
     from surefoot.experiments.episodes.run import run_plan
 

@@ -65,8 +65,8 @@ def replay(
 ) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""
     from surefoot.experiments.episodes.episode import OUTCOME
-    from surefoot.experiments.episodes.film import film_episode
     from surefoot.experiments.episodes.run import replay_episode
+    from surefoot.experiments.episodes.sweep_page import film_episode
 
     if video is not None and video.suffix != ".mp4":
         fail(f"'{video}' must end in .mp4.")

@@ -2,7 +2,7 @@
 
 from scipy import stats
 
-from surefoot.experiments.demo.published import WALKING_TABLES
+from surefoot.experiments.demo.tables import WALKING_TABLES
 from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import (

@@ -14,7 +14,7 @@ from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS
 from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.demo import figures, findings, tables
 from surefoot.experiments.demo.findings import loop_claims, walking_claims, weight_claims
-from surefoot.experiments.demo.published import WALKING_TABLES
+from surefoot.experiments.demo.tables import WALKING_TABLES
 from surefoot.experiments.demo.weights import paper_table_2, weights_section
 from surefoot.experiments.study.page import (
     Report,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
-from surefoot.experiments.demo.published import TABLE_2, TABLE_3
+from surefoot.experiments.demo.tables import TABLE_2, TABLE_3
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
 from surefoot.experiments.study.page import ReportFigure, Section
 from surefoot.experiments.study.tables import Table, flat, laid_out, number

@@ -4,8 +4,7 @@
 """
 
 from surefoot.experiments.episodes.episode import Episode
-from surefoot.experiments.episodes.evaluation import evaluation_plan, run_episode
-from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
+from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan, plan_from_toml, run_episode
 from surefoot.experiments.episodes.run import EpisodeResults, Replayed, replay_episode, run_plan
 from surefoot.experiments.episodes.scenarios import SCENARIOS, LoopScenario
 

@@ -179,8 +179,7 @@ def _made_reference(
         )
     facts = description.motion.of_log(path.parent, dt)
     try:
-        from surefoot.experiments.logs.model import load_model
-        from surefoot.experiments.logs.reference import check_spin, make_reference
+        from surefoot.experiments.logs.model import check_spin, load_model, make_reference
     except ImportError as error:
         raise LogError(
             f"{path.name}: joints and IMU need a model of the robot, for which {error.name} is missing; "

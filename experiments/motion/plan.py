@@ -1,14 +1,145 @@
-"""Plan the motion by which a robot calibrates its feet, play it once from start to end, and write it."""
+"""Plan the motion by which a robot calibrates its feet, of those that it can do, and play it once as a whole.
 
+Each motion is played in simulation with perfect sensors. It is refused if the robot falls, if a motor of the
+legs comes too near its limit of torque, or if the centre of pressure of a foot that bears weight comes too
+near the edge of its sole. Joint limits are kept by the inverse kinematics.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.calibration.foot_excitation import FootExcitation, plan_foot_excitation
-from surefoot.envs.prelude import Prelude
-from surefoot.experiments.motion.rehearsal import Limits, Rehearsal, rehearse
+from surefoot.calibration import FeetLayout, Parameters, Reference
+from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
+from surefoot.envs.exercise.env import ExerciseEnv
+from surefoot.envs.exercise.motion import motions_offered
+from surefoot.envs.prelude import Player, Prelude
 from surefoot.experiments.study.tables import Table
+from surefoot.wrappers.belief_errors import NO_ERRORS
+from surefoot.wrappers.foot_sensors import FootSensors
+from surefoot.wrappers.self_calibration import SelfCalibration
+
+SETTLING = 0.3  # time in s after a reset in which the robot sinks into the ground, and nothing is checked
+ROUNDING = 1e-6  # by what a torque at its limit may exceed it in the simulator's arithmetic, relative
+BEARS = 0.1  # share of the weight that a foot bears if the place of its centre of pressure is to count
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a motion must keep to."""
+
+    torque: float = 0.95  # largest torque of a leg's motor, as a share of its limit
+    margin: float = 0.12
+    """Least distance of a foot's centre of pressure from the edge of its sole, as a share of half its
+    length or width; less where one foot is taking over from the other, for a tenth of a second."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """How a motion went."""
+
+    motion: FootMotion  # what its channels read and what the robot believed
+    fell: bool
+    torque: float  # largest of a leg's motor, as a share of its limit
+    margin: float  # as in :class:`Limits`
+
+    def refusal(self, limits: Limits) -> str:
+        """Return why a motion must not be done; nothing if it may."""
+        if self.fell:
+            return "it falls"
+        if self.torque > limits.torque + ROUNDING:
+            return f"a motor needs {self.torque:.0%} of its torque"
+        if self.margin < limits.margin:
+            near = max(self.margin, 0.0)
+            return f"a centre of pressure comes as close to an edge as {near:.0%} of half a sole"
+        return ""
+
+
+class Rehearsal:
+    """A robot in simulation, as in :class:`~surefoot.envs.ExerciseEnv`, that plays motions."""
+
+    def __init__(self, robot: str | Path | Any) -> None:
+        self.env = ExerciseEnv(robot, duration=None, joint_noise=0.0, velocity_noise=0.0)
+        sensors = FootSensors(self.env, "perfect", imu="perfect", encoders="perfect", link="perfect")
+        self._sensed = sensors
+        self._calibrated = SelfCalibration(sensors, "none", errors=NO_ERRORS)
+        self.layout: FeetLayout = self._calibrated.layout
+        model, robot = self.env.model, self.env.motion.robot
+        joints = np.unique(np.concatenate(robot.legs))
+        self._dofs = model.jnt_dofadr[joints]
+        self._most_of_joints = _limits(model.jnt_actfrclimited[joints], model.jnt_actfrcrange[joints])
+        motors = self._motors = robot.leg_motors
+        self._most_of_motors = _limits(model.actuator_forcelimited[motors], model.actuator_forcerange[motors])
+
+    def play(self, prelude: Prelude) -> Played:
+        """Play motions from standing."""
+        env, calibrated = self.env, self._calibrated
+        env.prelude = Player(prelude, prelude.motors, env.dt)
+        calibrated.reset(seed=0)
+        still = np.zeros(self._motors.size, dtype=np.float32)
+        nominal: Parameters = self._sensed.instruments.nominal
+        force, beliefs, margins = [], [], []
+        torque, fell = 0.0, False
+        while env.prelude.playing and not fell:
+            _, _, fell, _, info = calibrated.step(still)
+            force.append(nominal.force(self._sensed.raw))
+            beliefs.append(info["surefoot"]["reference"])
+            if len(force) * env.dt > SETTLING:
+                torque = max(torque, self._torque())
+                margins.append(self._margin(info["surefoot"]["truth"]))
+        reference = Reference(*(np.array(part) for part in zip(*beliefs, strict=True)))
+        margin = np.array(margins)
+        # A tenth of a second on the edge, as a foot lands, tips nobody.
+        lasting = max(round(0.1 / env.dt), 1)
+        held = np.lib.stride_tricks.sliding_window_view(margin, min(lasting, len(margin))).max(axis=1)
+        return Played(FootMotion(np.array(force), reference), bool(fell), torque, float(held.min()))
+
+    def _torque(self) -> float:
+        motors = np.abs(self.env.data.actuator_force[self._motors]) / self._most_of_motors
+        joints = np.abs(self.env.data.qfrc_actuator[self._dofs]) / self._most_of_joints
+        return float(max(motors.max(), joints.max()))
+
+    def _margin(self, truth: dict[str, Any]) -> float:
+        loaded = truth["vgrf"] > BEARS * truth["vgrf"].sum()
+        sole = self.env.motion.robot
+        off = np.abs(truth["cop_foot"] - sole.centre) / sole.half
+        # A light robot's foot may bear its share and still have no centre of pressure.
+        return float(1.0 - np.nanmax(off[loaded], initial=0.0)) if loaded.any() else 0.0
+
+
+def _limits(limited: Any, ranges: Any) -> Any:
+    """Return the largest allowed size of each effort, infinite where there is no limit."""
+    return np.where(limited.astype(bool), np.abs(ranges).max(axis=1), np.inf)
+
+
+def rehearse(
+    rehearsal: Rehearsal, names: Sequence[str] | None = None, limits: Limits | None = None
+) -> tuple[MovingRobot, dict[str, str]]:
+    """Return a robot with the motions that it can do, and why it cannot do the others.
+
+    By default the farthest of each kind that goes is taken, of all that are offered.
+    """
+    limits = Limits() if limits is None else limits
+    motions: dict[str, FootMotion] = {}
+    refused: dict[str, str] = {}
+    for alternatives in motions_offered() if names is None else [[name] for name in names]:
+        for name in alternatives:
+            try:
+                played = rehearsal.play(rehearsal.env.motion.prelude([name], rehearsal.env.dt))
+            except ValueError as error:
+                refused[name] = str(error)
+                continue
+            reason = played.refusal(limits)
+            if not reason:
+                motions[name] = played.motion
+                break
+            refused[name] = reason
+    calibrator = rehearsal._calibrated.calibrator
+    setup = calibrator.setup
+    return MovingRobot(mass=setup.mass, motions=motions, dt=setup.dt, lag=setup.lag), refused
 
 
 class PlannedMotion(NamedTuple):

@@ -29,9 +29,9 @@ from surefoot.experiments.in_situ.methods import (
     wrench_error,
 )
 from surefoot.experiments.in_situ.page import InSituStudyPage
-from surefoot.experiments.in_situ.printed import PRINTED
 from surefoot.experiments.in_situ.refusals import SPOILT, spoil_and_calibrate
 from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
+from surefoot.experiments.in_situ.tables import PRINTED
 from surefoot.experiments.study.store import JOURNAL
 
 QUIET = Console(quiet=True)

@@ -5,8 +5,7 @@ import pytest
 
 from surefoot.controllers import CalibrationMotion
 from surefoot.experiments.motion import rehearsal as module
-from surefoot.experiments.motion.plan import plan_motion
-from surefoot.experiments.motion.rehearsal import Limits, Rehearsal, rehearse
+from surefoot.experiments.motion.plan import Limits, Rehearsal, plan_motion, rehearse
 
 pytestmark = pytest.mark.slow
 

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from surefoot.controllers import zero_action
-from surefoot.experiments.episodes.evaluation import run_episode
+from surefoot.experiments.episodes.plan import run_episode
 from surefoot.experiments.study.sources import source_hash, source_modules
 
 
@@ -24,7 +24,7 @@ def test_what_an_episode_runs_is_in_its_hash():
         sys.setprofile(None)
     assert {"surefoot.envs.nao.balance", "surefoot.calibration.moment.stream"} <= ran
     packages = {name for name in ran if hasattr(sys.modules[name], "__path__")}
-    assert ran - packages <= source_modules("surefoot.experiments.episodes.evaluation")
+    assert ran - packages <= source_modules("surefoot.experiments.episodes.plan")
 
 
 def test_a_name_is_followed_to_the_module_that_defines_it():
