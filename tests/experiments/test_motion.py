@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.controllers import CalibrationMotion
-from surefoot.experiments.motion import rehearsal as module
+from surefoot.experiments.motion import plan as module
 from surefoot.experiments.motion.plan import Limits, Rehearsal, plan_motion, rehearse
 
 pytestmark = pytest.mark.slow
