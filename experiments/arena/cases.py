@@ -1,9 +1,4 @@
-"""The cases of a study of walks: each depends on nothing but its arguments and recorded walks.
-
-* a score: one method on one scenario, perhaps with options changed;
-* a bound: what no estimator can go below on a scenario;
-* a closed loop: one walk that feels the feet that it stands on.
-"""
+"""The cases of a study of walks: one method on one scenario, a scenario's bound, one closed loop."""
 
 import time
 from collections.abc import Callable, Mapping

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from surefoot.experiments.arena.scenarios import Scenario
-from surefoot.experiments.arena.tables import consistent
+from surefoot.experiments.arena.tables import METRICS, consistent
 from surefoot.experiments.study.figures import (
     by_way,
     draw_curve,
@@ -18,15 +18,9 @@ from surefoot.experiments.study.figures import (
     legend_below,
     logarithmic,
     look_of,
+    name_axes,
 )
 from surefoot.experiments.study.tables import Frame
-
-METRICS = (
-    ("cop", 1e3, "CoP rmse (mm)", 2.0),
-    ("vgrf", 1.0, "vGRF rmse (N)", 0.4),
-    ("cell", 1.0, "single cell rmse (N)", 0.4),
-)
-"""Errors with the factor to their unit, what to call them, and what was set out to be reached."""
 
 Panel = tuple[str, float, Callable[[Axes, Frame, float, str], None]]
 """A label, where a line is drawn, and what draws the runs of one method at a height."""
@@ -84,10 +78,7 @@ def error_curves(path: Path, panels: Mapping[str, Frame], columns: int = 3) -> P
         drawn[0, 0].set_ylim(bottom=0.3)
         for axes in drawn.flat[len(panels) :]:
             axes.set_visible(False)
-        for axes in drawn[-1]:
-            axes.set_xlabel("time (s)")
-        for axes in drawn[:, 0]:
-            axes.set_ylabel("CoP rmse of 2 s (mm)")
+        name_axes(drawn, "time (s)", "CoP rmse of 2 s (mm)")
         legend_below(figure, drawn[0, 0])
     return path
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.scenarios import PLAIN, SPEEDS, Scenario
-from surefoot.experiments.arena.tables import consistent, seconds_text
+from surefoot.experiments.arena.tables import METRICS, consistent, seconds_text
 from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Claim, Frame, at_least, at_most, number, plural, with_interval
@@ -113,13 +113,6 @@ def _fault(runs: Frame, method: str) -> str:
     return f"{text}; CoP afterwards {with_interval(runs['after'], 1e3)} mm."
 
 
-_METRICS = (
-    ("cop", "CoP rmse (mm)", 2.0, 1e3),
-    ("vgrf", "vGRF rmse (N)", 0.4, 1.0),
-    ("cell", "single cell rmse (N)", 0.4, 1.0),
-)
-
-
 def claims_of(scores: Frame, timing: Frame, method: str = "moment") -> list[Claim]:
     """Return the claims about a method, from one row a run and one a method; none if it was not run."""
     own = scores[scores["method"] == method]
@@ -130,7 +123,7 @@ def claims_of(scores: Frame, timing: Frame, method: str = "moment") -> list[Clai
         here = scores[scores["scenario"] == f"speed-{speed:g}"]
         runs, window = (here[here["method"] == name] for name in (method, "window"))
         at = f"speed {speed:g} m/s, "
-        for metric, unit, limit, factor in _METRICS if len(runs) else ():
+        for metric, factor, unit, limit in METRICS if len(runs) else ():
             mean = factor * float(runs[metric].mean())
             claims.append(at_most(at + unit, mean, limit, with_interval(runs[metric], factor)))
         if len(runs) and len(window):

@@ -56,10 +56,5 @@ class ArenaOptions:
 
     def quickly(self) -> "ArenaOptions":
         """Return the same with two seeds and short walks, to see whether all works."""
-        return replace(
-            self,
-            seeds=min(self.seeds, 2),
-            duration=STAND_TIME + 14.0,
-            settle=STAND_TIME + 6.0,
-            quick=True,
-        )
+        few, duration, settle = min(self.seeds, 2), STAND_TIME + 14.0, STAND_TIME + 6.0
+        return replace(self, seeds=few, duration=duration, settle=settle, quick=True)

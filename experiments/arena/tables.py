@@ -21,6 +21,13 @@ from surefoot.experiments.study.tables import (
     with_interval,
 )
 
+METRICS = (
+    ("cop", 1e3, "CoP rmse (mm)", 2.0),
+    ("vgrf", 1.0, "vGRF rmse (N)", 0.4),
+    ("cell", 1.0, "single cell rmse (N)", 0.4),
+)
+"""Errors with the factor to their unit, what to call them, and what was set out to be reached."""
+
 _SCORES_NOTE = """
     converged: median time after the walk began from which the error of 2 s stays within twice that of the
     last 10 s. NEES: of scales and offsets at the end of the walk, over its degrees of freedom, with the 95 %

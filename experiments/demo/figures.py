@@ -20,6 +20,7 @@ from surefoot.experiments.study.figures import (
     legend_below,
     logarithmic,
     look_of,
+    name_axes,
     short_label,
     show_values,
 )
@@ -100,9 +101,7 @@ def _over_time(
                     if drawn is not None:
                         draw_curve(axes, time, drawn, look_of(name), **style)
             column[0].set_title(title)
-            column[-1].set_xlabel("time (s)")
-        for axes, label in zip(panels[:, 0], lines, strict=True):
-            axes.set_ylabel(label)
+        name_axes(panels, "time (s)", *lines)
         yield panels, seen
         legend_below(figure, panels[0, 0])
 
@@ -131,9 +130,7 @@ def rmse_overview(path: Path, scores: Frame, paper: Mapping[tuple[str, float], t
                 axes.set_xticks(range(len(speeds)), [f"{speed:g}" for speed in speeds])
                 axes.set_xlim(-0.5, len(speeds) - 0.5)
             column[0].set_title(title)
-            column[1].set_xlabel("speed (m/s)")
-        for axes, (_, _, label) in zip(panels[:, 0], _METRICS, strict=True):
-            axes.set_ylabel(label)
+        name_axes(panels, "speed (m/s)", *(label for _, _, label in _METRICS))
         for look in map(look_of, methods):
             panels[0, 0].plot([], [], look.marker, color=look.colour, label=look.label)
         panels[0, 0].plot([], [], color="black", label="as published", **dash)
@@ -177,10 +174,8 @@ def closed_loop_survival(path: Path, runs: Frame, horizon: float) -> Path:
             column[0].set_ylim(-6, 104)
             column[1].set_yticks(range(len(feeds)), [short_label(feed) for feed in feeds])
             column[1].set_ylim(len(feeds) - 0.5, -0.5)
-            column[1].set_xlabel("time (s)")
             column[1].set_xlim(0, 1.03 * horizon)
-        panels[0, 0].set_ylabel("still walking (%)")
-        panels[1, 0].set_ylabel("CoP fed back")
+        name_axes(panels, "time (s)", "still walking (%)", "CoP fed back")
         legend_below(figure, panels[0, 0])
     return path
 

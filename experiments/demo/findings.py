@@ -2,7 +2,7 @@
 
 from scipy import stats
 
-from surefoot.experiments.demo.tables import WALKING_TABLES
+from surefoot.experiments.demo.tables import METRICS, WALKING_TABLES
 from surefoot.experiments.study.figures import by_way, in_order, short_label
 from surefoot.experiments.study.statistics import Interval, mean_interval
 from surefoot.experiments.study.tables import (
@@ -153,8 +153,6 @@ def _difference(gaps: Column, factor: float, unit: str) -> str:
     return f"{interval_text(Interval(abs(gap.mean), gap.half, gap.n), factor)} {unit} {word}{sure}"
 
 
-_METRICS = (("cop", "CoP", "mm", 1e3), ("vgrf", "vGRF", "N", 1.0))
-
 _CALIBRATED = ("window", "moment", "true")  # feeds that nobody was to fall on
 
 
@@ -171,7 +169,7 @@ def walking_claims(scores: Frame, condition: str, update_ms: float) -> list[Clai
     """Return the claims about the window, against the paper and quasi-static, and about an update in ms."""
     claims = []
     for speed, published in WALKING_TABLES.items():
-        for metric, title, unit, factor in _METRICS:
+        for metric, title, unit, factor in METRICS:
             table = errors_of(scores, condition, "baseline", speed, metric)
             if not {"window", "quasi-static"} <= set(table.columns):
                 continue

@@ -79,7 +79,7 @@ WALKING_TABLES = {
 
 PAPER_TABLE_NUMBER = {0.02: "4", 0.04: "5", 0.1: "6"}
 
-_METRICS = (("cop", "CoP", "mm", 1e3), ("vgrf", "vGRF", "N", 1.0))
+METRICS = (("cop", "CoP", "mm", 1e3), ("vgrf", "vGRF", "N", 1.0))
 
 
 def lead_table(yardsticks: Frame, loop: Frame, condition: str, title: str) -> Table:
@@ -121,17 +121,17 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
         for method, runs in by_way(here[here["condition"] == condition]).items():
             baseline, truth = (runs[runs["against"] == against] for against in ("baseline", "truth"))
             cells = [title, look_of(method).label]
-            for metric, _, _, factor in _METRICS:
+            for metric, _, _, factor in METRICS:
                 same = len(baseline) and float(baseline[metric].max()) < 1e-9
                 cells.append("0 *" if same else with_interval(baseline[metric], factor))
                 paper = published.get(method)
                 cells.append("" if paper is None else number(factor * getattr(paper, metric)))
-            cells += [with_interval(truth[metric], factor) for metric, _, _, factor in _METRICS]
+            cells += [with_interval(truth[metric], factor) for metric, _, _, factor in METRICS]
             rows.append((*cells, with_interval(truth["cell"])))
     columns = ["condition", "method"]
-    for _, what, unit, _ in _METRICS:
+    for _, what, unit, _ in METRICS:
         columns += [f"{what} against baseline ({unit})", "paper"]
-    columns += [f"{what} against truth ({unit})" for _, what, unit, _ in _METRICS]
+    columns += [f"{what} against truth ({unit})" for _, what, unit, _ in METRICS]
     name = PAPER_TABLE_NUMBER.get(speed)
     note = (
         f"rmse, mean ± 95 % interval over {plural(here['seed'].nunique(), 'seed')}. "
@@ -176,7 +176,7 @@ def sensitivity_table(runs: Frame, title: str) -> Table:
     rows: list[tuple[Any, ...]] = []
     for weight in dict.fromkeys(runs["weight"]):
         for speed, part in runs[runs["weight"] == weight].groupby("speed"):
-            for metric, what, unit, factor in _METRICS:
+            for metric, what, unit, factor in METRICS:
                 means = [factor * mean_interval(part[part["factor"] == f][metric]).mean for f in factors]
                 base = means[factors.index(1.0)] if 1.0 in factors else float("nan")
                 change = f"{100 * (min(means) / base - 1):+.0f} to {100 * (max(means) / base - 1):+.0f} %"

@@ -18,6 +18,7 @@ from surefoot.experiments.study.figures import (
     in_order,
     legend_below,
     look_of,
+    name_axes,
     short_label,
     show_values,
 )
@@ -60,9 +61,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
                     axes.fill_between(curve.time, curve.low, curve.high, **band)
                 axes.set_ylim(-0.03, 1.03)
                 axes.set_title(f"{names[controller]}, severity {severity:g}")
-            line[0].set_ylabel("share on its feet")
-        for axes in panels[-1]:
-            axes.set_xlabel("time (s)")
+        name_axes(panels, "time (s)", "share on its feet")
         legend_below(figure, panels.ravel())
     return path
 
@@ -80,15 +79,13 @@ def against_severity(path: Path, rows: Frame) -> Path:
             for i, (feed, runs) in enumerate(feeds.items()):
                 beside = 0.012 * (i - 0.5 * len(feeds)) * part["severity"].max()
                 _severities(line, runs, feed, beside)
-            line[0].set_ylabel("return")
             line[1].set_ylabel("share that fell")
             line[1].set_ylim(-0.03, 1.03)
             for axes in line:
                 axes.set_title(names[controller])
-        for axes in panels[-1]:
-            axes.set_xlabel("severity")
-            if severities:
-                show_values(axes, severities)
+        name_axes(panels, "severity", "return")
+        for axes in panels[-1] if severities else ():
+            show_values(axes, severities)
         legend_below(figure, panels.ravel())
     return path
 
@@ -105,8 +102,7 @@ def heat_maps(path: Path, rows: Frame, titles: dict[str, str]) -> Path:
                 part = rows[(rows["controller"] == controller) & (rows["feed"] == feed)]
                 _heat(axes, part, titles)
                 axes.set_title(f"{names[controller]}: {short_label(feed)}")
-        for axes in panels[-1]:
-            axes.set_xlabel("severity")
+        name_axes(panels, "severity")
         image = panels[0, 0].images[0]
         figure.colorbar(image, ax=panels, label="share that fell", shrink=0.8)
     return path

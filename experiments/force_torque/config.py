@@ -1,7 +1,4 @@
-"""What a log of in-situ sets leaves open: names, units, frames, masses.
-
-A TOML file beside the log holds it, table by table as here; ``docs/in-situ-log.md`` explains every key.
-"""
+"""What a log of in-situ sets leaves open, as the TOML file beside it and docs/in-situ-log.md say it."""
 
 import tomllib
 from collections import Counter
@@ -29,6 +26,9 @@ SI = {
 Floats = NDArray[np.float64]
 Axes = tuple[str, str, str]
 Place = Annotated[Floats, array_of(3)]
+Range = Annotated[tuple[Number, Number], must_be("[lowest, highest]", lambda ends: ends[0] < ends[1])]
+Scales = Annotated[Floats, array_of(6), must_be("positive N and N m", lambda scale: (scale > 0).all())]
+Matrix = Annotated[Floats, array_of(6, None), must_be("of 6 channels or more", lambda C: C.shape[1] >= 6)]
 Character = Annotated[str, Field(min_length=1, max_length=1)]
 Rotation = Annotated[
     Floats,
@@ -83,21 +83,14 @@ class Sensor(Settings):
     """What is known of the six-axis sensor."""
 
     name: str = ""
-    range_count: (
-        Annotated[tuple[Number, Number], must_be("[lowest, highest]", lambda ends: ends[0] < ends[1])] | None
-    ) = None
-    full_scale: (
-        Annotated[Floats, array_of(6), must_be("positive N and N m", lambda scale: (scale > 0).all())] | None
-    ) = None
+    range_count: Range | None = None
+    full_scale: Scales | None = None
 
 
 class Factory(Settings):
     """The maker's matrix, given or in a file, which :func:`read_config` reads."""
 
-    matrix: (
-        Annotated[Floats, array_of(6, None), must_be("of 6 channels or more", lambda C: C.shape[1] >= 6)]
-        | None
-    ) = None
+    matrix: Matrix | None = None
     file: str | None = None
 
 

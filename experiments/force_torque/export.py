@@ -1,8 +1,4 @@
-"""A calibrated six-axis sensor as files: JSON and YAML in full, and an offset for ROS 2.
-
-JSON reads back to the last digit by :func:`read_calibration`; YAML is the same for people and for other
-programs. The ``force_torque_sensor_broadcaster`` of ROS 2 adds an offset to the wrench that a driver reports.
-"""
+"""A calibrated six-axis sensor as files: JSON and YAML in full, and an offset for ROS 2."""
 
 import dataclasses
 import json

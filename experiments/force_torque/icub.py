@@ -1,9 +1,7 @@
 """Six-axis calibration matrices as text files, among them those of the iCub's FTSens.
 
-An FTSens file has 43 lines: the 36 entries of C row by row as 16-bit two's-complement hexadecimal in 1.15
-fixed point, a gain of 1, and the six full scales in N and N m. The entries are those of diag(1 / full scale)
-C 32767, which map counts as shares of the converter's 32767 to shares of the full scales and must lie in [-1,
-1).
+These have 43 lines: the 36 entries of diag(1 / full scale) C 32767 row by row, in [-1, 1), as 16-bit
+two's-complement hexadecimal in 1.15 fixed point, a gain of 1, and the six full scales in N and N m.
 """
 
 from pathlib import Path

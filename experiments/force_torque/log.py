@@ -1,9 +1,4 @@
-"""Logs of in-situ calibration: a sensor's counts and an accelerometer's readings, set by set.
-
-A log is a table with one row a sample, as Parquet or CSV, with a column that names the sets; or one such file
-a set. What the table leaves open (other names, units, the added masses, frames) stands in a small
-TOML file beside it. ``docs/in-situ-log.md`` lists all columns and keys.
-"""
+"""Logs of in-situ calibration, set by set: docs/in-situ-log.md lists columns and keys of its TOML file."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -133,16 +133,14 @@ def _look(method: str) -> Look:
 
 _REPEAT = """
     All numbers are in tables/: fits.csv and sets.csv hold one row a seed, and the tables of this page begin
-    with
-    page_."""
+    with page_."""
 
 _LIMB_FIGURE = ("Weight of the limb", "A mark a seed; grey, one percent.")
 
 _FIGURE_5 = """
     Counts of the sets that were not fitted along their three main directions, the ellipsoid that gravity
-    draws,
-    the offset in its centre, and the share of their spread that lies outside these three (Lemma 1). Seed
-    0."""
+    draws, the offset in its centre, and the share of their spread that lies outside these three (Lemma 1).
+    Seed 0."""
 
 _FIGURE_6 = "Forces of the same sets, calibrated and by the manufacturer's matrix. Seed 0."
 

@@ -160,15 +160,12 @@ _EXACT: Mapping[str, Cell] = {
 
 _LIMB_NOTE = """
     Forces and torques: rms of (C A - I) w over that of w, under the loads of the sets that were not fitted.
-    The
-    manufacturer's matrix weighs no limb: it is beside the paper's."""
+    The manufacturer's matrix weighs no limb: it is beside the paper's."""
 
 _BOUND_NOTE = """
     Limb at rest, gravity exact. The Cramér-Rao bound is that of white noise and offsets that do not drift;
-    what
-    else a sensor suffers is reported, not bounded. Part of that is a matter of words: with hysteresis a
-    sensor
-    has no one slope, and the truth is that at the ends of a large swing."""
+    what else a sensor suffers is reported, not bounded. Part of that is a matter of words: with hysteresis a
+    sensor has no one slope, and the truth is that at the ends of a large swing."""
 
 _REFUSALS_NOTE = """
     Errors of the answer or, where it was refused, of a fit without that check (a dash where there is no such

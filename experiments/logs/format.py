@@ -1,13 +1,9 @@
-"""Logs of walks: one documented table for simulated and real robots.
+"""Logs of walks: one documented table for simulated and real robots; docs/log-format.md lists its columns.
 
-A log is a table with one row per sample of the feet's sensors, as Parquet or as CSV, and a description of
-the robot: its layout, mass and calibrations. In a Parquet file the description lies in the schema's
-metadata under the key ``surefoot``; beside ``walk.csv`` it lies in ``walk.json``. Columns carry their unit
-at the end of their name; those that begin with ``truth_`` hold what only a simulator knows, and no
-calibrator is shown them. ``docs/log-format.md`` lists them all.
-
-In place of the robot's beliefs a log may hold joint angles and an IMU, and name a drawing of the robot under
-``motion``: reading it makes the beliefs, for which the extra ``[sim]`` is needed.
+One row a sample of the feet's sensors, as Parquet or CSV, and a description of the robot: in the schema's
+metadata under ``surefoot``, or in ``walk.json`` beside ``walk.csv``. What begins with ``truth_`` no
+calibrator is shown. Beliefs may be made of joint angles, an IMU and a drawing under ``motion`` (extra
+``[sim]``).
 """
 
 import json

@@ -198,12 +198,8 @@ def _segments(plan: FootExcitation, prelude: Prelude) -> Table:
     )
     what = "centre of pressure" if plan.goal == "cop" else "worst channel"
     columns = ("motion", "from (s)", "to (s)", f"before ({unit})", f"after ({unit})", "nats per second")
-    return Table(
-        "plan",
-        f"{prelude.duration:.1f} s of motion: bound of the {what}'s standard deviation",
-        columns,
-        rows,
-    )
+    title = f"{prelude.duration:.1f} s of motion: bound of the {what}'s standard deviation"
+    return Table("plan", title, columns, rows)
 
 
 def _single(plan: FootExcitation) -> Table:

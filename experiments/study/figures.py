@@ -1,8 +1,7 @@
 """How figures look: one colour, line and marker for each way to read the feet, one sheet, one way to save.
 
-Lines are saved as SVG (``path`` ends in ``.svg``), clouds of many points as PNG. The colours are those of
-Okabe and Ito (2008) and two of Tol's, which people with any kind of colour vision tell apart; line styles and
-markers say the same once more. A page puts figures on a white card, so that they can be read in the dark.
+Lines are saved as SVG, clouds of many points as PNG. The colours are those of Okabe and Ito (2008) and two of
+Tol's, which people with any kind of colour vision tell apart; lines and markers say the same once more.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -100,6 +99,14 @@ def figure_at(path: Path, width: float, height: float) -> Iterator[Figure]:
 def grid_of(figure: Figure, rows: int, columns: int, **kwargs: Any) -> Any:
     """Return rows x columns axes of a figure, always as a two-dimensional array."""
     return figure.subplots(rows, columns, squeeze=False, **kwargs)
+
+
+def name_axes(panels: Any, below: str, *left: str) -> None:
+    """Label the lowest row of panels, and the first column: all of it alike, or each of its panels."""
+    for axes in panels[-1]:
+        axes.set_xlabel(below)
+    for row, axes in enumerate(panels[:, 0] if left else ()):
+        axes.set_ylabel(left[row % len(left)])
 
 
 def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6, **options: Any) -> None:

@@ -1,8 +1,7 @@
-"""Which files of surefoot a piece of work depends on, and one hash of their content.
+"""Which files of surefoot a piece of work depends on, by the imports in their text, and one hash of them.
 
-The imports are read from the source text, so no list of file names has to be kept by hand. A name that a
-package only passes on is followed to the module that defines it; a string that names a module counts as an
-import, and so does the id of an environment.
+A name that a package only passes on is followed to the module that defines it; a string that names a module
+counts as an import, and so does the id of an environment.
 """
 
 import ast

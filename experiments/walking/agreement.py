@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import Reference, ground_reference, zero_phase
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
 from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.walks.score import rms
 
 LARGEST = 1e6
 """Magnitude, in any unit, beyond which a value of a reference is left out, as calibrators leave it out."""
@@ -57,10 +58,8 @@ def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
     counted = np.isfinite(one.cop).all(axis=-1) & np.isfinite(other.cop).all(axis=-1) & (one.time >= settle)
     if not counted.any():
         return Agreement(np.nan, np.nan, 0)
-    force = (one.vgrf - other.vgrf)[counted]
     place = np.linalg.norm((one.cop - other.cop)[counted], axis=-1)
-    rms = [float(np.sqrt(np.mean(part**2))) for part in (force, place)]
-    return Agreement(rms[0], rms[1], int(counted.sum()))
+    return Agreement(rms((one.vgrf - other.vgrf)[counted]), rms(place), int(counted.sum()))
 
 
 def _late(log: Log) -> Reference:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Flag
 from surefoot.calibration.cop import sole_wrenches
-from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
+from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of, name_axes
 from surefoot.experiments.walking.agreement import Ground, asked_of, carried_by
 from surefoot.experiments.walking.tables import Facts
 
@@ -27,15 +27,16 @@ def force_of_feet(path: Path, facts: Facts) -> Path:
     log, asked = facts.log, asked_of(facts.log)
     feet = [foot.name for foot in log.layout.feet]
     with figure_at(path, 10.0, 2.0 + 1.7 * (1 + len(feet))) as figure:
-        panels = grid_of(figure, 1 + len(feet), 1, sharex=True)[:, 0]
+        grid = grid_of(figure, 1 + len(feet), 1, sharex=True)
+        panels = grid[:, 0]
         _line(panels[0], asked.time, asked.vgrf, _ASKED)
         for force, look in _sides(facts):
             vertical = sole_wrenches(force, log.layout)[..., 2]
             for axes, part in zip(panels, (vertical.sum(axis=-1), *vertical.T), strict=True):
                 _line(axes, log.time, part, look)
-        for axes, name in zip(panels, ("all feet", *(f"{name} foot" for name in feet)), strict=True):
-            axes.set_ylabel(f"{name}, Fz (N)")
-        panels[-1].set_xlabel("time (s)")
+        name_axes(
+            grid, "time (s)", *(f"{name}, Fz (N)" for name in ("all feet", *(f"{one} foot" for one in feet)))
+        )
         legend_below(figure, panels[0])
     return path
 
@@ -97,9 +98,7 @@ def parameters_over_time(path: Path, facts: Facts) -> Path:
                         long = len(line) > _LONG
                         axes.fill_between(log.time, line - half, line + half, rasterized=long, **band)
             column[0].set_title(f"{foot.name} foot")
-            column[1].set_xlabel("time (s)")
-        panels[0, 0].set_ylabel("scale, against the start (%)")
-        panels[1, 0].set_ylabel("offset, against the start (N)")
+        name_axes(panels, "time (s)", "scale, against the start (%)", "offset, against the start (N)")
         legend_below(figure, panels[0, 0])
     return path
 

@@ -1,7 +1,6 @@
 """The instruments under a recorded robot's feet: load cells, six-axis sensors at the ankles, or both.
 
-Unlike those of an environment each kind draws from a random stream of its own, so that conditions which share
-a kind share its readings, and known weights calibrate those very cells before the walk.
+Each kind draws from a random stream of its own, so that conditions which share a kind share its readings.
 """
 
 from typing import Any

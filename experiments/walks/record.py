@@ -1,8 +1,7 @@
 """Record walks as logs: the truth, the robot's beliefs, and what cells of several kinds make of them.
 
-The robot walks on its true centre of pressure, so that the walk does not depend on any calibrator. Nor do its
-load cells act back on it, so that one walk serves all conditions: the same true forces and the same beliefs,
-read by other cells. The calibration from weights is done with those very cells before the walk.
+The robot walks on its true centre of pressure, and its cells do not act back on it: one walk serves all
+conditions. The calibration from weights is done with those very cells before the walk.
 """
 
 from collections.abc import Mapping, Sequence

@@ -37,12 +37,7 @@ class Score(NamedTuple):
     held: float  # share of them in which the estimate had no centre of pressure of its own
 
 
-def cop_world(
-    force: Floats,
-    layout: FeetLayout,
-    position_sole: Floats,
-    R_world_sole: Floats,
-) -> Floats:
+def cop_world(force: Floats, layout: FeetLayout, position_sole: Floats, R_world_sole: Floats) -> Floats:
     """Return the CoP of both feet in the world in m, (N, 2), held below 5 N; NaN before the first.
 
     Of forces in N, (N, K), and the sole frames' origins in m, (N, 2, 3), and rotations to the world, (N, 2,

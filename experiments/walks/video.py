@@ -1,8 +1,7 @@
 """A film of two walkers side by side, with the centre of pressure under their feet.
 
-Left the one that feels drifting raw readings, right the one that feels calibrated ones; same robot and seed.
-Below each the soles from above, a foot that bears weight filled: a black dot marks the true centre of
-pressure, a coloured one that which the controller is given.
+Left on drifting raw readings, right on calibrated ones. Below, the soles from above, a foot that bears weight
+filled: a black dot is the true centre of pressure, a coloured one that which the controller is given.
 """
 
 import os
