@@ -54,10 +54,7 @@ class InSituStudyPage:
             rate=options.rate,
             moving=plural(min(options.seeds, options.moving_seeds), "seed"),
         )
-        title, texts = (
-            "In-situ calibration of six-axis sensors, simulated",
-            (flat(_INTRODUCTION), flat(amount)),
-        )
+        title = "In-situ calibration of six-axis sensors, simulated"
 
         def section(name: str, title: str, text: str = "", said: Any = None, **more: Any) -> Section:
             found = () if said is None else said(results)
@@ -81,7 +78,7 @@ class InSituStudyPage:
             *failure_section(results.failures),
             repeat_section((_REPEAT,), (f"{command} --out {options.out}",), results.seconds),
         )
-        return write_page(options.out / "report.html", title, texts, sections)
+        return write_page(options.out / "report.html", title, (flat(_INTRODUCTION), flat(amount)), sections)
 
 
 def _ellipsoids(folder: Path, shown: Frame) -> tuple[ReportFigure, ...]:

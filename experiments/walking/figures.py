@@ -34,9 +34,7 @@ def force_of_feet(path: Path, facts: Facts) -> Path:
             vertical = sole_wrenches(force, log.layout)[..., 2]
             for axes, part in zip(panels, (vertical.sum(axis=-1), *vertical.T), strict=True):
                 _line(axes, log.time, part, look)
-        name_axes(
-            grid, "time (s)", *(f"{name}, Fz (N)" for name in ("all feet", *(f"{one} foot" for one in feet)))
-        )
+        name_axes(grid, "time (s)", "all feet, Fz (N)", *(f"{name} foot, Fz (N)" for name in feet))
         legend_below(figure, panels[0])
     return path
 
