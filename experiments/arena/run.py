@@ -23,11 +23,8 @@ from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.video import Film, join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
-WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}
-"""The weights of Eq. 14, and the window's options that scale them."""
-
-FALL_TO_SHOW = STAND_TIME + 6.0
-"""Time in s at about which the raw walker of a film best falls: after some steps."""
+WEIGHTS = {"w_F": "force_weight", "w_P": "cop_weight", "w_S": "smoothness_weight"}  # of Eq. 14
+FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
 
 
 @dataclass(eq=False)

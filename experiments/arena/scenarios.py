@@ -86,8 +86,7 @@ _WARM = Condition(
 )
 _ANKLE = Condition("ankle", "six-axis sensors in the ankles", None, "nominal", ForceTorque())
 _BOTH = Condition("both", "cells and six-axis sensors", LoadCells(rate=None), "nominal", ForceTorque())
-_WIDE_OFFSETS = {"moment": {"offset_std": 0.1}}
-"""What is known of the six-axis sensors: offsets of some 5 N, a tenth of the weight."""
+_WIDE_OFFSETS = {"moment": {"offset_std": 0.1}}  # of some 5 N, a tenth of the weight
 
 _FOOT_LENGTH = {"foot_length": 0.17}
 _ROUTE = ((6.0, 0.04, 0.0), (2.0, 0.0, 0.0), (6.0, 0.0, 0.2), (6.0, 0.04, 0.1), (2.0, 0.0, 0.0))

@@ -17,10 +17,7 @@ Floats = NDArray[np.float64]
 
 FALLING = 1.0  # the last s before a robot lay on the ground, in which it no longer walks
 LEAST_JUDGED = 4.0  # shortest part of a walk in s that is worth a score
-
-FAULT_DELAY = 4.0
-"""How long after the settling time the first fault may come, in s; a third of what is left if that
-is less."""
+FAULT_DELAY = 4.0  # s after settling until which a fault may come; at most a third of what is left
 
 _NOISE_STREAM = 0xFA18
 

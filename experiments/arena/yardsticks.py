@@ -16,13 +16,8 @@ from surefoot.experiments.walks.score import cop_world, score_forces, vertical_f
 
 Floats = NDArray[np.float64]
 
-OTHER_WAYS = ("baseline", "reference")
-"""Ways to read the feet that are no methods: the calibration from weights before the walk, kept; and the
-reference, what the motion asks for."""
-
-TRACE = (8.0, 2.0)
-"""Which part of a walk is kept for figures, in s before its end: the last steps before the robot stops, when
-whatever converges has converged."""
+OTHER_WAYS = ("baseline", "reference")  # no methods: weights before the walk, kept; what the motion asks for
+TRACE = (8.0, 2.0)  # kept for figures, in s before the end: the last steps before the robot stops
 
 
 def yardsticks_of(stream: Stream, method: str, force: Floats, settle: float) -> list[dict[str, Any]]:

@@ -29,9 +29,7 @@ from surefoot.experiments.study.tables import Frame
 
 Floats = NDArray[np.float64]
 
-Line = Callable[[Floats, Floats], Floats | None]
-"""Makes what is drawn over time of a quantity and of its truth."""
-
+Line = Callable[[Floats, Floats], Floats | None]  # of a quantity and its truth
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order
 
 _METRICS = (("cop", 1e3, "CoP rmse (mm)"), ("vgrf", 1.0, "vGRF rmse (N)"))

@@ -8,8 +8,7 @@ from surefoot.experiments.arena.scenarios import PAPER_SCENARIOS, SPEEDS
 from surefoot.experiments.walks.record import CONDITIONS
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
-_LOOPED = tuple(feed for feed in FEEDS if feed != "weights")
-"""What is fed back: where no weights ever stood on the cells, there is no calibration from them."""
+_LOOPED = tuple(feed for feed in FEEDS if feed != "weights")  # no weights, no calibration
 
 
 def full_options(

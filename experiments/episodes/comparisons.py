@@ -39,8 +39,7 @@ class Difference:
         return Verdict.of(self.interval.mean > 0.0, "yes")
 
 
-Pair = tuple[Run, Run, str, float | None, bool]
-"""Two runs, which is taken from which, the severity, and whether more is better."""
+Pair = tuple[Run, Run, str, float | None, bool]  # two runs, in words, severity, whether more is better
 
 
 def _feeds(frame: Frame, who: str) -> Iterator[Pair]:

@@ -32,10 +32,7 @@ COP_INPUTS = ("given", "frozen", "swapped", "shuffled")
 quiet stand; another episode's at the same time; that of another episode at times in random order."""
 
 TAKEN = ("swapped", "shuffled")  # those that take another episode's
-
-DONOR = 500_000
-"""What is added to an episode's seed to get that of the episode whose centre of pressure it takes."""
-
+DONOR = 500_000  # added to a seed for that of the episode whose centre of pressure is taken
 TABLE = "episodes"  # name of the table of a study's store that holds the rows
 
 _WHAT = ("controller", "controller_hash", "trained", "feed", "cop_input", "scenario", "severity", "seed")
@@ -43,8 +40,7 @@ _WHAT = ("controller", "controller_hash", "trained", "feed", "cop_input", "scena
 
 _DIGEST_DIGITS = 32
 
-_Cop = tuple[NDArray[Any], NDArray[Any]]
-"""A centre of pressure and whether it is valid, as an observation shows them."""
+_Cop = tuple[NDArray[Any], NDArray[Any]]  # and whether it is valid
 
 
 @dataclass(frozen=True)

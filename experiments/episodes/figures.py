@@ -26,8 +26,7 @@ from surefoot.experiments.study.page import ReportFigure
 from surefoot.experiments.study.statistics import fall_share, mean_interval, survival
 from surefoot.experiments.study.tables import Frame
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#882255", "#56B4E9")
-"""Of severities; those of Okabe and Ito (2008), and one of Tol's."""
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#882255", "#56B4E9")  # of severities
 
 _MARKERS = "osD^vP"
 

@@ -11,8 +11,7 @@ from surefoot.experiments.study.tables import Frame, Table, interval_text
 BETTER, UNCLEAR, WORSE = "clearly better than", "not clearly different from", "clearly worse than"
 """How both together compare with either alone, as far as an interval tells."""
 
-_FEEDS = {"none": "drifting", CALIBRATED: "calibrated"}
-"""The feet that randomisation and calibration are compared on, and what they are called."""
+_FEEDS = {"none": "drifting", CALIBRATED: "calibrated"}  # feet that are compared
 
 _GAPS = {
     "randomisation": "randomised less clean, both drifting",

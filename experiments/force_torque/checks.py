@@ -11,20 +11,11 @@ from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.table import LogError
 
 FEWEST = 8  # samples without which a set is no set: an affine map of gravity has four unknowns a channel
-
-MANY = 0.01
-"""Share of a channel's readings at the end of its range from which the channel is saturated, not grazed."""
-
+MANY = 0.01  # share of readings at the end of its range from which a channel is saturated
 MOSTLY = 0.5  # share of missing readings from which a channel counts as dead
-
-RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)
-"""Last codes of 16- and 24-bit converters; 0 is left out, as it is a reading like others."""
-
+RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)  # converters end here
 GAP = 3.0  # times the usual step from which two rows have a gap between them
-
-POSES = 0.1
-"""Share of gaps from which the rows are poses held one by one, which have no rate: no pause is a gap."""
-
+POSES = 0.1  # share of gaps from which rows are poses held one by one, which have no rate
 SLOWEST_GYROSCOPE = 0.5  # time in s between two rows from which a gyroscope cannot be followed
 TURNED = 0.5  # time in s over which both sides of dg/dt = -w x g are summed
 CLEAR = 0.5  # correlation from which two signals have a common sign

@@ -75,8 +75,7 @@ class Accelerometer(Settings):
 
     R_sensor_accelerometer: Rotation = Field(default_factory=lambda: np.eye(3))
     position_m: Place = Field(default_factory=lambda: np.zeros(3))
-    calibrate: AccelerometerModel | None = None
-    """What is fitted to the accelerometer before all else; nothing by default."""
+    calibrate: AccelerometerModel | None = None  # fitted before all else
 
 
 class Sensor(Settings):
@@ -98,8 +97,7 @@ class Limb(Settings):
     """The bare limb beyond the sensor, as a pair of scales shows it."""
 
     mass_kg: Positive | None = None
-    mass_std_kg: Positive | None = None
-    """With it the known mass enters the fit; without it the fit is only compared with it."""
+    mass_std_kg: Positive | None = None  # with it the known mass enters the fit; else it is only compared
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

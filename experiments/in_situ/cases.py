@@ -36,8 +36,7 @@ Rows = list[dict[str, Any]]
 
 SENSORS = ("foot", "leg")
 
-BATCH = 4
-"""Seeds of a case: what the rig and the sensors show of eight sets of 30,000 samples are 80 MB a seed."""
+BATCH = 4  # seeds of a case, of 80 MB each
 
 KINDS = {
     "still": "white noise, and offsets that are known not to drift",
@@ -68,8 +67,7 @@ MOTIONS = (
 )
 """What is compared: as long as the paper's, as short as a sweep can be, and fast."""
 
-REST = 60.0
-"""Time in s that the limb rests in many postures so that the accelerometer of a fast motion is calibrated."""
+REST = 60.0  # s of rest in many postures for the accelerometer of a fast motion
 
 
 def exact_errors(sensor: str, rate: float) -> dict[str, Rows]:

@@ -24,9 +24,7 @@ from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 
 FRAMES = ("exact", "fits", "sets", "white", "motions", "refusals")  # the tables of numbers that a study makes
-
-SLOWEST = {"exact": 10.0, "refusals": 5.0}
-"""Samples per s that are enough for a sensor without error, and for spoilt experiments."""
+SLOWEST = {"exact": 10.0, "refusals": 5.0}  # samples per s that are enough
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,7 @@ joints and what gives under load make up some millimetres."""
 
 TOGETHER = 0.003  # height in m up to which two soles may stand on the same floor
 MOVING = 0.03  # speed in m/s of one sole against the other at which one of them surely does not stand
-
-PAUSE = 0.1
-"""Time in s before and after which a foot in the air must move: it turns round at the top of a step."""
-
+PAUSE = 0.1  # s before and after which a foot in the air must move: it turns round at the top
 CARRIED = 0.5  # share of the weight that the ground must carry for any foot to be sure to stand
 
 GUESSED = "guessed from the height and speed of the soles"

@@ -12,8 +12,7 @@ from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError, LogTable
 
-CLOCK_SPAN = 257
-"""Rows over which the times of joints and IMU are averaged: they come at an even rate, but late by chance."""
+CLOCK_SPAN = 257  # rows over which times are averaged: the rate is even, but lateness is chance
 
 LOST, AROUND = 1.6, 16
 """A step of this many periods or more between two rows may mean that rows in between were lost: they were if
@@ -21,10 +20,7 @@ as many rows after it are, by their median, later than those before by most of a
 
 PACKET = "packet"  # a column that numbers the packets, where the robot does
 LARGEST_ANGLE = 2.1 * np.pi  # joint angle in rad that no hinge goes beyond
-
-LARGEST_FORCE, LARGEST_SPIN = 500.0, 100.0
-"""Specific force in m/s^2 and angular velocity in rad/s beyond which a row of an IMU is an error."""
-
+LARGEST_FORCE, LARGEST_SPIN = 500.0, 100.0  # m/s^2 and rad/s beyond which a row of an IMU is wrong
 LARGEST_VALUE = 1e9  # what no sensor reads in any unit
 
 ACCELEROMETER = tuple(f"accelerometer_{axis}_m_s2" for axis in "xyz")

@@ -23,11 +23,8 @@ from surefoot.experiments.study.tables import Frame
 
 FIGURE, CARD, SCORES = "curve.png", "card.md", "evaluation.csv"
 
-WHOSE = ("controller", "policy file", "task", "seeds")
-"""Columns of the scores' file that say whose scores they are; a card has them of one policy."""
-
-_REWARD, _FALLS = "#0072B2", "#D55E00"
-"""Colours of a learning curve; those of Okabe and Ito (2008)."""
+WHOSE = ("controller", "policy file", "task", "seeds")  # columns that say whose scores they are
+_REWARD, _FALLS = "#0072B2", "#D55E00"  # of a learning curve
 
 _TRAINED = {
     "true": "the true centre of pressure, joints and tilt from encoders and IMU with their errors",

@@ -40,9 +40,7 @@ BUILT_IN = tuple(_BUILT_IN)  # controllers that learnt nothing
 _SHIPPED: Mapping[str, str] = {"shipped": "true", "shipped-randomised": "randomised"}
 """Policies that come with the package, and what they were trained on."""
 
-_FILES = (".npz", ".zip")
-"""Endings of files: a zip of Stable-Baselines3 is refused, with what to do, and not taken for a module."""
-
+_FILES = (".npz", ".zip")  # a zip of Stable-Baselines3 is refused, with what to do
 _LONGEST_DRAWN = 40  # characters of a name for which a figure has room
 
 

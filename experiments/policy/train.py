@@ -28,8 +28,7 @@ CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv
 """What a training leaves in its folder."""
 
 
-Progress = Callable[[int, dict[str, float]], None]
-"""Called after each update with how many there were, and the newest row of the curve."""
+Progress = Callable[[int, dict[str, float]], None]  # after each update: how many there were, and the row
 
 
 class TrainingError(ValueError):

@@ -18,14 +18,9 @@ from surefoot.experiments.walks.walkers import TruthTap, feed_named, on_feet
 
 PARTS = ("state", "cop", "cop_valid")  # parts of an observation that a policy sees, in this order
 _LEGS = 12  # hinge joints of both legs, which come first
-
-_COP_PARTS = 6
-"""Numbers beside the state: the centre of pressure (2), whether it is valid (3), and a constant one."""
-
+_COP_PARTS = 6  # numbers beside the state: CoP (2), whether it is valid (3), a constant one
 _JOINT_UNIT = 0.1  # unit in which a policy sees joint angles, in rad
-
-_COP_UNIT, _ERROR_UNIT = 0.03, 0.01
-"""Units in which it sees the centre of pressure, and its difference to the commanded one, in m."""
+_COP_UNIT, _ERROR_UNIT = 0.03, 0.01  # m, of the CoP and of its difference to the commanded one
 
 
 def make_task(

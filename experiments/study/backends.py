@@ -15,15 +15,9 @@ from typing import Any
 
 from joblib.externals import loky
 
-BACKENDS = ("local", "dask", "ray", "here")
-"""Processes of this machine, two clusters, and this very process: for debuggers, where a crash ends all."""
-
-IDLE_TIMEOUT = 20.0
-"""Time in s after which a local worker that has nothing to do leaves: workers of a process that was killed do
-not know of it, and end so."""
-
-Task = tuple[Callable[..., Any], tuple[Any, ...]]
-"""A function and what to give it; both must survive pickling."""
+BACKENDS = ("local", "dask", "ray", "here")  # here: for debuggers, where a crash ends all
+IDLE_TIMEOUT = 20.0  # s after which an idle local worker leaves, also one whose process was killed
+Task = tuple[Callable[..., Any], tuple[Any, ...]]  # must survive pickling
 
 _DEATHS = ("BrokenExecutor", "KilledWorker", "WorkerCrashedError", "OutOfMemoryError")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

@@ -29,9 +29,7 @@ from surefoot.experiments.study.store import Case, Outcome, Store, StudyError
 from surefoot.experiments.study.tables import plural
 
 LONGEST_ERROR = 4000  # characters of a failed case's traceback that are kept, its end
-
-Failed = Callable[[Case, str], Mapping[str, Any]]
-"""Makes the rows of a case that failed, from what was raised."""
+Failed = Callable[[Case, str], Mapping[str, Any]]  # rows of a failed case, from what was raised
 
 
 @dataclass(eq=False)

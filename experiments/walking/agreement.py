@@ -15,9 +15,7 @@ from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_mome
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.walks.score import rms
 
-LARGEST = 1e6
-"""Magnitude, in any unit, beyond which a value of a reference is left out, as calibrators leave it out."""
-
+LARGEST = 1e6  # magnitude in any unit of references that calibrators leave out
 CUTOFF = 10.0  # cutoff of the filter that both sides pass, in Hz
 
 

@@ -17,9 +17,7 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#
 _ASKED = look_of("reference")._replace(label="what the motion asks for", line="-")
 
 _LONG = 2000  # points from which a line is an image within the SVG, which would grow with it
-
-_CLOSE_UP = 0.6, 20.0
-"""Room around what the motion asks for, in shares of its range, and the least range in mm."""
+_CLOSE_UP = 0.6, 20.0  # room around what the motion asks for, in shares of its range; the least in mm
 
 
 def force_of_feet(path: Path, facts: Facts) -> Path:

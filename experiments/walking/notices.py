@@ -9,13 +9,8 @@ from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.agreement import asked_of
 
-MOST = 3.0
-"""By how much the feet's total may differ from the weight, as a factor, before units must be wrong: scales of
-cells that nobody calibrated are off by tens of percent."""
-
-STILL = 0.003
-"""Standard deviation in m of the centre of pressure that the motion asks for, below which a robot stands."""
-
+MOST = 3.0  # times that the feet's total may differ from the weight before units must be wrong
+STILL = 0.003  # std in m of the CoP that the motion asks for, below which a robot stands
 ALIKE = 0.03  # relative difference between the mass in the description and the drawing's that needs no word
 
 _UNITS = {

@@ -26,8 +26,7 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
 the truth; drifting readings by the sensors' nominal map; the same readings by the map that known weights gave
 just before the episode; and each calibration method."""
 
-STAND_TIME = 4.0
-"""Time in s that the robot stands before it walks: a standing start needs three, and the filters a while."""
+STAND_TIME = 4.0  # s of standing before a walk: a standing start needs three, the filters a while
 
 
 def feed_named(name: str) -> str:
