@@ -23,17 +23,15 @@ from operator import or_
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration import Flag
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.arena.replay import Played
 from surefoot.experiments.arena.streams import Stream
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.score import cop_world, rms, vertical_forces
-
-Floats = NDArray[np.float64]
 
 _FLAGS = (Flag.SPIKE, Flag.STUCK, Flag.DEAD, Flag.FLIPPED, Flag.SWAPPED, Flag.LOST, Flag.SATURATED)
 FAULT_FLAGS = reduce(or_, _FLAGS)  # flags that accuse a channel

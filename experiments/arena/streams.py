@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.scenarios import Scenario
 from surefoot.experiments.arena.walks import log_paths
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
-
-Floats = NDArray[np.float64]
 
 FALLING = 1.0  # the last s before a robot lay on the ground, in which it no longer walks
 LEAST_JUDGED = 4.0  # shortest part of a walk in s that is worth a score

@@ -6,15 +6,13 @@ The yardstick ``"baseline"`` is the calibration from known weights, applied to t
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration import ground_reference
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.walks.score import cop_world, score_forces, vertical_forces
-
-Floats = NDArray[np.float64]
 
 OTHER_WAYS = ("baseline", "reference")  # no methods: weights before the walk, kept; what the motion asks for
 TRACE = (8.0, 2.0)  # kept for figures, in s before the end: the last steps before the robot stops

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import (
     Look,
     draw_curve,
@@ -26,8 +26,6 @@ from surefoot.experiments.study.figures import (
 )
 from surefoot.experiments.study.statistics import mean_interval, survival
 from surefoot.experiments.study.tables import Frame
-
-Floats = NDArray[np.float64]
 
 Line = Callable[[Floats, Floats], Floats | None]  # of a quantity and its truth
 DRAWN = ("truth", "none", "quasi-static", "window", "moment")  # what is drawn over time, in drawing order

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, StrictBool, model_validator
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel
 from surefoot.calibration.in_situ import InSituOptions
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.logs.settings import Number, Positive, Settings, array_of, must_be
 from surefoot.experiments.logs.table import LogError
@@ -21,9 +21,6 @@ SI = {
     "rad/s": 1.0, "deg/s": float(np.pi / 180.0), "degC": 0.0, "K": -273.15,
 }  # fmt: skip
 """What each unit is worth in SI: a factor, for temperatures what is added."""
-
-
-Floats = NDArray[np.float64]
 Axes = tuple[str, str, str]
 Place = Annotated[Floats, array_of(3)]
 Range = Annotated[tuple[Number, Number], must_be("[lowest, highest]", lambda ends: ends[0] < ends[1])]

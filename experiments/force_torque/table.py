@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.config import SI, Columns, InSituConfig
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
-
-Floats = NDArray[np.float64]
 
 _VECTORS = {"gravity": "m_s2", "specific_force": "m_s2", "angular_velocity": "rad_s", "added_com": "m"}
 _SCALARS = {"time": "time_s", "set": "set", "temperature": "temperature_degC", "added_mass": "added_mass_kg"}

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
@@ -15,10 +14,9 @@ from surefoot.calibration.in_situ.validation import (
     motion_wrench,
     offset_of_set,
 )
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.study.tables import Table, number
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ import InSituOptions, calibrate_in_situ, estimate_matrix, estimate_offset
 from surefoot.calibration.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,
     moving_sets,
@@ -31,7 +31,6 @@ from surefoot.experiments.in_situ.methods import (
 )
 from surefoot.sensors import StrainGauges
 
-Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]
 
 SENSORS = ("foot", "leg")

@@ -8,11 +8,11 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.imu import calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituSet, Limb
 from surefoot.envs.leg_rig.recording import RigRecording
+from surefoot.experiments.arrays import Floats
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 from surefoot.sensors.devices.strain_gauges import (
     StrainGaugeState,
@@ -20,8 +20,6 @@ from surefoot.sensors.devices.strain_gauges import (
     shift_offset,
     true_response,
 )
-
-Floats = NDArray[np.float64]
 
 XSENS_MTX = Imu(
     accelerometer_noise=2.0e-3,

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.calibration.imu import savitzky_golay
 from surefoot.calibration.in_situ import (
@@ -18,9 +17,8 @@ from surefoot.calibration.in_situ import (
     estimate_offset,
 )
 from surefoot.calibration.in_situ.validation import added_mass, offset_of_set, semi_axes
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.in_situ.instruments import SensorTruth
-
-Floats = NDArray[np.float64]
 
 FITTED = 4  # sets that are fitted, the first ones; the others validate (in-situ paper, IV)
 

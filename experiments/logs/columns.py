@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
-
-Floats = NDArray[np.float64]
+from surefoot.experiments.arrays import Floats
 
 _VECTORS = {
     "com": "m",

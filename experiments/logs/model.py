@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Reference
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
@@ -27,8 +28,6 @@ _NOT_NEEDED = (
     "hfields", "textures", "materials",
 )  # fmt: skip
 """Parts that need files or that a posture does not; what refers to others goes first."""
-
-Floats = NDArray[np.float64]
 
 
 class LogModel:

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameters
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.tables import Table, number
 from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.walks.score import score_forces
-
-Floats = NDArray[np.float64]
 
 FLAG_WORDS = {
     "MISSING": "no reading arrived; the last one is held",

@@ -10,15 +10,13 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.controllers import Stabiliser, zero_action
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.score import rms
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap, make_walker
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-
-Floats = NDArray[np.float64]
 
 
 class Moment(NamedTuple):

@@ -6,16 +6,14 @@ Each kind draws from a random stream of its own, so that conditions which share 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.weights.weighing import run_weighing
 from surefoot.sensors import ForceTorque, LoadCells
 from surefoot.wrappers.instruments import Instruments, SensorsInAnkles
-
-Floats = NDArray[np.float64]
 
 _STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
 

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters, Reference, replay
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
-
-Floats = NDArray[np.float64]
 
 
 class LogBatch(NamedTuple):

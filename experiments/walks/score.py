@@ -16,12 +16,11 @@ that is the same formula with other forces in the truth's place.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
-
-Floats = NDArray[np.float64]
+from surefoot.experiments.arrays import Floats
 
 
 class Score(NamedTuple):
