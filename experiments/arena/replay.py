@@ -23,10 +23,7 @@ SNAPSHOT = 1.0  # time between looks at a covariance in s
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """How the errors of one run agree with the uncertainty claimed: squared errors by it, over their number.
-
-    1 is right, more is too sure of itself, NaN where nothing is claimed.
-    """
+    """Squared errors of one run by the covariance claimed, over their number: 1 is right, NaN is no claim."""
 
     time: Floats  # of M looks in s, shape (M,)
     nees: Floats  # of (a, b), shape (M,)

@@ -55,18 +55,13 @@ def _train(out: Path, options: Any, restart: bool) -> None:
     )
     try:
         with Progress(*columns, console=console) as bar:
-            task = bar.add_task(
-                "Training",
-                total=options.updates,
-                completed=trainer.updates,
-                reward=float("nan"),
-                fell=float("nan"),
-            )
-            trainer.run(
-                lambda done, row: bar.update(
-                    task, completed=done, reward=row["reward_per_decision"], fell=row["fell"]
-                )
-            )
+            nothing: Any = {"reward": float("nan"), "fell": float("nan")}
+            task = bar.add_task("Training", total=options.updates, completed=trainer.updates, **nothing)
+
+            def show(done: int, row: dict[str, float]) -> None:
+                bar.update(task, completed=done, reward=row["reward_per_decision"], fell=row["fell"])
+
+            trainer.run(show)
     except KeyboardInterrupt:
         fail(f"stopped; the same command goes on from the last checkpoint in '{out}'.")
     finally:

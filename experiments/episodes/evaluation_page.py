@@ -69,10 +69,7 @@ _AGAIN = (
 
 
 class EvaluationPage:
-    """Tables and figures of an evaluation, and the page that holds them.
-
-    Raises ValueError if there are no episodes, or of several tasks, or one of them twice.
-    """
+    """Tables, figures and page of episodes of one task; ValueError if none, twice or of several."""
 
     def __init__(self, frame: Frame) -> None:
         failed = frame["error"] != "" if "error" in frame else frame["feed"] == ""

@@ -75,10 +75,7 @@ def read_rows(path: Path) -> Frame:
 
 
 def read_episodes(path: Path, controller: str = "") -> Frame:
-    """Return checked episodes of a file or folder, in order, without failures; ValueError names the column.
-
-    A controller's name stands in place of what the file says.
-    """
+    """Return checked episodes in order, without failures, perhaps renamed; ValueError names the column."""
     frame = read_rows(path)
     if "error" in frame:
         frame = frame[frame["error"] == ""]

@@ -46,10 +46,7 @@ class Calibrated:
 
     @cached_property
     def offsets(self) -> Floats:
-        """Offset of each set in counts that its forces are shown with, shape (J, k).
-
-        Fitted to each set alike: the fit's own follow drift and hysteresis within the set.
-        """
+        """Offset of each set in counts, (J, k), fitted to each alike: the fit's own follow drift."""
         fit, found = self.fit, []
         for data in self.sets:
             still = data.raw - motion_wrench(data, fit.limb) @ fit.response.T

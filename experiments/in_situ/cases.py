@@ -170,10 +170,7 @@ def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[s
 
 
 def compare_motion(index: int, seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
-    """Calibrate from one kind of motion, by its place in :data:`MOTIONS`; fast ones take at least 100 Hz.
-
-    ``motions`` has a row a sensor and seed: ``minutes`` of data, and :func:`fit_row`.
-    """
+    """Calibrate from one of :data:`MOTIONS`, fast at 100 Hz at least: ``motions``, see :func:`fit_row`."""
     motion = MOTIONS[index]
     rate = max(rate, 100.0) if motion.fast else rate
     how: dict[str, Any] = {"duration": motion.duration, "rate": rate, "fast_motion": motion.fast}

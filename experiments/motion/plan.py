@@ -118,10 +118,7 @@ def _limits(limited: Any, ranges: Any) -> Any:
 def rehearse(
     rehearsal: Rehearsal, names: Sequence[str] | None = None, limits: Limits | None = None
 ) -> tuple[MovingRobot, dict[str, str]]:
-    """Return a robot with the motions that it can do, and why it cannot do the others.
-
-    By default the farthest of each kind that goes is taken, of all that are offered.
-    """
+    """Return a robot with what it can do, the farthest of each kind by default, and why not the others."""
     limits = Limits() if limits is None else limits
     motions: dict[str, FootMotion] = {}
     refused: dict[str, str] = {}
@@ -185,21 +182,14 @@ def _segments(plan: FootExcitation, prelude: Prelude) -> Table:
     factor, unit = (1e3, "mm") if plan.goal == "cop" else (1.0, "N")
     start = np.concatenate([[0.0], plan.time[:-1]])
     before = np.concatenate([[plan.before], plan.std[:-1]])
-    rows = tuple(
-        (
-            name,
-            f"{a:.1f}",
-            f"{b:.1f}",
-            f"{factor * s:.2f}",
-            f"{factor * e:.2f}",
-            f"{np.log(s / e) / (b - a):.3f}",
-        )
-        for name, a, b, s, e in zip(plan.motions, start, plan.time, before, plan.std, strict=True)
-    )
+    rows = []
+    for name, a, b, s, e in zip(plan.motions, start, plan.time, before, plan.std, strict=True):
+        rate = f"{np.log(s / e) / (b - a):.3f}"
+        rows.append((name, f"{a:.1f}", f"{b:.1f}", f"{factor * s:.2f}", f"{factor * e:.2f}", rate))
     what = "centre of pressure" if plan.goal == "cop" else "worst channel"
     columns = ("motion", "from (s)", "to (s)", f"before ({unit})", f"after ({unit})", "nats per second")
     title = f"{prelude.duration:.1f} s of motion: bound of the {what}'s standard deviation"
-    return Table("plan", title, columns, rows)
+    return Table("plan", title, columns, tuple(rows))
 
 
 def _single(plan: FootExcitation) -> Table:

@@ -92,10 +92,7 @@ def moments(
     settle: float = 0.0,
     change: Callable[[dict[str, Any]], dict[str, Any]] = lambda observation: observation,
 ) -> Iterator[Moment]:
-    """Run an episode, a control step at a time, until its end or the fall, and close its environment.
-
-    The controller is asked after a quiet stand of ``settle`` s; what it sees may be changed.
-    """
+    """Run an episode by control steps, and close it; ``settle`` s of quiet stand come before control."""
     bare: Any = env.unwrapped
     waiting, steps, done = round(settle / bare.dt), 0, False
     try:

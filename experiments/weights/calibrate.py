@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.experiments.logs.table import LogError, read_table
 from surefoot.experiments.study.files import write_text
-from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.study.tables import Cell, Table, laid_out, number
 
 
 def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
@@ -40,18 +40,12 @@ def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
         "offset_N": fit.value.offset.tolist(),
     }
     write_text(out, json.dumps(facts, indent=1))
-    rows = tuple(
-        (
-            name,
-            str(stats.samples),
-            f"{1e6 * fit.value.scale[i]:.6f}",
-            f"{1e6 * np.sqrt(fit.covariance[i, 0, 0]):.1g}",
-            f"{fit.value.offset[i]:.5f}",
-            number(1e3 * stats.residual_rms),
-        )
-        for i, (name, stats) in enumerate(zip(names, fit.stats, strict=True))
-    )
-    columns = (
-        "cell", "weighings", "scale (1e-6 N/count)", "± (one sigma)", "offset (N)", "residual rms (mN)",
-    )  # fmt: skip
-    return Table("weighings", "F = scale · count + offset", columns, rows), out
+    columns: dict[str, Cell] = {
+        "cell": lambda i: names[i],
+        "weighings": lambda i: str(fit.stats[i].samples),
+        "scale (1e-6 N/count)": lambda i: f"{1e6 * fit.value.scale[i]:.6f}",
+        "± (one sigma)": lambda i: f"{1e6 * np.sqrt(fit.covariance[i, 0, 0]):.1g}",
+        "offset (N)": lambda i: f"{fit.value.offset[i]:.5f}",
+        "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
+    }
+    return laid_out("weighings", "F = scale · count + offset", columns, range(len(names))), out

@@ -139,14 +139,8 @@ def run_weighing(
         corrections.append(fit)
         before, after = (part.force(raw)[held_out][:, where] for part in (nominal, channels.value))
         initial.append(fit.score(before, load[held_out], hole[held_out]))
-        placements.append(
-            Placements(
-                hole=hole[held_out],
-                load=load[held_out],
-                cop_initial=cop_of_cells(before, _positions(foot)),
-                cop_calibrated=fit.cop(after),
-            )
-        )
+        off, right = cop_of_cells(before, _positions(foot)), fit.cop(after)
+        placements.append(Placements(hole[held_out], load[held_out], off, right))
     return WeighingReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
