@@ -56,6 +56,8 @@ class Placements:
     load: NDArray[np.float64]  # in N, shape (n,)
     cop_initial: NDArray[np.float64]  # by the data sheet's map in m, shape (n, 2); NaN below 5 N
     cop_calibrated: NDArray[np.float64]  # by the fitted channels and correction
+    vgrf_initial: NDArray[np.float64]  # vertical force by the data sheet's map in N, shape (n,)
+    vgrf_calibrated: NDArray[np.float64]  # by the fitted channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +141,8 @@ def run_weighing(
         corrections.append(fit)
         before, after = (part.force(raw)[held_out][:, where] for part in (nominal, channels.value))
         initial.append(fit.score(before, load[held_out], hole[held_out]))
-        off, right = cop_of_cells(before, _positions(foot)), fit.cop(after)
-        placements.append(Placements(hole[held_out], load[held_out], off, right))
+        cops, sums = (cop_of_cells(before, _positions(foot)), fit.cop(after)), (before.sum(1), after.sum(1))
+        placements.append(Placements(hole[held_out], load[held_out], *cops, *sums))
     return WeighingReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
