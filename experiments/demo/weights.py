@@ -120,10 +120,9 @@ def cop_figure(path: Path, report: WeighingReport) -> Path:
 
 def vgrf_figure(path: Path, report: WeighingReport) -> Path:
     """Draw the vertical force of held-out placements on both feet (the paper's Figure 8)."""
-    load, initial, calibrated = (
-        np.concatenate([getattr(foot, name) for foot in report.held_out])
-        for name in ("load", "vgrf_initial", "vgrf_calibrated")
-    )
+    load = np.concatenate([foot.load for foot in report.held_out])
+    initial = np.concatenate([foot.vgrf_initial for foot in report.held_out])
+    calibrated = np.concatenate([foot.vgrf_calibrated for foot in report.held_out])
     order, index = np.argsort(load, kind="stable"), np.arange(len(load))
     with figure_at(path, 9.0, 4.2) as figure:
         top, bottom = grid_of(figure, 2, 1, sharex=True, height_ratios=[2, 1])[:, 0]

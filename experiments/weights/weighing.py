@@ -141,8 +141,15 @@ def run_weighing(
         corrections.append(fit)
         before, after = (part.force(raw)[held_out][:, where] for part in (nominal, channels.value))
         initial.append(fit.score(before, load[held_out], hole[held_out]))
-        cops, sums = (cop_of_cells(before, _positions(foot)), fit.cop(after)), (before.sum(1), after.sum(1))
-        placements.append(Placements(hole[held_out], load[held_out], *cops, *sums))
+        unseen = Placements(
+            hole=hole[held_out],
+            load=load[held_out],
+            cop_initial=cop_of_cells(before, _positions(foot)),
+            cop_calibrated=fit.cop(after),
+            vgrf_initial=before.sum(axis=1),
+            vgrf_calibrated=after.sum(axis=1),
+        )
+        placements.append(unseen)
     return WeighingReport(
         channel_names=layout.channel_names,
         channel_load=np.array(setup.channel_loads),
