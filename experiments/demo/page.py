@@ -72,10 +72,9 @@ _TEXTS = {
     "loop": """
         The stabiliser holds the centre of pressure in its observation against the planned one and moves
         the ankles. It is the same controller every time and begins with the first step, after {stand:g} s
-        of standing; only the feet it feels differ. Severity 1 is the bad start (scales off by 12 %,
-        offsets by 1.5 N, drift 2 % and 1 N per square root of a minute), severity 3 three times that;
-        there are small pushes, and the ground's friction is drawn. What the walker tolerates depends on
-        the controller: it balances on its tilt as well.""",
+        of standing; only the feet it feels differ. Severity 1 is the bad start,
+        severity 3 three times that; there are small pushes, and the ground's friction is drawn. What the
+        walker tolerates depends on the controller: it balances on its tilt as well.""",
     "sensitivity": """
         The paper scales each of the window's weights (Eq. 14) by 0.2 to 5 and reports that little changes.
         So did we, on the same logs: w_F of the vertical force, w_P of the centre of pressure, w_S of the

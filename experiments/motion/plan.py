@@ -33,8 +33,7 @@ class Limits:
 
     torque: float = 0.95  # largest torque of a leg's motor, as a share of its limit
     margin: float = 0.12
-    """Least distance of a foot's centre of pressure from the edge of its sole, as a share of half its
-    length or width; less where one foot is taking over from the other, for a tenth of a second."""
+    """Least distance of a foot's CoP from its sole's edge, as a share of half its length or width, over 0.1 s."""
 
 
 @dataclass(frozen=True)
