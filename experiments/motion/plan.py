@@ -33,7 +33,7 @@ class Limits:
 
     torque: float = 0.95  # largest torque of a leg's motor, as a share of its limit
     margin: float = 0.12
-    """Least distance of a foot's CoP from its sole's edge, as a share of half its length or width, over 0.1 s."""
+    """Least distance of a foot's CoP from its edge, as a share of half its length or width, for 0.1 s."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
         **{name: {"method": name} for name in reversed(METHODS) if name != "none"},
     }
 )
-"""Sources of a controller's CoP, with options of :class:`SelfCalibration`: the truth; drifting readings by the
+"""Sources of a controller's CoP, with options of SelfCalibration: the truth; drifting readings by the
 nominal map, or by that which known weights gave just before the episode; and each calibration method."""
 
 STAND_TIME = 4.0  # s of standing before a walk: a standing start needs three, the filters a while
