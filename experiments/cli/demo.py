@@ -33,7 +33,7 @@ def view(
     severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
     video: Annotated[Path | None, Option(help="Film into this .mp4, .webp or .gif: no window.")] = None,
 ) -> None:
-    """Watch the walker, fed the CoP of the window method by default, in a window, or film it."""
+    """Watch the walker in a window, or film it; its feed is the method window by default."""
     from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
 
     prepare_rendering()
