@@ -146,6 +146,8 @@ class FootCalibrator:
         maps = zip(Parameters._fields, setup.initial, strict=True)
         return {
             "method": self.method,
+            # Offsets of earlier versions stood behind the scale: their states would be misread.
+            **({"unknowns": "F = a (F0 + o)"} if self.method == "moment" else {}),
             "channels": " ".join(setup.layout.channel_names),
             "mass": repr(float(setup.mass)),
             "dt": repr(float(setup.dt)),

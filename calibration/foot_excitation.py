@@ -151,8 +151,8 @@ def plan_foot_excitation(
         before=before,
         std=np.array(std),
         rates=MappingProxyType(rates),
-        covariance_before=first.uncertainty.of_parameters(first.start),
-        covariance=first.uncertainty.of_parameters(choice.covariance(chosen)),
+        covariance_before=first.uncertainty.of_parameters(first.path[0], first.start),
+        covariance=first.uncertainty.of_parameters(first.path[0], choice.covariance(chosen)),
     )
 
 

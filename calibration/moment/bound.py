@@ -77,7 +77,7 @@ def posterior_bound(
         if rows is not None:
             covariance = log.step(covariance, rows)
     spread.add(covariance, slice(len(raw) // log.every * log.every, len(raw)))
-    return Bound(*spread.result(), log.uncertainty.of_parameters(covariance))
+    return Bound(*spread.result(), log.uncertainty.of_parameters(log.path[-1], covariance))
 
 
 class BoundRows:
@@ -88,6 +88,7 @@ class BoundRows:
         start: Covariance to start from, shape (N, N).
         blocks: Where each block ends, and its rows: ``None`` for the first, which lack samples before them.
         unknowns: The unknowns.
+        path: The unknowns as they truly were, shape (samples, N).
         uncertainty: What their covariance means.
     """
 
@@ -112,20 +113,21 @@ class BoundRows:
         self.start: Floats = np.diag(unknowns.std**2)
         self._walk = np.diag(unknowns.walk * every * setup.dt)
         self._identity, self._free = np.eye(unknowns.size), np.ones(unknowns.size)
-        self._setup, self._samples, self._learnt = setup, samples, learnt
+        self._setup, self._samples = setup, samples
+        self.path: Floats = np.tile(unknowns.start, (len(raw), 1))
+        self.path[:, unknowns.own] = learnt.scale
+        self.path[:, unknowns.offset] = learnt.offset / (learnt.scale * unknowns.unit)
         self.blocks: list[tuple[int, Rows | None]] = []
         for end in range(every, len(raw) + 1, every):
             if end < config.span:
                 self.blocks.append((end, None))
                 continue
-            mean = unknowns.start.copy()
-            mean[unknowns.own] = learnt.scale[end - 1]
-            mean[unknowns.offset] = learnt.offset[end - 1] / unknowns.unit
+            mean = self.path[end - 1]
             block = samples.block(end - config.span, end)
             rows, _ = newton_euler.rows(mean, block, np.ones(newton_euler.kinds))
-            rows = rows.beside(tare.rows(block, *tare.hanging(block)))
+            rows = rows.beside(tare.rows(mean, block, *tare.hanging(block)))
             if parity.matters:
-                rows = rows.beside(parity.rows(block))
+                rows = rows.beside(parity.rows(mean, block))
             used = (rows.H != 0.0).any(axis=1)
             self.blocks.append((end, Rows(*(part[used] for part in rows))))
 
@@ -155,8 +157,8 @@ class BoundRows:
             on all feet in N, shape (n, 1, P), and to the centre of pressure in m, shape (n, 2, P).
         """
         force, rows = self._samples.force[part], self._samples.rows[part]
-        to_force = self.uncertainty.to_force(force)
-        true = self._learnt.scale[part] * force + self._learnt.offset[part]
+        to_force = self.uncertainty.to_force(self.path[part], force)
+        true = self.unknowns.force(self.path[part], force, self.unknowns.unit)
         moments = (rows @ true[..., None])[..., 0]
         cop = cop_of_moments(moments[..., 0], moments[..., 1:], self._setup.force_threshold)
         row = rows @ to_force

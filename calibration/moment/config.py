@@ -1,16 +1,17 @@
 r"""The moment filter: a Kalman filter on rows that are linear in what is unknown.
 
 The CoP paper divides moments by forces before it compares (Eq. 14), and needs Gauss-Newton for that. Left
-undivided, the six Newton-Euler equations (Eqs. 6, 7) are *linear* in scales a, offsets b and, to first order,
-in the errors of the reference itself. About the point o below the believed centre of mass, on the ground,
+undivided, the six Newton-Euler equations (Eqs. 6, 7) are *linear* in scales a, in offsets and, to first
+order, in the errors of the reference itself. About the point o below the believed centre of mass, on the
+ground,
 
     sum_i f_i = M (c'' + g e_z) + errors of mass and acceleration
     sum_i [ (p_i - o) x f_i + t_i ] = L' + h e_z x M c'' + errors of the centre of mass and of the delay
 
-with F = a F0 + b in place of every f_i. Load cells see three of the six rows, (Fz, Mx, My), a six-axis sensor
-all. Light loads weigh little by nature, nothing is divided by a small force, and drift is what it is: process
-noise. See ``docs/estimator.md`` for the derivation and :mod:`surefoot.calibration.moment.unknowns` for the
-state.
+with F = a (F0 + offset) in place of every f_i. Load cells see three of the six rows, (Fz, Mx, My), a six-axis
+sensor all. Light loads weigh little by nature, nothing is divided by a small force, and drift is what it is:
+process noise. See ``docs/estimator.md`` for the derivation and
+:mod:`surefoot.calibration.moment.unknowns` for the state.
 
 * **The moments are taken about the estimated centre of pressure.** About any other point the noise of the
   reference enters the regressors, and noisy regressors shrink what they estimate.

@@ -243,6 +243,10 @@ class ChannelFaults:
         """Return where something has long seemed wrong and no channel explains it (bool), shape (...)."""
         return (state.doubt >= _WAIT) & (state.scores[..., 0] > SUSPICION)
 
+    def explicable(self, state: ChannelState) -> Array:
+        """Return where something seems wrong that a fault or a load could explain (bool), shape (...)."""
+        return (state.doubt > 0.5) & self.hypotheses.promising(state.scores)
+
     def learn(self, state: ChannelState, force: Array, good: Array) -> ChannelState:
         """Learn how cells share loads while nothing is wrong, and let channels come back.
 

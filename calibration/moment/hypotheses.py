@@ -268,6 +268,10 @@ class Hypotheses:
         load = load & (by_load + _NOISE < _LOAD_CONTRAST * (any_channel + _NOISE))
         return Decision(fault, load, chosen * xp.astype(fault, trust.dtype)[..., None])
 
+    def promising(self, scores: Array) -> Array:
+        """Return whether any explanation leaves much less than none does (bool), shape (...)."""
+        return namespace_of(scores).min(scores[..., 1:], axis=-1) < _CONTRAST * scores[..., _NOTHING]
+
     def repair(self, accepted: Array, wiring: Array, kind: Array) -> tuple[Array, Array]:
         """Put flipped and exchanged channels right.
 

@@ -110,28 +110,31 @@ class NewtonEuler:
         asked = self._asked(acceleration, rate, height)
         speed = rows * self._change(mean, block.force)[..., None, :]
         late = xp.sum(speed, axis=-1, keepdims=True)
-        features = [unknowns.regressors(rows, force), rows * own.unit, late, asked[..., None], speed]
+        tared = unknowns.tared(mean[..., None, :], force, own.unit)
+        features = [unknowns.by_scale(rows, tared), rows, late, asked[..., None], speed]
         if spare is not None:
             features.append(places)
         means, some = self._average(xp.concat(features, axis=-1), use)
-        of_map, of_delay, of_motion, of_speed, of_places = in_a_row(unknowns.map.stop, 1, 1, K, K)
-        by_map, asked = means[..., of_map], means[..., of_motion][..., 0]
+        of_scale, of_rows, of_delay, of_motion, of_speed, of_places = in_a_row(unknowns.scales, K, 1, 1, K, K)
+        by_scale, asked = means[..., of_scale], means[..., of_motion][..., 0]
+        by_offset = unknowns.by_offset(means[..., of_rows], mean[..., None, :], own.unit)
         if self._distal.matter:
             lacking = self._distal.total(motion, origin)
             asked = asked - (lacking[..., self._seen] * own.scale)[..., None, :]
 
         height = xp.mean(xp.reshape(height, (*batch, self._groups, -1)), axis=-1)
-        given = (by_map @ mean[..., None, unknowns.map, None])[..., 0]
-        errors = self._error_columns(asked, given, height, means[..., of_delay])
-        H = xp.concat([by_map, errors], axis=-1)
+        given = (by_scale @ mean[..., None, unknowns.scale, None])[..., 0]
+        errors = self._error_columns(given, height, means[..., of_delay])
+        H = xp.concat([by_scale, by_offset, errors], axis=-1)
+        # The forces are products of scales and tared readings: H x counts what the offsets do twice.
+        asked = asked + (by_offset @ mean[..., None, unknowns.offset, None])[..., 0]
         to_cop = self._to_cop(given)
         H, y = to_cop @ H, (to_cop @ asked[..., None])[..., 0]
         variance = own.variance * noise[..., None, :] + 0.0 * y
         jitter = to_cop @ means[..., of_speed]
         variance = variance + config.timing_noise**2 / config.average * xp.sum(jitter * jitter, axis=-1)
-        places = H[..., unknowns.offset] / own.unit
+        places = to_cop @ means[..., of_rows if spare is None else of_places]
         if spare is not None and spare_std is not None:
-            places = to_cop @ means[..., of_places]
             unsure = places * spare_std[..., None, None, :]
             variance = variance + xp.sum(unsure * unsure, axis=-1)
         there = xp.astype(some, mean.dtype)[..., None] + 0.0 * y
@@ -187,18 +190,18 @@ class NewtonEuler:
         y = wrench[..., self._moment_x, None, None] / load
         return own.identity + x * own.shift_x + y * own.shift_y
 
-    def _error_columns(self, asked: Array, given: Array, height: Array, late: Array) -> Array:
+    def _error_columns(self, given: Array, height: Array, late: Array) -> Array:
         """Return the columns of the reference's own errors, shape (..., groups, kinds, 7).
 
-        That of the mass is the wrench that the feet give and not the one asked for: a column with the noise
-        of the right-hand side in it would find a mass that explains the noise.
+        Those of the mass and of the centre of mass hold the wrench that the feet give and not the one asked
+        for: a column with the noise of the right-hand side in it would find what explains the noise.
         """
-        xp, own = namespace_of(asked), self._constants.like(asked)
-        zero, fz = xp.zeros_like(height), asked[..., self.vertical]
+        xp, own = namespace_of(given), self._constants.like(given)
+        zero, fz = xp.zeros_like(height), given[..., self.vertical]
         # A point that is off by d sees the moment d x f besides.
         com = [[zero, zero], [zero, fz], [-fz, zero]]
         if self._six_axes:
-            com = [[zero, zero], [zero, zero], *com, [asked[..., _FY], -asked[..., _FX]]]
+            com = [[zero, zero], [zero, zero], *com, [given[..., _FY], -given[..., _FX]]]
         com_columns = xp.stack([xp.stack(row, axis=-1) for row in com], axis=-2)
         acceleration = own.bias_force + height[..., None, None] * own.bias_moment
         return xp.concat([com_columns, given[..., None], acceleration, late], axis=-1)

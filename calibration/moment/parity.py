@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Constants, namespace_of
+from surefoot.calibration.arrays import Array, Constants, namespace_of
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
@@ -31,30 +31,33 @@ class Parity:
         parity = (_differences(setup.layout) * scale / setup.weight).reshape(-1, setup.layout.channels)
         parity = parity[(parity != 0.0).any(axis=1)]
         self.matters = len(parity) > 0
-        others = np.eye(setup.layout.channels, unknowns.size - unknowns.scales) * unknowns.unit[:, None]
-        self._constants = Constants(parity=parity, others=parity @ others)
+        errors = np.zeros((len(parity), unknowns.size - unknowns.map.stop))
+        self._constants = Constants(parity=parity, errors=errors, unit=unknowns.unit)
 
-    def rows(self, block: Block) -> Rows:
+    def rows(self, mean: Array, block: Block) -> Rows:
         """Write that the instruments of one foot measure the same wrench.
 
         Args:
+            mean: The unknowns as they are estimated, shape (..., N).
             block: The samples.
 
         Returns:
             For each axis that two instruments of a foot see, one row for each half of the block.
         """
         xp, settle = namespace_of(block.force), self.config.settle
-        own = self._constants.like(block.force)
+        own, unknowns = self._constants.like(block.force), self.unknowns
         half = self.config.every // 2
         y = 0.0 * (block.force[..., 0, :] @ own.parity.mT)
         if self._distal.matter:
             y = self._distal.felt(block.motion) @ own.parity.mT
+        by_offset = unknowns.by_offset(own.parity + 0.0 * y[..., None], mean, own.unit)
+        y = y + (by_offset @ mean[..., unknowns.offset, None])[..., 0]
         halves = []
         for start in (settle, settle + half):
             part = slice(start, start + half)
             reading = xp.mean(block.force[..., part, :], axis=-2)
-            scales = self.unknowns.regressors(own.parity, reading)
-            H = xp.concat([scales, own.others + 0.0 * scales[..., :1]], axis=-1)
+            scales = unknowns.by_scale(own.parity, unknowns.tared(mean, reading, own.unit))
+            H = xp.concat([scales, by_offset, own.errors + 0.0 * scales[..., :1]], axis=-1)
             known = xp.astype(xp.all(block.use[..., part] > 0.5, axis=-1), scales.dtype)[..., None]
             variance = self.config.parity_noise**2 + 0.0 * y
             halves.append(Rows(H, y, variance).keep(known))

@@ -45,6 +45,10 @@ _LEAST_CHANGE = 0.5
 _SETTLED = 50.0
 """Blocks without doubt that must have passed before the mass is doubted."""
 
+_FIRST_NOISE = 16.0
+"""By how many times variances are taken as larger than assumed before anything moved: a map that was fitted
+to noise in the first seconds is not forgotten soon."""
+
 _NOISE_MEMORY = 0.1
 """How much of the noise's factor one update renews."""
 
@@ -60,8 +64,13 @@ _LONGEST_PAUSE = 3600.0
 _UNSURE_MASS = 2.0
 """How many times less sure than at the start the mass is while it is estimated."""
 
-_REACH = 5.0
-"""Standard deviations from the starting map beyond which a sensor is not thought to be."""
+_SHARED = 64.0
+"""Rows of a kind, those of 1.6 s, that share the product of the errors of scale and offset: until a foot
+swings, no offset is known, and all of them together count as one."""
+
+_REACH = 15.0
+"""Standard deviations from the starting map beyond which a sensor is not thought to be: five of a start three
+times as bad as stated."""
 
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to."""
@@ -105,7 +114,7 @@ class MomentStream:
         front = self._front_end.init(raw)
         xp, device = namespace_of(raw), device_of(raw)
         batch, own = tuple(raw.shape[:-1]), self._constants.like(raw)
-        learnt = self._uncertainty.of_parameters(own.covariance)
+        learnt = self._uncertainty.of_parameters(own.start, own.covariance)
 
         def zeros(*tail: int, dtype: Any = raw.dtype) -> Array:
             return xp.zeros((*batch, *tail), dtype=dtype, device=device)
@@ -120,7 +129,7 @@ class MomentStream:
             spread=zeros(1, 1) + self._uncertainty.of_channels(learnt),
             kept_mean=zeros(2, 1) + own.start,
             kept_covariance=zeros(2, 1, 1) + own.covariance,
-            noise=zeros(self.newton_euler.kinds) + 1.0,
+            noise=zeros(self.newton_euler.kinds) + _FIRST_NOISE,
             quiet=zeros(),
             anchor=zeros(self.setup.layout.channels),
             status=zeros(dtype=xp.int64),
@@ -166,6 +175,7 @@ class MomentStream:
         covariance = state.covariance + own.walk
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
+        rows = self._bilinear(rows, places, covariance)
         residuals = Residuals.of(rows, mean, covariance)
         newton, rejected = self._plausible(rows, residuals)
         waiting = self._faults.suspects(faults, residuals)
@@ -179,7 +189,7 @@ class MomentStream:
             tare, doubted = self._tare(mean, covariance, block, faults)
             learnt_from, rejected = learnt_from.beside(tare), rejected | doubted
         if self.parity.matters:
-            parity = self.parity.rows(block)
+            parity = self.parity.rows(mean, block)
             if faults.altered:
                 parity = parity.keep(xp.astype(xp.all(faults.lost < 0.5, axis=-1), mean.dtype)[..., None])
             learnt_from = learnt_from.beside(parity)
@@ -194,14 +204,24 @@ class MomentStream:
         state = state._replace(
             mean=xp.where(finite[..., None], clipped, mean),
             covariance=xp.where(finite[..., None, None], step.covariance, state.covariance),
-            noise=xp.where(
-                (faults.doubt > 0.5)[..., None], state.noise, self._noise(state.noise, step, newton)
-            ),
             quiet=quiet,
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        return self._watch(state, faults, mean, block, rows, places, residuals), step
+        state = self._watch(state, faults, mean, block, rows, places, residuals)
+        # What no fault and no load explains is noise; a robot that stands shows little of it.
+        kept = waiting | (quiet > 0.5) | self._faults.explicable(state.faults)
+        noise = xp.where(kept[..., None], state.noise, self._noise(state.noise, step, newton))
+        return state._replace(noise=noise), step
+
+    def _bilinear(self, rows: Rows, places: Array, covariance: Array) -> Rows:
+        """Allow for the product of the errors of scales and offsets, which columns leave out."""
+        xp, unknowns, own = namespace_of(covariance), self.unknowns, self._constants.like(covariance)
+        variance = xp.linalg.diagonal(covariance)
+        product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
+        lever = places * own.unit
+        more = _SHARED * ((lever * lever) @ product[..., None])[..., 0]
+        return rows._replace(variance=rows.variance + more)
 
     def _learnt(self, covariance: Array, learnt: Array) -> Array:
         """Return which unknowns to estimate; the mass only while it is much less sure than it began."""
@@ -258,7 +278,7 @@ class MomentStream:
                 covariance=xp.where(found[..., None, None], old_covariance, state.covariance),
                 pending=xp.where(found[..., None, None], 0.0, state.pending),
             )
-        learnt = self._uncertainty.of_parameters(state.covariance)
+        learnt = self._uncertainty.of_parameters(state.mean, state.covariance)
         state = state._replace(learnt=learnt, spread=self._uncertainty.of_channels(learnt))
         if (state.step // self.config.every) % self._keep_every == 0:
             state = state._replace(
@@ -325,15 +345,14 @@ class MomentStream:
         """Write the tare of feet that hang, unless they carry weight."""
         xp, of_map = namespace_of(mean), self.unknowns.map
         count, reading = self.tare.hanging(block)
-        row = self.tare.load(reading, faults.spare if faults.altered else None)
-        load = (row @ mean[..., of_map, None])[..., 0]
+        load, row = self.tare.load(mean, reading, faults.spare if faults.altered else None)
         spread = xp.sum((row @ covariance[..., of_map, of_map]) * row, axis=-1)
         limit = self.config.swing_load + _LOAD_STD * xp.sqrt(xp.clip(spread, 0.0, None))
         doubted = (count > 0.5) & (xp.abs(load) > limit)
         # Not all feet of a robot that stands are in the air.
         doubted = doubted | xp.all(count > 0.5, axis=-1)[..., None]
         count = xp.where(doubted, 0.0, count)
-        rows = self.tare.rows(block, count, reading)
+        rows = self.tare.rows(mean, block, count, reading)
         return rows.keep(1.0 - faults.lost) if faults.altered else rows, xp.any(doubted, axis=-1)
 
     def _noise(self, noise: Array, step: KalmanStep, rows: Rows) -> Array:
@@ -355,7 +374,7 @@ class MomentStream:
         faults = state.faults if state.faults.altered else None
         if faults is not None:
             force = (faults.spare @ force[..., None])[..., 0]
-        a, b = unknowns.own_scales(state.mean), state.mean[..., unknowns.offset] * own.unit
+        a, b = unknowns.own_scales(state.mean), unknowns.offsets(state.mean, own.unit)
         status = state.status[..., None] | kinds
         estimate = self._front_end.report(sample, force, a * own.scale, a * own.offset + b, status)
         sure = self._uncertainty.of_estimate(estimate, sample, state)

@@ -33,7 +33,6 @@ class Tare:
         self._constants = Constants(
             by_channel=np.eye(len(layout.feet))[:, layout.foot_of_channel],
             vertical=layout.wrench_map[:, _UP],
-            per_unit=np.eye(layout.channels) / unknowns.unit[:, None],
             offsets=np.eye(layout.channels, unknowns.size, unknowns.offset.start),
             unit=unknowns.unit,
         )
@@ -56,25 +55,32 @@ class Tare:
         number = count @ by_channel
         return count, total / xp.where(number > 0.5, number, 1.0)
 
-    def load(self, reading: Array, spare: Array | None = None) -> Array:
+    def load(self, mean: Array, reading: Array, spare: Array | None = None) -> tuple[Array, Array]:
         """Write the vertical force of each foot for a mean reading, about a level sole.
 
         Args:
+            mean: The unknowns as they are estimated, shape (..., N).
             reading: Forces by the starting map in N, shape (..., K).
             spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
 
         Returns:
-            Columns of the scales and offsets, in body weights, shape (..., F, P + K).
+            In body weights, shape (..., F), and what scales and offsets do to it, shape (..., F, P + K).
         """
         xp, own = namespace_of(reading), self._constants.like(reading)
         up = own.vertical if spare is None else own.vertical @ spare
-        scales = self.unknowns.regressors(up, reading)
-        return xp.concat([scales, up * own.unit + 0.0 * scales[..., :1]], axis=-1) / self._weight
+        unknowns, up = self.unknowns, up / self._weight
+        scales = unknowns.by_scale(up, unknowns.tared(mean, reading, own.unit))
+        offsets = unknowns.by_offset(up + 0.0 * scales[..., :1], mean, own.unit)
+        load = (scales @ mean[..., unknowns.scale, None])[..., 0]
+        return load, xp.concat([scales, offsets], axis=-1)
 
-    def rows(self, block: Block, count: Array, reading: Array) -> Rows:
+    def rows(self, mean: Array, block: Block, count: Array, reading: Array) -> Rows:
         """Write that feet in the air read nothing but what is beyond their sensors.
 
+        Divided by the scales, this is a row of the offsets alone.
+
         Args:
+            mean: The unknowns as they are estimated, shape (..., N).
             block: The samples.
             count: Samples of each foot that count, shape (..., F).
             reading: Mean reading of each channel over them, shape (..., K).
@@ -84,12 +90,10 @@ class Tare:
         """
         xp, own = namespace_of(reading), self._constants.like(reading)
         number = count @ own.by_channel
-        scales = self.unknowns.regressors(own.per_unit, reading)
-        rest = xp.zeros_like(own.offsets[:, self.unknowns.scale.stop :]) + 0.0 * scales[..., :1]
-        H = xp.concat([scales, rest], axis=-1) + own.offsets
-        y = 0.0 * reading
+        H = own.offsets + 0.0 * reading[..., None]
+        y = -reading / own.unit
         if self._distal.matter:
-            y = self._distal.felt(block.motion) / own.unit
+            y = y + self._distal.felt(block.motion) / (own.unit * self.unknowns.own_scales(mean))
         few = xp.where(number > 1.0, number, 1.0)
         variance = self.config.swing_noise**2 * _SWING_SAMPLES / few
         return Rows(H, y, variance).keep(xp.astype(number > 0.5, reading.dtype))

@@ -26,29 +26,31 @@ class Uncertainty:
     def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
         K = setup.layout.channels
         self.unknowns = unknowns
-        # From the unknowns' scales and offsets to (a, b) of each channel alone.
-        own = np.zeros((2 * K, unknowns.scales + K))
-        own[np.arange(K), unknowns.own] = 1.0
-        own[K + np.arange(K), unknowns.scales + np.arange(K)] = unknowns.unit
+        own_scales = np.zeros((K, unknowns.map.stop))
+        own_scales[np.arange(K), unknowns.own] = 1.0
         self._constants = Constants(
-            own_map=own,
-            aged=own @ np.diag(unknowns.aged[unknowns.map]) @ own.T,
-            offsets=own[K:, unknowns.offset],
+            own_scales=own_scales,
+            aged=np.diag(unknowns.aged[unknowns.map]),
             gather=unknowns.gather,
             identity=np.eye(K),
             inputs=np.eye(K)[unknowns.inp],
+            unit=unknowns.unit,
         )
 
-    def of_parameters(self, covariance: Array) -> Array:
+    def of_parameters(self, mean: Array, covariance: Array) -> Array:
         """Return the covariance of (a, b) of each channel, shape (..., 2K, 2K), for that of the unknowns.
 
         They have drifted since they were learnt, which is added.
 
         Args:
-            covariance: Of the unknowns, shape (..., N, N).
+            mean: The unknowns, shape (..., N).
+            covariance: Theirs, shape (..., N, N).
         """
-        own, of_map = self._constants.like(covariance), self.unknowns.map
-        return own.own_map @ covariance[..., of_map, of_map] @ own.own_map.mT + own.aged
+        xp, own, unknowns = namespace_of(mean), self._constants.like(covariance), self.unknowns
+        # b is the force at a reading of no force by the starting map.
+        offsets = self._to_tared_force(mean, mean[..., unknowns.offset] * own.unit)
+        rows = xp.concat([own.own_scales + 0.0 * offsets[..., :1], offsets], axis=-2)
+        return rows @ (covariance[..., unknowns.map, unknowns.map] + own.aged) @ rows.mT
 
     def of_channels(self, learnt: Array) -> Array:
         """Return what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
@@ -78,7 +80,7 @@ class Uncertainty:
             variance = (F0 * scale + cross) * F0 + offset
             row = xp.concat([rows * F0[..., None, :], rows], axis=-1)
         else:
-            to_force = self.to_force(F0, plain=unknowns.diagonal)
+            to_force = self._to_force_by_map(F0) if unknowns.diagonal else self.to_force(state.mean, F0)
             if state.faults.altered:
                 to_force = state.faults.spare @ to_force
             if not unknowns.diagonal:
@@ -95,22 +97,26 @@ class Uncertainty:
             "matrix": None if unknowns.diagonal else self._matrix(state.mean),
         }
 
-    def to_force(self, force: Array, *, plain: bool = False) -> Array:
-        """Return rows that take what forces are known by to the forces.
+    def to_force(self, mean: Array, force: Array) -> Array:
+        """Return what scales and offsets do to the forces, shape (..., K, P + K).
 
         Args:
+            mean: The unknowns, shape (..., N).
             force: Forces by the starting map in N, shape (..., K).
-            plain: Whether they are known by (a, b) of each channel, and not by the unknowns.
-
-        Returns:
-            Shape (..., K, 2K) or (..., K, P + K).
         """
-        xp, unknowns, own = namespace_of(force), self.unknowns, self._constants.like(force)
-        if plain:
-            scales, offsets = own.identity * force[..., None, :], own.identity
-        else:
-            scales, offsets = own.gather.mT * force[..., None, unknowns.inp], own.offsets
+        return self._to_tared_force(mean, self.unknowns.tared(mean, force, self._constants.like(force).unit))
+
+    def _to_tared_force(self, mean: Array, tared: Array) -> Array:
+        xp, own = namespace_of(mean), self._constants.like(mean)
+        scales = self.unknowns.by_scale(own.identity, tared)
+        offsets = self.unknowns.by_offset(own.identity, mean, own.unit)
         return xp.concat([scales, offsets + 0.0 * scales[..., :1]], axis=-1)
+
+    def _to_force_by_map(self, force: Array) -> Array:
+        """Return what (a, b) of each channel do to the forces, shape (..., K, 2K)."""
+        xp, own = namespace_of(force), self._constants.like(force)
+        scales = own.identity * force[..., None, :]
+        return xp.concat([scales, own.identity + 0.0 * scales], axis=-1)
 
     def _matrix(self, mean: Array) -> Array:
         """Return the scales as a matrix, shape (..., K, K)."""

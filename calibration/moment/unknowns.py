@@ -3,11 +3,15 @@
 | part | number | unit | meaning |
 |---|---|---|---|
 | a | P | 1 | scales against the starting map: one a channel, or 6 x 6 for a six-axis sensor with cross-talk |
-| b | K | body weights (times foot lengths for a torque) | offsets against the starting map |
+| o | K | body weights (times foot lengths for a torque) | offsets against the starting map, before scales |
 | com | 2 | foot lengths | believed less true centre of mass, level frame |
 | mass | 1 | 1 | believed mass over the true one, less 1 |
 | acceleration | 3 | g | bias of the believed acceleration, level frame: IMU bias and tilt |
 | delay | 1 | s | how much later a moment the reference describes than it is thought to |
+
+A force is F = a (F0 + o). Scale and offset stand as a sensor has them: its zero drifts in its readings, and
+says nothing of its scale. In F = a F0 + b a zero that drifts by d asks for b - a d, and a filter that holds
+a and b for independent finds a smaller scale at every swing.
 
 Units are chosen so that numbers are of order one and float32 is enough.
 """
@@ -98,29 +102,47 @@ class Unknowns:
         self.learnt[self.mass] = float(config.learn_mass)
         self.gather: NDArray[np.float64] = np.zeros((self.scales, channels))
         self.gather[np.arange(self.scales), self.out] = 1.0
-        self._constants = Constants(gather=self.gather)
+        self._constants = Constants(gather=self.gather, inputs=np.eye(channels)[self.inp])
 
     def own_scales(self, mean: Array) -> Array:
         """Return the scales of the channels on their own readings, shape (..., K)."""
         return mean[..., self.scale] if self.diagonal else mean[..., self.own]
 
-    def force(self, mean: Array, force: Array, unit: Array) -> Array:
-        """Return corrected forces A F0 + b in N, shape (..., K), of those by the starting map."""
-        a, b = mean[..., self.scale], mean[..., self.offset] * unit
-        if self.diagonal:
-            return a * force + b
-        return (a * force[..., self.inp]) @ self._constants.like(force).gather + b
+    def tared(self, mean: Array, force: Array, unit: Array) -> Array:
+        """Return F0 + o in N, shape (..., K), of forces by the starting map."""
+        return force + mean[..., self.offset] * unit
 
-    def regressors(self, rows: Array, reading: Array) -> Array:
+    def force(self, mean: Array, force: Array, unit: Array) -> Array:
+        """Return corrected forces A (F0 + o) in N, shape (..., K), of those by the starting map."""
+        return self.scaled(mean, self.tared(mean, force, unit))
+
+    def scaled(self, mean: Array, tared: Array) -> Array:
+        """Return A f in N, shape (..., K), of forces without their offsets."""
+        if self.diagonal:
+            return mean[..., self.scale] * tared
+        return (mean[..., self.scale] * tared[..., self.inp]) @ self._constants.like(tared).gather
+
+    def offsets(self, mean: Array, unit: Array) -> Array:
+        """Return b = A o in N, shape (..., K), so that F = A F0 + b."""
+        return self.scaled(mean, mean[..., self.offset] * unit)
+
+    def by_scale(self, rows: Array, tared: Array) -> Array:
         """Return what scales do to rows that are linear in the channels' forces.
 
         Args:
             rows: What a newton on each channel does to m rows, shape (..., m, K).
-            reading: Forces by the starting map in N, shape (..., K).
+            tared: Forces by the starting map without their offsets in N, shape (..., K).
 
         Returns:
             Shape (..., m, P).
         """
         if self.diagonal:
-            return rows * reading[..., None, :]
-        return rows[..., self.out] * reading[..., self.inp][..., None, :]
+            return rows * tared[..., None, :]
+        return rows[..., self.out] * tared[..., self.inp][..., None, :]
+
+    def by_offset(self, rows: Array, mean: Array, unit: Array) -> Array:
+        """Return what offsets do to such rows, shape (..., m, K)."""
+        if self.diagonal:
+            return rows * (mean[..., self.scale] * unit)[..., None, :]
+        scaled = rows[..., self.out] * mean[..., None, self.scale]
+        return (scaled @ self._constants.like(rows).inputs) * unit

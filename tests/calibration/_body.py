@@ -138,15 +138,16 @@ class Body:
 
     @property
     def offset(self):
-        """True offsets of the channels in N or N m."""
-        return self.x[self.unknowns.offset] * self.unknowns.unit
+        """True offsets b of the channels in N or N m: F = A F0 + b."""
+        return self.A @ (self.x[self.unknowns.offset] * self.unknowns.unit)
 
     def rows(self, mean, block):
         """The Newton-Euler rows of one block."""
         stated = np.ones((*mean.shape[:-1], self.stream.newton_euler.kinds))
         rows, places = self.stream.newton_euler.rows(mean, block, stated)
-        offsets = self.unknowns.offset
-        np.testing.assert_allclose(places, rows.H[..., offsets] / self.unknowns.unit, atol=1e-15)
+        unknowns, matrix = self.unknowns, np.zeros((*mean.shape[:-1], *self.A.shape))
+        matrix[..., unknowns.out, unknowns.inp] = mean[..., unknowns.scale]
+        np.testing.assert_allclose(rows.H[..., unknowns.offset], places @ matrix * unknowns.unit, atol=1e-14)
         return rows
 
     def residual(self, told=1.0, **errors):

@@ -37,6 +37,7 @@ class Matched(NamedTuple):
     reference: Reference
     gain: Floats
     offset: Floats
+    path: Floats
 
 
 def on_cells(seed: int, speed: float, duration: float) -> Truth:
@@ -85,12 +86,13 @@ def matched(truth: Truth, layout: FeetLayout, config: MomentFilterConfig, runs: 
     steps = np.zeros((N, runs, unknowns.size))
     steps[(-config.settle) % config.every :: config.every] = np.sqrt(unknowns.walk * DT * config.every)
     path = x + (steps * rng.normal(size=steps.shape)).cumsum(axis=0)
-    gain, offset = path[..., unknowns.scale], path[..., unknowns.offset] * unknowns.unit
+    gain, zero = path[..., unknowns.scale], path[..., unknowns.offset] * unknowns.unit
 
     force = truth.force[:, None, :] / (1.0 + x[:, unknowns.mass, None])
     A = np.zeros((N, runs, K, K))
     A[..., unknowns.out, unknowns.inp] = gain
-    raw = np.linalg.solve(A, (force - offset)[..., None])[..., 0]
+    raw = np.linalg.solve(A, force[..., None])[..., 0] - zero
+    offset = (A @ zero[..., None])[..., 0]
     raw = raw + rng.normal(size=raw.shape) * CELL_NOISE * config.swing_noise * unknowns.unit
 
     # Readings are those of a moment, the reference that of a delay later.
@@ -129,4 +131,5 @@ def matched(truth: Truth, layout: FeetLayout, config: MomentFilterConfig, runs: 
         ),
         gain,
         offset,
+        path,
     )

@@ -1,6 +1,6 @@
 """Channels that break under a walking robot: what the estimator says of them, and what it goes on with.
 
-Faults are put into the readings of many robots at 14 s, by arrays; every robot breaks another channel.
+Faults are put into the readings of many robots at 20 s, by arrays; every robot breaks another channel.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
 from surefoot.calibration import GRAVITY, Flag, Parameters, Reference, replay
 
 ROBOTS = 8
-AT = round(14.0 / DT)
+AT = round(20.0 / DT)
 EARLY = round(8.0 / DT)
 IN_TIME = round(1.2 / DT)
 SETTLED = round(1.5 / DT)
@@ -65,7 +65,7 @@ class Broken:
     """Estimates of all robots with all faults, from one batch."""
 
     def __init__(self):
-        logs = [walk(seed, 0.1, 18.0, 2.0, BAD) for seed in WHO]
+        logs = [walk(seed, 0.1, 24.0, 2.0, BAD) for seed in WHO]
         self.true_cop = np.stack([log.cop for log in logs], axis=1)
         self.truth = np.stack([log.force for log in logs], axis=1)
         reference = Reference(
@@ -208,7 +208,7 @@ def test_exchanged_channels_are_put_right(broken, kind):
 
 def test_a_load_that_is_put_on_is_no_fault(broken):
     loads = [(0.06, 0.03, AT), (0.12, 0.06, AT), (0.12, -0.06, AT), (0.12, 0.03, EARLY)]
-    logs = [walk(seed, 0.1, 18.0, 2.0, BAD) for seed in WHO]
+    logs = [walk(seed, 0.1, 24.0, 2.0, BAD) for seed in WHO]
     raw, cop = (np.stack([part] * len(loads), axis=1) for part in (broken.healthy, broken.true_cop))
     for i, (share, ahead, at) in enumerate(loads):
         more = np.stack([added_load(log, share, ahead) / log.correction.scale for log in logs], axis=1)

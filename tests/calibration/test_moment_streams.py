@@ -38,7 +38,7 @@ def test_ankle_sensors_are_calibrated_from_walking(cross_talk):
     # Shear, and the twist above all, are small; what they excite little is found late.
     assert after[unknowns.own].mean() < 0.8 * before[unknowns.own].mean()
     assert after.mean() < before.mean()
-    offset = state.mean[:, unknowns.offset] * unknowns.unit
+    offset = unknowns.offsets(state.mean, unknowns.unit)
     assert (rms(offset - drawn.offset[-1]) < 0.3 * rms(drawn.offset[-1])).all()
     wrong = [rms(force - truth.force[-1]) for force in (estimate.force, drawn.raw[-1])]
     assert (wrong[0] < 0.5 * wrong[1]).all()
