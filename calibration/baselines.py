@@ -81,7 +81,7 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
         config: Options.
     """
     options = config or TareConfig()
-    front_end = FrontEnd(setup)
+    front_end = FrontEnd(setup, imu=False)
     settle = round(options.settle / setup.dt)
     foot = setup.layout.foot_of_channel
     spread, limit = options.spread * setup.weight, options.offset_range * setup.weight
@@ -140,7 +140,7 @@ def uncorrected(setup: OnlineSetup) -> OnlineMethod:
     Args:
         setup: The robot.
     """
-    front_end = FrontEnd(setup)
+    front_end = FrontEnd(setup, imu=False)
 
     def update(state: FrontState, raw: Array, reference: Reference, dt: float) -> tuple[FrontState, Estimate]:
         state, sample = front_end.observe(state, raw, reference, dt)

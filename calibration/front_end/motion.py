@@ -64,6 +64,7 @@ class Motions:
     Args:
         setup: The robot.
         quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
+        imu: Whether accelerometer and gyroscope are used; what is not used need not be sound.
 
     Attributes:
         columns: Where the parts of a flat reference lie.
@@ -71,8 +72,8 @@ class Motions:
         resting: A flat reference with the soles level at the origin, shape (R,).
     """
 
-    def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False) -> None:
-        self._quasi_static = quasi_static
+    def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
+        self._quasi_static, self._imu = quasi_static, imu
         self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
         self._reach = LARGEST_REACH * setup.length
@@ -123,8 +124,8 @@ class Motions:
             reference.com,
             reference.com_acceleration,
             reference.angular_momentum_rate,
-            reference.accelerometer,
-            reference.gyroscope,
+            reference.accelerometer if self._imu else xp.zeros_like(reference.com),
+            reference.gyroscope if self._imu else xp.zeros_like(reference.com),
             shaped(reference.position_sole, (*batch, 3 * self._feet)),
             shaped(reference.R_level_sole, (*batch, 9 * self._feet)),
         )

@@ -90,6 +90,7 @@ class FrontEnd:
     Args:
         setup: The robot.
         quasi_static: Whether the reference leaves the motion out: Fz = M g at (x, y).
+        imu: Whether accelerometer and gyroscope are used; what is not used need not be sound.
 
     Attributes:
         setup: The same.
@@ -97,9 +98,9 @@ class FrontEnd:
         plausible: Least and greatest reading of each channel that is not taken for an error, shape (K,) each.
     """
 
-    def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False) -> None:
+    def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
         self.setup = setup
-        self.motions = Motions(setup, quasi_static=quasi_static)
+        self.motions = Motions(setup, quasi_static=quasi_static, imu=imu)
         self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
         self._threshold = setup.force_threshold
         scale, offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)

@@ -222,7 +222,7 @@ class _Samples:
     """A log, checked and aligned as the estimator does it."""
 
     def __init__(self, setup: OnlineSetup, raw: Floats, reference: Reference) -> None:
-        front = FrontEnd(setup)
+        front = FrontEnd(setup, imu=False)
         state, kept = front.init(raw[0]), []
         for k, reading in enumerate(raw):
             row = Reference(*(np.asarray(part)[k] for part in reference))

@@ -64,8 +64,8 @@ _LONGEST_PAUSE = 3600.0
 _UNSURE_MASS = 2.0
 """How many times less sure than at the start the mass is while it is estimated."""
 
-_SHARED = 64.0
-"""Rows of a kind, those of 1.6 s, that share the product of the errors of scale and offset: until a foot
+_SHARED = 32.0
+"""Rows of a kind, those of 0.8 s, that share the product of the errors of scale and offset: until a foot
 swings, no offset is known, and all of them together count as one."""
 
 _REACH = 15.0
@@ -84,7 +84,7 @@ class MomentStream:
         self.unknowns = unknowns = Unknowns(setup, config)
         self.newton_euler = NewtonEuler(setup, config, unknowns)
         self.tare, self.parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
-        self._front_end = FrontEnd(setup)
+        self._front_end = FrontEnd(setup, imu=False)
         self._uncertainty = Uncertainty(setup, unknowns)
         self._faults = ChannelFaults(
             setup,
@@ -169,15 +169,17 @@ class MomentStream:
     def _learn(self, state: MomentState) -> tuple[MomentState, KalmanStep]:
         """Update the unknowns by the block that is full."""
         xp, mean, own = namespace_of(state.mean), state.mean, self._constants.like(state.mean)
+        config = self.config
         block, read = self._block(state)
         faults = self._faults.silent(state.faults, block.force, read)
         block = block._replace(use=block.use * self._complete(faults, read))
         covariance = state.covariance + own.walk
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
+        assumed = rows.variance / xp.concat([state.noise] * (config.every // config.average), axis=-1)
         rows = self._bilinear(rows, places, covariance)
         residuals = Residuals.of(rows, mean, covariance)
-        newton, rejected = self._plausible(rows, residuals)
+        newton, rejected = self._plausible(rows, residuals, assumed)
         waiting = self._faults.suspects(faults, residuals)
         # What still seems wrong when no channel was found to be is the robot itself.
         changed = self._changed(mean, covariance, newton) | self._faults.unexplained(faults)
@@ -319,11 +321,15 @@ class MomentStream:
         anchor = xp.where(moved[..., None], middle, state.anchor)
         return quiet, anchor, rows._replace(variance=rows.variance * ((1.0 + quiet) ** 2)[..., None])
 
-    def _plausible(self, rows: Rows, residuals: Residuals) -> tuple[Rows, Array]:
-        """Leave out groups of rows that no error of calibration explains, such as of a lifted robot."""
-        e = residuals.residual
+    def _plausible(self, rows: Rows, residuals: Residuals, assumed: Array) -> tuple[Rows, Array]:
+        """Leave out groups of rows that no error of calibration explains, such as of a lifted robot.
+
+        Noise that is learnt, or expected at first, is no reason to learn from such rows: they are held
+        against the variances that are assumed, shape (..., m).
+        """
+        e, variance = residuals.residual, residuals.variance - rows.variance + assumed
         xp, kinds = namespace_of(e), self.newton_euler.kinds
-        wrong = (xp.abs(e) > self.config.reject) & (e * e > _REJECT_STD**2 * residuals.variance)
+        wrong = (xp.abs(e) > self.config.reject) & (e * e > _REJECT_STD**2 * variance)
         groups = xp.any(xp.reshape(wrong, (*e.shape[:-1], -1, kinds)), axis=-1)
         keep = xp.reshape(xp.stack([~groups] * kinds, axis=-1), tuple(e.shape))
         return rows.keep(xp.astype(keep, e.dtype)), xp.any(groups, axis=-1)

@@ -96,7 +96,10 @@ class SlidingWindow:
         self.setup, self.config = setup, config
         self._weight, self._gross_length = setup.weight, config.gross_error * setup.length
         self._front_end = FrontEnd(setup, quasi_static=quasi_static)
-        self._filter = None if config.cutoff is None else low_pass(config.cutoff, setup.dt)
+        try:
+            self._filter = None if config.cutoff is None else low_pass(config.cutoff, setup.dt)
+        except ValueError as error:
+            raise ValueError(f"{error} Give a lower one, or 'cutoff=None' to filter nothing.") from None
         self._length = max(config.every, round(config.window / setup.dt))
         self._settle = round(config.settle / setup.dt)
         self._transition = round(config.transition / setup.dt)

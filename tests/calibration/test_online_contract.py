@@ -358,3 +358,12 @@ def test_an_unknown_option_lists_what_exists(name):
 def test_a_setup_without_meaning_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
         OnlineSetup(**{"layout": LAYOUT, "mass": MASS, "initial": NOMINAL, **options})
+
+
+@pytest.mark.parametrize("name", ["moment", "tare", "none"])
+def test_what_a_method_does_not_use_may_be_missing(name, four, done):
+    raw, reference = four
+    silent = reference._replace(gyroscope=np.full_like(reference.gyroscope, np.nan))
+    _, estimates = run(build(name), raw[:80], Reference(*(part[:80] for part in silent)))
+    np.testing.assert_array_equal(estimates[-1].force, done(name)[1][79].force)
+    assert not (estimates[-1].flags & int(Flag.REFERENCE)).any()

@@ -7,6 +7,7 @@ from surefoot.calibration import (
     GRAVITY,
     FeetLayout,
     Flag,
+    FootCalibrator,
     FootLayout,
     OnlineSetup,
     Parameters,
@@ -515,3 +516,9 @@ def test_methods_hand_out_a_state_that_is_a_value():
     (first, one), (second, two) = (update(state, log.raw[120], row, DT) for _ in range(2))
     np.testing.assert_array_equal(one.scale, two.scale)
     np.testing.assert_array_equal(first.samples, second.samples)
+
+
+def test_a_slow_stream_is_told_how_to_do_without_the_filter():
+    with pytest.raises(ValueError, match=r"Give a lower one, or 'cutoff=None' to filter nothing\."):
+        FootCalibrator(LAYOUT, "window", mass=MASS, dt=0.05)
+    assert FootCalibrator(LAYOUT, "window", mass=MASS, dt=0.05, cutoff=None).setup.dt == 0.05
