@@ -76,7 +76,11 @@ def _lags(shares: NDArray[np.float64]) -> bool:
 
 
 def _criterion(problem: Problem, solution: Solution) -> float:
-    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978)."""
+    """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978).
+
+    That is the solution's unknowns alone: what the sets' own maps leave and what the solution leaves of
+    these maps add up to what it leaves of the readings.
+    """
     rows = sum(part.rows for part in problem.sets)
     unwhiten = np.linalg.inv(problem.whitening).T
     scatter = sum(part.scatter for part in problem.sets)
@@ -84,7 +88,7 @@ def _criterion(problem: Problem, solution: Solution) -> float:
         scatter = scatter + residual.T @ np.linalg.pinv(part.gram, hermitian=True) @ residual
     size = np.sqrt(np.diag(scatter))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
-    free = len(size) * sum(part.uu.shape[1] for part in problem.sets) + solution.jacobian.shape[1]
+    free = solution.jacobian.shape[1]
     of_colour = len(size) * sum(part.log_colour for part in problem.sets)
     return float(rows * (logdet + 2.0 * np.sum(np.log(size))) + of_colour + free * np.log(rows))
 
