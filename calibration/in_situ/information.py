@@ -7,7 +7,8 @@ together :math:`P_q`. So of all that is known of q, :math:`1 / P_q`, the data kn
 V_q`: one where no prior was needed, zero where the data say nothing.
 
 A direction counts as seen if the data alone know it to a share of its size. The rank of a matrix would not
-do: the faintest motion makes it full.
+do: the faintest motion makes it full. The limb's inertia, which slow motion hardly shows and no answer
+holds, takes part only by what it leaves of the others.
 """
 
 from collections.abc import Sequence
@@ -92,7 +93,7 @@ def data_share(
     # The rows' noise beyond white: what counts is how sure the data are, not how many.
     data = data / np.sqrt(factor)
     squares = data.T @ data
-    values, vectors = np.linalg.eigh(squares)
+    values, vectors = np.linalg.eigh(_without_inertia(squares, problem, channels * inputs))
     weak = values < 1.0 / tolerance**2
     taking = np.sum(vectors[:, weak] ** 2, axis=1) > 0.5 / max(int(np.sum(weak)), 1) ** 2
     to_output = output_derivatives(problem, solution, noise) * scale
@@ -107,7 +108,18 @@ def data_share(
     own = np.zeros(len(known))
     own[FitColumns.of(channels).offset] = np.diag(noise) * last.offset_variance(last.end)
     share = np.clip((known + own) / np.maximum(alone + own, np.finfo(float).tiny), 0.0, 1.0)
-    return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(problem, taking, channels, inputs))
+    return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(taking, channels, inputs))
+
+
+def _without_inertia(squares: Matrix, problem: Problem, linear: int) -> Matrix:
+    """Return the information on all unknowns but the limb's inertia, which is free, shape (q, q)."""
+    if not problem.moving:
+        return squares
+    inertia = linear + np.arange(len(squares) - linear)[INERTIA]
+    others = np.delete(np.arange(len(squares)), inertia)
+    own = squares[np.ix_(inertia, inertia)] + np.eye(len(inertia)) / _UNKNOWN**2
+    across = squares[np.ix_(inertia, others)]
+    return np.asarray(squares[np.ix_(others, others)] - across.T @ np.linalg.solve(own, across))
 
 
 def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
@@ -153,13 +165,12 @@ def _sizes(problem: Problem, solution: Solution) -> Vector:
     return np.concatenate([np.tile(columns, len(white)), limb])
 
 
-def _names(problem: Problem, taking: NDArray[np.bool_], channels: int, inputs: int) -> tuple[str, ...]:
+def _names(taking: NDArray[np.bool_], channels: int, inputs: int) -> tuple[str, ...]:
     response = taking[: channels * inputs].reshape(channels, inputs)
     limb = taking[channels * inputs :]
     named = {
         "the matrix": response[:, :AXES],
         "the limb's mass": limb[MASS],
         "its centre of mass": limb[MOMENT],
-        "its inertia": limb[INERTIA] if problem.moving else limb[:0],
     }
     return tuple(name for name, parts in named.items() if parts.any())
