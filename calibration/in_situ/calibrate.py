@@ -10,6 +10,7 @@ inertial parameters and an offset for each set. The paper's own regression is in
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -172,7 +173,8 @@ def _fit(
         warnings += check_within(sets, parts, options)
     if factory is not None:
         free = replace(problem, prior_response=None)
-        by_data = minima(free, starts(free, None, None))[0]
+        # Masses in one plane leave a rotation and its mirror image: the matrix knows which.
+        by_data = min(minima(free, starts(free, None, None)), key=partial(_from_factory, problem))
         check_factory(factory, problem, by_data, determined=not data_rank(free, by_data.limb).missing)
         problem, first = _leaning(problem, first, options)
     found = minima(problem, first)
@@ -228,6 +230,12 @@ def _slow_first(slow: CalibrationRefused | None) -> Iterator[None]:
             raise
         cure = f"{slow.cure} If that is not it: {refusal.cure}"
         raise CalibrationRefused(f"{slow.reason} {refusal.reason}", cure) from refusal
+
+
+def _from_factory(problem: Problem, solution: Solution) -> float:
+    """Return how far a solution's response is from the factory's."""
+    assert problem.prior_response is not None
+    return float(np.linalg.norm(problem.whitening @ (solution.A - problem.prior_response)))
 
 
 def _without_priors(problem: Problem, solution: Solution, rank: DataRank, options: InSituOptions) -> DataRank:

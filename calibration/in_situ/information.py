@@ -7,8 +7,8 @@ together :math:`P_q`. So of all that is known of q, :math:`1 / P_q`, the data kn
 V_q`: one where no prior was needed, zero where the data say nothing.
 
 A direction counts as seen if the data alone know it to a share of its size. The rank of a matrix would not
-do: the faintest motion makes it full. The limb's inertia, which slow motion hardly shows and no answer
-holds, takes part only by what it leaves of the others.
+do: the faintest motion makes it full. What no answer holds, loops of hysteresis and the limb's inertia, which
+slow motion hardly shows, takes part only by what it leaves of the rest.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.covariance import output_derivatives
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import FitColumns
-from surefoot.calibration.in_situ.model import AXES, DIRECT, INERTIA, MASS, MOMENT
+from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.solve import Problem, Solution
 from surefoot.calibration.results import CalibrationRefused
 
@@ -93,9 +93,11 @@ def data_share(
     # The rows' noise beyond white: what counts is how sure the data are, not how many.
     data = data / np.sqrt(factor)
     squares = data.T @ data
-    values, vectors = np.linalg.eigh(_without_inertia(squares, problem, channels * inputs))
+    asked = _asked(problem, channels, inputs, len(squares))
+    values, vectors = np.linalg.eigh(_of_asked(squares, asked))
     weak = values < 1.0 / tolerance**2
-    taking = np.sum(vectors[:, weak] ** 2, axis=1) > 0.5 / max(int(np.sum(weak)), 1) ** 2
+    taking = np.zeros(len(squares), dtype=np.bool_)
+    taking[asked] = np.sum(vectors[:, weak] ** 2, axis=1) > 0.5 / max(int(np.sum(weak)), 1) ** 2
     to_output = output_derivatives(problem, solution, noise) * scale
     to_output[:, : channels * inputs] = to_output[:, : channels * inputs] @ np.kron(
         np.linalg.inv(problem.whitening), np.eye(inputs)
@@ -111,15 +113,21 @@ def data_share(
     return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(taking, channels, inputs))
 
 
-def _without_inertia(squares: Matrix, problem: Problem, linear: int) -> Matrix:
-    """Return the information on all unknowns but the limb's inertia, which is free, shape (q, q)."""
-    if not problem.moving:
-        return squares
-    inertia = linear + np.arange(len(squares) - linear)[INERTIA]
-    others = np.delete(np.arange(len(squares)), inertia)
-    own = squares[np.ix_(inertia, inertia)] + np.eye(len(inertia)) / _UNKNOWN**2
-    across = squares[np.ix_(inertia, others)]
-    return np.asarray(squares[np.ix_(others, others)] - across.T @ np.linalg.solve(own, across))
+def _asked(problem: Problem, channels: int, inputs: int, count: int) -> NDArray[np.bool_]:
+    """Return which unknowns an answer holds: neither loops nor the limb's inertia, shape (count,)."""
+    asked = np.ones(count, dtype=np.bool_)
+    response, limb = np.split(asked, [channels * inputs])
+    response.reshape(channels, inputs)[:, inputs - problem.channel_lags :] = False
+    limb[STATIC : problem.parameters] = False
+    return asked
+
+
+def _of_asked(squares: Matrix, asked: NDArray[np.bool_]) -> Matrix:
+    """Return the information on what is asked, whatever the rest may be, shape (q, q)."""
+    own = squares[np.ix_(~asked, ~asked)]
+    across = squares[np.ix_(~asked, asked)]
+    rest = np.linalg.solve(own + np.eye(len(own)) / _UNKNOWN**2, across)
+    return np.asarray(squares[np.ix_(asked, asked)] - across.T @ rest)
 
 
 def slow_turn(sets: Sequence[InSituSet], parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
