@@ -176,7 +176,7 @@ def _fit(
         # Masses in one plane leave a rotation and its mirror image: the matrix knows which.
         by_data = min(minima(free, starts(free, None, None)), key=partial(_from_factory, problem))
         check_factory(factory, problem, by_data, determined=not data_rank(free, by_data.limb).missing)
-        problem, first = _leaning(problem, first, options)
+        problem, first = _leaning(problem, first, options, determined=not rank.missing)
     found = minima(problem, first)
     check_rotation(found)
     solution = found[0]
@@ -275,7 +275,7 @@ def _evidence(
     first = starts(problem, factory, problem.limb if known is not None else None)
     if factory is not None and data_rank(problem, first[0]).missing:
         problem = _problem(sets, parts, factory, known, options, moving, reference is not None)
-        problem, first = _leaning(problem, first, options)
+        problem, first = _leaning(problem, first, options, determined=False)
     return Evidence(sets, problem, minima(problem, first)[0], options)
 
 
@@ -325,7 +325,9 @@ def _limb_rows(known: KnownLimb | None, moving: bool) -> tuple[Vector, Matrix]:
     return expected, rows
 
 
-def _leaning(problem: Problem, first: list[Vector], options: InSituOptions) -> tuple[Problem, list[Vector]]:
+def _leaning(
+    problem: Problem, first: list[Vector], options: InSituOptions, *, determined: bool
+) -> tuple[Problem, list[Vector]]:
     """Return the problem with the weight that the factory matrix gets, and where to start from."""
     assert problem.prior_response is not None
     response, W = problem.prior_response, problem.whitening
@@ -333,7 +335,10 @@ def _leaning(problem: Problem, first: list[Vector], options: InSituOptions) -> t
     found = minima(even, first)
     check_rotation(found)
     start = found[0].outer
-    shares = choose_shares(problem, start) if options.factory_std is None else np.array(options.factory_std)
+    if options.factory_std is None:
+        shares = choose_shares(problem, start, determined)
+    else:
+        shares = np.array(options.factory_std)
     return replace(problem, prior_information=information(response, W, shares)), [start]
 
 

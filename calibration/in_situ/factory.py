@@ -29,8 +29,8 @@ Matrix = NDArray[np.float64]
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)
 """How far an axis may be from the factory's, as shares of its response, from free to fixed."""
 
-_STEPS = (0.1, 10.0)
-"""Factors on the common share that are then tried for each axis."""
+_STEPS = (10.0, 1.0, 0.1)
+"""Factors on the common share that are then tried for each axis, the freest first."""
 
 _WEIGHTS = 10.0 ** np.arange(-6.0, 3.0)
 """Weights of a row to choose from, in units of the readings' mean square."""
@@ -45,25 +45,38 @@ def information(response: Matrix, whitening: Matrix, shares: NDArray[np.float64]
     return np.asarray(1.0 / (shares * size) ** 2)
 
 
-def choose_shares(problem: Problem, start: NDArray[np.float64]) -> NDArray[np.float64]:
+def choose_shares(problem: Problem, start: NDArray[np.float64], determined: bool) -> NDArray[np.float64]:
     """Return how far each axis may be from the factory matrix by cross-validation, shape (6,).
 
     Each fold is a stretch of time of all sets: without a whole set the others would lean more than all do
-    together. One share for all axes is found first, then each axis's in turn. ``start`` holds outer unknowns.
+    together. One share for all axes is found first, then each axis's in turn. Where the data have determined
+    all, it is the largest that predicts as well as the best within a standard error of their difference: what
+    data know is not to be drawn to an old matrix.
+
+    Args:
+        problem: With the factory matrix's response.
+        start: Outer unknowns.
+        determined: Whether the data determine all by themselves.
     """
     folds = _folds(problem)
-    scores: dict[tuple[float, ...], float] = {}
+    scores: dict[tuple[float, ...], Matrix] = {}
 
-    def score(shares: tuple[float, ...]) -> float:
+    def score(shares: tuple[float, ...]) -> Matrix:
         if shares not in scores:
-            scores[shares] = sum(_held_out(fold, shares, start) for fold in folds)
+            scores[shares] = np.array([_held_out(fold, shares, start) for fold in folds])
         return scores[shares]
 
-    common: list[tuple[float, ...]] = [(share,) * AXES for share in _SHARES]
-    best = min(common, key=score)
+    def chosen(tried: list[tuple[float, ...]]) -> tuple[float, ...]:
+        least = min(tried, key=lambda shares: float(np.sum(score(shares))))
+        for shares in tried if determined else ():
+            more = score(shares) - score(least)
+            if np.mean(more) <= np.std(more, ddof=1) / np.sqrt(_FOLDS):
+                return shares
+        return least
+
+    best = chosen([(share,) * AXES for share in _SHARES])
     for axis in range(AXES):
-        tried = [(*best[:axis], best[axis] * step, *best[axis + 1 :]) for step in _STEPS]
-        best = min([best, *tried], key=score)
+        best = chosen([(*best[:axis], best[axis] * step, *best[axis + 1 :]) for step in _STEPS])
     return np.array(best)
 
 
