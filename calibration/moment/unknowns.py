@@ -100,6 +100,8 @@ class Unknowns:
         self.change[self.mass] = config.mass_change
         self.learnt: NDArray[np.float64] = np.ones(self.size)
         self.learnt[self.mass] = float(config.learn_mass)
+        # A vertical force that is off looks like a common scale: open, it takes what noisy columns shrink.
+        self.learnt[self.acceleration.stop - 1] = 0.0
         self.gather: NDArray[np.float64] = np.zeros((self.scales, channels))
         self.gather[np.arange(self.scales), self.out] = 1.0
         self._constants = Constants(gather=self.gather, inputs=np.eye(channels)[self.inp])
