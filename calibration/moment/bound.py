@@ -9,8 +9,8 @@ Nehorai, 1998, in the linear case)
 in which nothing is estimated: H is made with the *true* scales and offsets, which a simulated log knows. It
 holds for the model as it is assumed (priors, drift and noise of
 :class:`~surefoot.calibration.moment.config.MomentFilterConfig`), on the motion that the log holds: where a
-robot stands still, the bound is high. A mass that the filter only considers is free here, as nothing forbids
-to estimate it.
+robot stands still, the bound is high. A mass and a vertical bias that the filter only considers are free
+here, as nothing forbids to estimate them.
 """
 
 from typing import NamedTuple

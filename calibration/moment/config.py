@@ -18,8 +18,8 @@ process noise. See ``docs/estimator.md`` for the derivation and
 * **Swing tare.** A foot in the air reads what its own sole's inertia makes it read: every offset at once,
   and the only moment at which the warp (+, -, -, +) of four cells can be seen.
 * **Errors of the reference are unknowns too** (centre of mass, acceleration, delay), or are considered
-  without being estimated (mass, after Schmidt, until it leaps): what belongs to the reference does not flow
-  into the cells.
+  without being estimated (mass, after Schmidt, until it leaps; vertical bias): what belongs to the reference
+  does not flow into the cells.
 * **Sums, not a filter.** A low-pass makes noise coloured, and a Kalman filter that takes coloured noise for
   white is too sure of itself. Here samples are averaged, ``average`` of them, the same on both sides.
 * **Rows may be wrong**: see :mod:`surefoot.calibration.moment.kalman`. A foot that should swing and carries

@@ -197,7 +197,7 @@ class MomentStream:
             learnt_from = learnt_from.beside(parity)
         learnt_from = learnt_from.keep(xp.astype(~waiting, mean.dtype)[..., None])
         learnt = self._learnt(covariance, own.learnt)
-        step = kalman_step(mean, covariance, *learnt_from, learnt, own.identity, self.config.gate)
+        step = kalman_step(mean, covariance, *learnt_from, learnt, own.identity, config.gate)
         low, high = self._limits(state.step, mean)
         clipped = xp.clip(step.mean, low, high)
         rejected = rejected | xp.any(clipped != step.mean, axis=-1)

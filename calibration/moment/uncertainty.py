@@ -31,9 +31,7 @@ class Uncertainty:
         self._constants = Constants(
             own_scales=own_scales,
             aged=np.diag(unknowns.aged[unknowns.map]),
-            gather=unknowns.gather,
             identity=np.eye(K),
-            inputs=np.eye(K)[unknowns.inp],
             unit=unknowns.unit,
         )
 
@@ -48,7 +46,7 @@ class Uncertainty:
         """
         xp, own, unknowns = namespace_of(mean), self._constants.like(covariance), self.unknowns
         # b is the force at a reading of no force by the starting map.
-        offsets = self._to_tared_force(mean, mean[..., unknowns.offset] * own.unit)
+        offsets = self.to_force(mean, xp.zeros_like(mean[..., unknowns.offset]))
         rows = xp.concat([own.own_scales + 0.0 * offsets[..., :1], offsets], axis=-2)
         return rows @ (covariance[..., unknowns.map, unknowns.map] + own.aged) @ rows.mT
 
@@ -94,7 +92,7 @@ class Uncertainty:
             "covariance": state.learnt,
             "force_std": xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
             "cop_covariance": turned @ covariance @ turned.mT,
-            "matrix": None if unknowns.diagonal else self._matrix(state.mean),
+            "matrix": None if unknowns.diagonal else unknowns.matrix(state.mean),
         }
 
     def to_force(self, mean: Array, force: Array) -> Array:
@@ -104,12 +102,9 @@ class Uncertainty:
             mean: The unknowns, shape (..., N).
             force: Forces by the starting map in N, shape (..., K).
         """
-        return self._to_tared_force(mean, self.unknowns.tared(mean, force, self._constants.like(force).unit))
-
-    def _to_tared_force(self, mean: Array, tared: Array) -> Array:
-        xp, own = namespace_of(mean), self._constants.like(mean)
-        scales = self.unknowns.by_scale(own.identity, tared)
-        offsets = self.unknowns.by_offset(own.identity, mean, own.unit)
+        xp, unknowns, own = namespace_of(mean), self.unknowns, self._constants.like(mean)
+        scales = unknowns.by_scale(own.identity, unknowns.tared(mean, force, own.unit))
+        offsets = unknowns.by_offset(own.identity, mean, own.unit)
         return xp.concat([scales, offsets + 0.0 * scales[..., :1]], axis=-1)
 
     def _to_force_by_map(self, force: Array) -> Array:
@@ -117,11 +112,6 @@ class Uncertainty:
         xp, own = namespace_of(force), self._constants.like(force)
         scales = own.identity * force[..., None, :]
         return xp.concat([scales, own.identity + 0.0 * scales], axis=-1)
-
-    def _matrix(self, mean: Array) -> Array:
-        """Return the scales as a matrix, shape (..., K, K)."""
-        own = self._constants.like(mean)
-        return (own.gather * mean[..., self.unknowns.scale, None]).mT @ own.inputs
 
 
 def variances(row: Array, covariance: Array) -> Array:

@@ -42,7 +42,6 @@ class Unknowns:
         diagonal: Whether there is one scale a channel.
         out, inp: Channel that each scale acts on, and on whose reading, shape (P,) each.
         own: The scale of each channel on its own reading, shape (K,).
-        gather: 1 where a scale acts on a channel, shape (P, K).
         unit: Newtons, or N m, of one offset of each channel, shape (K,).
         start: Mean to start from, shape (N,).
         std: Standard deviations to start from, shape (N,).
@@ -102,9 +101,8 @@ class Unknowns:
         self.learnt[self.mass] = float(config.learn_mass)
         # A vertical force that is off looks like a common scale: open, it takes what noisy columns shrink.
         self.learnt[self.acceleration.stop - 1] = 0.0
-        self.gather: NDArray[np.float64] = np.zeros((self.scales, channels))
-        self.gather[np.arange(self.scales), self.out] = 1.0
-        self._constants = Constants(gather=self.gather, inputs=np.eye(channels)[self.inp])
+        identity = np.eye(channels)
+        self._constants = Constants(gather=identity[self.out], inputs=identity[self.inp])
 
     def own_scales(self, mean: Array) -> Array:
         """Return the scales of the channels on their own readings, shape (..., K)."""
@@ -146,5 +144,9 @@ class Unknowns:
         """Return what offsets do to such rows, shape (..., m, K)."""
         if self.diagonal:
             return rows * (mean[..., self.scale] * unit)[..., None, :]
-        scaled = rows[..., self.out] * mean[..., None, self.scale]
-        return (scaled @ self._constants.like(rows).inputs) * unit
+        return rows @ self.matrix(mean) * unit
+
+    def matrix(self, mean: Array) -> Array:
+        """Return the scales as a matrix A, shape (..., K, K)."""
+        own = self._constants.like(mean)
+        return (own.gather * mean[..., self.scale, None]).mT @ own.inputs

@@ -69,7 +69,9 @@ def test_an_unknown_limb_of_the_foot_is_better_than_the_factory_matrix(foot):
     assert np.all(foot["limb unknown", "first"].rmse[:3] < factory[:3])
 
 
-@pytest.mark.parametrize("fitted", ["first", pytest.param("second", marks=pytest.mark.xfail(reason=DRAWN))])
+@pytest.mark.parametrize(
+    "fitted", ["first", pytest.param("second", marks=pytest.mark.xfail(strict=True, reason=DRAWN))]
+)
 def test_knowing_where_the_foots_mass_is_keeps_the_torques_right(foot, fitted):
     factory = foot["factory matrix, offset by the model", fitted].rmse
     loose, tight = (foot[name, fitted].rmse for name in (LOOSE, TIGHT))
