@@ -189,23 +189,23 @@ def check_rotation(found: Sequence[Solution]) -> None:
     for other in found[1:]:
         cosine = (np.trace(best.T @ other.rotation) - 1.0) / 2.0
         if cosine < _ONE_TURN:
-            raise CalibrationRefused(
+            CalibrationRefused(
                 "Two rotations of the accelerometer, "
                 f"{np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f} degrees apart, fit the readings "
                 "equally well: added masses in one plane do not tell a sensor from its mirror image.",
                 "Hang a mass off the plane of the others, or give a factory matrix.",
-            )
+            ).unless_accepted()
 
 
 def check_scale(fit: InSituFit, options: InSituOptions) -> None:
     """Raise CalibrationRefused if the limb's mass, and with it the scale of all forces, is unknown."""
     mass, deviation = fit.limb.mass, fit.limb_mass_std
     if not (mass > 0.0 and deviation <= options.scale_tolerance * mass):
-        raise Contradiction(
+        Contradiction(
             f"The limb's mass comes out as {mass:.3g} kg with a standard deviation of {deviation:.2g} kg, so "
             "the scale of all forces is as unsure.",
             "Add larger masses or at places further apart, record for longer, or give the limb's mass.",
-        )
+        ).unless_accepted()
 
 
 def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: InSituOptions) -> None:
@@ -222,11 +222,11 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
         spread = fit.response.T @ fit.covariance[row, row] @ fit.response
         doubt = float(np.sqrt(np.sum(np.diag(spread) * load**2))) / max(float(load[axis]), _NO_LOAD)
         if not doubt < options.axis_tolerance:
-            raise CalibrationRefused(
+            CalibrationRefused(
                 f"The axis {name} is known to {doubt:.0%} of its load only.",
                 f"Hang masses where they load {name} differently, check that all {channels} channels are "
                 "connected, each once, or give a factory matrix.",
-            )
+            ).unless_accepted()
 
 
 def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> None:
@@ -257,23 +257,23 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     best, words = next(one for one in readings if one[0] < least + _ALIKE)
     entry, changed = min(_other_entries(factory, measured, expected, missed), default=(np.inf, ""))
     if now > _CORRUPT and best < min(_BETTER * now, entry):
-        raise CalibrationRefused(
+        CalibrationRefused(
             f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {best:.0%}.",
             "Correct that, or compare the matrix with the maker's sheet.",
-        )
-    if entry < _ALONE * now:
-        raise CalibrationRefused(
+        ).unless_accepted()
+    elif entry < _ALONE * now:
+        CalibrationRefused(
             f"{changed} leaves {entry:.0%} of what hangs there, and the matrix as it is {at_odds}.",
             "Compare the matrix with the maker's sheet, its signs and exponents first.",
-        )
+        ).unless_accepted()
     shown = (factory @ measured)[:3]
     scale = float(np.sum(shown * expected[:3]) / np.sum(expected[:3] ** 2))
     if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
-        raise Contradiction(
+        Contradiction(
             f"By the factory matrix the readings show {scale:.3g} times the forces that hang there.",
             "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
             "those of the masses (kg).",
-        )
+        ).unless_accepted()
 
 
 def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:
@@ -344,7 +344,7 @@ def check_masses(
         "Weigh what was added and measure where it hung, or leave the set out.",
     )
     if np.max(off) > options.mass_tolerance:
-        raise contradiction
+        contradiction.unless_accepted()
     added = problem.added[:, :STATIC]
     for j in range(len(added)) if np.max(off) > _SLIGHT * options.mass_tolerance else ():
         changes = np.zeros((STATIC, *problem.added.shape))
@@ -354,7 +354,7 @@ def check_masses(
         changed[j] += step
         amount = float(np.max(_disagreement(problem, changed)))
         if explained > _CULPRIT * left and amount > _WEIGHED * options.mass_tolerance:
-            raise contradiction
+            contradiction.unless_accepted()
     if problem.rotation:
         return ()
     turn, explained = _explained(problem, solution, np.stack([_turn(problem.added, e) for e in np.eye(3)]))
@@ -363,7 +363,7 @@ def check_masses(
     if angle < _TURNED * options.mass_tolerance or explained < _TURNED_SIGMAS**2 * spread:
         return ()
     if angle > options.mass_tolerance:
-        raise contradiction
+        contradiction.unless_accepted()
     return (
         f"The IMU seems to be turned by {np.degrees(angle):.1f} degrees against the sensor's frame, and the "
         "wrench with it: give its rotation (R_sensor_accelerometer), or let the fit find it "

@@ -68,12 +68,13 @@ from surefoot.calibration.in_situ.solve import (
     starts,
     transforms,
 )
-from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats, accepting
 
 __all__ = ["calibrate_in_situ"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
+_Given = tuple[tuple[InSituSet, ...], Matrix | None, KnownLimb | None, InSituOptions]
 
 _FEW_REJECTED = 0.01
 """Share of samples that may disagree with all others as chance has it."""
@@ -89,6 +90,7 @@ def calibrate_in_situ(
     limb: KnownLimb | None = None,
     options: InSituOptions | None = None,
     refuse: bool = True,
+    accept: str = "",
 ) -> InSituFit:
     """Return the calibration of a six-axis F/T sensor where it is built in.
 
@@ -103,6 +105,8 @@ def calibrate_in_situ(
         options: How to fit.
         refuse: Whether to raise where the data do not determine the fit; otherwise a fit full of NaN is
             returned, with the reason in ``refusals``.
+        accept: Why a refusal shall be passed; empty if none shall. The fit that comes out holds this reason
+            and all refusals that were passed. What has no answer at all is refused nevertheless.
 
     Returns:
         The matrix, the offsets, the limb, and how sure they are.
@@ -113,8 +117,9 @@ def calibrate_in_situ(
     """
     options = InSituOptions() if options is None else options
     factory = _checked_factory(sets, factory_matrix)
+    given = (tuple(sets), factory, limb, options)
     try:
-        return _fit(tuple(sets), factory, limb, options)
+        return _fit(*given)
     except np.linalg.LinAlgError:
         refusal = _explained(
             Contradiction(
@@ -122,15 +127,34 @@ def calibrate_in_situ(
                 "them.",
                 "Check the channels, add masses at other places, or lean more on a factory matrix.",
             ),
-            (tuple(sets), factory, limb, options),
+            given,
         )
     except Contradiction as symptom:
-        refusal = _explained(symptom, (tuple(sets), factory, limb, options))
+        refusal = _explained(symptom, given)
     except CalibrationRefused as reason:
         refusal = reason
+    if accept:
+        fit = _past(refusal, given, accept)
+        if fit is not None:
+            return fit
+        refusal = CalibrationRefused(
+            refusal.reason, f"{refusal.cure} It cannot be accepted: there is no answer without that."
+        )
     if refuse:
         raise refusal
     return _refused(sets, refusal)
+
+
+def _past(refusal: CalibrationRefused, given: _Given, accept: str) -> InSituFit | None:
+    """Return the fit past a refusal, which was the first, and all others; None if there is no answer."""
+    with accepting() as passed:
+        try:
+            fit = _fit(*given)
+        except (CalibrationRefused, np.linalg.LinAlgError):
+            return None
+    if not np.isfinite(fit.matrix).all():
+        return None
+    return replace(fit, result=FitResult.ACCEPTED, refusals=(refusal, *passed[1:]), accepted=accept)
 
 
 def _checked_factory(sets: Sequence[InSituSet], factory_matrix: ArrayLike | None) -> Matrix | None:
@@ -249,10 +273,7 @@ def _without_priors(problem: Problem, solution: Solution, rank: DataRank, option
     return DataRank(rank.found + rank.missing - of_data.unseen, of_data.unseen, of_data.left_open)
 
 
-def _explained(
-    symptom: Contradiction,
-    given: tuple[tuple[InSituSet, ...], Matrix | None, KnownLimb | None, InSituOptions],
-) -> CalibrationRefused:
+def _explained(symptom: Contradiction, given: _Given) -> CalibrationRefused:
     """Return a symptom with its likeliest cause."""
     sets, factory, _, options = given
     try:

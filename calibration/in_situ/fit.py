@@ -95,7 +95,7 @@ class InSituFit:
         temperature_coefficient: Counts per K, shape (k,); None if no temperature was given, or it stayed.
         rotation: R_sensor_accelerometer, shape (3, 3); the identity unless it was estimated.
         result: How much the data determined.
-        refusals: Why it was refused, empty if it was not.
+        refusals: Why it was refused, and what was passed if that was accepted; empty if it was not.
         warnings: What to know before the numbers are used.
         stats: Of all sets together; the residual is in counts.
         set_stats: One a set.
@@ -107,6 +107,7 @@ class InSituFit:
         channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
         data_share: Of the information on each entry of ``covariance``, the share that the readings give by
             themselves, without a factory matrix or a known limb, shape (7 k + 4,).
+        accepted: The reason that was given to pass the refusals; empty if none was passed.
     """
 
     matrix: NDArray[np.float64]
@@ -129,6 +130,7 @@ class InSituFit:
     hysteresis: NDArray[np.float64] | None = None
     channel_hysteresis: NDArray[np.float64] | None = None
     data_share: NDArray[np.float64] | None = None
+    accepted: str = ""
 
     @property
     def columns(self) -> FitColumns:

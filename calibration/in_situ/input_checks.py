@@ -140,26 +140,27 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, leaning: bool)
     )
     if leaning:
         return (*warnings, f"{reason} What it does not show leans on the factory matrix.")
-    raise CalibrationRefused(
+    CalibrationRefused(
         reason, "Tilt the limb about a second axis as well, such as front-back and sideways."
-    )
+    ).unless_accepted()
+    return warnings
 
 
 def _check_added(data: InSituSet) -> None:
     """Raise CalibrationRefused if nobody hangs such a mass, or at such a place, on a limb."""
     if data.added_mass > _HEAVIEST:
-        raise CalibrationRefused(
+        CalibrationRefused(
             f"'{data.name}': {data.added_mass:g} kg were added, and no limb bears that: the mass is likely "
             "in grams.",
             "Give masses in kg.",
-        )
+        ).unless_accepted()
     reach = float(np.linalg.norm(data.added_com)) * (data.added_mass > 0.0)
     if reach > _FARTHEST:
-        raise CalibrationRefused(
+        CalibrationRefused(
             f"'{data.name}': the added mass hangs {reach:.3g} m away from the sensor: its place is likely in "
             "mm or cm.",
             "Give places in m, in the sensor's frame.",
-        )
+        ).unless_accepted()
 
 
 def _check_accelerometer(sets: Sequence[InSituSet], rows: Sequence[NDArray[np.int_]]) -> tuple[str, ...]:
@@ -260,10 +261,10 @@ def _check_unit(data: InSituSet, length: float) -> None:
     """Raise CalibrationRefused if gravity's length is that of another unit."""
     looks = [text for value, text in _UNITS.items() if abs(length / value - 1.0) < _SAME_UNIT]
     if looks:
-        raise CalibrationRefused(
+        CalibrationRefused(
             f"{_length_reason(data, length)} Give it in m/s^2; it looks like {looks[0]}.",
             "Convert it, and calibrate the accelerometer first.",
-        )
+        ).unless_accepted()
 
 
 def _length_reason(data: InSituSet, length: float) -> str:
@@ -276,15 +277,16 @@ def _check_length(data: InSituSet, sizes: NDArray[np.float64]) -> None:
     if _GRAVITY[0] < length < _GRAVITY[1]:
         return
     if spread > _SPEEDING * length and not data.moves:
-        raise CalibrationRefused(
+        CalibrationRefused(
             f"{_length_reason(data, length)} It spreads by {spread:.2g}: {TOO_FAST}.",
             "Give the gyroscope's readings as well, or move slowly.",
-        )
-    raise CalibrationRefused(
+        ).unless_accepted()
+        return
+    CalibrationRefused(
         f"{_length_reason(data, length)} Give it in m/s^2; or the accelerometer's scale is off by "
         f"{length / GRAVITY - 1.0:+.0%}.",
         "Calibrate the accelerometer first.",
-    )
+    ).unless_accepted()
 
 
 def _check_channels(data: InSituSet, options: InSituOptions) -> None:
@@ -292,18 +294,18 @@ def _check_channels(data: InSituSet, options: InSituOptions) -> None:
     for channel, of_channel in enumerate(data.raw.T):
         counts = of_channel[np.isfinite(of_channel)]
         if len(counts) and np.ptp(counts) == 0.0:
-            raise CalibrationRefused(
+            CalibrationRefused(
                 f"'{data.name}': channel {channel} reads {counts[0]:g} throughout.",
                 "Check its wiring and that the sensor was switched on.",
-            )
+            ).unless_accepted()
         low, high = options.code_range or (-np.inf, np.inf)
         stuck = float(np.mean((counts <= low) | (counts >= high))) if len(counts) else 0.0
         if stuck > _SATURATED:
-            raise CalibrationRefused(
+            CalibrationRefused(
                 f"'{data.name}': channel {channel} is saturated in {stuck:.1%} of the samples "
                 f"(at or beyond {low:g} or {high:g}).",
                 "Take the load off or set the hardware's offset again: a clipped reading shows nothing.",
-            )
+            ).unless_accepted()
         _check_ends(data, channel, of_channel)
 
 
@@ -318,12 +320,12 @@ def _check_ends(data: InSituSet, channel: int, counts: NDArray[np.float64]) -> N
             continue
         beyond, deviation = _beyond(data, counts, held, sign)
         if beyond > deviation + values[-1] - values[-2]:
-            raise CalibrationRefused(
+            CalibrationRefused(
                 f"'{data.name}': channel {channel} is clipped: {times[-1]} samples read exactly {end:g}"
                 f"{_when(data, held)}, none reads beyond, and gravity went on turning.",
                 "Take the load off, set the hardware's offset again, or lower the gain: a clipped reading "
                 "shows nothing.",
-            )
+            ).unless_accepted()
 
 
 def _beyond(
@@ -346,12 +348,12 @@ def check_within(
     for data, part in zip(sets, parts, strict=True):
         share = float(np.mean(part.rejected))
         if share > (_REJECTED_MOVING if data.moves else _REJECTED):
-            raise Contradiction(
+            Contradiction(
                 f"'{data.name}': {share:.0%} of the samples disagree with all others"
                 f"{_when(data, part.rejected)}.",
                 "Something touched the limb or it moved too fast: leave that time out, or record the set "
                 "again with the foot in the air.",
-            )
+            ).unless_accepted()
         if share > _STRAY:
             warnings.append(
                 f"'{data.name}': {np.sum(part.rejected)} samples that disagree with all others were left out"
@@ -360,7 +362,8 @@ def check_within(
         left = _residual_share(data, part)
         if left > options.residual_tolerance:
             bending = _bending(data, part)
-            raise _bends(data, bending) if bending > _MOST_BENDS * left else _unexplained(data, part, left)
+            bends = bending > _MOST_BENDS * left
+            (_bends(data, bending) if bends else _unexplained(data, part, left)).unless_accepted()
     return tuple(warnings)
 
 
@@ -375,7 +378,7 @@ def check_bending(
     for data, part in zip(sets, parts, strict=True):
         bending = _bending(data, part)
         if bending > limit and bending > _SOME_BENDS * _residual_share(data, part):
-            raise _bends(data, bending)
+            _bends(data, bending).unless_accepted()
 
 
 def _bends(data: InSituSet, share: float) -> Contradiction:

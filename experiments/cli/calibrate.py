@@ -59,11 +59,17 @@ def ft(
     time: Annotated[str | None, Option(help="Column of time.")] = None,
     set_: Annotated[str | None, Option("--set", help="Column that names the sets.")] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
+    accept: Annotated[
+        str | None,
+        Option(help="Why to go on past what the fit refuses: every file says it.", metavar="REASON"),
+    ] = None,
 ) -> None:
     """Calibrate a six-axis F/T sensor where it is built in: counts, gravity and known masses in."""
     from surefoot.experiments.force_torque.calibrate import SAMPLE, calibrate_in_situ_log
     from surefoot.experiments.force_torque.config import config_beside, read_config
 
+    if accept is not None and not accept.strip():
+        fail("--accept needs the reason why a refusal may be passed; every file that is made says it.")
     if bool(logs) == sample:
         fail("give the log of a sensor, or --sample for the one that ships with surefoot.")
     paths = [SAMPLE] if sample else list(logs or ())
@@ -76,7 +82,7 @@ def ft(
             for key, names in vectors.items()
         }
         given = given.override(time=time, set=set_, **parts)
-        result = calibrate_in_situ_log(paths, given, folder=folder, console=console)
+        result = calibrate_in_situ_log(paths, given, folder=folder, accept=accept or "", console=console)
     _tell(result)
     for what, path in result.files.items():
         typer.echo(f"{what.capitalize() + ':':<13}{path}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
-from surefoot.calibration.results import CalibrationRefused
+from surefoot.calibration.results import CalibrationRefused, FitResult
 from surefoot.experiments.force_torque.config import InSituConfig
 from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
 from surefoot.experiments.force_torque.icub import write_icub_matrix
@@ -38,6 +38,7 @@ def calibrate_in_situ_log(
     config: InSituConfig | Path | None = None,
     *,
     folder: Path,
+    accept: str = "",
     stem: str | None = None,
     console: Console | None = None,
 ) -> CalibratedSensor:
@@ -47,6 +48,7 @@ def calibrate_in_situ_log(
         paths: One log with all sets, or several with one each.
         config: What the tables leave open; by default the TOML file beside the first one.
         folder: Where the files go.
+        accept: Why to go on past what the fit refuses; each file says it, and what was refused. Empty: not.
         stem: How their names begin; by default the first log's name.
         console: Where progress is shown; nowhere by default.
 
@@ -59,17 +61,19 @@ def calibrate_in_situ_log(
     with (console or Console(quiet=True)).status("reading the log") as status:
         log = read_in_situ_log(paths, config)
         status.update(f"fitting {len(log.fitted)} sets")
-        fit = _fit(log)
+        fit = _fit(log, accept)
         notices = [*_doubt_of_weight(log, fit), *log.notices]
+        if accept and not fit.accepted:
+            notices.append("Nothing was refused, so that no reason was needed to go on.")
         status.update("writing the calibration")
         files = _write(log, fit, folder / f"{stem}.in_situ", notices)
         status.update("drawing the report")
         found = Calibrated(dataclasses.replace(log, notices=tuple(notices)), fit)
         files["report"] = write_in_situ_page(folder / f"{stem}.in_situ.html", found)
-    return CalibratedSensor(fit, files, shown_tables(found), (*fit.warnings, *notices))
+    return CalibratedSensor(fit, files, shown_tables(found), found.notices)
 
 
-def _fit(log: InSituLog) -> InSituFit:
+def _fit(log: InSituLog, accept: str) -> InSituFit:
     config = log.config
     mass, std = config.limb.mass_kg, config.limb.mass_std_kg
     fit = calibrate_in_situ(
@@ -78,10 +82,13 @@ def _fit(log: InSituLog) -> InSituFit:
         limb=None if mass is None or std is None else KnownLimb(mass, std),
         options=config.fit.options(config.sensor.range_count),
         refuse=False,
+        accept=accept,
     )
-    if fit.refusals:
+    if fit.result is FitResult.REFUSED:
         first, *others = fit.refusals
         more = "".join(f" Also: {other}" for other in others)
+        if not accept:
+            more += " If you know better: --accept REASON goes on, and every file says so."
         raise CalibrationRefused(f"{', '.join(log.files)}: {first.reason}", f"{first.cure}{more}")
     return fit
 
@@ -107,7 +114,14 @@ def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> di
 
     files: dict[str, Path] = {}
     sensor, temperature = log.config.sensor, log.fitted[-1].temperature
-    if sensor.full_scale is not None:
+    if sensor.full_scale is None:
+        notices.append("No matrix in the iCub's format was written; one needs sensor.full_scale.")
+    elif fit.accepted:
+        notices.append(
+            "No matrix in the iCub's format was written: it has no room for what was refused and why it was "
+            "accepted. write_icub_matrix in surefoot.experiments.force_torque.icub writes one all the same."
+        )
+    else:
         try:
             files["icub"] = write_icub_matrix(fit.matrix, sensor.full_scale, at("icub.txt"))
         except ValueError as error:

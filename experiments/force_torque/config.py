@@ -113,6 +113,7 @@ class Fit(Settings):
     hysteresis: StrictBool = InSituOptions.hysteresis
     estimate_rotation: StrictBool = InSituOptions.estimate_rotation
     factory_std: tuple[Number, ...] | None = None
+    residual_tolerance: Number = InSituOptions.residual_tolerance
 
     @model_validator(mode="after")
     def _sound(self) -> Self:

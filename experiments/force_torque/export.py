@@ -14,6 +14,7 @@ from surefoot.calibration.in_situ import InSituFit, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import write_text
+from surefoot.experiments.study.tables import flat
 
 FORMAT = "surefoot-in-situ-calibration"
 VERSION = 1
@@ -40,6 +41,7 @@ _NAMES = {
     "rotation": "R_sensor_accelerometer",
     "affine_residual": "affine_residual_of_each_set",
     "covariance": "covariance",
+    "data_share": "data_share_of_covariance",
 }
 
 
@@ -57,6 +59,7 @@ def _facts(
             "conventions": _CONVENTIONS,
             "result": fit.result.value,
             "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
+            "accepted": fit.accepted,
             "warnings": fit.warnings,
             "notices": notices,
             **{name: getattr(fit, field) for field, name in _NAMES.items()},
@@ -128,6 +131,7 @@ def _fit_of(given: dict[str, Any]) -> InSituFit:
         limb=Limb(_number(limb["mass_kg"]), _array(limb["mass_com_kg_m"]), _array(limb["inertia_kg_m2"])),
         result=FitResult(given["result"]),
         refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in given["refusals"]),
+        accepted=given["accepted"],
         warnings=tuple(given["warnings"]),
         stats=_stats_of(given["all_sets"]),
         set_stats=tuple(_stats_of(one) for one in given["sets"]),
@@ -182,7 +186,9 @@ def write_ros2_parameters(
         "torque": dict(zip("xyz", add[3:], strict=True)),
     }
     parameters = {node: {"ros__parameters": {"frame_id": frame_id, "offset": offset}}}
-    text = (
+    text = "".join(f"# REFUSED: {flat(str(no))}\n" for no in fit.refusals)
+    text += f"# ACCEPTED: {flat(fit.accepted)}\n" if fit.accepted else ""
+    text += (
         f"# Made with surefoot {surefoot.__version__}. The broadcaster adds 'offset' (N, N m) to what the "
         "driver\n# reports. The driver must report the matrix below times the raw counts, without an offset "
         "of its own:\n# offset = -matrix offset_count, and what is published is matrix (raw - "

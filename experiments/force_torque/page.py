@@ -49,7 +49,7 @@ def write_in_situ_page(path: Path, found: tables.Calibrated) -> Path:
         "A limb hung on the sensor and was turned about with different known masses on it. Gravity gives "
         "what the sensor should have read; matrix and offset are those that agree with it best.",
         tables.set_table(found),
-        (*found.fit.warnings, *log.notices),
+        found.notices,
         lambda folder: _sections(folder, found),
     )
 

@@ -66,6 +66,14 @@ class Calibrated:
         )
 
     @property
+    def notices(self) -> tuple[str, ...]:
+        """What was refused and why it was accepted, warnings of the fit, and what the log lacks."""
+        fit = self.fit
+        passed = [f"Refused: {refusal}" for refusal in fit.refusals]
+        passed += [f"Accepted all the same, with this reason: {fit.accepted}"] if passed else []
+        return (*passed, *fit.warnings, *self.log.notices)
+
+    @property
     def matrices(self) -> dict[str, Floats]:
         """The calibrated matrix and, where there is one, the factory's, in N and N m per count, (6, k)."""
         factory = self.log.config.factory.matrix

@@ -469,3 +469,35 @@ def test_a_scale_that_is_the_makers_is_as_unsure_as_makers_are():
     )
     assert fit.warnings[-1].startswith("The scale of all forces is the factory matrix's")
     assert abs(fit.limb.mass - MASS) < 2.5 * fit.limb_mass_std
+
+
+def test_a_refusal_can_be_passed_with_a_reason():
+    """All checks go on, so that one that was passed hides no other."""
+    plain, options = clipped(heavier(leg_sets()))
+    reason = "the maker knows of the clipping"
+    fit = calibrate_in_situ(plain, options=options, accept=reason)
+    assert fit.result is FitResult.ACCEPTED
+    assert fit.accepted == reason
+    assert np.isfinite(fit.matrix).all()
+    said = [refusal.reason for refusal in fit.refusals]
+    assert said[0].startswith("'data set 1': channel 4 is saturated")
+    assert any("'data set 3': channel 4 is saturated" in one for one in said)
+    assert any("The added masses contradict each other" in one for one in said)
+    assert len(set(said)) == len(said)
+
+
+def test_the_likeliest_cause_stays_with_a_fit_past_a_refusal():
+    fit = calibrate_in_situ(bumped(leg_sets()), accept="the bump was left out")
+    assert "Likeliest: something touched the limb in 'data set 1'" in fit.refusals[0].reason
+    assert fit.limb.mass == pytest.approx(MASS, rel=0.01)
+
+
+def test_what_was_not_refused_needs_no_reason():
+    fit = calibrate_in_situ(leg_sets(), accept="for all cases")
+    assert (fit.result, fit.accepted, fit.refusals) == (FitResult.DETERMINED, "", ())
+
+
+@pytest.mark.parametrize("make", [planar, lambda sets: sets[:1], empty], ids=["plane", "one mass", "empty"])
+def test_what_has_no_answer_cannot_be_accepted(make):
+    with pytest.raises(CalibrationRefused, match=r"It cannot be accepted: there is no answer without that\."):
+        calibrate_in_situ(make(leg_sets()), accept="I know better")

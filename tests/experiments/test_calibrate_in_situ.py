@@ -95,6 +95,7 @@ def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Pat
     config = changed(config_beside(short), factory={}, sensor={}, limb={}, fit={})
     result = calibrate_in_situ_log(short, config, folder=tmp_path)
     assert "icub" not in result.files
+    assert any("one needs sensor.full_scale" in notice for notice in result.notices)
     assert any("no factory matrix" in notice for notice in result.notices)
     assert all("factory" not in column for table in result.tables for column in table.columns)
     assert "No known mass of the limb" in result.tables[1].note
@@ -112,6 +113,29 @@ def test_what_is_refused_leaves_nothing_behind(short: Path, tmp_path: Path) -> N
     with pytest.raises(CalibrationRefused, match=r"in_situ_leg\.parquet: .*mass"):
         calibrate_in_situ_log(short, config, folder=tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_refusal_that_is_accepted_is_said_in_every_file(short: Path, tmp_path: Path) -> None:
+    config = config_beside(short)
+    strict = changed(config, fit=config.fit.model_dump() | {"residual_tolerance": 1e-4})
+    with pytest.raises(CalibrationRefused, match="--accept REASON goes on"):
+        calibrate_in_situ_log(short, strict, folder=tmp_path)
+    reason = "the sensor is <old>,\nand known to be"
+    result = calibrate_in_situ_log(short, strict, folder=tmp_path, accept=reason)
+    assert sorted(result.files) == ["calibration", "report", "ros2", "yaml"]
+    for path in result.files.values():
+        text = " ".join(html.unescape(path.read_text()).replace("\\n", " ").split())
+        assert "the sensor is <old>, and known to be" in text, path
+        assert "spread follows gravity in no linear way" in text, path
+    assert read_calibration(result.files["calibration"]).accepted == reason
+    assert result.notices[0].startswith("Refused: '1': ")
+    assert any("has no room for what was refused" in notice for notice in result.notices)
+
+
+def test_a_reason_without_a_refusal_is_not_needed(short: Path, tmp_path: Path, no_page: None) -> None:
+    result = calibrate_in_situ_log(short, folder=tmp_path, accept="no matter what")
+    assert "icub" in result.files
+    assert any("Nothing was refused" in notice for notice in result.notices)
 
 
 def test_the_sample_is_what_its_script_makes(tmp_path: Path, benchmark_script: Script) -> None:

@@ -122,6 +122,10 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
         "No sample from 99 s on has finite forces, so there is nothing to score; the walk ends at 0.7375 s: "
         "walk longer or settle for less.",
     )
+    fails(
+        ["calibrate", "ft", "--sample", "--accept", " "],
+        "--accept needs the reason why a refusal may be passed; every file that is made says it.",
+    )
     fails(["view", "--video", "walk.avi"], "'walk.avi' must end in .mp4, .webp or .gif.")
     fails(
         ["view", "--feed", "none", "--feed", "tare"],

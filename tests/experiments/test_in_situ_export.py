@@ -74,6 +74,10 @@ CALIBRATIONS = {
     "turned": lambda: fit(rotation=np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
     "limb without inertia": lambda: fit(limb=Limb(1.0, np.ones(3))),
     "refused": refused,
+    "accepted": lambda: fit(
+        result=FitResult.ACCEPTED, refusals=(CalibrationRefused("A bump.", "Mind it."),), accepted="I saw it"
+    ),
+    "with shares": lambda: fit(data_share=np.linspace(0.0, 1.0, 46)),
 }
 
 
