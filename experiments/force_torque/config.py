@@ -45,7 +45,7 @@ class Columns(Settings):
     raw: Annotated[tuple[str, ...], Field(min_length=6)] | None = None
     specific_force: Axes | None = None
     gravity: Axes | None = None
-    angular_velocity: Axes | None = None
+    angular_velocity: Axes | Literal[""] | None = None  # empty for a gyroscope that shall not be used
     temperature: str | None = None
     added_mass: str | None = None
     added_com: Axes | None = None
@@ -61,10 +61,10 @@ class Units(Settings):
 
 
 class Csv(Settings):
-    """How a CSV file is written."""
+    """How a CSV file is written; ``None``: as its first lines show."""
 
-    separator: Character = ","
-    decimal: Character = "."
+    separator: Character | None = None
+    decimal: Character | None = None
 
 
 class Accelerometer(Settings):
@@ -184,9 +184,10 @@ def read_config(path: Path) -> InSituConfig:
     if not path.is_file():
         raise LogError(f"{path}: no such file; see docs/in-situ-log.md for what it holds.")
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except ValueError as error:
-        raise LogError(f"{path.name}: not TOML: {error}.") from None
+        cure = "; save it as UTF-8" if isinstance(error, UnicodeDecodeError) else ""
+        raise LogError(f"{path.name}: not TOML: {error}{cure}.") from None
     config = InSituConfig.read(given, path.name)
     factory, sensor = config.factory, config.sensor
     if factory.file is None:

@@ -4,6 +4,7 @@ These have 43 lines: the 36 entries of diag(1 / full scale) C 32767 row by row, 
 two's-complement hexadecimal in 1.15 fixed point, a gain of 1, and the six full scales in N and N m.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,7 @@ def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | 
     if not path.is_file():
         raise LogError(f"{path}: no such file; factory.file gives its path from the configuration.")
     text = path.read_text(encoding="utf-8", errors="replace")
-    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
+    rows = [_cells(line) for line in text.splitlines() if line.strip()]
     try:
         if rows and all(len(row) == 1 for row in rows):
             return _parse_icub([row[0] for row in rows])
@@ -67,6 +68,14 @@ def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | 
             f"gain, six full scales); {error}."
         ) from None
     return matrix, None
+
+
+def _cells(line: str) -> list[str]:
+    """Return the numbers of a line; commas between them, or decimal commas between other separators."""
+    cells = re.split(r"[\s;]+", line.strip().strip(";"))
+    if len(cells) > 1 and all(re.fullmatch(r"[^,]*(\d,\d[^,]*)?", cell) for cell in cells):
+        return [cell.replace(",", ".") for cell in cells]
+    return line.replace(",", " ").split()
 
 
 def _parse_icub(lines: list[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

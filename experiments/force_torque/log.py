@@ -12,7 +12,7 @@ from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituSet
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.force_torque.checks import check_against_factory, checked, contiguous
+from surefoot.experiments.force_torque.checks import FEWEST, check_against_factory, checked, contiguous
 from surefoot.experiments.force_torque.config import (
     Accelerometer,
     AddedMass,
@@ -212,6 +212,13 @@ def _to_set(
                 window=window,
             )
         known = np.asarray(np.isfinite(gravity).all(axis=1))
+        if known.sum() < FEWEST:
+            rows = "all" if not known.any() else f"{(~known).sum()} of"
+            raise LogError(
+                f"{samples}: {rows} {len(known)} rows stand between gaps too close together for an angular "
+                "acceleration; record without gaps, or, if the limb rested at every row, say "
+                'columns.angular_velocity = "".'
+            )
         if not known.all():
             notices.append(
                 f"{samples}: {(~known).sum()} rows stand between gaps too close together for an angular "

@@ -102,7 +102,9 @@ def _found(table: LogTable, columns: Columns) -> Columns:
     """Return the names of the columns that are there, by their given or default names."""
     names = ", ".join(f"'{name}'" for name in table.names[:_LISTED])
     names += f" and {len(table.names) - _LISTED} more" if len(table.names) > _LISTED else ""
-    names += " (if the separator is not ',', say csv.separator)" if len(table.names) == 1 else ""
+    names += (
+        " (if the separator is none of ',', ';' and tab, say csv.separator)" if len(table.names) == 1 else ""
+    )
     cure = f"there are {names}. Name yours under [columns] in the TOML file, or on the command line."
     defaults: dict[str, Any] = {
         key: tuple(f"{key}_{axis}_{unit}" for axis in "xyz") for key, unit in _VECTORS.items()

@@ -43,7 +43,9 @@ class Settings(BaseModel):
             return cls.model_validate(given)
         except ValidationError as error:
             first = error.errors()[0]
-            key, value = ".".join(map(str, first["loc"])), first["input"]
+            # Where a key may hold one of several kinds, pydantic puts the kind's name into its place.
+            key = ".".join(str(part) for part in first["loc"] if "[" not in str(part))
+            value = first["input"]
             wrong = first["msg"].removeprefix("Value error, ").rstrip(".")
             found = f", got {value!r}" if isinstance(value, str | int | float | list) else ""
             raise LogError(f"{where}: {f'{key}: ' if key else ''}{wrong}{found}.") from None

@@ -1,8 +1,11 @@
 """Tables of logs: the named columns of a Parquet or CSV file as numbers, or the reason why not."""
 
+import codecs
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +14,18 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 _SHOWN = 4  # missing columns that a message names
+
+_KINDS = {
+    b"\x89PNG": "is a PNG picture",
+    b"PAR1": "is a Parquet table, whose name must end in .parquet",
+    b"PK\x03\x04": "is a ZIP archive or a spreadsheet",
+    b"\x1f\x8b": "is a gzip archive",
+}
+"""What files begin with that are no text."""
+
+_HEAD = 1 << 16  # bytes from which a table is judged
+_SEPARATORS = (",", ";", "\t")
+_NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f]")  # control characters that no line of text has
 
 
 class LogError(ValueError):
@@ -72,20 +87,28 @@ class LogTable:
         return np.stack([self.numbers(name) for name in names], axis=-1)
 
 
-def read_table(path: Path, absent: str, *, separator: str = ",", decimal: str = ".") -> LogTable:
-    """Read a ``.parquet`` or ``.csv`` file, or raise LogError; ``absent`` is said where there is none."""
+def read_table(
+    path: Path, absent: str, *, separator: str | None = None, decimal: str | None = None
+) -> LogTable:
+    """Read a ``.parquet`` or ``.csv`` file, or raise LogError; ``absent`` is said where there is none.
+
+    A CSV file may be in UTF-8, UTF-16 or Latin-1. Its separator and decimal point are those of its first
+    lines, unless they are given.
+    """
     if not path.is_file():
         raise LogError(f"{path}: no such file; {absent}")
-    if path.suffix not in (".parquet", ".csv"):
+    if path.suffix.lower() not in (".parquet", ".csv"):
         raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
     try:
-        if path.suffix == ".parquet":
+        if path.suffix.lower() == ".parquet":
             data = pq.read_table(path)
         else:
-            parse = csv.ParseOptions(delimiter=separator)
+            source, head = _text_of(path)
+            seen = _separator_and_decimal(head, separator)
+            parse = csv.ParseOptions(delimiter=seen[0])
             # An empty cell in a column of names is no name.
-            convert = csv.ConvertOptions(decimal_point=decimal, strings_can_be_null=True)
-            data = csv.read_csv(path, parse_options=parse, convert_options=convert)
+            convert = csv.ConvertOptions(decimal_point=decimal or seen[1], strings_can_be_null=True)
+            data = csv.read_csv(source, parse_options=parse, convert_options=convert)
         names = data.column_names
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise LogError(
@@ -96,3 +119,49 @@ def read_table(path: Path, absent: str, *, separator: str = ",", decimal: str = 
     if twice:
         raise LogError(f"{path.name}: column '{twice[0]}' is there twice; rename one of them.")
     return LogTable(path.name, data)
+
+
+def _text_of(path: Path) -> tuple[Any, str]:
+    """Return what pyarrow reads in UTF-8, and the beginning of a text; LogError if it is none."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    encoding = _encoding(path, head)
+    text = head.decode(encoding, errors="replace")
+    kind = next((kind for start, kind in _KINDS.items() if head.startswith(start)), "")
+    if _NO_TEXT.search(text):
+        kind = kind or "holds bytes that no text has"
+    if kind:
+        raise LogError(f"{path.name}: not a table of text: it {kind}; export the samples as CSV or Parquet.")
+    if encoding == "utf-8-sig":
+        return path, text
+    # A byte that stands for no letter must not cost the numbers.
+    return pa.BufferReader(path.read_bytes().decode(encoding, errors="replace").encode()), text
+
+
+def _encoding(path: Path, head: bytes) -> str:
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # Column names begin with letters of one byte, and the other byte of these is zero.
+    for first, encoding in (((1, 3), "utf-16-le"), ((0, 2), "utf-16-be")):
+        if [i for i, byte in enumerate(head[:4]) if byte == 0] == list(first):
+            return encoding
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:
+        with path.open("rb") as file:
+            while part := file.read(_HEAD):
+                decoder.decode(part)
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def _separator_and_decimal(head: str, separator: str | None) -> tuple[str, str]:
+    """Return the separator, and the decimal point, by the first lines of a table."""
+    lines = head.splitlines()
+    names = re.sub('"[^"]*"', "", lines[0] if lines else "")
+    if separator is None:
+        separator = max(_SEPARATORS, key=names.count)
+    cells = [cell.strip('" ') for line in lines[1:] for cell in line.split(separator)]
+    comma = separator != "," and any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", cell) for cell in cells)
+    return separator, "," if comma else "."

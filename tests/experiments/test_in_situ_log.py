@@ -11,7 +11,7 @@ import pytest
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.config import AddedMass, InSituConfig, read_config
-from surefoot.experiments.force_torque.icub import write_icub_matrix
+from surefoot.experiments.force_torque.icub import read_matrix, write_icub_matrix
 from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.logs.format import LogError
 
@@ -416,6 +416,10 @@ BAD_CONFIGS = {
         '[columns]\ngravity = ["a"]\n',
         "columns.gravity.1: Field required",
     ),
+    "not three turns": (
+        '[columns]\nangular_velocity = ["a"]\n',
+        "columns.angular_velocity.1: Field required",
+    ),
     "five channels": (f"[columns]\nraw = {RAW[:5]}\n", "columns.raw: Tuple should have at least 6 items"),
     "no rotation": (
         "[accelerometer]\nR_sensor_accelerometer = [[2,0,0],[0,1,0],[0,0,1]]\n",
@@ -481,7 +485,11 @@ def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
             "a,b\n1,2\n3\n",
             r"ragged\.csv: not a readable table \(CSV parse error: Expected 2 columns, got 1.*whole",
         ),
-        ("semicolon.csv", "time_s;set\n1;2\n", "if the separator is not ',', say csv.separator"),
+        (
+            "semicolon.csv",
+            "time_s:set\n1:2\n",
+            "if the separator is none of ',', ';' and tab, say csv.separator",
+        ),
         ("log.xlsx", "", "log.xlsx: a log ends in .parquet or .csv"),
         ("log.parquet", "no", "log.parquet: not a readable table"),
     ):
@@ -502,12 +510,69 @@ def test_one_set_in_two_files_is_refused(tmp_path: Path) -> None:
         read_in_situ_log([path, again])
 
 
-def test_decimal_commas_are_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("told", ["", '[csv]\nseparator = ";"\ndecimal = ","\n'], ids=["seen", "told"])
+def test_decimal_commas_are_read(tmp_path: Path, told: str) -> None:
     frame = table()
     path = tmp_path / "leg.csv"
     frame.to_csv(path, index=False, sep=";", decimal=",")
-    path.with_suffix(".toml").write_text(toml('[csv]\nseparator = ";"\ndecimal = ","\n'))
+    path.with_suffix(".toml").write_text(toml(told))
     np.testing.assert_array_equal(read_in_situ_log(path).sets[0].raw, frame.loc[:39, RAW])
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", ",")])
+def test_tables_of_other_offices_are_read(
+    encoding: str, separator: str, decimal: str, tmp_path: Path
+) -> None:
+    """Headers and names with umlauts, in what spreadsheets save."""
+    frame = table().assign(Größe="ä; µ, 1")
+    frame["set"] = "Würfel " + frame["set"].astype(str)
+    path = tmp_path / "leg.csv"
+    frame.to_csv(path, index=False, sep=separator, decimal=decimal, encoding=encoding)
+    log = read_in_situ_log(path)
+    assert [data.name for data in log.sets] == ["Würfel 1", "Würfel 2", "Würfel 3"]
+    np.testing.assert_array_equal(log.sets[0].raw, frame.loc[:39, RAW])
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR", "it is a PNG picture"),
+        (b"PAR1\x15\x04\x15", "it is a Parquet table, whose name must end in .parquet"),
+        (b"PK\x03\x04\x14\x00", "it is a ZIP archive or a spreadsheet"),
+        (b"\x1f\x8b\x08\x00", "it is a gzip archive"),
+        (bytes(range(256)) * 9, "it holds bytes that no text has"),
+    ],
+)
+def test_what_is_no_text_is_refused_by_name(content: bytes, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "leg.csv"
+    path.write_bytes(content)
+    with pytest.raises(
+        LogError, match=rf"leg\.csv: not a table of text: {said}.*; export the samples as CSV"
+    ):
+        read_in_situ_log(path)
+
+
+def test_a_file_of_settings_may_have_a_mark_of_its_encoding(tmp_path: Path) -> None:
+    path = write(tmp_path, table())
+    path.with_suffix(".toml").write_text(toml(), encoding="utf-8-sig")
+    assert len(read_in_situ_log(path).sets) == 3
+    path.with_suffix(".toml").write_text("# größer\n" + toml(), encoding="latin-1")
+    with pytest.raises(LogError, match=r"leg\.toml: not TOML: .*; save it as UTF-8"):
+        read_in_situ_log(path)
+
+
+def test_a_matrix_with_decimal_commas_is_read(tmp_path: Path) -> None:
+    matrix = np.linalg.inv(RESPONSE) * 1.5
+    for text in (
+        "\n".join(";".join(f"{value:.9f}".replace(".", ",") for value in row) for row in matrix),
+        "\n".join(" ".join(f"{value:.9f}".replace(".", ",") for value in row) for row in matrix),
+        "\n".join(", ".join(f"{value:.9f}" for value in row) for row in matrix),
+        "\n".join(",".join(f"{value:.9f}" for value in row) for row in matrix),
+    ):
+        (tmp_path / "m.txt").write_text(text)
+        found, _ = read_matrix(tmp_path / "m.txt")
+        np.testing.assert_allclose(found, matrix, atol=1e-9)
 
 
 def test_the_documentation_knows_every_key() -> None:
@@ -528,6 +593,17 @@ def test_rows_between_close_gaps_tell_no_angular_acceleration(tmp_path: Path) ->
     assert len(log.sets[0].raw) == 31
     assert log.sets[0].moves
     assert any("set '1': 3 rows stand between gaps too close together" in said for said in log.notices)
+
+
+def test_rows_that_all_stand_between_gaps_need_no_gyroscope(tmp_path: Path) -> None:
+    """Poses held one by one, three rows each: no rate can be taken, so that the limb must have rested."""
+    frame = spinning(table())
+    frame = frame[frame.index % 10 < 3]
+    path = write(tmp_path, frame)
+    with pytest.raises(LogError, match=r"set '1': all 12 rows .*say columns.angular_velocity = \"\""):
+        read_in_situ_log(path)
+    path.with_suffix(".toml").write_text(toml('[columns]\nangular_velocity = ""\n'))
+    assert [(data.moves, len(data.raw)) for data in read_in_situ_log(path).sets] == 3 * [(False, 12)]
 
 
 def test_a_gyroscope_needs_time(tmp_path: Path) -> None:
