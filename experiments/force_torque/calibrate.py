@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -114,7 +115,12 @@ def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> di
 
     files: dict[str, Path] = {}
     sensor, temperature = log.config.sensor, log.fitted[-1].temperature
-    if sensor.full_scale is None:
+    if log.config.units.raw == "N":
+        notices.append(
+            "No matrix in the iCub's format was written: it is to be multiplied with the driver's, which the "
+            "log does not hold."
+        )
+    elif sensor.full_scale is None:
         notices.append("No matrix in the iCub's format was written; one needs sensor.full_scale.")
     elif fit.accepted:
         notices.append(
@@ -126,7 +132,8 @@ def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> di
             files["icub"] = write_icub_matrix(fit.matrix, sensor.full_scale, at("icub.txt"))
         except ValueError as error:
             notices.append(f"No matrix in the iCub's format was written. {error}")
-    facts = {"channels": log.channels, "sensor": sensor.name, "notices": tuple(notices)}
+    facts: dict[str, Any] = {"channels": log.channels, "sensor": sensor.name, "notices": tuple(notices)}
+    facts["raw_unit"] = log.config.units.of_raw
     files["calibration"] = write_json(fit, at("json"), **facts)
     files["yaml"] = write_yaml(fit, at("yaml"), **facts)
     last = None if temperature is None else float(temperature[-1])

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -54,10 +55,16 @@ class Columns(Settings):
 class Units(Settings):
     """Units of the columns, keys of :data:`SI`."""
 
+    raw: Literal["count", "N"] = "count"  # "N": a driver's wrench in N and N m
     time: Literal["s", "ms", "us", "ns"] = "s"
     acceleration: Literal["m/s^2", "g", "mg"] = "m/s^2"
     angular_velocity: Literal["rad/s", "deg/s"] = "rad/s"
     temperature: Literal["degC", "K"] = "degC"
+
+    @property
+    def of_raw(self) -> str:
+        """What tables call the unit of the channels."""
+        return "counts" if self.raw == "count" else "N, N m"
 
 
 class Csv(Settings):
@@ -155,6 +162,13 @@ class InSituConfig(Settings):
     fit: Fit = Fit()
     sets: tuple[AddedMass, ...] | None = None
     """``None`` if the file lists none: then the masses stand in columns, or nothing was added."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _driver(cls, given: Any) -> Any:
+        """Take a driver's wrench for the maker's: its matrix is part of the readings."""
+        newtons = isinstance(given, Mapping) and dict(given.get("units") or {}).get("raw") == "N"
+        return {**given, "factory": given.get("factory") or {"matrix": np.eye(6)}} if newtons else given
 
     @model_validator(mode="after")
     def _listed_once(self) -> Self:

@@ -20,7 +20,7 @@ FORMAT = "surefoot-in-situ-calibration"
 VERSION = 1
 
 _CONVENTIONS = (
-    "wrench = matrix (raw - offset), raw in counts as the converter gave them",
+    "wrench = matrix (raw - offset), raw as it was read, in raw_unit, which stands for 'count' in all names",
     "wrench = (fx, fy, fz, tx, ty, tz) in N and N m, exerted by the limb on the robot through the sensor, "
     "at and in the sensor's frame: at rest f = m g with g pointing down",
     "response is counts per N and N m: raw = response wrench + offset",
@@ -46,7 +46,11 @@ _NAMES = {
 
 
 def _facts(
-    fit: InSituFit, channels: tuple[str, ...] = (), sensor: str = "", notices: tuple[str, ...] = ()
+    fit: InSituFit,
+    channels: tuple[str, ...] = (),
+    sensor: str = "",
+    notices: tuple[str, ...] = (),
+    raw_unit: str = "counts",
 ) -> Any:
     """Return a calibration as values that JSON can hold, with the sensor's name and what the log lacked."""
     return _plain(
@@ -56,6 +60,7 @@ def _facts(
             "made_with": f"surefoot {surefoot.__version__}",
             "sensor": sensor,
             "channels": channels,
+            "raw_unit": raw_unit,
             "conventions": _CONVENTIONS,
             "result": fit.result.value,
             "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
@@ -190,10 +195,10 @@ def write_ros2_parameters(
     text += f"# ACCEPTED: {flat(fit.accepted)}\n" if fit.accepted else ""
     text += (
         f"# Made with surefoot {surefoot.__version__}. The broadcaster adds 'offset' (N, N m) to what the "
-        "driver\n# reports. The driver must report the matrix below times the raw counts, without an offset "
+        "driver\n# reports. The driver must report the matrix below times the readings, without an offset "
         "of its own:\n# offset = -matrix offset_count, and what is published is matrix (raw - "
         "offset_count), the wrench that\n# the limb exerts on the robot. For the wrench of the robot on the "
-        "limb turn the signs of both round.\n# The matrix (rows fx fy fz tx ty tz in N and N m per count):\n"
+        "limb turn the signs of both round.\n# Matrix (rows fx fy fz tx ty tz in N and N m per reading):\n"
         f"{rows}\n" + yaml.safe_dump(parameters, sort_keys=False)
     )
     write_text(path, text)

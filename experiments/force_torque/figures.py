@@ -14,7 +14,8 @@ from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_
 
 FORCES = ("x (N)", "y (N)", "z (N)")
 COUNTS = ("1st (1000 counts)", "2nd", "3rd")
-"""Labels of the axes. Counts of mixed directions may differ in size by tens: forces alone share a scale."""
+NEWTONS = ("1st (N, N m)", "2nd", "3rd")
+"""Labels of the axes. Readings of mixed directions may differ in size by tens: forces alone share a scale."""
 
 _SHOWN = 400  # points of a cloud
 
@@ -38,7 +39,7 @@ class Panel(NamedTuple):
 
 
 def draw_ellipsoids(path: Path, panels: Sequence[Panel], labels: tuple[str, str, str]) -> Path:
-    """Draw clouds and their :func:`force_ellipsoid`, four panels a row; labels are FORCES or COUNTS."""
+    """Draw clouds and their :func:`force_ellipsoid`, four panels a row, with one of the labels above."""
     rows, columns = -(-len(panels) // 4), min(len(panels), 4)
     forces = labels is FORCES
     with figure_at(path, 10.4, 0.4 + 2.9 * rows) as figure:
@@ -51,7 +52,7 @@ def draw_ellipsoids(path: Path, panels: Sequence[Panel], labels: tuple[str, str,
             axes.set_box_aspect((1.0, 1.0, 1.0), zoom=0.86)
             if forces:
                 axes.set_aspect("equal", adjustable="datalim")
-            unit = 1.0 if forces else 1e-3
+            unit = 1e-3 if labels is COUNTS else 1.0
             for axis, label in zip((axes.xaxis, axes.yaxis, axes.zaxis), labels, strict=True):
                 axis.set_label_text(label, fontsize=7)
                 axis.labelpad = -7 if forces else -4
@@ -78,7 +79,7 @@ def _draw_cloud(axes: Any, cloud: Cloud, shell: str) -> None:
 
 
 def raw_ellipsoids(path: Path, found: Calibrated) -> Path:
-    """Draw each set's counts along their three main directions, on one ellipsoid (in-situ paper, Fig. 5)."""
+    """Draw each set's readings along their three main directions, on one ellipsoid (paper, Fig. 5)."""
     panels = []
     for i, data in enumerate(found.sets):
         whole = np.isfinite(data.raw).all(axis=1)
@@ -86,7 +87,7 @@ def raw_ellipsoids(path: Path, found: Calibrated) -> Path:
         points = centred @ np.linalg.svd(centred, full_matrices=False)[2][:3].T
         title = f"set {found.label(i)}: {100.0 * found.affine_residual[i]:.2f} % off"
         panels.append(Panel(title, [Cloud(points, data.gravity[whole], look_of("none"))]))
-    return draw_ellipsoids(path, panels, COUNTS)
+    return draw_ellipsoids(path, panels, COUNTS if found.log.config.units.raw == "count" else NEWTONS)
 
 
 def force_ellipsoids(path: Path, found: Calibrated) -> Path:
@@ -128,5 +129,5 @@ def residuals_over_time(path: Path, found: Calibrated) -> Path:
         panels[-1].set_xlim(0.0, start)
         panels[-1].set_xticks(middles, [f"set {data.name}" for data in found.sets])
         panels[-1].set_xlabel("sets one after the other")
-        figure.supylabel("residual of each channel (counts)", fontsize=9.5)
+        figure.supylabel(f"residual of each channel ({found.log.config.units.of_raw})", fontsize=9.5)
     return path

@@ -31,8 +31,8 @@ _RAW = """
     bends."""
 
 _RAW_CAPTION = """
-    Counts of each set along their three main directions with the ellipsoid that gravity draws, and the share
-    of their spread that lies outside these three."""
+    Readings of each set along their three main directions with the ellipsoid that gravity draws, and the
+    share of their spread that lies outside these three."""
 
 _RESIDUALS = """
     Noise has no shape. A slope is drift, a loop is hysteresis, a step is a contact or something that came

@@ -24,6 +24,9 @@ _PURPOSES = {
     "angular_velocity": "the gyroscope",
 }
 
+WRENCH = (*(f"force_{axis}_N" for axis in "xyz"), *(f"torque_{axis}_Nm" for axis in "xyz"))
+"""Names of the channels that are a driver's wrench."""
+
 _LISTED = 24  # columns of the file that a message names
 
 
@@ -35,7 +38,7 @@ class Samples:
     file: str
     columns: Columns  # that were found; either ``gravity`` or ``specific_force`` is None
     rows: NDArray[np.int64]  # numbers in the file, for messages, shape (n,)
-    raw: Floats  # counts, shape (n, k)
+    raw: Floats  # counts, or a driver's N and N m, shape (n, k)
     acceleration: Floats  # specific force (up at rest) or gravity (down) in m/s^2, shape (n, 3)
     time: Floats | None  # in s, shape (n,)
     angular_velocity: Floats | None  # in rad/s, shape (n, 3)
@@ -68,10 +71,10 @@ def read_samples(path: Path, config: InSituConfig) -> list[Samples]:
     """Read one file, and return the samples of each of its sets; LogError if it is no such table."""
     absent = "'surefoot calibrate ft --sample' shows one that works."
     table = read_table(path, absent, separator=config.csv.separator, decimal=config.csv.decimal)
-    found = _found(table, config.columns)
+    found = _found(table, config.columns, _channels(table.names) if config.units.raw == "count" else WRENCH)
     if len(table) == 0:
         raise LogError(f"{path.name}: holds no rows; record the limb's samples, one a row.")
-    units = {name: SI[unit] for name, unit in config.units}
+    units = {name: SI[unit] for name, unit in config.units if name != "raw"}
 
     def values(names: str | Sequence[str] | None, factor: float = 1.0) -> Any:
         if names is None:
@@ -98,7 +101,7 @@ def read_samples(path: Path, config: InSituConfig) -> list[Samples]:
     return [replace(whole.take(labels == name), name=name) for name in dict.fromkeys(labels.tolist())]
 
 
-def _found(table: LogTable, columns: Columns) -> Columns:
+def _found(table: LogTable, columns: Columns, channels: tuple[str, ...]) -> Columns:
     """Return the names of the columns that are there, by their given or default names."""
     names = ", ".join(f"'{name}'" for name in table.names[:_LISTED])
     names += f" and {len(table.names) - _LISTED} more" if len(table.names) > _LISTED else ""
@@ -109,7 +112,7 @@ def _found(table: LogTable, columns: Columns) -> Columns:
     defaults: dict[str, Any] = {
         key: tuple(f"{key}_{axis}_{unit}" for axis in "xyz") for key, unit in _VECTORS.items()
     }
-    defaults |= _SCALARS | {"raw": _channels(table.names)}
+    defaults |= _SCALARS | {"raw": channels}
     needed = {"time", "raw"}
     if columns.gravity is None and not any(name in table for name in defaults["gravity"]):
         needed.add("specific_force")

@@ -14,9 +14,10 @@ from surefoot.calibration.in_situ.validation import (
     motion_wrench,
     offset_of_set,
 )
+from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.log import InSituLog
-from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.study.tables import Table, number, rounded, with_deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +154,12 @@ def weighing_tables(found: Calibrated) -> tuple[Table, ...]:
 def limb_table(found: Calibrated) -> Table:
     """Return the limb, and its mass against the known one where the log gives it."""
     fit, known = found.fit, found.log.config.limb
-    rows = [("mass (kg)", f"{fit.limb.mass:.4f}", f"{fit.limb_mass_std:.2g}")]
+    rows = [("mass (kg)", *rounded(fit.limb.mass, fit.limb_mass_std))]
     note = "No known mass of the limb (limb.mass_kg) was given to hold the scale against."
     if known.mass_kg is not None:
         off = 100 * (fit.limb.mass / known.mass_kg - 1.0)
         rows += [
-            ("known mass (kg)", f"{known.mass_kg:.4f}", number(known.mass_std_kg or np.nan)),
+            ("known mass (kg)", *rounded(known.mass_kg, known.mass_std_kg or np.nan)),
             ("fitted / known - 1 (%)", f"{off:+.2f}", "–"),
         ]
         note = (
@@ -166,8 +167,12 @@ def limb_table(found: Calibrated) -> Table:
             if known.mass_std_kg is None
             else "The known mass entered the fit (limb.mass_std_kg): it is no independent check of the scale."
         )
+    limb = fit.covariance[fit.columns.limb, fit.columns.limb]
+    slope = np.column_stack([-fit.limb.com, np.eye(3)]) / fit.limb.mass
+    com_std = np.sqrt(np.diag(slope @ limb @ slope.T))
     rows += [
-        (f"centre of mass, {axis} (cm)", f"{100 * fit.limb.com[a]:.2f}", "–") for a, axis in enumerate("xyz")
+        (f"centre of mass, {axis} (cm)", *rounded(100 * fit.limb.com[a], 100 * com_std[a]))
+        for a, axis in enumerate("xyz")
     ]
     return Table("limb", "The limb beyond the sensor", ("what", "value", "± (one sigma)"), tuple(rows), note)
 
@@ -175,22 +180,29 @@ def limb_table(found: Calibrated) -> Table:
 def matrix_table(found: Calibrated) -> Table:
     """Return C with its standard deviations."""
     fit, std = found.fit, found.fit.matrix_std
-    rows = tuple(
-        (axis, *(f"{1e3 * c:.4f} ± {1e3 * s:.1g}" for c, s in zip(fit.matrix[i], std[i], strict=True)))
-        for i, axis in enumerate(("fx (mN)", "fy (mN)", "fz (mN)", "tx (mN m)", "ty (mN m)", "tz (mN m)"))
+    milli, of_what, factor = (
+        ("m", "count", 1e3) if found.log.config.units.raw == "count" else ("", "N and N m", 1.0)
     )
-    return Table("matrix", "The matrix, per count", ("", *found.log.channels), rows)
+    rows = tuple(
+        (
+            f"{name} ({milli}N{' m' * name.startswith('t')})",
+            *(with_deviation(factor * c, factor * s) for c, s in zip(fit.matrix[i], std[i], strict=True)),
+        )
+        for i, name in enumerate(FORCE_TORQUE_NAMES)
+    )
+    note = "With one standard deviation, each to the decimal that it lets be known."
+    return Table("matrix", f"The matrix, per {of_what}", ("", *found.log.channels), rows, note)
 
 
 def offset_table(found: Calibrated) -> Table:
     """Return the offset of each channel, by set."""
     fit = found.fit
     rows = [
-        (name, *(f"{value:.1f}" for value in fit.offsets[:, i]), f"{fit.offset[i]:.1f}", f"{std:.2g}")
+        (name, *(rounded(value, std)[0] for value in fit.offsets[:, i]), *rounded(fit.offset[i], std))
         for i, (name, std) in enumerate(zip(found.log.channels, fit.offset_std, strict=True))
     ]
     columns = ("channel", *(f"set {name}" for name in fit.set_names), "at the end", "± (one sigma)")
-    return Table("offset", "Offsets (counts)", columns, tuple(rows))
+    return Table("offset", f"Offsets ({found.log.config.units.of_raw})", columns, tuple(rows))
 
 
 def set_table(found: Calibrated) -> Table:
@@ -210,9 +222,10 @@ def set_table(found: Calibrated) -> Table:
                 f"{100 * found.affine_residual[i]:.2f}",
             )
         )
+    unit = found.log.config.units.of_raw
     columns = (
-        "set", "added mass (kg)", "duration (s)", "samples used", "left out", "residual of the fit (counts)",
-        "residual with one offset (counts)", "off the three-space of Lemma 1 (%)",
+        "set", "added mass (kg)", "duration (s)", "samples used", "left out", f"residual of the fit ({unit})",
+        f"residual with one offset ({unit})", "off the three-space of Lemma 1 (%)",
     )  # fmt: skip
     note = (
         "Root mean squares. What the fit leaves is less what it ascribes to drift and hysteresis; a reading "

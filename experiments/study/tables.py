@@ -96,6 +96,27 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:.{decimals}f}"
 
 
+def rounded(value: float, deviation: float) -> tuple[str, str]:
+    """Return a value and its deviation to the decimal at which the deviation has two significant digits.
+
+    >>> rounded(4.75804, 0.1912), rounded(-0.00002, 0.000157), rounded(5231.6, 99.97)
+    (('4.76', '0.19'), ('-0.00002', '0.00016'), ('5232', '100'))
+    """
+    if not 0.0 < deviation < float("inf"):
+        return number(value), "–" if deviation != 0.0 else "0"
+    decimals = max(1 - int(f"{deviation:.1e}".partition("e")[2]), 0)
+    return f"{value:.{decimals}f}", f"{deviation:.{decimals}f}"
+
+
+def with_deviation(value: float, deviation: float) -> str:
+    """Return a value with its deviation, as :func:`rounded`.
+
+    >>> with_deviation(20.91, 0.0312)
+    '20.910 ± 0.031'
+    """
+    return " ± ".join(rounded(value, deviation))
+
+
 def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: int = 3) -> str:
     """Return the mean of one number a seed with its 95 % interval, as text.
 

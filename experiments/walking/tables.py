@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameters
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.study.tables import Table, number
+from surefoot.experiments.study.tables import Table, number, with_deviation
 from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.walks.score import score_forces
 
@@ -122,13 +122,13 @@ def parameter_table(facts: Facts) -> Table:
     scale_std, offset_std = change.std
     rows = []
     for i, name in enumerate(log.layout.channel_names):
-        scale, offset = f"{change.scale[-1, i]:+.2f} %", f"{change.offset[-1, i]:+.3f}"
+        scale, offset = f"{change.scale[-1, i]:+.2f}", f"{change.offset[-1, i]:+.3f}"
         if scale_std is not None and offset_std is not None:
-            scale += f" ± {scale_std[-1, i]:.2f}"
-            offset += f" ± {offset_std[-1, i]:.3f}"
+            scale = with_deviation(change.scale[-1, i], scale_std[-1, i])
+            offset = with_deviation(change.offset[-1, i], offset_std[-1, i])
         now = f"{factor * estimate.scale[-1, i]:.5f}", f"{estimate.offset[-1, i]:.4f}"
         rows.append((name.replace("/", ", "), *now, scale, offset))
-    columns = ("cell", f"scale ({unit})", "offset (N)", "scale changed by", "offset changed by (N)")
+    columns = ("cell", f"scale ({unit})", "offset (N)", "scale changed by (%)", "offset changed by (N)")
     note = f"Changes against {facts.start}" + ("." if scale_std is None else ", ± one standard deviation.")
     nis = nis_per_row(estimate)
     if nis is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.calibration import GRAVITY, fit_channels
 from surefoot.experiments.logs.table import LogError, read_table
 from surefoot.experiments.study.files import write_text
-from surefoot.experiments.study.tables import Cell, Table, laid_out, number
+from surefoot.experiments.study.tables import Cell, Table, laid_out, number, with_deviation
 
 
 def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
@@ -43,8 +43,9 @@ def fit_weighings(path: Path, out: Path) -> tuple[Table, Path]:
     columns: dict[str, Cell] = {
         "cell": lambda i: names[i],
         "weighings": lambda i: str(fit.stats[i].samples),
-        "scale (1e-6 N/count)": lambda i: f"{1e6 * fit.value.scale[i]:.6f}",
-        "± (one sigma)": lambda i: f"{1e6 * np.sqrt(fit.covariance[i, 0, 0]):.1g}",
+        "scale (1e-6 N/count), ± one sigma": lambda i: with_deviation(
+            1e6 * fit.value.scale[i], 1e6 * np.sqrt(fit.covariance[i, 0, 0])
+        ),
         "offset (N)": lambda i: f"{fit.value.offset[i]:.5f}",
         "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
     }

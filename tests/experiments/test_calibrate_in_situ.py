@@ -2,6 +2,7 @@
 
 import html
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +18,7 @@ from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor
 from surefoot.experiments.force_torque.config import InSituConfig, config_beside
 from surefoot.experiments.force_torque.export import read_calibration
 from surefoot.experiments.force_torque.icub import read_matrix
+from surefoot.experiments.force_torque.table import WRENCH
 
 Script = Callable[[str], ModuleType]
 
@@ -87,7 +89,7 @@ def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> No
     assert any("and weighs 6 kg (-2" in notice for notice in result.notices)
     assert "and weighs 6 kg" in result.files["report"].read_text()
     rows = {row[0]: row[1] for row in result.tables[1].rows}
-    assert rows["known mass (kg)"] == "6.0000"
+    assert rows["known mass (kg)"] == "6.00"
 
 
 def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Path, no_page: None) -> None:
@@ -136,6 +138,47 @@ def test_a_reason_without_a_refusal_is_not_needed(short: Path, tmp_path: Path, n
     result = calibrate_in_situ_log(short, folder=tmp_path, accept="no matter what")
     assert "icub" in result.files
     assert any("Nothing was refused" in notice for notice in result.notices)
+
+
+def test_a_drivers_newtons_are_calibrated_as_counts_are(tmp_path: Path, short: Path) -> None:
+    """By the maker's matrix the counts become a driver's wrench; the true wrench stays what it was."""
+    config = config_beside(short)
+    matrix, counted = config.factory.matrix, pq.read_table(short)
+    assert matrix is not None
+    names = [f"raw_{i}_count" for i in range(6)]
+    driven = np.column_stack([counted.column(name).to_numpy() for name in names]) @ matrix.T
+    path = tmp_path / "driver.parquet"
+    table = counted.drop_columns(names)
+    for name, column in zip(WRENCH, driven.T, strict=True):
+        table = table.append_column(name, [column])
+    pq.write_table(table, path)
+    told = config.model_dump() | {"units": {"raw": "N"}, "factory": {}, "sensor": {}}
+    result = calibrate_in_situ_log(path, InSituConfig.read(told, "driver.toml"), folder=tmp_path)
+    plain = calibrate_in_situ_log(short, folder=tmp_path)
+    # Where the data leave a matrix to the maker's, each of the two may choose another share of it.
+    load = driven - driven.mean(axis=0)
+    true = load @ (plain.fit.matrix @ np.linalg.inv(matrix)).T
+    off = load @ result.fit.matrix.T - true
+    assert (np.sqrt(np.mean(off**2, axis=0)) < 0.03 * np.sqrt(np.mean(true**2, axis=0))).all()
+    assert abs(result.fit.limb.mass - plain.fit.limb.mass) < plain.fit.limb_mass_std
+    assert "icub" not in result.files
+    page = html.unescape(result.files["report"].read_text())
+    assert "Offsets (N, N m)" in page
+    assert "count" not in page.split("<h2>2.")[1].replace("1st (1000 counts)", "")
+    assert json.loads(result.files["calibration"].read_text())["raw_unit"] == "N, N m"
+
+
+def test_values_and_their_deviations_end_at_one_decimal(result: CalibratedSensor) -> None:
+    """Two digits of the deviation, and no power of ten."""
+    page = html.unescape(result.files["report"].read_text())
+    pairs = re.findall(r"<td>(-?[0-9.e+-]+) ± ([0-9.e+-]+)</td>", page)
+    assert len(pairs) == 36
+    limb = [row[1:] for row in result.tables[1].rows if row[2] != "–"]
+    assert len(limb) == 4
+    for value, deviation in (*pairs, *limb):
+        assert "e" not in value + deviation
+        assert len(value.partition(".")[2]) == len(deviation.partition(".")[2])
+        assert len(deviation.replace(".", "").lstrip("0")) == 2
 
 
 def test_the_sample_is_what_its_script_makes(tmp_path: Path, benchmark_script: Script) -> None:

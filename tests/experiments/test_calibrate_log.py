@@ -125,7 +125,7 @@ class TestUncertainty:
         assert told["nis_per_row"] == pytest.approx(1.2)
         assert told["matrix_relative"] == np.eye(8).tolist()
         assert "Normalised innovations are 1.20 per row" in result.tables[0].note
-        assert result.tables[0].rows[7][3:] == ("+0.00 % ± 1.00", "+0.000 ± 0.200")
+        assert result.tables[0].rows[7][3:] == ("0.0 ± 1.0", "0.00 ± 0.20")
         assert "bands of ± one standard deviation" in result.page.read_text()
 
     def test_where_a_method_claims_none(self, log: Log, tmp_path: Path, undrawn: None) -> None:
