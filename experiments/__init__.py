@@ -42,5 +42,15 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for, so that the command starts fast."""
     for module, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f"surefoot.experiments.{module}"), name)
+            try:
+                home = import_module(f"surefoot.experiments.{module}")
+            except ModuleNotFoundError as missing:
+                if (missing.name or "").startswith("surefoot"):
+                    raise
+                raise ModuleNotFoundError(
+                    f"surefoot.experiments.{name} needs a package that is not installed ({missing}): "
+                    'pip install "surefoot[experiments]".',
+                    name=missing.name,
+                ) from missing
+            return getattr(home, name)
     raise AttributeError(f"module 'surefoot.experiments' has no attribute '{name}'")

@@ -204,6 +204,10 @@ class Postures:
         """Return a stand with flexed knees, and the height of its centre of mass over the soles."""
         model, bent = self.robot.model, self._data
         bent.qpos[:] = data.qpos
+        # A keyframe that is rounded past a limit would leave no step within the limits.
+        hinges = np.flatnonzero((model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & (model.jnt_limited == 1))
+        places = model.jnt_qposadr[hinges]
+        bent.qpos[places] = np.clip(bent.qpos[places], *model.jnt_range[hinges].T)
         for leg in self.robot.legs:
             along = data.xaxis[leg] @ self.left
             pitch = np.flatnonzero(np.abs(along) > PITCH_AXIS)

@@ -63,6 +63,9 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         instrumentation: The instrumented description; None for a model that was left alone.
         untouched: Why the model was left alone; empty if it was not.
 
+    Environments of dm_control, which hold their robot as ``unwrapped.physics``, are never changed: the same
+    quantities are computed beside them.
+
     Raises:
         TypeError: If the environment does not run on MuJoCo, ``feet`` is a single name, or ``cells`` or
             ``soles`` name no feet.
@@ -96,9 +99,15 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             prefix=prefix,
         )
         gym.Wrapper.__init__(self, env)
-        self._base = cast(Any, env.unwrapped)
-        _refuse(env, prefix)
-        description = find_description(spec, self._base)
+        self._base = cast(Any, _holder(env))
+        _refuse(env, self._base, prefix)
+        foreign = isinstance(self._base, _Physics)
+        if foreign and (soles or in_place or spec is not None):
+            raise ValueError(
+                "'soles', 'spec' and 'in_place' change the model, which dm_control's physics cannot "
+                "exchange: leave them out, and put what is needed into the task's own MJCF."
+            )
+        description = None if foreign else find_description(spec, self._base)
         if description is None and (soles or in_place):
             raise ValueError(
                 f"'{'soles' if soles else 'in_place'}' changes the model, for which its description is "
@@ -109,6 +118,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
         made: tuple[Instrumentation, mujoco.MjModel] | None = None
         self.untouched = "there is no description of it: give 'spec'"
+        if foreign:
+            self.untouched = "dm_control's physics holds it"
         if in_place is False:
             self.untouched = "in_place=False"
         elif description is not None:
@@ -221,15 +232,45 @@ def _check_types(cells: Any, soles: Any) -> None:
         )
 
 
-def _refuse(env: gym.Env[Any, Any], prefix: str) -> None:
-    """Raise an error if an environment is not on MuJoCo or is instrumented already."""
+class _Physics:
+    """A robot that dm_control holds, as Gymnasium's environments hold theirs."""
+
+    def __init__(self, env: Any) -> None:
+        self._env = env
+
+    @property
+    def model(self) -> Any:
+        return self._env.physics.model.ptr
+
+    @property
+    def data(self) -> Any:
+        return self._env.physics.data.ptr
+
+    @property
+    def dt(self) -> float:
+        return float(self._env.control_timestep())
+
+
+def _holder(env: gym.Env[Any, Any]) -> Any:
+    """Return what has the robot as its ``model`` and ``data``."""
     base = cast(Any, env.unwrapped)
+    physics = getattr(base, "physics", None)
+    foreign = not hasattr(base, "model") and hasattr(getattr(physics, "model", None), "ptr")
+    return _Physics(base) if foreign else base
+
+
+def _refuse(env: gym.Env[Any, Any], base: Any, prefix: str) -> None:
+    """Raise an error if an environment is not on MuJoCo or is instrumented already."""
     model, data = getattr(base, "model", None), getattr(base, "data", None)
     if not isinstance(model, mujoco.MjModel) or not isinstance(data, mujoco.MjData):
+        has = ", ".join(
+            f"no '{name}'" if value is None else f"a {type(value).__name__} as '{name}'"
+            for name, value in (("model", model), ("data", data))
+        )
         raise TypeError(
             "InstrumentedEnv needs an environment on MuJoCo, whose unwrapped.model is a mujoco.MjModel and "
-            f"unwrapped.data a mujoco.MjData; {type(base).__name__} has {type(model).__name__} and "
-            f"{type(data).__name__}."
+            "unwrapped.data a mujoco.MjData, or whose unwrapped.physics is dm_control's; "
+            f"{type(env.unwrapped).__name__} has {has}. Give an environment of your own these two attributes."
         )
     below: Any = env
     while isinstance(below, gym.Wrapper):

@@ -23,6 +23,9 @@ from scipy.spatial import ConvexHull
 FACE_SLOPE: Final = float(np.cos(np.radians(30.0)))
 """Cosine of the largest angle between a sole and the ground in the pose in which the robot stands."""
 
+NO_HEADING: Final = 0.9
+"""Share of the vertical in an axis of the torso above which it says nothing of where the robot faces."""
+
 FACE_DEPTH: Final = 0.002
 """Height in m above a sole's lowest point up to which a point still belongs to it."""
 
@@ -107,7 +110,9 @@ def measure_foot(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> FootG
             flaw = _flaw(model, name, geoms)
             break
         up = normal
-    forward = data.xmat[model.body_rootid[body]].reshape(3, 3)[:, 0]
+    torso = data.xmat[model.body_rootid[body]].reshape(3, 3)
+    # The torso of a robot that was drawn lying on its back looks along z when it stands.
+    forward = torso[:, 0] if abs(torso[2, 0]) < NO_HEADING else torso[:, 2]
     # A foot that toes out keeps its own axis.
     axes = np.concatenate([R_world_foot.T, -R_world_foot.T])
     nearest = axes[np.argmax(axes @ forward)]

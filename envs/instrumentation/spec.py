@@ -165,7 +165,8 @@ def instrument_as(
     _add_torso(spec, layout.torso, drawing.imu, f"{prefix}torso")
     for joint in layout.joint_names:
         spec.add_sensor(
-            name=f"{prefix}{joint}_position",
+            # A joint may be called "torso" or like a foot, whose sensors have names of the same form.
+            name=f"{prefix}joint/{joint}_position",
             type=mujoco.mjtSensor.mjSENS_JOINTPOS,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
             objname=joint,

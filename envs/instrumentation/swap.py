@@ -93,8 +93,8 @@ def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> st
         own, other = getattr(old, name), _rows(new, name, kept)
         if not np.array_equal(own, other):
             return f"its {name} is {other.tolist()}, the environment's {own.tolist()}"
-    if (old.nq, old.nv, old.na, old.nkey) != (new.nq, new.nv, new.na, new.nkey):
-        return "it has other sizes (nq, nv, na, nkey)"
+    if (old.nq, old.nv, old.na) != (new.nq, new.nv, new.na):
+        return "it has other sizes (nq, nv, na)"
     return ""
 
 
@@ -118,8 +118,11 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
                 target[rows] = value
             elif target.shape == value.shape:
                 target[...] = value
-    if old.nkey:
-        new.key_qpos[:], new.key_qvel[:], new.key_ctrl[:] = old.key_qpos, old.key_qvel, old.key_ctrl
+    for key in range(min(old.nkey, new.nkey)):
+        # A description may add a keyframe in which the robot stands.
+        if old.key(key).name == new.key(key).name:
+            for name in ("key_qpos", "key_qvel", "key_ctrl"):
+                getattr(new, name)[key] = getattr(old, name)[key]
     pairs: list[tuple[Any, Any]] = [(old.opt, new.opt), (old.stat, new.stat)]
     parts = ("global_", "quality", "headlight", "map", "scale", "rgba")
     pairs += [(getattr(old.vis, part), getattr(new.vis, part)) for part in parts]

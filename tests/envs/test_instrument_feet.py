@@ -118,6 +118,18 @@ def test_named_feet_keep_their_order_and_one_is_enough():
     assert [foot.body for foot in instrument(toy(BOX, names=("a", "b"))).feet] == ["a", "b"]
 
 
+def test_joints_may_be_called_like_the_torso():
+    # As one of Unitree's H1 is.
+    spec = toy(BOX)
+    spec.compile()
+    renamed = spec.to_xml().replace('joint name="foot_l"', 'joint name="torso"')
+    model = instrument(mujoco.MjSpec.from_string(renamed)).spec.compile()
+    data = mujoco.MjData(model)
+    data.joint("torso").qpos = 0.1
+    mujoco.mj_forward(model, data)
+    assert data.sensor("surefoot/joint/torso_position").data == 0.1
+
+
 def test_taken_names_a_compiled_model_and_a_bare_model_are_refused():
     once = instrument(toy(BOX))
     with pytest.raises(ValueError, match=r"begin with 'surefoot/' already: \['surefoot/foot_l_ankle'"):

@@ -71,6 +71,24 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
     assert json.loads(printed) == ["surefoot.calibration", "surefoot.sensors"]
 
 
+@pytest.mark.parametrize(
+    ("statement", "missing", "extra"),
+    [
+        ("from surefoot.experiments import read_log", "pyarrow", "experiments"),
+        ("import surefoot.wrappers.vector.sb3", "stable_baselines3", "rl"),
+    ],
+)
+def test_what_an_extra_brings_is_asked_for_by_its_name(statement: str, missing: str, extra: str) -> None:
+    printed = run_python(
+        "import sys\n"
+        f"sys.modules['{missing}'] = None\n"
+        f"try:\n    {statement}\n"
+        "except ModuleNotFoundError as error:\n    print(error)\n"
+    )
+    assert missing in printed
+    assert f'pip install "surefoot[{extra}]"' in printed
+
+
 def test_import_is_light() -> None:
     printed = run_python(
         "import sys, surefoot\n"

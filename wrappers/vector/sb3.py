@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from surefoot.calibration import Parameters
 from surefoot.sensors import Encoders, Imu, Link
@@ -23,6 +22,15 @@ from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
 from surefoot.wrappers.vector.truth import BatchTruth
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY
 from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+except ModuleNotFoundError as missing:
+    raise ModuleNotFoundError(
+        "surefoot.wrappers.vector.sb3 needs 'stable_baselines3', which is not installed or is not whole "
+        f'({missing}): pip install "surefoot[rl]".',
+        name=missing.name,
+    ) from missing
 
 
 class VecFootSensors(VecEnvWrapper):
