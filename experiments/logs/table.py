@@ -68,7 +68,11 @@ class LogTable:
         if pa.types.is_null(kind):
             return np.full(len(self), np.nan)
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-            return np.asarray(column.cast(pa.float64()).to_numpy(), dtype=np.float64)
+            column = column.cast(pa.float64())
+            if column.null_count or not column.num_chunks:
+                return np.asarray(column.to_numpy(), dtype=np.float64)
+            # to_numpy() imports pandas, which takes longer than to read a log.
+            return np.concatenate([np.from_dlpack(chunk) for chunk in column.chunks])
         found = np.full(len(self), np.nan)
         for row, value in enumerate(column.to_pylist()):
             try:
@@ -101,7 +105,7 @@ def read_table(
         raise LogError(f"{path.name}: a log ends in .parquet or .csv; rename or convert the file.")
     try:
         if path.suffix.lower() == ".parquet":
-            data = pq.read_table(path)
+            data = pq.ParquetFile(path).read()
         else:
             source, head = _text_of(path)
             seen = _separator_and_decimal(head, separator)

@@ -16,7 +16,6 @@ from jinja2 import Environment, StrictUndefined
 
 import surefoot
 from surefoot.experiments.study.files import atomic_path, write_text
-from surefoot.experiments.study.runner import machine
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.tables import Frame, Table, Verdict, flat, plural
 
@@ -79,10 +78,14 @@ def write_page(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"kind": _kind, "kinds": _kinds}
+    if not made:
+        from surefoot.experiments.study.runner import machine  # a log's page needs no workers
+
+        made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {machine()}."
     template = files("surefoot.experiments.study").joinpath("page.html").read_text(encoding="utf-8")
     page = environment.from_string(template).render(
         title=title,
-        made=made or f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {machine()}.",
+        made=made,
         introduction=introduction,
         sections=tuple(sections),
         lead=lead,

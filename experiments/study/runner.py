@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -157,7 +156,7 @@ def _plain(tables: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
                 key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
                 for key, value in row.items()
             }
-            for row in (rows.to_dict("records") if isinstance(rows, pd.DataFrame) else rows)
+            for row in (rows.to_dict("records") if hasattr(rows, "to_dict") else rows)
         ]
         for name, rows in tables.items()
     }

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 
 class Interval(NamedTuple):
@@ -39,7 +39,7 @@ def mean_interval(values: ArrayLike) -> Interval:
         return Interval(float("nan"), float("nan"), 0)
     if n == 1:
         return Interval(float(sample[0]), float("nan"), 1)
-    half = stats.t.ppf(0.975, n - 1) * np.std(sample, ddof=1) / np.sqrt(n)
+    half = stdtrit(n - 1, 0.975) * np.std(sample, ddof=1) / np.sqrt(n)
     return Interval(float(np.mean(sample)), float(half), n)
 
 
@@ -61,6 +61,8 @@ def fall_share(fell: ArrayLike) -> Share:
     events = np.asarray(fell, dtype=bool)
     if not events.size:
         return Share(*(float("nan"),) * 3, 0)
+    from scipy import stats  # takes half a second
+
     interval = stats.binomtest(int(events.sum()), events.size).proportion_ci(0.95, method="wilson")
     return Share(float(events.mean()), float(interval.low), float(interval.high), events.size)
 
@@ -90,6 +92,8 @@ def survival(time: ArrayLike, fell: ArrayLike) -> Survival:
     ends, events = np.asarray(time, dtype=np.float64), np.asarray(fell, dtype=bool)
     if not ends.size:
         return Survival(np.zeros(1), *(np.ones(1),) * 3)
+    from scipy import stats  # takes half a second
+
     curve = stats.ecdf(stats.CensoredData(uncensored=ends[events], right=ends[~events])).sf
     with warnings.catch_warnings():
         # Of a share of 1 or 0 the formula says nothing.

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from surefoot.experiments.study.files import locked, write_text
 from surefoot.experiments.study.sources import code_of
@@ -130,6 +129,8 @@ class Store:
         """Return the rows of a table as a data frame, case by case; of all cases by default."""
         keys = self.outcomes if cases is None else [case.key for case in cases]
         found = [self.outcomes[key] for key in keys if key in self.outcomes]
+        import pandas as pd
+
         return pd.DataFrame([row for outcome in found for row in outcome.tables.get(table, ())])
 
     def failures(self, cases: Iterable[Case]) -> dict[str, str]:

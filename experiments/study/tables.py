@@ -2,15 +2,17 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from rich import box
 from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from surefoot.experiments.study.statistics import Interval, mean_interval
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Frame = Any  # a pandas data frame: type checkers do not follow what indexing one gives
 Column = Any  # a pandas series, likewise
@@ -54,8 +56,10 @@ class Table:
             table.add_row(*map(Text, row))
         return table
 
-    def to_frame(self) -> pd.DataFrame:
+    def to_frame(self) -> "pd.DataFrame":
         """Return it as a data frame of text."""
+        import pandas as pd  # takes half a second, which a log's page does without
+
         return pd.DataFrame(list(self.rows), columns=list(self.columns))
 
 
