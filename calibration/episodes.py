@@ -11,8 +11,7 @@ States of online methods have their batch dimensions in front, and two kinds of 
 
 A few whole numbers are shared by the batch (:data:`COUNTERS`): when blocks are full, and whether anything
 at all is to be done for standing starts and broken channels. They go on in such a way that a robot with a
-fresh state is served as it would be alone, but for two things: its first block is as short as the others'
-has become, and the bounds on how far its sensors can have drifted are those of the batch's age.
+fresh state is served as it would be alone, but that its first block is as short as the others' has become.
 """
 
 from collections.abc import Callable, Mapping
@@ -42,7 +41,10 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         TareState: ("offset",),
         WindowState: ("theta", "standing", "walking"),
         StandingState: StandingState._fields,
-        MomentState: ("mean", "covariance", "learnt", "spread", "kept_mean", "kept_covariance", "noise"),
+        MomentState: (
+            "mean", "covariance", "prior", "given", "given_covariance", "learnt", "spread",
+            "kept_mean", "kept_covariance", "noise",
+        ),  # fmt: skip
         ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
     }
 )

@@ -77,7 +77,8 @@ def posterior_bound(
         if rows is not None:
             covariance = log.step(covariance, rows)
     spread.add(covariance, slice(len(raw) // log.every * log.every, len(raw)))
-    return Bound(*spread.result(), log.uncertainty.of_parameters(log.path[-1], covariance))
+    of_map = log.unknowns.map
+    return Bound(*spread.result(), log.uncertainty.of_parameters(log.path[-1], covariance[of_map, of_map]))
 
 
 class BoundRows:

@@ -29,6 +29,9 @@ class MomentState(NamedTuple):
             (..., every + 2 settle, P); see :class:`BlockColumns`.
         mean: The unknowns, shape (..., N).
         covariance: Their covariance, shape (..., N, N).
+        prior: Variances of scales and offsets by their start and drift alone, shape (..., P + K).
+        given: The unknowns as they are handed out, by a prior that is learnt as well, shape (..., N).
+        given_covariance: Covariance of their scales and offsets, shape (..., P + K, P + K).
         learnt: Covariance of (a, b) of each channel, shape (..., 2K, 2K).
         spread: Of that what single forces need, shape (..., 3, K).
         kept_mean: The unknowns of two moments of the last seconds, to go back to, shape (..., 2, N).
@@ -45,6 +48,9 @@ class MomentState(NamedTuple):
     pending: Array
     mean: Array
     covariance: Array
+    prior: Array
+    given: Array
+    given_covariance: Array
     learnt: Array
     spread: Array
     kept_mean: Array

@@ -20,6 +20,7 @@ from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.parity import Parity
 from surefoot.calibration.moment.rows import Block, Residuals, Rows
+from surefoot.calibration.moment.severity import LearntSeverity
 from surefoot.calibration.moment.state import BlockColumns, MomentState
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty
@@ -85,7 +86,7 @@ class MomentStream:
         self.newton_euler = NewtonEuler(setup, config, unknowns)
         self.tare, self.parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
         self._front_end = FrontEnd(setup, imu=False)
-        self._uncertainty = Uncertainty(setup, unknowns)
+        self._uncertainty, self._severity = Uncertainty(setup, unknowns), LearntSeverity(unknowns)
         self._faults = ChannelFaults(
             setup,
             config.leap,
@@ -100,6 +101,7 @@ class MomentStream:
         self._constants = Constants(
             start=unknowns.start,
             covariance=np.diag(unknowns.std**2),
+            prior=unknowns.std[unknowns.map] ** 2,
             walk=np.diag(unknowns.walk * config.every * setup.dt),
             learnt=unknowns.learnt,
             identity=np.eye(unknowns.size),
@@ -114,19 +116,22 @@ class MomentStream:
         front = self._front_end.init(raw)
         xp, device = namespace_of(raw), device_of(raw)
         batch, own = tuple(raw.shape[:-1]), self._constants.like(raw)
-        learnt = self._uncertainty.of_parameters(own.start, own.covariance)
 
         def zeros(*tail: int, dtype: Any = raw.dtype) -> Array:
             return xp.zeros((*batch, *tail), dtype=dtype, device=device)
 
-        return MomentState(
+        mean, covariance = zeros(1) + own.start, zeros(1, 1) + own.covariance
+        begun = MomentState(
             front=front,
             step=0,
             pending=zeros(self.config.span, self._pending.sound.stop),
-            mean=zeros(1) + own.start,
-            covariance=zeros(1, 1) + own.covariance,
-            learnt=zeros(1, 1) + learnt,
-            spread=zeros(1, 1) + self._uncertainty.of_channels(learnt),
+            mean=mean,
+            covariance=covariance,
+            prior=zeros(1) + own.prior,
+            given=mean,
+            given_covariance=covariance,
+            learnt=zeros(2 * self.setup.layout.channels, 1),
+            spread=zeros(3, 1),
             kept_mean=zeros(2, 1) + own.start,
             kept_covariance=zeros(2, 1, 1) + own.covariance,
             noise=zeros(self.newton_euler.kinds) + _FIRST_NOISE,
@@ -135,6 +140,7 @@ class MomentStream:
             status=zeros(dtype=xp.int64),
             faults=self._faults.init(raw, own.scale * front.raw + own.offset),
         )
+        return self._given(begun, mean)
 
     def update(
         self, state: MomentState, raw: Array, reference: Reference, dt: float
@@ -159,7 +165,9 @@ class MomentStream:
             walk = self._constants.like(raw).walk * (
                 min(dt, _LONGEST_PAUSE) / (self.config.every * self.setup.dt)
             )
-            state = state._replace(covariance=state.covariance + walk)
+            state = state._replace(
+                covariance=state.covariance + walk, prior=state.prior + self._of_map(walk)
+            )
         if state.step % self.config.every:
             nothing = 0.0 * state.noise[..., 0]
             return state, self._estimate(state, sample, kinds, nothing + xp.nan, nothing)
@@ -174,6 +182,7 @@ class MomentStream:
         faults = self._faults.silent(state.faults, block.force, read)
         block = block._replace(use=block.use * self._complete(faults, read))
         covariance = state.covariance + own.walk
+        state = state._replace(prior=state.prior + self._of_map(own.walk))
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         assumed = rows.variance / xp.concat([state.noise] * (config.every // config.average), axis=-1)
@@ -198,7 +207,7 @@ class MomentStream:
         learnt_from = learnt_from.keep(xp.astype(~waiting, mean.dtype)[..., None])
         learnt = self._learnt(covariance, own.learnt)
         step = kalman_step(mean, covariance, *learnt_from, learnt, own.identity, config.gate)
-        low, high = self._limits(state.step, mean)
+        low, high = self._limits(state.prior)
         clipped = xp.clip(step.mean, low, high)
         rejected = rejected | xp.any(clipped != step.mean, axis=-1)
         finite = xp.all(xp.isfinite(step.mean), axis=-1)
@@ -234,14 +243,34 @@ class MomentStream:
         only = self._constants.like(covariance).identity[mass, :]
         return learnt * (1.0 - only * xp.astype(~unsure, covariance.dtype)[..., None])
 
-    def _limits(self, step: int, like: Array) -> tuple[Array, Array]:
+    def _of_map(self, covariance: Array) -> Array:
+        """Return the variances of scales and offsets, shape (..., M)."""
+        return namespace_of(covariance).linalg.diagonal(covariance)[..., self.unknowns.map]
+
+    def _limits(self, prior: Array) -> tuple[Array, Array]:
         """Return the bounds of what a sensor can be, by where it began and how far it can have drifted."""
-        xp, own = namespace_of(like), self._constants.like(like)
-        reach = xp.linalg.diagonal(own.covariance) + xp.linalg.diagonal(own.walk) * (step / self.config.every)
+        xp, own = namespace_of(prior), self._constants.like(prior)
         # Errors of the reference may change, when a load is picked up; a sensor only drifts.
-        of_map, others = reach[..., self.unknowns.map], reach[..., self.unknowns.map.stop :]
-        reach = _REACH * xp.concat([xp.sqrt(of_map), xp.inf + others], axis=-1)
+        others = xp.inf + own.start[self.unknowns.map.stop :] + 0.0 * prior[..., :1]
+        reach = _REACH * xp.concat([xp.sqrt(prior), others], axis=-1)
         return own.start - reach, own.start + reach
+
+    def _given(self, state: MomentState, before: Array) -> MomentState:
+        """Return the state with what is handed out: the unknowns by a prior that was learnt as well.
+
+        It moves only where the unknowns did: without new rows nothing but the uncertainty grows.
+        """
+        xp, of_map = namespace_of(state.mean), self.unknowns.map
+        learnt, covariance = self._severity.reweighted(state.mean, state.covariance, state.prior)
+        mean = xp.concat([learnt, state.mean[..., of_map.stop :]], axis=-1)
+        mean = xp.where(any_along(state.mean != before)[..., None], mean, state.given)
+        of_channels = self._uncertainty.of_parameters(mean, covariance)
+        return state._replace(
+            given=mean,
+            given_covariance=covariance,
+            learnt=of_channels,
+            spread=self._uncertainty.of_channels(of_channels),
+        )
 
     def _watch(
         self,
@@ -280,8 +309,7 @@ class MomentStream:
                 covariance=xp.where(found[..., None, None], old_covariance, state.covariance),
                 pending=xp.where(found[..., None, None], 0.0, state.pending),
             )
-        learnt = self._uncertainty.of_parameters(state.mean, state.covariance)
-        state = state._replace(learnt=learnt, spread=self._uncertainty.of_channels(learnt))
+        state = self._given(state, before)
         if (state.step // self.config.every) % self._keep_every == 0:
             state = state._replace(
                 kept_mean=xp.stack([state.kept_mean[..., 1, :], state.mean], axis=-2),
@@ -376,11 +404,11 @@ class MomentStream:
     ) -> Estimate:
         """Apply the map to the newest sample, with how sure it is."""
         unknowns, own = self.unknowns, self._constants.like(sample.force)
-        force = unknowns.force(state.mean, sample.force, own.unit)
+        force = unknowns.force(state.given, sample.force, own.unit)
         faults = state.faults if state.faults.altered else None
         if faults is not None:
             force = (faults.spare @ force[..., None])[..., 0]
-        a, b = unknowns.own_scales(state.mean), unknowns.offsets(state.mean, own.unit)
+        a, b = unknowns.own_scales(state.given), unknowns.offsets(state.given, own.unit)
         status = state.status[..., None] | kinds
         estimate = self._front_end.report(sample, force, a * own.scale, a * own.offset + b, status)
         sure = self._uncertainty.of_estimate(estimate, sample, state)

@@ -42,13 +42,13 @@ class Uncertainty:
 
         Args:
             mean: The unknowns, shape (..., N).
-            covariance: Theirs, shape (..., N, N).
+            covariance: That of scales and offsets, shape (..., P + K, P + K).
         """
         xp, own, unknowns = namespace_of(mean), self._constants.like(covariance), self.unknowns
         # b is the force at a reading of no force by the starting map.
         offsets = self.to_force(mean, xp.zeros_like(mean[..., unknowns.offset]))
         rows = xp.concat([own.own_scales + 0.0 * offsets[..., :1], offsets], axis=-2)
-        return rows @ (covariance[..., unknowns.map, unknowns.map] + own.aged) @ rows.mT
+        return rows @ (covariance + own.aged) @ rows.mT
 
     def of_channels(self, learnt: Array) -> Array:
         """Return what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
@@ -68,7 +68,7 @@ class Uncertainty:
             sample: The sample that it is of.
             state: What the filter knows.
         """
-        xp, unknowns, F0 = namespace_of(state.mean), self.unknowns, sample.force
+        xp, unknowns, F0 = namespace_of(state.given), self.unknowns, sample.force
         rows, load = sample.rows[..., 0, :, :], estimate.vgrf[..., 0]
         if sample.rows.shape[-3] == 2:
             rows, load = rows + sample.rows[..., 1, :, :], load + estimate.vgrf[..., 1]
@@ -78,11 +78,11 @@ class Uncertainty:
             variance = (F0 * scale + cross) * F0 + offset
             row = xp.concat([rows * F0[..., None, :], rows], axis=-1)
         else:
-            to_force = self._to_force_by_map(F0) if unknowns.diagonal else self.to_force(state.mean, F0)
+            to_force = self._to_force_by_map(F0) if unknowns.diagonal else self.to_force(state.given, F0)
             if state.faults.altered:
                 to_force = state.faults.spare @ to_force
             if not unknowns.diagonal:
-                covariance = state.covariance[..., unknowns.map, unknowns.map]
+                covariance = state.given_covariance
             variance = variances(to_force, covariance) + state.faults.spare_std**2
             row = rows @ to_force
         if not surely(estimate.cop_valid):
@@ -92,7 +92,7 @@ class Uncertainty:
             "covariance": state.learnt,
             "force_std": xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
             "cop_covariance": turned @ covariance @ turned.mT,
-            "matrix": None if unknowns.diagonal else unknowns.matrix(state.mean),
+            "matrix": None if unknowns.diagonal else unknowns.matrix(state.given),
         }
 
     def to_force(self, mean: Array, force: Array) -> Array:

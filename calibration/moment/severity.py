@@ -1,0 +1,82 @@
+r"""How far sensors were off at the start, learnt from what the filter has seen: never worse than the start.
+
+The filter begins with scales and offsets of the standard deviations that its options state. Robots begin with
+others: cells calibrated with weights are twenty times better, cells that were dropped several times worse. To
+a calibrated robot a wide prior does harm, as all that its reference gets wrong is then taken for an error of
+the sensors.
+
+The filter's posterior N(m, P) under its prior N(x0, P0) holds what the data alone say: the information
+P^-1 - P0^-1, and P^-1 (m - x0) about where the sensors are. So it can be given another prior afterwards. With
+D the diagonal of severities s^2, one for all scales and one for all offsets, in units of P0's deviations,
+
+    V_s = (P^-1 - I + D^-1)^-1,    m_s = V_s P^-1 (m - x0),
+    log evidence_s = [ m_s' V_s^-1 m_s - log det(D V_s^-1) ] / 2,
+
+exactly so for sensors that stay as they are. What is handed out is the mean of all m_s by their evidence, with
+the covariance of that mixture (empirical Bayes; MacKay, Neural Computation 4, 1992). The filter itself goes on
+as it began: severities that prove wrong later have cost nothing.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.moment.unknowns import Unknowns
+
+SEVERITIES = (0.04, 0.2, 1.0, 5.0)
+"""How far off sensors may be, by the stated standard deviations: from fresh from calibration to neglected."""
+
+_LEAST = 1e-6
+"""Least share of its starting variance that anything is known to: float32 knows no smaller one."""
+
+
+class LearntSeverity:
+    """Gives a posterior the prior that its own evidence asks for.
+
+    Args:
+        unknowns: The unknowns.
+    """
+
+    def __init__(self, unknowns: Unknowns) -> None:
+        self.unknowns = unknowns
+        widths = unknowns.scales, unknowns.channels
+        severities = [np.repeat(pair, widths) for pair in product(SEVERITIES, repeat=2)]
+        self._constants = Constants(
+            variance=np.stack(severities) ** 2,
+            identity=np.eye(unknowns.map.stop),
+            start=unknowns.start[unknowns.map],
+        )
+
+    def reweighted(self, mean: Array, covariance: Array, prior: Array) -> tuple[Array, Array]:
+        """Return scales and offsets under all severities together.
+
+        Args:
+            mean: The filter's unknowns, shape (..., N).
+            covariance: Theirs, shape (..., N, N).
+            prior: Variances of scales and offsets by the start and their drift alone, shape (..., M).
+
+        Returns:
+            Scales and offsets, shape (..., M), and their covariance, shape (..., M, M).
+        """
+        xp, own, of_map = namespace_of(mean), self._constants.like(mean), self.unknowns.map
+        std = xp.sqrt(prior)
+        units = std[..., :, None] * std[..., None, :]
+        share, axes = xp.linalg.eigh(covariance[..., of_map, of_map] / units)
+        share = xp.clip(share, _LEAST, 1.0)
+        seen = (axes * (1.0 / share - 1.0)[..., None, :]) @ axes.mT
+        off = (mean[..., of_map] - own.start) / std
+        pull = (axes @ ((axes.mT @ off[..., None]) / share[..., None]))[..., None, :, :]
+
+        severity = own.variance
+        precision = seen[..., None, :, :] + own.identity / severity[:, None, :]
+        V = xp.linalg.inv(precision)
+        found = V @ pull
+        _, size = xp.linalg.slogdet(precision)
+        evidence = xp.sum((found * pull)[..., 0], axis=-1) - size - xp.sum(xp.log(severity), axis=-1)
+        weight = xp.exp(0.5 * (evidence - xp.max(evidence, axis=-1, keepdims=True)))
+        weight = (weight / xp.sum(weight, axis=-1, keepdims=True))[..., None, None]
+        mixed = xp.sum(weight * found, axis=-3)
+        apart = found - mixed[..., None, :, :]
+        V = xp.sum(weight * (V + apart @ apart.mT), axis=-3)
+        return own.start + std * mixed[..., 0], 0.5 * (V + V.mT) * units
