@@ -42,9 +42,9 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         WindowState: ("theta", "standing", "walking"),
         StandingState: StandingState._fields,
         MomentState: (
-            "mean", "covariance", "prior", "given", "given_covariance", "learnt", "spread",
-            "kept_mean", "kept_covariance", "noise",
-        ),  # fmt: skip
+            *("mean", "covariance", "prior", "given", "given_covariance", "learnt", "spread"),
+            *("kept_mean", "kept_covariance", "noise"),
+        ),
         ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
     }
 )

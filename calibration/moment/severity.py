@@ -1,20 +1,20 @@
-r"""How far sensors were off at the start, learnt from what the filter has seen: never worse than the start.
+r"""How far sensors were off at the start, learnt from what the filter has seen.
 
-The filter begins with scales and offsets of the standard deviations that its options state. Robots begin with
-others: cells calibrated with weights are twenty times better, cells that were dropped several times worse. To
-a calibrated robot a wide prior does harm, as all that its reference gets wrong is then taken for an error of
-the sensors.
+Options state standard deviations of scales and offsets at the start. Robots begin with others: cells that
+were calibrated with weights are twenty times better, neglected ones several times worse. A wide prior does
+harm to a calibrated robot, as all that its reference gets wrong is then taken for an error of the sensors; a
+narrow one does harm to the others.
 
-The filter's posterior N(m, P) under its prior N(x0, P0) holds what the data alone say: the information
-P^-1 - P0^-1, and P^-1 (m - x0) about where the sensors are. So it can be given another prior afterwards. With
-D the diagonal of severities s^2, one for all scales and one for all offsets, in units of P0's deviations,
+So the filter begins with a wide prior N(x0, P0), and its posterior N(m, P) is given others afterwards. It
+holds what the data alone say: the information P^-1 - P0^-1, and P^-1 (m - x0) about where the sensors are.
+With D the diagonal prior of two severities, one of all scales and one of all offsets,
 
-    V_s = (P^-1 - I + D^-1)^-1,    m_s = V_s P^-1 (m - x0),
-    log evidence_s = [ m_s' V_s^-1 m_s - log det(D V_s^-1) ] / 2,
+    V = (P^-1 - P0^-1 + D^-1)^-1,    m_D = x0 + V P^-1 (m - x0),
+    2 log evidence = (m_D - x0)' V^-1 (m_D - x0) - log det(D V^-1),
 
-exactly so for sensors that stay as they are. What is handed out is the mean of all m_s by their evidence, with
-the covariance of that mixture (empirical Bayes; MacKay, Neural Computation 4, 1992). The filter itself goes on
-as it began: severities that prove wrong later have cost nothing.
+exactly so for sensors that stay as they are. What is handed out is the mean of all m_D by their evidence,
+with the covariance of that mixture. The filter itself goes on as it was: a severity that proves wrong later
+has cost nothing.
 """
 
 from itertools import product
@@ -25,7 +25,10 @@ from surefoot.calibration.arrays import Array, Constants, namespace_of
 from surefoot.calibration.moment.unknowns import Unknowns
 
 SEVERITIES = (0.04, 0.2, 1.0, 5.0)
-"""How far off sensors may be, by the stated standard deviations: from fresh from calibration to neglected."""
+"""How far off sensors may be, in stated standard deviations: calibrated, well kept, as stated, neglected."""
+
+WIDEST = 3.0
+"""Stated standard deviations of the prior that the filter begins with."""
 
 _LEAST = 1e-6
 """Least share of its starting variance that anything is known to: float32 knows no smaller one."""
@@ -44,6 +47,7 @@ class LearntSeverity:
         severities = [np.repeat(pair, widths) for pair in product(SEVERITIES, repeat=2)]
         self._constants = Constants(
             variance=np.stack(severities) ** 2,
+            beyond=(WIDEST**2 - 1.0) * unknowns.std[unknowns.map] ** 2,
             identity=np.eye(unknowns.map.stop),
             start=unknowns.start[unknowns.map],
         )
@@ -54,7 +58,7 @@ class LearntSeverity:
         Args:
             mean: The filter's unknowns, shape (..., N).
             covariance: Theirs, shape (..., N, N).
-            prior: Variances of scales and offsets by the start and their drift alone, shape (..., M).
+            prior: Variances of scales and offsets by the widest start and their drift, shape (..., M).
 
         Returns:
             Scales and offsets, shape (..., M), and their covariance, shape (..., M, M).
@@ -68,8 +72,8 @@ class LearntSeverity:
         off = (mean[..., of_map] - own.start) / std
         pull = (axes @ ((axes.mT @ off[..., None]) / share[..., None]))[..., None, :, :]
 
-        severity = own.variance
-        precision = seen[..., None, :, :] + own.identity / severity[:, None, :]
+        severity = own.variance * ((prior - own.beyond) / prior)[..., None, :]
+        precision = seen[..., None, :, :] + own.identity / severity[..., None, :]
         V = xp.linalg.inv(precision)
         found = V @ pull
         _, size = xp.linalg.slogdet(precision)

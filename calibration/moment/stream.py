@@ -20,7 +20,7 @@ from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.parity import Parity
 from surefoot.calibration.moment.rows import Block, Residuals, Rows
-from surefoot.calibration.moment.severity import LearntSeverity
+from surefoot.calibration.moment.severity import WIDEST, LearntSeverity
 from surefoot.calibration.moment.state import BlockColumns, MomentState
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty
@@ -69,9 +69,8 @@ _SHARED = 32.0
 """Rows of a kind, those of 0.8 s, that share the product of the errors of scale and offset: until a foot
 swings, no offset is known, and all of them together count as one."""
 
-_REACH = 15.0
-"""Standard deviations from the starting map beyond which a sensor is not thought to be: five of a start three
-times as bad as stated."""
+_REACH = 10.0
+"""Standard deviations from the starting map beyond which a sensor is not thought to be."""
 
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to."""
@@ -98,10 +97,13 @@ class MomentStream:
         motion = self._front_end.motions.columns.size
         self._pending = BlockColumns(*in_a_row(channels, motion, channels, feet, 1, 1))
         scale, offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
+        # What is stated, or less, is found in what is handed out.
+        std = unknowns.std.copy()
+        std[unknowns.map] *= WIDEST
         self._constants = Constants(
             start=unknowns.start,
-            covariance=np.diag(unknowns.std**2),
-            prior=unknowns.std[unknowns.map] ** 2,
+            covariance=np.diag(std**2),
+            prior=std[unknowns.map] ** 2,
             walk=np.diag(unknowns.walk * config.every * setup.dt),
             learnt=unknowns.learnt,
             identity=np.eye(unknowns.size),
@@ -165,9 +167,7 @@ class MomentStream:
             walk = self._constants.like(raw).walk * (
                 min(dt, _LONGEST_PAUSE) / (self.config.every * self.setup.dt)
             )
-            state = state._replace(
-                covariance=state.covariance + walk, prior=state.prior + self._of_map(walk)
-            )
+            state = state._replace(covariance=state.covariance + walk, prior=state.prior + self._of_map(walk))
         if state.step % self.config.every:
             nothing = 0.0 * state.noise[..., 0]
             return state, self._estimate(state, sample, kinds, nothing + xp.nan, nothing)
@@ -229,7 +229,8 @@ class MomentStream:
         """Allow for the product of the errors of scales and offsets, which columns leave out."""
         xp, unknowns, own = namespace_of(covariance), self.unknowns, self._constants.like(covariance)
         variance = xp.linalg.diagonal(covariance)
-        product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
+        # Hardly any sensor has both as wide as the start is.
+        product = unknowns.own_scales(variance) * variance[..., unknowns.offset] / WIDEST**2
         lever = places * own.unit
         more = _SHARED * ((lever * lever) @ product[..., None])[..., 0]
         return rows._replace(variance=rows.variance + more)
@@ -353,9 +354,10 @@ class MomentStream:
         """Leave out groups of rows that no error of calibration explains, such as of a lifted robot.
 
         Noise that is learnt, or expected at first, is no reason to learn from such rows: they are held
-        against the variances that are assumed, shape (..., m).
+        against the variances that are assumed, shape (..., m), and sensors against what is stated of them.
         """
-        e, variance = residuals.residual, residuals.variance - rows.variance + assumed
+        predicted = (residuals.variance - rows.variance) / WIDEST**2
+        e, variance = residuals.residual, predicted + assumed
         xp, kinds = namespace_of(e), self.newton_euler.kinds
         wrong = (xp.abs(e) > self.config.reject) & (e * e > _REJECT_STD**2 * variance)
         groups = xp.any(xp.reshape(wrong, (*e.shape[:-1], -1, kinds)), axis=-1)
@@ -380,7 +382,7 @@ class MomentStream:
         xp, of_map = namespace_of(mean), self.unknowns.map
         count, reading = self.tare.hanging(block)
         load, row = self.tare.load(mean, reading, faults.spare if faults.altered else None)
-        spread = xp.sum((row @ covariance[..., of_map, of_map]) * row, axis=-1)
+        spread = xp.sum((row @ covariance[..., of_map, of_map]) * row, axis=-1) / WIDEST**2
         limit = self.config.swing_load + _LOAD_STD * xp.sqrt(xp.clip(spread, 0.0, None))
         doubted = (count > 0.5) & (xp.abs(load) > limit)
         # Not all feet of a robot that stands are in the air.

@@ -77,7 +77,9 @@ def test_a_passage_is_the_recursion_of_the_bound(robot):
     np.testing.assert_allclose(twice.after(log.start), log.passage().after(covariance), atol=1e-12, rtol=1e-7)
     bound = posterior_bound(setup, *one, truth)
     np.testing.assert_allclose(
-        log.uncertainty.of_parameters(log.path[-1], covariance[log.unknowns.map, log.unknowns.map]), bound.covariance, atol=1e-12
+        log.uncertainty.of_parameters(log.path[-1], covariance[log.unknowns.map, log.unknowns.map]),
+        bound.covariance,
+        atol=1e-12,
     )
 
 

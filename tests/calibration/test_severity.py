@@ -1,0 +1,79 @@
+"""The prior that is learnt: exact where everything is Gaussian, and a calibrated robot keeps its map."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from _robots import calibrated, fleet, robot
+from _synthetic import LAYOUT, MASS, NOMINAL, Faults, errors
+from numpy.testing import assert_allclose
+
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.severity import SEVERITIES, WIDEST, LearntSeverity
+from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.setup import OnlineSetup
+
+UNKNOWNS = Unknowns(OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL), MomentFilterConfig())
+MAP, STATED, START = UNKNOWNS.map, UNKNOWNS.std[UNKNOWNS.map], UNKNOWNS.start[UNKNOWNS.map]
+SIZE = MAP.stop
+
+
+def posterior(H, y, noise, std):
+    """What rows say under a prior of these standard deviations: mean, covariance and log evidence."""
+    V = H @ np.diag(std**2) @ H.T + noise**2 * np.eye(len(y))
+    off = y - H @ START
+    gain = np.diag(std**2) @ H.T @ np.linalg.inv(V)
+    evidence = -0.5 * (off @ np.linalg.solve(V, off) + np.linalg.slogdet(V)[1])
+    return START + gain @ off, np.diag(std**2) - gain @ H @ np.diag(std**2), evidence
+
+
+def reweighted(mean, covariance, drift=0.0):
+    rest = UNKNOWNS.size - SIZE
+    whole = np.pad(covariance, (0, rest))
+    return LearntSeverity(UNKNOWNS).reweighted(
+        np.append(mean, np.zeros(rest)), whole, (WIDEST * STATED) ** 2 + drift
+    )
+
+
+@pytest.mark.parametrize("severity", [0.0, 0.3, 1.0, 3.0])
+@pytest.mark.parametrize("rows", [3, 40])
+def test_it_is_the_mixture_of_exact_posteriors(severity, rows):
+    rng = np.random.default_rng(7)
+    H = rng.normal(size=(rows, SIZE)) / STATED
+    y = H @ (START + severity * STATED * rng.normal(size=SIZE)) + 0.5 * rng.normal(size=rows)
+    mean, covariance, _ = posterior(H, y, 0.5, WIDEST * STATED)
+    widths = UNKNOWNS.scales, UNKNOWNS.channels
+    each = [posterior(H, y, 0.5, STATED * np.repeat(s, widths)) for s in product(SEVERITIES, repeat=2)]
+    means, covariances, evidences = (np.array(part) for part in zip(*each, strict=True))
+    weight = np.exp(evidences - evidences.max())
+    weight /= weight.sum()
+    expected = weight @ means
+    apart = means - expected
+    spread = np.einsum("s,sij->ij", weight, covariances) + np.einsum("s,si,sj->ij", weight, apart, apart)
+    found = reweighted(mean, covariance)
+    assert_allclose(found[0], expected, atol=1e-6)
+    assert_allclose(found[1], spread, atol=1e-5 * (STATED.max() ** 2))
+
+
+def test_without_data_it_is_the_start_with_all_severities_alike():
+    mean, covariance = reweighted(START, np.diag((WIDEST * STATED) ** 2))
+    assert_allclose(mean, START, atol=1e-12)
+    expected = np.mean(np.square(SEVERITIES)) * STATED**2
+    # Information is clipped at nothing from below, within rounding.
+    assert_allclose(np.diag(covariance), expected, rtol=1e-9)
+
+
+def test_drift_widens_every_prior_by_the_same_share():
+    drift = 2.0 * STATED**2
+    _, covariance = reweighted(START, np.diag((WIDEST * STATED) ** 2 + drift), drift)
+    assert_allclose(np.diag(covariance), 3.0 * np.mean(np.square(SEVERITIES)) * STATED**2, rtol=1e-9)
+
+
+def test_a_calibrated_robot_keeps_its_map_though_its_body_is_not_as_believed():
+    kept = replace(Faults.mild(), gain=0.002, offset=0.05, gain_drift=0.002, offset_drift=0.1)
+    logs, raw, reference = fleet(range(4), speeds=(0.04,), faults=kept)
+    estimate, start = (calibrated(raw, reference, kept, name=name) for name in ("moment", "none"))
+    for i, log in enumerate(logs):
+        found, before = (errors(robot(each, i), log, 10.0)[0] for each in (estimate, start))
+        assert found < before, i
