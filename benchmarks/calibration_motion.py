@@ -141,10 +141,10 @@ def walked(duration: float, **options: Any) -> FootMotion:
     calibration.reset(seed=0)
     force, beliefs = [], []
     for tick in range(round((duration + 1.0) / env.dt)):
-        _, _, _, _, info = calibration.step(np.zeros(11, dtype=np.float32))
+        calibration.step(np.zeros(11, dtype=np.float32))
         if tick * env.dt >= 1.0:
             force.append(sensors.instruments.nominal.force(sensors.raw))
-            beliefs.append(info["surefoot"]["reference"])
+            beliefs.append(calibration.reference)
     reference = type(beliefs[0])(*(np.array(part) for part in zip(*beliefs, strict=True)))
     return FootMotion(np.array(force), reference)
 

@@ -20,7 +20,7 @@ a common tilt cancels to first order.
 """
 
 from math import floor, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,6 +244,19 @@ def nothing(feet: int) -> Reference:
         accelerometer=unknown[3],
         gyroscope=unknown[4],
     )
+
+
+def told_reference(reference: Reference) -> dict[str, Any]:
+    """Return references (...) for ``info``, as arrays of their own without NaN, which is unlike itself.
+
+    What nobody knows is 0 there, and ``"known"`` (...) says where something is known.
+    """
+    known = ~np.isnan(reference.com[..., 0])
+    told: dict[str, Any] = {"known": known if known.ndim else bool(known)}
+    for name, part in reference._asdict().items():
+        where = known.reshape(known.shape + (1,) * (part.ndim - known.ndim))
+        told[name] = part.copy() if part.dtype == bool else np.where(where, part, 0.0)
+    return told
 
 
 def _level(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

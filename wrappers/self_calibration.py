@@ -13,7 +13,7 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
-from surefoot.wrappers.beliefs import Beliefs, nothing
+from surefoot.wrappers.beliefs import Beliefs, nothing, told_reference
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
@@ -72,9 +72,10 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
     (:mod:`surefoot.wrappers.contacts`).
 
-    ``info["surefoot"]`` gains ``"parameters"`` (:class:`~surefoot.calibration.Parameters`), ``"covariance"``
-    (or ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, ``"reference"``
-    (:class:`~surefoot.calibration.Reference`) and ``"lag"``, by how many samples the reference is late.
+    ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or
+    ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, ``"reference"`` (a mapping of the fields of
+    :class:`~surefoot.calibration.Reference`, and ``"known"``: where it is false they are 0) and ``"lag"``, by
+    how many samples the reference is late.
 
     What was learnt is kept over resets, as the sensors are. Calibration starts fresh at a reset with a seed
     or with fresh sensors, and with ``fresh=True`` at each; ``options={"surefoot": {"calibration": choice}}``,
@@ -272,11 +273,11 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.estimate = estimate = self.calibrator.update(sensors.raw, reference)
         info.setdefault("surefoot", {}).update(
             # Copies, as an estimate may hold arrays of the one before.
-            parameters=Parameters(estimate.scale.copy(), estimate.offset.copy()),
+            parameters={"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
             covariance=None if estimate.covariance is None else estimate.covariance.copy(),
             flags=estimate.flags.copy(),
             vgrf=estimate.vgrf.copy(),
-            reference=reference,
+            reference=told_reference(reference),
             lag=self._late,
         )
         return observation | self._view.show(estimate, self.beliefs.soles(sensors.time))

@@ -243,7 +243,7 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         square = float(error @ error)
         return {
             "reward_alive": 1.0,
-            "reward_cop": float(np.exp(-square / self._cop_width**2)) if square == square else 0.0,
+            "reward_cop": float(np.exp(-square / self._cop_width**2)) if truth["cop_valid"][0] else 0.0,
             "reward_action": -0.1 * float(action @ action) / action.size,
         }
 

@@ -47,7 +47,7 @@ class ExerciseObserver:
         """
         wrench, force_cell = truth.wrench_sole[-1], truth.force_cell[-1]
         vgrf, cop_world = truth.vgrf(), truth.cop_world()
-        cop_foot = np.full((2, 2), np.nan)
+        cop_foot = np.zeros((2, 2))
         valid = [bool(cop_world[0] == cop_world[0]), False, False]
         for foot, (_, _, load, torque_x, torque_y, _) in enumerate(wrench.tolist()):
             if load > CONTACT_FORCE:
@@ -60,12 +60,15 @@ class ExerciseObserver:
             middle = truth.position_sole[-1, :, :2].sum(axis=0) / 2.0
             x, y = (cop_world - middle).tolist()
             self._cop = turned(x, y, heading)
+        else:
+            cop_world = np.zeros(2)
         state = self._state(truth, joint_velocity, command)
         return self._table.bounded(state, force_cell, self._cop_foot, self._cop, valid), {
             "force_cell": force_cell.copy(),
             "vgrf": vgrf,
             "cop_world": cop_world,
             "cop_foot": cop_foot,
+            "cop_valid": np.array(valid),
             "com": truth.com[-1].copy(),
             "wrench_sole": wrench.copy(),
         }

@@ -22,7 +22,7 @@ from surefoot.envs.instrumentation.swap import (
     swap_in,
     why_not_in_place,
 )
-from surefoot.envs.instrumentation.truth import StepTruth
+from surefoot.envs.instrumentation.truth import step_truth
 
 
 class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -34,9 +34,10 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     :attr:`untouched` says why. After a step, sensors have what was at the start of its last substep, and
     what is computed beside has its end; both have the state that a reset chose.
 
-    ``info["surefoot"]["truth"]`` is a mapping of ``force_cell`` (4 F) N, ``vgrf`` (F) N, ``cop_world`` (2) m,
-    ``cop_foot`` (F, 2) m, ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m, computed when read and NaN
-    where undefined.
+    ``info["surefoot"]["truth"]`` holds ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N,
+    ``cop_world`` (2) m, ``cop_foot`` (F, 2) m, ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m, as arrays
+    of their own; ``cop_valid`` (1 + F) says which centres of pressure there are, the common one first, and
+    the others are 0.
 
     An environment that shows ``data.cacc``, ``cfrc_int``, ``cfrc_ext``, ``subtree_linvel`` or
     ``subtree_angmom`` without ever computing them reads numbers there instead of zeros after a step; give it
@@ -58,6 +59,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     Attributes:
         truth: What the feet felt, with a leading axis of one row.
+        tells: Whether ``info`` has the truth; a wrapper that reads :attr:`truth` may save the time.
         drawing: What the robot's maker hands out.
         joint_names: The hinge joints that encoders measure.
         instrumentation: The instrumented description; None for a model that was left alone.
@@ -144,6 +146,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
+        self.tells = True
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -174,7 +177,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             observation, info = self.env.reset(seed=seed, options=options)
         self._refuse_another()
         self.truth = self._reader.now()
-        return observation, {**info, "surefoot": {"truth": StepTruth(self.truth)}}
+        return observation, self._told(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment, and read what happened."""
@@ -182,8 +185,10 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         if self._base.data is not self._data:
             self._refuse_another()
         self.truth = self._reader.after_step()
-        info = {**info, "surefoot": {"truth": StepTruth(self.truth)}}
-        return observation, reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, self._told(info)
+
+    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+        return {**info, "surefoot": {"truth": step_truth(self.truth)}} if self.tells else info
 
     def _make(
         self,

@@ -8,9 +8,7 @@ The cells are springs under a massless plate that covers the sole (:class:`SoleP
 share what the ground exerts, and their centre of pressure is that of the contacts.
 """
 
-from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,9 +148,16 @@ class FeetTruth:
 
         NaN where all feet together bear no more than 5 N.
         """
-        ground = self._last[..., FootColumns.contact] * _UP
-        cop: Array = centre_of_pressure(ground)
+        cop: Array = centre_of_pressure(self.contacts())
         return cop
+
+    def contacts(self) -> Array:
+        """What the ground exerts on each foot at the last row, shape (..., F, 9).
+
+        Force in N, torque in N m and the place in m at which they act, in the world.
+        """
+        ground: Array = self._last[..., FootColumns.contact] * _UP
+        return ground
 
     @property
     def _feet(self) -> Array:
@@ -227,60 +232,31 @@ def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([-wrench_sole[..., 4] / load, wrench_sole[..., 3] / load], axis=-1)
 
 
-class StepTruth(Mapping[str, Array]):
-    """Arrays at the last row, each computed when it is asked for; pickled and copied as a ``dict``.
+def step_truth(truth: FeetTruth) -> dict[str, Array]:
+    """Return what ``info`` tells of a step, as arrays of their own, at the last of rows of shape (S, ...).
 
-    Args:
-        truth: What was read, shape (S, ...).
+    ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N, ``cop_world`` (2) m, ``cop_foot``
+    (F, 2) m, ``cop_valid`` (1 + F), ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m.
     """
-
-    def __init__(self, truth: FeetTruth) -> None:
-        self._truth = truth
-
-    def __getitem__(self, name: str) -> Array:
-        return _QUANTITIES[name](self._truth)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(_QUANTITIES)
-
-    def __len__(self) -> int:
-        return len(_QUANTITIES)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Mapping) or set(other) != set(self):
-            return False
-        return all(np.array_equal(self[name], other[name], equal_nan=True) for name in self)
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        return repr(dict(self))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)
-
-
-def _force_cell(truth: FeetTruth) -> Array:
-    if truth.layout.flaw:
-        return np.full(4 * len(truth.layout.feet), np.nan)
-    force: Array = truth.force_cell[-1].copy()
-    return force
-
-
-def _cop_foot(truth: FeetTruth) -> Array:
-    has_area = np.array([not foot.flaw for foot in truth.layout.feet])
-    return np.where(has_area[:, None], cop_in_sole(truth.wrench_sole[-1]), np.nan)
-
-
-_QUANTITIES: Final[dict[str, Callable[[FeetTruth], Array]]] = {
-    "force_cell": _force_cell,
-    "vgrf": FeetTruth.vgrf,
-    "cop_world": FeetTruth.cop_world,
-    "cop_foot": _cop_foot,
-    "com": lambda truth: truth.com[-1].copy(),
-    "wrench_sole": lambda truth: truth.wrench_sole[-1].copy(),
-}
-"""How each quantity follows from a step's truth."""
-
-QUANTITIES: Final = tuple(_QUANTITIES)
-"""Names of the quantities of a step."""
+    layout, wrench = truth.layout, truth.wrench_sole[-1]
+    vgrf: list[float] = []
+    cops, valid = [[0.0, 0.0]], [False]
+    # A few numbers of a single robot: plain floats are faster than arrays.
+    load = moment_x = moment_y = 0.0
+    for foot, contact, own in zip(layout.feet, truth.contacts().tolist(), wrench.tolist(), strict=True):
+        _, _, fz, tx, ty, _, x, y, _ = contact
+        vgrf.append(fz + 0.0)
+        load, moment_x, moment_y = load + fz, moment_x + (tx + y * fz), moment_y + (ty - x * fz)
+        valid.append(own[2] > CONTACT_FORCE and not foot.flaw)
+        cops.append([-own[4] / own[2], own[3] / own[2]] if valid[-1] else [0.0, 0.0])
+    if load > CONTACT_FORCE:
+        cops[0], valid[0] = [-moment_y / load, moment_x / load], True
+    told = {} if layout.flaw else {"force_cell": wrench.ravel() @ layout.force_of_wrench}
+    return told | {
+        "vgrf": np.array(vgrf),
+        "cop_world": np.array(cops[0]),
+        "cop_foot": np.array(cops[1:]),
+        "cop_valid": np.array(valid),
+        "com": truth.com[-1].copy(),
+        "wrench_sole": wrench.copy(),
+    }

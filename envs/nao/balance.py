@@ -112,10 +112,12 @@ class NaoBalanceEnv(NaoStandEnv):
         )
 
     def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
-        error = self._cop_error(truth["cop_world"])
+        reward = 0.0
+        if truth["cop_valid"][0]:
+            reward = 2.0 * exp(-((self._cop_error(truth["cop_world"]) / COP_SCALE) ** 2))
         return {
             "reward_alive": 1.0,
-            "reward_cop": 2.0 * exp(-((error / COP_SCALE) ** 2)) if error == error else 0.0,
+            "reward_cop": reward,
             "reward_action": -0.1 * float(action @ action) / action.size,
         }
 

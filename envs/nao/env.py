@@ -138,8 +138,9 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
     ## Info
 
     ``info["surefoot"]["truth"]`` holds ``force_cell`` (8) N, ``vgrf`` (2) N, ``cop_world`` (2) m,
-    ``cop_foot`` (2, 2) m, ``com`` (3) m and ``wrench_sole`` (2, 6) at the end of the step, NaN where
-    undefined, as arrays of their own. ``unwrapped.truth`` has all of the step's substeps and more.
+    ``cop_foot`` (2, 2) m, ``com`` (3) m and ``wrench_sole`` (2, 6) at the end of the step, as arrays of their
+    own; ``cop_valid`` (3) says which centres of pressure there are, as in the observation, and the others are
+    0. ``unwrapped.truth`` has all of the step's substeps and more.
 
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
@@ -274,7 +275,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         square = (x - reference_x) ** 2 + (y - reference_y) ** 2
         return {
             "reward_alive": 1.0,
-            "reward_cop": float(np.exp(-square / COP_SCALE**2)) if square == square else 0.0,
+            "reward_cop": float(np.exp(-square / COP_SCALE**2)) if truth["cop_valid"][0] else 0.0,
             "reward_action": -0.1 * float(action @ action) / action.size,
         }
 

@@ -4,7 +4,7 @@ Everything is made from the last row of the control step's truth. The few number
 plain floats, which for arrays this small is several times faster than NumPy.
 """
 
-from math import asin, atan2, nan
+from math import asin, atan2
 from typing import Any
 
 import numpy as np
@@ -89,10 +89,10 @@ class NaoObserver:
             foot_valid.append(valid)
             if valid:
                 self._cop_foot[foot] = [-torque_y / normal, torque_x / normal]
-            cop_foot.append(self._cop_foot[foot] if valid else [nan, nan])
+            cop_foot.append(self._cop_foot[foot] if valid else [0.0, 0.0])
 
         valid = load > CONTACT_FORCE
-        cop_world = [nan, nan]
+        cop_world = [0.0, 0.0]
         if valid:
             cop_world = [-moment_y / load, moment_x / load]
             heading = atan2(row[axes + 1] + row[axes + 10], row[axes] + row[axes + 9])
@@ -108,6 +108,7 @@ class NaoObserver:
             "vgrf": np.array(vgrf),
             "cop_world": np.array(cop_world),
             "cop_foot": np.array(cop_foot),
+            "cop_valid": np.array(valids),
             "com": last[where.com].copy(),
             "wrench_sole": np.array(wrench),
         }

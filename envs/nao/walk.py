@@ -54,7 +54,7 @@ class NaoPatternEnv(NaoEnv):
             "reward_alive": 1.0,
             "reward_progress": _closeness(velocity - planned_velocity, VELOCITY_SCALE),
             "reward_upright": exp(-((tilt / TILT_SCALE) ** 2)),
-            "reward_cop": _closeness(cop - planned_cop, self.cop_scale),
+            "reward_cop": _closeness(cop - planned_cop, self.cop_scale) if truth["cop_valid"][0] else 0.0,
             "reward_action": -0.1 * float(action @ action) / action.size,
         }
 
@@ -66,9 +66,8 @@ def _turned(vector: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
 
 
 def _closeness(error: NDArray[np.float64], scale: float) -> float:
-    """1 for no error, 1/e for one of ``scale``, 0 for one that is undefined."""
-    square = float(error @ error)
-    return exp(-square / scale**2) if square == square else 0.0
+    """1 for no error, 1/e for one of ``scale``."""
+    return exp(-float(error @ error) / scale**2)
 
 
 class NaoWalkEnv(NaoPatternEnv):

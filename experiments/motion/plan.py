@@ -85,7 +85,7 @@ class Rehearsal:
         while env.prelude.playing and not fell:
             _, _, fell, _, info = calibrated.step(still)
             force.append(nominal.force(self._sensed.raw))
-            beliefs.append(info["surefoot"]["reference"])
+            beliefs.append(calibrated.reference)
             if len(force) * env.dt > SETTLING:
                 torque = max(torque, self._torque())
                 margins.append(self._margin(info["surefoot"]["truth"]))
@@ -106,7 +106,8 @@ class Rehearsal:
         sole = self.env.motion.robot
         off = np.abs(truth["cop_foot"] - sole.centre) / sole.half
         # A light robot's foot may bear its share and still have no centre of pressure.
-        return float(1.0 - np.nanmax(off[loaded], initial=0.0)) if loaded.any() else 0.0
+        judged = loaded & truth["cop_valid"][1:]
+        return float(1.0 - np.max(off[judged], initial=0.0)) if loaded.any() else 0.0
 
 
 def _limits(limited: Any, ranges: Any) -> Any:

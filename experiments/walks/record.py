@@ -106,7 +106,7 @@ def record_walk(
         _, _, terminated, truncated, info = env.step(controller(tap.seen))
         truth = bare.truth
         time.append((len(time) + 1) * bare.dt)
-        reference: Reference = info["surefoot"]["reference"]
+        reference = env.reference
         for age, references in believed.items():
             early = age - youngest + clock_error
             references.append(reference if early == 0.0 else _earlier(env, reference, early))

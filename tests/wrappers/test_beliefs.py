@@ -288,5 +288,5 @@ def test_an_imu_without_averaging_does_as_well(make_bare) -> None:
     env = SelfCalibration(FootSensors(make_bare(), imu=imu), "none", errors=NO_ERRORS)
     env.reset(seed=0)
     lift = [env.step(np.zeros(11, dtype=np.float32))[4]["surefoot"]["reference"] for _ in range(240)]
-    vertical = np.array([reference.com_acceleration[2] for reference in lift[80:]])
+    vertical = np.array([reference["com_acceleration"][2] for reference in lift[80:]])
     assert abs(vertical.mean()) < 0.05

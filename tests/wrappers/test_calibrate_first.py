@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surefoot.calibration import Parameters
 from surefoot.envs import NaoStandEnv, Prelude
 from surefoot.sensors import LoadCells
 from surefoot.wrappers import CalibrateFirst, FootSensors, SelfCalibration
@@ -36,7 +37,9 @@ def test_an_episode_begins_certain(prelude):
     # It has learnt: the feet bear what they bear, and not what the data sheet makes of the counts.
     start, raw = calibration.calibrator.setup.initial, calibration._sensors.raw
     true = env.unwrapped.truth.force_cell[-1].sum()
-    learnt, before = (np.sum(p.scale * raw + p.offset) - true for p in (told["parameters"], start))
+    learnt, before = (
+        np.sum(p.scale * raw + p.offset) - true for p in (Parameters(**told["parameters"]), start)
+    )
     assert abs(learnt) < 0.3 * abs(before)
     _, _, _, _, info = env.step(STILL)
     assert info["surefoot"]["certain"]

@@ -20,6 +20,7 @@ from surefoot.calibration.episodes import select
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.wrappers.belief_errors import BeliefErrors
+from surefoot.wrappers.beliefs import told_reference
 from surefoot.wrappers.contacts import CONTACT_MARGIN
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import waiting_samples
@@ -30,6 +31,7 @@ from surefoot.wrappers.vector.contacts import BatchKinematics, BatchPlan, BatchU
 from surefoot.wrappers.vector.feet import BatchFeet
 from surefoot.wrappers.vector.nominal import BatchNominal
 from surefoot.wrappers.vector.sensors import BatchSensors, Seeds, seed_numbers, seed_of_each
+from surefoot.wrappers.vector.truth_row import NO_PLAN
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -170,10 +172,13 @@ class BatchCalibration:
         Args:
             stepped: Whether it is of a step, and not of a reset, in which nothing is calibrated.
         """
-        known = {"parameters": self.parameters, "lag": self.lag}
+        scale, offset = self.parameters
+        known = {"parameters": {"scale": scale.copy(), "offset": offset.copy()}}
+        known["lag"] = np.full(self._sensors.count, self.lag)
         if stepped:
             estimate = self.estimate
-            known |= {"flags": estimate.flags, "vgrf": estimate.vgrf, "reference": self.reference}
+            known |= {"flags": estimate.flags.copy(), "vgrf": estimate.vgrf.copy()}
+            known["reference"] = told_reference(self.reference)
         return known
 
     def _next_reference(self, contacts: Floats) -> Reference:
@@ -183,7 +188,7 @@ class BatchCalibration:
         """
         unknown, none = self._waiting > 0, np.zeros((len(contacts), 2), dtype=bool)
         self._waiting = np.maximum(self._waiting - 1, 0)
-        planned = not np.isnan(contacts[0, 0])
+        planned = contacts[0, 0] != NO_PLAN
         stance, swing = self._plan.at(contacts > 0.5) if planned else (none, none)
         reference = self._beliefs.reference(stance, swing, unknown)
         silent = unknown | ~self._upright.at(reference, self._beliefs.force_bias)

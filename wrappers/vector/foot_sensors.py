@@ -14,7 +14,7 @@ from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
 from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
-from surefoot.wrappers.vector.truth import BatchTruth
+from surefoot.wrappers.vector.truth import batch_truth
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY
 from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
 
@@ -32,7 +32,7 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     at the ends of control steps, with straight lines between; telemetry comes once a control step; and it is
     late by the link's mean delay in whole steps, without jitter.
 
-    ``infos["surefoot"]["truth"]`` is a mapping of (N, ...) arrays (:mod:`surefoot.wrappers.vector.truth`).
+    ``infos["surefoot"]["truth"]`` holds (N, ...) arrays (:func:`surefoot.wrappers.vector.truth.batch_truth`).
 
     All three autoreset modes are served. Sensors stay as they are when a robot is reset, and drift on, as
     hardware does; ``fresh=True`` gives a robot that is reset fresh ones. A reset with a seed draws fresh
@@ -129,5 +129,5 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
 
     def _with_truth(self, infos: Infos) -> Infos:
         known = infos.get("surefoot", {})
-        truth = BatchTruth(self.sensors.truth, self.sensors.drawing)
+        truth = batch_truth(self.sensors.truth, self.sensors.drawing)
         return {**infos, "surefoot": {**known, "truth": truth}}

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.sensors import Encoders, Imu, Link
@@ -19,7 +20,7 @@ from surefoot.wrappers.foot_sensors import SENSOR_STREAM
 from surefoot.wrappers.self_calibration import BELIEF_STREAM
 from surefoot.wrappers.vector.calibration import BatchCalibration
 from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
-from surefoot.wrappers.vector.truth import BatchTruth
+from surefoot.wrappers.vector.truth import batch_truth
 from surefoot.wrappers.vector.truth_row import TRUTH_KEY
 from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
 
@@ -106,9 +107,9 @@ class VecFootSensors(VecEnvWrapper):
         return self._view.show(given), rewards, dones, infos
 
     @property
-    def truth(self) -> BatchTruth:
+    def truth(self) -> dict[str, NDArray[Any]]:
         """What really happened at the end of the last step, to score against."""
-        return BatchTruth(self.sensors.truth, self.sensors.drawing)
+        return batch_truth(self.sensors.truth, self.sensors.drawing)
 
 
 class VecSelfCalibration(VecEnvWrapper):

@@ -24,8 +24,9 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     ``"cop"`` (N, 2) and ``"cop_valid"`` (N, 3) as :class:`~surefoot.wrappers.SelfCalibration` has them for
     one robot. The robots are calibrated by one calibrator for all, each with errors of its own beliefs.
 
-    ``infos["surefoot"]`` gains ``"parameters"`` and ``"lag"``, and at steps ``"flags"`` (N, K), ``"vgrf"``
-    (N, 2) N and ``"reference"``: a reset only applies what was learnt to the first readings.
+    ``infos["surefoot"]`` gains ``"parameters"`` and ``"lag"`` (N), and at steps ``"flags"`` (N, K),
+    ``"vgrf"`` (N, 2) N and ``"reference"``: a reset only applies what was learnt to the first readings. All
+    are arrays, or mappings of arrays, with the robots in front.
 
     What was learnt is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
     robots that are not upright (:class:`~surefoot.wrappers.contacts.Upright`). Calibration starts fresh at a

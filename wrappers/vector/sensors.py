@@ -57,7 +57,7 @@ class Readings(NamedTuple):
         raw: The feet's readings in counts, shape (N, K).
         packet: The newest packets of telemetry that have arrived, shape (N, C); ``None`` where nobody
             listens.
-        contacts: Feet planned to stand and to swing, 0 or 1, NaN without a plan, shape (N, 2 F).
+        contacts: Feet planned to stand and to swing, 0 or 1, -1 without a plan, shape (N, 2 F).
     """
 
     raw: Floats

@@ -24,6 +24,9 @@ from surefoot.wrappers.telemetry import MEASURED
 TRUTH_KEY = "surefoot_truth"
 """Name of the row in an observation."""
 
+NO_PLAN = -1.0
+"""What the row holds for feet planned to stand and to swing, 0 or 1, where nobody plans."""
+
 
 class RowMeaning(NamedTuple):
     """What the rows of a robot's copies hold.
@@ -86,6 +89,8 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {"state": space}
         self.row_meaning = _meaning(source)
         self._averaged, self._keep_info = averaged, keep_info
+        if not keep_info and hasattr(source, "tells"):
+            source.tells = False
         self.row_averaged = self._plans = False
         self._kept = [key for key in parts if key not in TRUE_KEYS]
         row = spaces.Box(-np.inf, np.inf, (self.row_meaning.size,), np.float64)
@@ -133,7 +138,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
             row[columns : columns + feet] = command.stance
             row[columns + feet :] = command.swing
         else:
-            row[columns:] = np.nan
+            row[columns:] = NO_PLAN
         seen[TRUTH_KEY] = row
         return seen
 
