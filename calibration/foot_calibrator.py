@@ -75,8 +75,16 @@ class FootCalibrator:
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
+        self._options = options
         self._init, self._update = online_method(self.method, self.setup, **options)
         self._state: Any = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: part for name, part in vars(self).items() if name not in ("_init", "_update")}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._init, self._update = online_method(self.method, self.setup, **self._options)
 
     @property
     def state(self) -> Any:

@@ -40,6 +40,9 @@ class SceneRenderer:
         self._camera, self._width, self._height = camera, width, height
         self._renderer: MujocoRenderer | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_renderer": None}
+
     def render(self, mode: str | None, markers: Iterable[Marker]) -> NDArray[np.uint8] | None:
         """Draw the scene.
 

@@ -10,7 +10,8 @@ result keeps. No stage writes into its arguments.
 """
 
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, TypeVar
+from functools import partial, wraps
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 Array = Any
 """An array of NumPy, torch or any library of the array API standard."""
@@ -19,6 +20,8 @@ Rng = Any
 """A :class:`numpy.random.Generator`, or a ``torch.Generator`` for torch tensors."""
 
 State = TypeVar("State")
+
+Arguments = ParamSpec("Arguments")
 
 
 class Corruption(NamedTuple, Generic[State]):
@@ -32,6 +35,21 @@ class Corruption(NamedTuple, Generic[State]):
 
     init: Callable[..., State]
     apply: Callable[[Array, State, Rng, float], tuple[Array, State]]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return getattr(self.init, "built_by", (Corruption, tuple(self)))
+
+
+def device(build: Callable[Arguments, Corruption[State]]) -> Callable[Arguments, Corruption[State]]:
+    """Let what a function of configurations builds be pickled: as that function and its arguments."""
+
+    @wraps(build)
+    def built(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Corruption[State]:
+        corruption = build(*args, **kwargs)
+        corruption.init.built_by = partial(built, **kwargs), args  # type: ignore[attr-defined]
+        return corruption
+
+    return built
 
 
 def stateless(function: Callable[[Array, Rng, float], Array]) -> Corruption[tuple[()]]:

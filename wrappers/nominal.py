@@ -1,6 +1,6 @@
 """The model that a robot has of itself: the designer's drawing with masses that are a little off."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -64,17 +64,25 @@ class NominalModel:
                 f"got the joints {[joint.name for joint in joints]}; a planar robot, for instance, has no "
                 "tilt that an IMU could measure."
             )
-        # Views of MuJoCo's own arrays: making one costs as much as the kinematics.
+        self._sites = np.array([self._model.site(name).id for name in sites])
+        self._soles = self._sites[1:]
+        self._data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        self._view()
+
+    def _view(self) -> None:
+        """Keep views of MuJoCo's own arrays: making one costs as much as the kinematics."""
         data = self._data
         self._qpos, self._qvel = data.qpos[7:], data.qvel[6:]
         self._spin = data.qvel[3:6]
         self._com, self._momentum = data.subtree_com[self._torso], data.subtree_angmom[self._torso]
-        self._sites = np.array([self._model.site(name).id for name in sites])
-        self._soles = self._sites[1:]
         self._site_position = data.site_xpos
         # MuJoCo hands out rotations by rows; transposed they are the axes one by one.
         self._site_axes = data.site_xmat.reshape(3, 3, 3).swapaxes(1, 2)
-        data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        # In a copy what were views are arrays that MuJoCo does not know.
+        self.__dict__.update(kept)
+        self._view()
 
     @classmethod
     def of_drawing(cls, drawing: RobotDrawing, errors: BeliefErrors) -> "NominalModel":

@@ -155,6 +155,12 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._target: NDArray[np.float64]
         self._tick: int | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        given = {} if self.spec is None else self.spec.kwargs
+        # An MjSpec cannot be copied: without it there is no env.spec, as where it was made.
+        spec = None if isinstance(given.get("robot"), mujoco.MjSpec) else self.spec
+        return vars(self) | {"_renderer": None, "spec": spec}
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

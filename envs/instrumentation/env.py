@@ -19,6 +19,7 @@ from surefoot.envs.instrumentation.swap import (
     find_description,
     find_difference,
     find_holder,
+    put_in,
     swap_in,
     why_not_in_place,
 )
@@ -147,6 +148,17 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
         self.tells = True
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_rng": self._base._np_random}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        rng = kept.pop("_rng")
+        self.__dict__.update(kept)
+        if self._base.model is not self._model:
+            # Gymnasium's environments are copied by making them again: a copy goes on where this one is.
+            put_in(self._base, self._model, self._data)
+            self._base._np_random = rng
 
     @property
     def model(self) -> mujoco.MjModel:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,12 +33,17 @@ class SensorReader:
         columns = instrumentation.columns(model)
         first = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, instrumentation.first_sensor)
         self._model, self._data, self._layout = model, data, instrumentation.layout
+        self._instrumentation = instrumentation
         self._row = data.sensordata[None, columns]
         self._scratch = mujoco.MjData(model)
         self._scratch_row = self._scratch.sensordata[None, columns]
         self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
         self._stages = model.sensor_needstage[first:]
         self._stages_on = self._stages.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Rows are views of MuJoCo's own arrays, which copies would lose.
+        return SensorReader, (self._model, self._data, self._instrumentation)
 
     def after_step(self) -> FeetTruth:
         """Read what was at the beginning of the last substep, shape (1, ...)."""

@@ -6,6 +6,7 @@ is the bare one's, bit for bit.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,7 +31,8 @@ class Instrumentation:
     """A robot with sensors, to be compiled by whoever simulates it.
 
     Attributes:
-        spec: The instrumented robot: ``spec.compile()``.
+        spec: The instrumented robot: ``spec.compile()``. A copy has none, as an ``MjSpec`` can be neither
+            pickled nor copied with what refers to it; it reads without.
         layout: What was measured of it.
         drawing: What its maker hands out.
         first_sensor: Name of the first sensor that was added; the others follow it.
@@ -40,6 +42,9 @@ class Instrumentation:
     layout: MeasuredRobot
     drawing: RobotDrawing
     first_sensor: str
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: part for name, part in vars(self).items() if name != "spec"}
 
     @property
     def feet(self) -> tuple[FootGeometry, ...]:

@@ -183,11 +183,16 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
             target = getattr(data, name)
             if target.shape == value.shape:
                 target[...] = value
-    env.model, env.data = new, data
+    put_in(env, new, data)
+
+
+def put_in(env: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Let the innermost environment simulate and show another model and its data."""
+    env.model, env.data = model, data
     renderer = getattr(env, "mujoco_renderer", None)
     if renderer is not None:
         for holder in (renderer, *getattr(renderer, "_viewers", {}).values()):
-            holder.model, holder.data = new, data
+            holder.model, holder.data = model, data
 
 
 def _kept(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:

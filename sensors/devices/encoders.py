@@ -5,7 +5,7 @@ from math import tau
 from typing import Any
 
 from surefoot.sensors.configuration import require, require_not_negative
-from surefoot.sensors.corruption import Corruption, chain
+from surefoot.sensors.corruption import Corruption, chain, device
 from surefoot.sensors.stages.affine import drift
 from surefoot.sensors.stages.converter import quantize, white_noise
 
@@ -34,6 +34,7 @@ class Encoders:
         return tau / 2.0**self.bits if self.bits else 0.0
 
 
+@device
 def encoders(config: Encoders) -> Corruption[Any]:
     """Build joint encoders; readings are angles in rad, shape (..., J)."""
     return chain(drift(config.bias_std), white_noise(config.noise_std), quantize(config.resolution))

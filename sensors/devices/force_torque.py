@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, device
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.transport.wire import DIRECT, Wire, wire
@@ -198,6 +198,7 @@ class ForceTorqueState(NamedTuple):
     wire: Any = ()
 
 
+@device
 def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     """Build six-axis sensors.
 

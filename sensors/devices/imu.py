@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import require, require_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, device
 from surefoot.sensors.randomness import normal
 
 NO_STEP = 2.0**-60
@@ -93,6 +93,7 @@ def _pair(accelerometer: float, gyroscope: float) -> np.ndarray[Any, np.dtype[np
     return np.repeat([accelerometer, gyroscope], 3)
 
 
+@device
 def imu(config: Imu) -> Corruption[ImuState]:
     """Build an IMU: axes a little off, a drifting bias, and samples that are noisy, clipped and rounded.
 

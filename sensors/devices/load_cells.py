@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain, device
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.randomness import filled, normal
 from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
@@ -116,6 +116,7 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     return chain(held, *way)
 
 
+@device
 def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """Build load cells with their stages fused, for speed.
 

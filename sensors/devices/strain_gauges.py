@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, device
 from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
 from surefoot.sensors.randomness import filled, normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep
@@ -67,6 +67,7 @@ class StrainGaugeState(NamedTuple):
     hysteresis: HysteresisState
 
 
+@device
 def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     """Build a six-axis sensor of strain gauges.
 

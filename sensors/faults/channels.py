@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from surefoot.sensors.arrays import Table, cast_like, limit, round_off
 from surefoot.sensors.configuration import is_whole, require, require_not_negative, require_positive
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, device
 from surefoot.sensors.randomness import filled, uniform
 
 KINDS = ("dead", "stuck", "saturated", "spiking", "dropped", "swapped", "flipped")
@@ -124,6 +124,7 @@ class FaultState(NamedTuple):
     lost: Array
 
 
+@device
 def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[FaultState]:
     """Build faults of single channels, for a stream of counts.
 

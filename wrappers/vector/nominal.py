@@ -5,7 +5,7 @@ therefore copies of one skeleton in one world, each with masses that are off in 
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -62,22 +62,32 @@ class BatchNominal:
         self._data = data = mujoco.MjData(model)
         bodies = (model.nbody - 1) // count
         first = np.arange(count) * bodies + 1
-        torso = first + model.body(f"0/{drawing.torso}").id - 1
-        self._mass, self._inertia, self._subtree, parent = (
-            part[1:].reshape(count, bodies, *part.shape[1:])
-            for part in (model.body_mass, model.body_inertia, model.body_subtreemass, model.body_parentid)
-        )
+        self._torso = first + model.body(f"0/{drawing.torso}").id - 1
+        parent = model.body_parentid[1:].reshape(count, bodies)
         # The last body of a branch first.
         self._parents = [(body, int(parent[0, body]) - 1) for body in range(bodies - 1, 0, -1)]
         numbers = np.array([model.site(f"0/{name}").id for name in sites])
         step = model.nsite // count
         self._sites = numbers + step * np.arange(count)[:, None]
-        self._torso = torso
+        data.qpos.reshape(count, -1)[:, :7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        self._view()
+
+    def _view(self) -> None:
+        """Keep views of MuJoCo's own arrays."""
+        model, data, count = self._model, self._data, len(self.mass)
+        self._mass, self._inertia, self._subtree = (
+            part[1:].reshape(count, -1, *part.shape[1:])
+            for part in (model.body_mass, model.body_inertia, model.body_subtreemass)
+        )
         qpos, qvel = data.qpos.reshape(count, -1), data.qvel.reshape(count, -1)
-        qpos[:, :7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         self._position, self._velocity, self._spin = qpos[:, 7:], qvel[:, 6:], qvel[:, 3:6]
         self._com, self._momentum = data.subtree_com, data.subtree_angmom
         self._place, self._turn = data.site_xpos, data.site_xmat.reshape(-1, 3, 3)
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        # In a copy what were views are arrays that MuJoCo does not know.
+        self.__dict__.update(kept)
+        self._view()
 
     def draw(self, robots: Iterable[int], rng: np.random.Generator) -> None:
         """Draw fresh errors for some robots, one after the other."""
