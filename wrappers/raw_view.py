@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
+from gymnasium import ObservationWrapper, spaces
+from gymnasium.wrappers import FilterObservation
 from numpy.typing import NDArray
 
 from surefoot.sensors.transport.link import Packets
@@ -39,8 +41,8 @@ class RawView:
         state_layout: Mapping[str, slice] | None,
         env: Any,
     ) -> None:
-        shown, own = env.observation_space, source.observation_space
-        _check_order(shown, own, env)
+        shown = env.observation_space
+        check_order("FootSensors", env, source)
         self._was_dict = isinstance(shown, spaces.Dict)
         parts = dict(shown.spaces) if isinstance(shown, spaces.Dict) else {"state": shown}
         if "foot_raw" in parts:
@@ -101,16 +103,32 @@ class RawView:
         return counts.copy()
 
 
-def _check_order(shown: spaces.Space[Any], own: spaces.Space[Any], env: Any) -> None:
-    """Raise TypeError if truth was mixed with what may be seen before it is taken out."""
-    if not isinstance(own, spaces.Dict) or not set(own.spaces) & set(TRUE_KEYS):
-        return
-    state = shown["state"] if isinstance(shown, spaces.Dict) and "state" in shown.spaces else None
-    if state is None or state.shape != own["state"].shape:
-        raise TypeError(
-            "FootSensors takes the truth out of an observation and must see it as the environment shows it; "
-            f"wrap in this order, and whatever changes observations around it: FootSensors(env). Got {env}."
-        )
+def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:
+    """Raise TypeError if truth was mixed with what may be seen before it is taken out.
+
+    Only an environment with a ``state_layout`` shows truth that can be taken out; of others the whole
+    observation is handed on, whatever was made of it.
+
+    Args:
+        owner: The wrapper that takes it out, for messages.
+        env: What it goes around.
+        source: The environment.
+    """
+    below: Any = env
+    while below is not source and getattr(source, "state_layout", None) is not None:
+        filters = isinstance(below, FilterObservation)
+        if _state(below) != _state(below.env) or (isinstance(below, ObservationWrapper) and not filters):
+            raise TypeError(
+                f"{owner} takes the truth out of an observation and must see it as the environment shows it, "
+                f"but {type(below).__name__} below it makes something else of it; wrap in this order, and "
+                f"whatever changes observations around all sensors: {owner}(env). Got {env}."
+            )
+        below = below.env
+
+
+def _state(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
+    space = env.observation_space
+    return space.spaces.get("state") if isinstance(space, spaces.Dict) else None
 
 
 def own_copy(part: Any) -> Any:

@@ -20,7 +20,14 @@ from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
 from surefoot.wrappers.nominal import Masses, NominalModel
-from surefoot.wrappers.source import check_stream, find_sensors, robot_note, split_options, wants_fresh
+from surefoot.wrappers.source import (
+    check_clock,
+    check_stream,
+    find_sensors,
+    robot_note,
+    split_options,
+    wants_fresh,
+)
 from surefoot.wrappers.starting_map import StartingMap
 from surefoot.wrappers.telemetry import Telemetry
 
@@ -105,6 +112,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Raises:
         TypeError: If there is no :class:`FootSensors` below, or another wrapper of this kind, or if the
             observation is no ``Dict`` any more.
+        RuntimeError: At a step, if a wrapper between both repeats steps or resets by itself.
         ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
             that a nominal model can be made of: one free body, hinge joints, two feet.
     """
@@ -206,7 +214,9 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and calibrate by one sample."""
+        before = self._sensors.time
         observation, reward, terminated, truncated, info = self.env.step(action)
+        check_clock("SelfCalibration", self.env, self._sensors.time - before, self._sensors.telemetry.dt)
         self.beliefs.update(self._sensors.packets)
         return self._calibrate(observation, info), reward, terminated, truncated, info
 

@@ -15,6 +15,9 @@ OPTIONS = "surefoot"
 
 Sensors = TypeVar("Sensors")
 
+CLOCK_TOLERANCE = 0.01
+"""Error of a step's duration, as a share of dt, from which rates would be wrong."""
+
 FRESH_OR_KEPT = ("fresh", "keep")
 
 
@@ -108,6 +111,23 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
             "leave them out, or give them to the InstrumentedEnv below."
         )
     return env
+
+
+def check_clock(owner: str, env: Any, passed: float, dt: float) -> None:
+    """Raise RuntimeError if a step did not last the environment's dt: all rates would be wrong.
+
+    Args:
+        owner: The wrapper that reads one sample a step, for messages.
+        env: What it goes around.
+        passed: By how much simulated time went on in s.
+        dt: Duration of a step in s.
+    """
+    if abs(passed - dt) > CLOCK_TOLERANCE * dt:
+        raise RuntimeError(
+            f"A step of {env} took {passed:g} s of simulated time, but its dt is {dt:g} s; put whatever "
+            f"repeats or skips steps, or resets by itself, around {owner}, and give an environment of your "
+            "own the attribute 'dt' or 'frame_skip'."
+        )
 
 
 def split_options(

@@ -35,13 +35,18 @@ def feed_named(name: str) -> str:
     return name
 
 
-class TruthTap(gym.ObservationWrapper[Any, Any, Any]):
+class TruthTap(gym.Wrapper[Any, Any, Any, Any]):
     """Keep the last true observation, ``seen``, for who scores; nothing that is observed changes."""
 
-    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+    def reset(self, **options: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Keep what is seen first."""
+        self.seen, info = self.env.reset(**options)
+        return self.seen, info
+
+    def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Keep what is seen."""
-        self.seen = observation
-        return observation
+        self.seen, *rest = self.env.step(action)
+        return self.seen, *rest
 
 
 class TrueCop(gym.ObservationWrapper[Any, Any, Any]):

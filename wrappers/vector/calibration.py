@@ -173,8 +173,10 @@ class BatchCalibration:
             stepped: Whether it is of a step, and not of a reset, in which nothing is calibrated.
         """
         scale, offset = self.parameters
-        known = {"parameters": {"scale": scale.copy(), "offset": offset.copy()}}
-        known["lag"] = np.full(self._sensors.count, self.lag)
+        known: dict[str, Any] = {
+            "parameters": {"scale": scale.copy(), "offset": offset.copy()},
+            "lag": np.full(self._sensors.count, self.lag),
+        }
         if stepped:
             estimate = self.estimate
             known |= {"flags": estimate.flags.copy(), "vgrf": estimate.vgrf.copy()}

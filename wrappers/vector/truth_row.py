@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
-from surefoot.wrappers.raw_view import TRUE_KEYS, own_copy
-from surefoot.wrappers.source import find_source, with_source
+from surefoot.wrappers.raw_view import TRUE_KEYS, check_order, own_copy
+from surefoot.wrappers.source import check_clock, find_source, with_source
 from surefoot.wrappers.telemetry import MEASURED
 
 TRUTH_KEY = "surefoot_truth"
@@ -73,6 +73,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
     Raises:
         TypeError: If the environment is not built on MuJoCo, there is another row below, or a wrapper below
             has made something else of an observation with truth in it.
+        RuntimeError: At a step, if a wrapper below repeats steps or resets by itself.
     """
 
     def __init__(self, env: gym.Env[Any, Any], *, averaged: bool = True, keep_info: bool = False) -> None:
@@ -83,7 +84,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         source = find_source(self.env)
         assert source is not None
         self._source: Any = source
-        _check_order(self.env, source)
+        check_order("TruthRow", self.env, source)
         space = self.env.observation_space
         self._flat = not isinstance(space, spaces.Dict)
         parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {"state": space}
@@ -115,11 +116,15 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         source = self._source
         self._plans = hasattr(source, "command")
         self.row_averaged = self._averaged and isinstance(source.truth, Truth)
+        self._clock: float | None = None
         return self._observe(observation), self._info(info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Step the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
+        before, self._clock = self._clock, float(self._source.truth.time[-1])
+        if before is not None:
+            check_clock("TruthRow", self.env, self._clock - before, self.row_meaning.dt)
         return self._observe(observation), reward, terminated, truncated, self._info(info)
 
     def _observe(self, observation: Any) -> dict[str, Any]:
@@ -156,21 +161,6 @@ def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
         key: :attr:`TruthRow.row_key`.
     """
     return FeetTruth(rows, key) if hasattr(key, "feet") else Truth(rows, key)
-
-
-def _check_order(env: gym.Env[Any, Any], source: Any) -> None:
-    """Raise TypeError if truth was mixed with what may be seen before it is taken out."""
-    if getattr(source, "state_layout", None) is None:
-        return
-    shown, own = env.observation_space, source.observation_space["state"]
-    state = shown.spaces.get("state") if isinstance(shown, spaces.Dict) else None
-    if state is None or state.shape != own.shape:
-        found = shown if state is None else f"a state of shape {state.shape}"
-        raise TypeError(
-            "TruthRow takes the truth out of an observation and must see it as the environment shows it, a "
-            f"Dict with a 'state' of shape {own.shape}, but found {found}; wrap in this order, and whatever "
-            f"changes observations around the vector environment: TruthRow(env). Got {env}."
-        )
 
 
 def _meaning(source: Any) -> RowMeaning:
