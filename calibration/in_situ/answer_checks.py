@@ -232,18 +232,20 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
 def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> None:
     """Raise CalibrationRefused if a factory matrix contradicts the readings, and name how it is to be read.
 
-    Forces and torques (over the largest lever) that it shows of all sets are held against what hangs there:
-    by a solution that does without it if the data determine one, else by the limb that it shows itself.
+    Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are held
+    against what hangs there: by a solution that does without it if the limb is determined or known, else by
+    the limb that it shows itself.
     """
-    expected = np.concatenate(list(transforms(problem, solution)[:, :AXES, DIRECT]), axis=1)
-    measured = np.concatenate([part.response[:, DIRECT] for part in problem.sets], axis=1)
+    held = determined or len(problem.limb_root) == STATIC
+    expected = _loads(problem, solution) if held else _hangs(factory, problem, solution)
+    measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
     masses = problem.added[:, MASS]
     levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
     lever = max(float(np.max(levers, initial=0.0)), _REACH)
     weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
 
     def missed(matrix: Matrix) -> float:
-        hangs = expected if determined else _hangs(matrix, problem, solution)
+        hangs = expected if held else _hangs(matrix, problem, solution)
         if hangs is None:
             return np.inf
         return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
@@ -255,17 +257,21 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     readings = [(missed(matrix), words) for words, matrix in _other_readings(factory)]
     least = min(share for share, _ in readings)
     best, words = next(one for one in readings if one[0] < least + _ALIKE)
-    entry, changed = min(_other_entries(factory, measured, expected, missed), default=(np.inf, ""))
+    others = [] if expected is None else _other_entries(factory, measured, expected, missed)
+    (entry, changed), (second, _) = sorted([*others, (np.inf, ""), (np.inf, "")])[:2]
     if now > _CORRUPT and best < min(_BETTER * now, entry):
         CalibrationRefused(
             f"The factory matrix {at_odds}. Likeliest: {words}, which leaves {best:.0%}.",
             "Correct that, or compare the matrix with the maker's sheet.",
         ).unless_accepted()
-    elif entry < _ALONE * now:
+    # One set shows so little of an aged matrix that many an entry seems to explain it.
+    elif entry < _ALONE * (now if determined else min(now, second)):
         CalibrationRefused(
             f"{changed} leaves {entry:.0%} of what hangs there, and the matrix as it is {at_odds}.",
             "Compare the matrix with the maker's sheet, its signs and exponents first.",
         ).unless_accepted()
+    if expected is None:
+        return
     shown = (factory @ measured)[:3]
     scale = float(np.sum(shown * expected[:3]) / np.sum(expected[:3] ** 2))
     if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
@@ -281,9 +287,13 @@ def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | Non
     seen = np.array([hanging(matrix, part, solution.rotation) for part in problem.sets])
     limb = solution.limb.copy()
     limb[:STATIC] = np.mean(seen - problem.added[:, :STATIC], axis=0)
-    if limb[MASS] <= 0.0:
-        return None
-    return np.concatenate(list(transforms(problem, replace(solution, limb=limb))[:, :AXES, DIRECT]), axis=1)
+    return None if limb[MASS] <= 0.0 else _loads(problem, replace(solution, limb=limb))
+
+
+def _loads(problem: Problem, solution: Solution) -> Matrix:
+    """Return the loads of all sets side by side, by as much as gravity turned in each, shape (6, 3 J)."""
+    T = transforms(problem, solution)[:, :AXES, DIRECT]
+    return np.concatenate([t @ part.turned.T for part, t in zip(problem.sets, T, strict=True)], axis=1)
 
 
 def _other_readings(factory: Matrix) -> list[tuple[str, Matrix]]:

@@ -29,15 +29,15 @@ from surefoot.calibration.in_situ.answer_checks import (
 from surefoot.calibration.in_situ.compress import CompressedSet, compress
 from surefoot.calibration.in_situ.covariance import (
     fit_covariance,
-    inflation,
     noise_level,
     pooled_noise,
     weighted_inverse,
     whitening,
+    with_disagreement,
     with_rows,
 )
 from surefoot.calibration.in_situ.data import InSituSet, about_one_temperature
-from surefoot.calibration.in_situ.factory import choose_shares, information, leaning_matrix
+from surefoot.calibration.in_situ.factory import choose_shares, leaning_matrix, likely_shares
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.hypotheses import Evidence, explained
 from surefoot.calibration.in_situ.hysteresis import with_hysteresis
@@ -199,8 +199,10 @@ def _fit(
         free = replace(problem, prior_response=None)
         # Masses in one plane leave a rotation and its mirror image: the matrix knows which.
         by_data = min(minima(free, starts(free, None, None)), key=partial(_from_factory, problem))
-        check_factory(factory, problem, by_data, determined=not data_rank(free, by_data.limb).missing)
-        problem, first = _leaning(problem, first, options, determined=not rank.missing)
+        determined = not data_rank(free, by_data.limb).missing
+        check_factory(factory, problem, by_data, determined=determined)
+        known_alone = determined and not _without_priors(free, by_data, rank, options).missing
+        problem, first = _leaning(problem, first, options, by_data if known_alone else None)
     found = minima(problem, first)
     check_rotation(found)
     solution = found[0]
@@ -216,9 +218,9 @@ def _fit(
     slow = slow_turn(sets, problem.sets)
     with _slow_first(slow):
         warnings += check_masses(problem, solution, noise, options)
-    factor = inflation(problem, solution, rank.found)
-    covariance = fit_covariance(problem, solution, noise, factor)
-    of_data = data_share(problem, solution, noise, factor, options.axis_tolerance)
+    noisy = with_disagreement(problem, solution)
+    covariance = fit_covariance(noisy, solution, noise)
+    of_data = data_share(noisy, solution, noise, options.axis_tolerance)
     if problem.prior_response is not None or len(problem.limb_root):
         warnings += of_data.warnings(FitColumns.of(len(noise)))
     matrix = None
@@ -236,7 +238,7 @@ def _fit(
     if slow is not None:
         fit = replace(fit, warnings=(*fit.warnings, str(slow)))
     if known is not None:
-        alone = _limb_alone(problem, solution, factor)
+        alone = _limb_alone(problem, solution)
         return replace(fit, warnings=fit.warnings + limb_warnings(known, fit, alone))
     if factory is None:
         return fit
@@ -265,9 +267,7 @@ def _from_factory(problem: Problem, solution: Solution) -> float:
 def _without_priors(problem: Problem, solution: Solution, rank: DataRank, options: InSituOptions) -> DataRank:
     """Return what the data know beside a factory matrix, which may be less than their rank."""
     noise = pooled_noise(problem.sets)
-    of_data = data_share(
-        problem, solution, noise, inflation(problem, solution, rank.found), options.axis_tolerance
-    )
+    of_data = data_share(with_disagreement(problem, solution), solution, noise, options.axis_tolerance)
     if not of_data.unseen:
         return rank
     return DataRank(rank.found + rank.missing - of_data.unseen, of_data.unseen, of_data.left_open)
@@ -296,7 +296,7 @@ def _evidence(
     first = starts(problem, factory, problem.limb if known is not None else None)
     if factory is not None and data_rank(problem, first[0]).missing:
         problem = _problem(sets, parts, factory, known, options, moving, reference is not None)
-        problem, first = _leaning(problem, first, options, determined=False)
+        problem, first = _leaning(problem, first, options, None)
     return Evidence(sets, problem, minima(problem, first)[0], options)
 
 
@@ -309,24 +309,21 @@ def _problem(
     moving: bool,
     temperature: bool,
 ) -> Problem:
-    W = whitening(parts)
-    if factory is not None or known is not None:
-        # What hangs together in time must not overrule what is known beforehand.
-        W = W / np.sqrt(noise_level(parts))
     limb, root = _limb_rows(known, moving)
     return Problem(
         sets=parts,
         added=np.array([inertial_parameters(data.added_mass, data.added_com, moving) for data in sets]),
-        whitening=W,
+        whitening=whitening(parts),
         basis=transform_basis(moving),
         moving=moving,
         temperature=temperature,
         channel_lags=0,
         rotation=options.estimate_rotation,
         prior_response=None if factory is None else np.asarray(np.linalg.pinv(factory), dtype=np.float64),
-        prior_information=np.zeros(AXES),
+        prior_shares=np.full(AXES, np.inf),
         limb=limb,
         limb_root=root,
+        level=noise_level(parts),
     )
 
 
@@ -347,33 +344,36 @@ def _limb_rows(known: KnownLimb | None, moving: bool) -> tuple[Vector, Matrix]:
 
 
 def _leaning(
-    problem: Problem, first: list[Vector], options: InSituOptions, *, determined: bool
+    problem: Problem, first: list[Vector], options: InSituOptions, alone: Solution | None
 ) -> tuple[Problem, list[Vector]]:
-    """Return the problem with the weight that the factory matrix gets, and where to start from."""
+    """Return the problem with the weight that the factory matrix gets, and where to start from.
+
+    ``alone`` is the solution without it, where the data determine one.
+    """
     assert problem.prior_response is not None
-    response, W = problem.prior_response, problem.whitening
-    even = replace(problem, prior_information=information(response, W, np.full(AXES, _EVEN_SHARE)))
+    even = replace(problem, prior_shares=np.full(AXES, _EVEN_SHARE))
     found = minima(even, first)
     check_rotation(found)
     start = found[0].outer
-    if options.factory_std is None:
-        shares = choose_shares(problem, start, determined)
-    else:
+    if options.factory_std is not None:
         shares = np.array(options.factory_std)
-    return replace(problem, prior_information=information(response, W, shares)), [start]
+    elif alone is not None:
+        shares = likely_shares(replace(problem, prior_response=None), alone, problem.prior_response)
+    else:
+        shares = choose_shares(problem, start)
+    return replace(problem, prior_shares=shares), [start]
 
 
-def _limb_alone(problem: Problem, solution: Solution, factor: float) -> tuple[float, float] | None:
+def _limb_alone(problem: Problem, solution: Solution) -> tuple[float, float] | None:
     """Return the limb's mass and its deviation in kg by the readings; None if they do not determine it."""
     of_loops = problem.limb_root[-AXES:] if problem.hysteresis else problem.limb_root[:0]
     free = replace(problem, limb_root=of_loops, prior_response=None)
     if data_rank(free, solution.limb).missing:
         return None
     alone = solve(free, [solution.outer])
-    mass = alone.jacobian.shape[1] - free.outer + MASS
-    unit, size = of_unit_length(alone.jacobian)
-    covariance = np.linalg.pinv(unit.T @ unit, hermitian=True)
-    return float(alone.limb[MASS]), float(np.sqrt(factor * covariance[mass, mass]) / size[mass])
+    covariance = fit_covariance(with_disagreement(free, alone), alone, pooled_noise(free.sets))
+    mass = FitColumns.of(len(alone.A)).limb.start + MASS
+    return float(alone.limb[MASS]), float(np.sqrt(covariance[mass, mass]))
 
 
 def _outcome(

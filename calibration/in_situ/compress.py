@@ -160,6 +160,12 @@ class CompressedSet:
         """B = A T of least squares on this set alone, shape (k, s)."""
         return np.asarray(np.linalg.lstsq(self.uu, self.ur, rcond=None)[0].T)
 
+    @property
+    def turned(self) -> Matrix:
+        """A root of the squares of gravity, summed over rows, beside all other signals, shape (3, 3)."""
+        order = np.roll(np.arange(len(self.uu)), -DIRECT.stop)
+        return triangle(self.uu[:, order])[-DIRECT.stop :, -DIRECT.stop :]
+
     def level(self, columns: Matrix) -> float:
         """Return the mean variance of noise along orthonormal columns, shape (m, c), over that of a row."""
         power = self.colour.left(self.rows, self.spacing)

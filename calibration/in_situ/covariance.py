@@ -2,16 +2,16 @@ r"""The covariance of an in-situ calibration, and of its noise.
 
 With whitened readings :math:`z = X \theta + e` the covariance is :math:`X^+ G X^{+\prime}`, where G is that
 of the rows' noise: they are free of drift, but what is left in them of hysteresis and of a limb that is not
-quite rigid hangs together in time (:mod:`~surefoot.calibration.in_situ.colour`). It is raised where the
-sets disagree with each other by more than that (Birge, 1932). A sensor with hysteresis has no one slope;
-what that leaves open of its matrix comes on top.
+quite rigid hangs together in time (:mod:`~surefoot.calibration.in_situ.colour`). It is raised or lowered as
+far as the sets disagree with each other by more or less than that (Birge, 1932). A sensor with hysteresis
+has no one slope; what that leaves open of its matrix comes on top.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.compress import CompressedSet, triangle
@@ -27,22 +27,24 @@ from surefoot.calibration.in_situ.solve import (
 )
 
 __all__ = [
+    "UNUSED",
     "fit_covariance",
-    "inflation",
     "noise_level",
     "output_derivatives",
     "pooled_noise",
+    "unknowns_root",
     "weighted_inverse",
     "whitening",
+    "with_disagreement",
     "with_rows",
 ]
 
 Matrix = NDArray[np.float64]
 
-_CHANCE = 0.01
-"""Probability by white noise alone from which on a ratio means nothing."""
+_BELIEVED = 4.0
+"""Free rows that must speak of the noise along a signal to count for as much as its spectrum."""
 
-_UNUSED = 1e-9
+UNUSED = 1e-9
 """Share of the largest variance of a set's rows below which a signal never varied."""
 
 _NOISE_FLOOR = 1e-10
@@ -65,24 +67,36 @@ def whitening(sets: Sequence[CompressedSet]) -> Matrix:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(pooled_noise(sets))))
 
 
-def inflation(problem: Problem, solution: Solution, unknowns: int) -> float:
-    """Return the factor on the covariance by which sets disagree; one where chance explains it.
+def with_disagreement(problem: Problem, solution: Solution) -> Problem:
+    """Return the problem with the noise of its rows as the sets show it by how much they disagree.
 
-    ``unknowns`` is the number that the data determine.
+    At the frequency of the limb's motion no residual is left to show a spectrum: what noise there is along a
+    signal shows in what one response leaves of the sets' own maps, as far as their rows are free.
     """
-    square, freedom = 0.0, -unknowns
-    for part, residual in zip(problem.sets, solution.residual, strict=True):
-        values, vectors = np.linalg.eigh(part.gram)
-        used = values > _UNUSED * values[-1]
-        square += float(np.sum((vectors[:, used].T @ residual) ** 2 / values[used, None]))
-        freedom += int(np.sum(used)) * residual.shape[1]
-    ratio = square / max(freedom, 1)
-    return ratio if freedom > 0 and square > chdtri(freedom, _CHANCE) else 1.0
+    left, _ = orthonormal(solution.jacobian)
+    free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
+    size = np.array([np.diag(part.gram) for part in problem.sets])
+    used = size > UNUSED * np.max(size, axis=1, keepdims=True)
+    square = np.sum(solution.residual**2, axis=2) / np.where(used, size, np.inf)
+    freedom = np.where(used, free.sum(axis=2), 0.0)
+    factor = (_BELIEVED + square.sum(axis=0)) / (_BELIEVED + freedom.sum(axis=0))
+    root = np.sqrt(factor)
+    parts = tuple(replace(part, gram=root[:, None] * part.gram * root) for part in problem.sets)
+    return replace(problem, sets=parts)
+
+
+def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
+    """Return an orthonormal basis of columns, shape (n, p), and X^+ by that basis, shape (p, p)."""
+    unit, size = of_unit_length(columns)
+    left, singular, right = np.linalg.svd(unit, full_matrices=False)
+    seen = singular > ROUNDING * singular[0]
+    left, singular, right = left[:, seen], singular[seen], right[seen]
+    return left, right.T / singular / size[:, None]
 
 
 def noise_level(sets: Sequence[CompressedSet]) -> float:
     """Return by how much the noise of the rows weighs more than white noise, over all sets; at least one."""
-    used = np.concatenate([np.diag(part.gram)[np.diag(part.gram) > _UNUSED] for part in sets])
+    used = np.concatenate([np.diag(part.gram)[np.diag(part.gram) > UNUSED] for part in sets])
     return max(float(np.mean(used)), 1.0) if len(used) else 1.0
 
 
@@ -92,21 +106,17 @@ def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
     return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
 
 
-def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: float) -> Matrix:
+def fit_covariance(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
     """Return the covariance of (C row by row, the last set's offset at its end, m, m c), (7 k + 4, 7 k + 4).
 
     Args:
         problem: The problem.
         solution: Its solution.
         noise: Covariance of a sample, shape (k, k).
-        factor: The inflation.
     """
     channels, inputs = solution.response.shape
     columns = FitColumns.of(channels)
-    unit, size = of_unit_length(solution.jacobian)
-    left, singular, right = np.linalg.svd(unit, full_matrices=False)
-    root = right.T / np.maximum(singular, ROUNDING * singular[0]) / size[:, None]
-    root = root @ _noise_root(problem, left)
+    root = unknowns_root(problem, solution)
     linear = channels * inputs
     # From W A to A, row by row.
     unwhiten = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs))
@@ -116,12 +126,17 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, factor: 
     covariance = root @ root.T
     last = problem.sets[-1]
     covariance[columns.offset, columns.offset] += noise * last.offset_variance(last.end)
-    covariance = factor * covariance
     if problem.hysteresis or problem.channel_lags:
         of_matrix, of_offset = _slope_doubt(problem, solution, noise)
         covariance[columns.matrix, columns.matrix] += of_matrix
         covariance[columns.offset, columns.offset] += of_offset
     return np.asarray(covariance)
+
+
+def unknowns_root(problem: Problem, solution: Solution) -> Matrix:
+    """Return a root of the covariance of (W A row by row, phi, rotation), shape (u, u)."""
+    left, inverse = orthonormal(solution.jacobian)
+    return np.asarray(inverse @ _noise_root(problem, left))
 
 
 def _noise_root(problem: Problem, left: Matrix) -> Matrix:
@@ -138,7 +153,7 @@ def _noise_root(problem: Problem, left: Matrix) -> Matrix:
         rows = left[first : first + signals * channels].reshape(signals, -1)
         spread.append((noise_root(part.gram) @ rows).reshape(signals * channels, -1))
         first += signals * channels
-    return triangle(np.concatenate([*spread, left[first:]])).T
+    return triangle(np.concatenate([*spread, np.sqrt(problem.level) * left[first:]])).T
 
 
 def noise_root(gram: Matrix) -> Matrix:

@@ -1,9 +1,11 @@
-r"""Fits that lean on a factory matrix, as far as that predicts readings that they have not seen.
+r"""Fits that lean on a factory matrix, as far as it agrees with the readings.
 
-Where the data determine all, each axis of the factory's response counts as known to a share that
-cross-validation chooses (:func:`choose_shares`). One limb without added masses moves the readings in three
-directions only, and any matrix that is right on these fits. Among them the factory's is the one to stay close
-to, but not along directions in which nothing but noise is seen. So each axis a has its row from
+Where the data determine all, their own response tells how far the factory's may be off, and only what they
+know less surely than that leans on it (:func:`likely_shares`). Where they do not, each axis counts as known
+to a share that cross-validation chooses (:func:`choose_shares`). One limb without added masses moves the
+readings in three directions only, and any matrix that is right on these fits. Among them the factory's is
+the one to stay close to, but not along directions in which nothing but noise is seen. So each axis a has its
+row from
 
 .. math:: \min_{C_a} \; \sum_i (C_a (r_i - o) - w_{a,i})^2 + \lambda_a n |C_a - C_a^{factory}|^2,
 
@@ -18,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.compress import CompressedSet, triangle
-from surefoot.calibration.in_situ.covariance import noise_level
+from surefoot.calibration.in_situ.covariance import noise_level, unknowns_root, with_disagreement
 from surefoot.calibration.in_situ.model import AXES
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
 
-__all__ = ["choose_shares", "information", "leaning_matrix"]
+__all__ = ["choose_shares", "leaning_matrix", "likely_shares"]
 
 Matrix = NDArray[np.float64]
 
@@ -30,7 +32,10 @@ _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)
 """How far an axis may be from the factory's, as shares of its response, from free to fixed."""
 
 _STEPS = (10.0, 1.0, 0.1)
-"""Factors on the common share that are then tried for each axis, the freest first."""
+"""Factors on the common share that are then tried for each axis."""
+
+_FINE_SHARES = np.geomspace(1.0, 0.003, 25)
+"""Shares of which the likeliest is looked for, the largest first."""
 
 _WEIGHTS = 10.0 ** np.arange(-6.0, 3.0)
 """Weights of a row to choose from, in units of the readings' mean square."""
@@ -39,44 +44,52 @@ _FOLDS = 5
 """Stretches of time into which a set is cut."""
 
 
-def information(response: Matrix, whitening: Matrix, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return one over the variance of an entry of each column of W A, shape (6,), by shares of its size."""
-    size = np.sqrt(np.mean((whitening @ response) ** 2, axis=0))
-    return np.asarray(1.0 / (shares * size) ** 2)
+def likely_shares(problem: Problem, alone: Solution, factory_response: Matrix) -> NDArray[np.float64]:
+    """Return how far each axis may be from the factory matrix, shape (6,), by a fit without it.
+
+    An entry's difference from the factory's has the variance of that fit and of the share, which is one for
+    all: an axis that agrees while others have aged does so by chance. It is the largest whose likelihood is
+    within a standard deviation of the best. An axis that the data know better than by that share is left to
+    them, infinity: it is not to be drawn to an old matrix.
+
+    Args:
+        problem: Without the factory matrix.
+        alone: Its solution.
+        factory_response: A of the factory, shape (k, 6).
+    """
+    W, channels = problem.whitening, len(alone.response)
+    size = np.sqrt(np.mean((W @ factory_response) ** 2, axis=0))
+    off = W @ (alone.A - factory_response) / size
+    root = unknowns_root(with_disagreement(problem, alone), alone)[: channels * problem.inputs]
+    unsure = np.sum(root**2, axis=1).reshape(channels, problem.inputs)[:, :AXES] / size**2
+    variance = _FINE_SHARES[:, None, None] ** 2 + unsure
+    likelihood = -0.5 * np.sum(np.log(variance) + off**2 / variance, axis=(1, 2))
+    share = float(_FINE_SHARES[np.argmax(likelihood >= likelihood.max() - 0.5)])
+    return np.where(share**2 < np.mean(unsure, axis=0), share, np.inf)
 
 
-def choose_shares(problem: Problem, start: NDArray[np.float64], determined: bool) -> NDArray[np.float64]:
+def choose_shares(problem: Problem, start: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how far each axis may be from the factory matrix by cross-validation, shape (6,).
 
     Each fold is a stretch of time of all sets: without a whole set the others would lean more than all do
-    together. One share for all axes is found first, then each axis's in turn. Where the data have determined
-    all, it is the largest that predicts as well as the best within a standard error of their difference: what
-    data know is not to be drawn to an old matrix.
+    together. One share for all axes is found first, then each axis's in turn.
 
     Args:
         problem: With the factory matrix's response.
         start: Outer unknowns.
-        determined: Whether the data determine all by themselves.
     """
     folds = _folds(problem)
-    scores: dict[tuple[float, ...], Matrix] = {}
+    scores: dict[tuple[float, ...], float] = {}
 
-    def score(shares: tuple[float, ...]) -> Matrix:
+    def score(shares: tuple[float, ...]) -> float:
         if shares not in scores:
-            scores[shares] = np.array([_held_out(fold, shares, start) for fold in folds])
+            scores[shares] = sum(_held_out(fold, shares, start) for fold in folds)
         return scores[shares]
 
-    def chosen(tried: list[tuple[float, ...]]) -> tuple[float, ...]:
-        least = min(tried, key=lambda shares: float(np.sum(score(shares))))
-        for shares in tried if determined else ():
-            more = score(shares) - score(least)
-            if np.mean(more) <= np.std(more, ddof=1) / np.sqrt(_FOLDS):
-                return shares
-        return least
-
-    best = chosen([(share,) * AXES for share in _SHARES])
+    best = min(((share,) * AXES for share in _SHARES), key=score)
     for axis in range(AXES):
-        best = chosen([(*best[:axis], best[axis] * step, *best[axis + 1 :]) for step in _STEPS])
+        tried = [(*best[:axis], best[axis] * step, *best[axis + 1 :]) for step in _STEPS]
+        best = min(tried, key=score)
     return np.array(best)
 
 
@@ -112,9 +125,7 @@ def _triangle(part: CompressedSet, columns: Matrix) -> CompressedSet:
 def _held_out(fold: tuple[Problem, Problem], shares: tuple[float, ...], start: NDArray[np.float64]) -> float:
     """Return the sum of squares of the whitened readings that the fit of the others leaves."""
     fitted, held_out = fold
-    assert fitted.prior_response is not None
-    weight = information(fitted.prior_response, fitted.whitening, np.array(shares))
-    solution = solve(replace(fitted, prior_information=weight), [start])
+    solution = solve(replace(fitted, prior_shares=np.array(shares)), [start])
     left = 0.0
     for part, transform in zip(held_out.sets, transforms(held_out, solution), strict=True):
         row = (part.uu @ transform.T @ solution.response.T - part.ur) @ held_out.whitening.T

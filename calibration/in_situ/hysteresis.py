@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from surefoot.calibration.in_situ.compress import compress
-from surefoot.calibration.in_situ.covariance import whitening
+from surefoot.calibration.in_situ.covariance import noise_level, whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import AXES, signals
 from surefoot.calibration.in_situ.options import InSituOptions
@@ -112,6 +112,7 @@ def _of_loads(
             sets=parts,
             added=np.pad(plain.added, ((0, 0), (0, AXES))),
             whitening=whitening(parts),
+            level=noise_level(parts),
             basis=basis,
             limb=np.pad(plain.limb, (0, AXES)),
             limb_root=limb_root,
@@ -130,7 +131,9 @@ def _of_channels(
         lags = lag_signals([load @ solution.A.T for load in loads])
         parts = compress(sets, options, plain.moving, plain.temperature, channel_lags=lags, like=plain.sets)
         channels = lags[0].shape[1]
-        problem = replace(plain, sets=parts, channel_lags=channels, whitening=whitening(parts))
+        problem = replace(
+            plain, sets=parts, channel_lags=channels, whitening=whitening(parts), level=noise_level(parts)
+        )
         solution = solve(problem, [solution.outer])
     return problem, solution
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.covariance import output_derivatives
+from surefoot.calibration.in_situ.covariance import UNUSED, output_derivatives
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, STATIC
@@ -73,16 +73,13 @@ class DataShare:
         return (f"The readings alone give {listed}; the rest is what was known beforehand.",)
 
 
-def data_share(
-    problem: Problem, solution: Solution, noise: Matrix, factor: float, tolerance: float
-) -> DataShare:
+def data_share(problem: Problem, solution: Solution, noise: Matrix, tolerance: float) -> DataShare:
     """Return what the data know of a fit at its solution.
 
     Args:
         problem: With what was known beforehand.
         solution: Its solution.
         noise: Covariance of a sample, shape (k, k).
-        factor: The inflation of the covariance.
         tolerance: Deviation as a share of its size up to which a direction is seen.
     """
     channels, inputs = solution.response.shape
@@ -91,7 +88,10 @@ def data_share(
     J = solution.jacobian * scale
     data, prior = J[:of_data], J[of_data:]
     # The rows' noise beyond white: what counts is how sure the data are, not how many.
-    data = data / np.sqrt(factor)
+    size = np.concatenate([np.repeat(np.diag(part.gram), channels) for part in problem.sets])
+    seen = size > UNUSED * np.max(size)
+    data = data[seen] / np.sqrt(size[seen])[:, None]
+    prior = prior / np.sqrt(problem.level)
     squares = data.T @ data
     asked = _asked(problem, channels, inputs, len(squares))
     values, vectors = np.linalg.eigh(_of_asked(squares, asked))
@@ -102,15 +102,19 @@ def data_share(
     to_output[:, : channels * inputs] = to_output[:, : channels * inputs] @ np.kron(
         np.linalg.inv(problem.whitening), np.eye(inputs)
     )
-    nothing = np.eye(len(squares)) / _UNKNOWN**2
-    alone = np.einsum("qp,pq->q", to_output, np.linalg.solve(squares + nothing, to_output.T))
-    together = np.linalg.solve(squares + prior.T @ prior + nothing, to_output.T)
-    known = np.einsum("qp,pq->q", to_output, together)
+    alone = _variance(squares, to_output)
+    known = _variance(squares + prior.T @ prior, to_output)
     last = problem.sets[-1]
     own = np.zeros(len(known))
     own[FitColumns.of(channels).offset] = np.diag(noise) * last.offset_variance(last.end)
     share = np.clip((known + own) / np.maximum(alone + own, np.finfo(float).tiny), 0.0, 1.0)
     return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(taking, channels, inputs))
+
+
+def _variance(squares: Matrix, outputs: Matrix) -> Vector:
+    """Return the variances of outputs, shape (q, p), by the information on the unknowns, shape (p, p)."""
+    values, vectors = np.linalg.eigh(squares)
+    return np.asarray((outputs @ vectors) ** 2 @ (1.0 / (np.maximum(values, 0.0) + 1.0 / _UNKNOWN**2)))
 
 
 def _asked(problem: Problem, channels: int, inputs: int, count: int) -> NDArray[np.bool_]:

@@ -82,9 +82,11 @@ class Problem:
         channel_lags: Number of such signals behind it, the lags of channels.
         rotation: Whether the accelerometer's rotation is unknown.
         prior_response: A of the factory in counts per N and N m, shape (k, 6), or None.
-        prior_information: One over the variance of an entry of each column of W A by the factory, shape (6,).
+        prior_shares: How far each column of A may be from the factory's, as a share of its size, shape (6,).
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
+        level: Variance of the rows' noise over that of white noise. Rows of what is known beforehand are as
+            much heavier: what hangs together in time must not overrule it.
     """
 
     sets: tuple[CompressedSet, ...]
@@ -96,9 +98,10 @@ class Problem:
     channel_lags: int
     rotation: bool
     prior_response: Matrix | None
-    prior_information: Vector
+    prior_shares: Vector
     limb: Vector
     limb_root: Matrix
+    level: float = 1.0
 
     @property
     def parameters(self) -> int:
@@ -119,6 +122,19 @@ class Problem:
     def inputs(self) -> int:
         """Columns of the response: six, and one more for each signal that acts on the readings directly."""
         return AXES + self.temperature + self.channel_lags
+
+    @property
+    def prior_root(self) -> Vector:
+        """Weight of the rows of each column of W A by the factory, shape (6,)."""
+        if self.prior_response is None:
+            return np.zeros(AXES)
+        size = np.sqrt(np.mean((self.whitening @ self.prior_response) ** 2, axis=0))
+        return np.asarray(np.sqrt(self.level) / (self.prior_shares * size))
+
+    @property
+    def weighted_limb_root(self) -> Matrix:
+        """Rows that weigh phi - limb beside those of the readings, shape (q, p)."""
+        return np.asarray(np.sqrt(self.level) * self.limb_root)
 
     @property
     def outer(self) -> int:
@@ -250,7 +266,7 @@ class _Linear(NamedTuple):
         X = np.concatenate([part.uu @ t.T for part, t in zip(problem.sets, T, strict=True)])
         Y = np.concatenate([part.ur for part in problem.sets]) @ problem.whitening.T
         if problem.prior_response is not None:
-            root = np.sqrt(problem.prior_information)
+            root = problem.prior_root
             X = np.concatenate([X, np.eye(AXES, problem.inputs) * root[:, None]])
             Y = np.concatenate([Y, root[:, None] * (problem.whitening @ problem.prior_response).T])
         unit, size = of_unit_length(X)
@@ -277,7 +293,7 @@ class _Residual:
 
     def __call__(self, x: Vector) -> Vector:
         inner, problem = self._at(x), self._problem
-        limb = problem.limb_root @ (inner.outer.limb - problem.limb)
+        limb = problem.weighted_limb_root @ (inner.outer.limb - problem.limb)
         return np.concatenate([(inner.left @ (inner.left.T @ inner.Y) - inner.Y).ravel(), limb])
 
     def jacobian(self, x: Vector) -> Matrix:
@@ -288,7 +304,7 @@ class _Residual:
         for dX in _design_derivatives(problem, inner.outer, axes, len(inner.X)):
             moved = dX @ inner.response
             columns.append((moved - inner.left @ (inner.left.T @ moved)).ravel())
-        known = np.pad(problem.limb_root, ((0, 0), (0, problem.outer - problem.parameters)))
+        known = np.pad(problem.weighted_limb_root, ((0, 0), (0, problem.outer - problem.parameters)))
         return np.concatenate([np.stack(columns, axis=1), known])
 
 
@@ -328,8 +344,8 @@ def expand(problem: Problem, x: Vector) -> Solution:
     linear = np.einsum("ra,ij->rija", X, np.eye(channels)).reshape(rows.size, -1)
     bilinear = [(dX @ white).ravel() for dX in _design_derivatives(problem, outer, np.eye(3), len(X))]
     known = np.zeros((len(problem.limb_root), linear.shape[1] + problem.outer))
-    known[:, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.limb_root
-    limb_rows = problem.limb_root @ (outer.limb - problem.limb)
+    known[:, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.weighted_limb_root
+    limb_rows = problem.weighted_limb_root @ (outer.limb - problem.limb)
     of_sets = sum(len(part.uu) for part in problem.sets)
     return Solution(
         response=np.asarray(np.linalg.solve(problem.whitening, white.T)),
@@ -379,11 +395,14 @@ def hanging(matrix: Matrix, part: CompressedSet, rotation: Matrix, beside: Matri
     ``beside`` is the response to the signals beside gravity, shape (k, s - 3), if it is known.
     """
     response: Matrix = part.response[:, DIRECT]
+    turned = part.turned
     if beside is not None:
+        turned = part.uu[:, DIRECT]
         left = part.ur - part.uu[:, DIRECT.stop :] @ beside.T
-        response = np.asarray(np.linalg.lstsq(part.uu[:, DIRECT], left, rcond=None)[0].T)
-    measured = matrix @ response @ rotation.T
-    basis = transform_basis(moving=False)
+        response = np.asarray(np.linalg.lstsq(turned, left, rcond=None)[0].T)
+    # By as much as gravity turned: the response to where it did not is noise.
+    measured = matrix @ response @ turned.T
+    basis = transform_basis(moving=False) @ rotation @ turned.T
     return np.asarray(np.linalg.lstsq(basis.reshape(STATIC, -1).T, measured.ravel(), rcond=None)[0])
 
 

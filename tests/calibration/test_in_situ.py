@@ -247,6 +247,32 @@ def test_a_good_factory_matrix_helps_and_a_bad_one_does_not_hurt():
     assert sums[2] < 1.2 * sums[0]
 
 
+def test_what_the_data_know_is_not_drawn_to_an_aged_factory_matrix():
+    matrix = SENSORS["leg"][0]
+    rng = np.random.default_rng(26)
+    aged = matrix * (1.0 + 0.2 * rng.standard_normal(matrix.shape))
+    # One axis that agrees by chance changes nothing.
+    aged[0] = 1.02 * matrix[0]
+    sets, _ = noisy_sets("leg", rng, n=1000)
+    alone, beside = calibrate_in_situ(sets), calibrate_in_situ(sets, factory_matrix=aged)
+    assert beside.result is FitResult.DETERMINED
+    assert not beside.warnings
+    np.testing.assert_allclose(beside.limb.mass, alone.limb.mass, rtol=1e-6)
+    assert beside.limb_mass_std == pytest.approx(alone.limb_mass_std, rel=1e-3)
+
+
+@pytest.mark.parametrize("walk", [0.0, 0.3])
+def test_a_known_limb_counts_for_as_much_as_it_is_sure(walk):
+    rng = np.random.default_rng(27)
+    sets, _ = noisy_sets("leg", rng, n=1000)
+    # What hangs together in time makes readings less sure, and not what was known before.
+    steps = [walk * np.cumsum(rng.standard_normal((1000, 6)), axis=0) for _ in sets]
+    sets = [replace(one, raw=one.raw + step) for one, step in zip(sets, steps, strict=True)]
+    alone = calibrate_in_situ(sets).limb_mass_std
+    known = calibrate_in_situ(sets, limb=KnownLimb(SENSORS["leg"][1], alone)).limb_mass_std
+    assert known == pytest.approx(alone / np.sqrt(2.0), rel=0.05)
+
+
 def lagging(wrench, share, scale):
     """A Prandtl-Ishlinskii element of its own make: plays at thresholds of ratio 3."""
     slack = scale * 3.0 ** -np.arange(1.0, 7.0)

@@ -20,10 +20,6 @@ pytestmark = [
 ]
 
 
-DRAWN = "one set that does not determine the limb is held against the matrix of a fit that is free of it"
-"""Why two fits of the iCub's foot are refused since whole-matrix errors are looked for."""
-
-
 @pytest.fixture(scope="module")
 def metal(benchmark_script):
     return benchmark_script("in_situ_real")
@@ -63,15 +59,12 @@ def test_the_foots_forces_come_right_on_the_half_that_was_not_fitted(foot):
     assert row.mass == pytest.approx(0.382, rel=0.02)
 
 
-@pytest.mark.xfail(strict=True, reason=DRAWN)
 def test_an_unknown_limb_of_the_foot_is_better_than_the_factory_matrix(foot):
     factory = foot["factory matrix, offset by the model", "first"].rmse
     assert np.all(foot["limb unknown", "first"].rmse[:3] < factory[:3])
 
 
-@pytest.mark.parametrize(
-    "fitted", ["first", pytest.param("second", marks=pytest.mark.xfail(strict=True, reason=DRAWN))]
-)
+@pytest.mark.parametrize("fitted", ["first", "second"])
 def test_knowing_where_the_foots_mass_is_keeps_the_torques_right(foot, fitted):
     factory = foot["factory matrix, offset by the model", fitted].rmse
     loose, tight = (foot[name, fitted].rmse for name in (LOOSE, TIGHT))
