@@ -10,10 +10,11 @@ inertial parameters and an offset for each set. The paper's own regression is in
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.in_situ.answer_checks import (
     DataRank,
@@ -117,7 +118,19 @@ def calibrate_in_situ(
     """
     options = InSituOptions() if options is None else options
     factory = _checked_factory(sets, factory_matrix)
-    given = (tuple(sets), factory, limb, options)
+    # Matrices are small: threads would only wait for each other, on a busy machine for seconds.
+    with _linear_algebra().limit(limits=1, user_api="blas"):
+        return _answer((tuple(sets), factory, limb, options), refuse, accept)
+
+
+@cache
+def _linear_algebra() -> ThreadpoolController:
+    """Return what sets the number of threads of linear algebra; to look for its libraries takes a while."""
+    return ThreadpoolController()
+
+
+def _answer(given: _Given, refuse: bool, accept: str) -> InSituFit:
+    """Return the fit, or what becomes of its refusal."""
     try:
         return _fit(*given)
     except np.linalg.LinAlgError:
@@ -142,7 +155,7 @@ def calibrate_in_situ(
         )
     if refuse:
         raise refusal
-    return _refused(sets, refusal)
+    return _refused(given[0], refusal)
 
 
 def _past(refusal: CalibrationRefused, given: _Given, accept: str) -> InSituFit | None:

@@ -30,7 +30,7 @@ from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import DIRECT, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 
-__all__ = ["CompressedSet", "compress", "triangle"]
+__all__ = ["CompressedSet", "SetRows", "compress", "triangle", "with_signals"]
 
 Matrix = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ class CompressedSet:
         index: Mean place in the set of the samples that made a row, shape (m,).
         width: Samples that made a row.
         colour: Of the noise that the rows are weighted by.
-        spacing: Between rows in s, or in samples where there are no times.
+        source: The rows before they were weighted against drift.
     """
 
     name: str
@@ -126,7 +126,12 @@ class CompressedSet:
     index: NDArray[np.float64]
     width: int
     colour: Colour
-    spacing: float
+    source: "SetRows"
+
+    @property
+    def spacing(self) -> float:
+        """Time between rows in s, or samples where there are no times."""
+        return self.source.spacing
 
     @property
     def samples(self) -> int:
@@ -166,6 +171,10 @@ class CompressedSet:
         order = np.roll(np.arange(len(self.uu)), -DIRECT.stop)
         return triangle(self.uu[:, order])[-DIRECT.stop :, -DIRECT.stop :]
 
+    def at_rows(self, columns: Matrix) -> Matrix:
+        """Return the means over rows, shape (m, q), of columns of the set, shape (n, q)."""
+        return _means(columns[self.used], self.width)
+
     def level(self, columns: Matrix) -> float:
         """Return the mean variance of noise along orthonormal columns, shape (m, c), over that of a row."""
         power = self.colour.left(self.rows, self.spacing)
@@ -187,14 +196,7 @@ class CompressedSet:
 
 
 def compress(
-    sets: Sequence[InSituSet],
-    options: InSituOptions,
-    moving: bool,
-    temperature: bool,
-    *,
-    lags: Sequence[Matrix] | None = None,
-    channel_lags: Sequence[Matrix] | None = None,
-    like: Sequence["CompressedSet"] | None = None,
+    sets: Sequence[InSituSet], options: InSituOptions, moving: bool, temperature: bool
 ) -> tuple[CompressedSet, ...]:
     """Return sets as triangles, without the samples that are missing or disagree with all others.
 
@@ -203,31 +205,49 @@ def compress(
         options: Whether to leave samples out, and how offsets may drift.
         moving: Whether to use the signals of a moving limb.
         temperature: Whether the temperature is one more signal.
-        lags: Signals of the hysteresis of loads, shape (n, 6) each, or none.
-        channel_lags: Those of the hysteresis of channels, shape (n, k) each, or none.
-        like: The same sets, compressed before: the same samples take part, in the same windows.
     """
     timed = all(data.time is not None for data in sets)
     rows = []
-    for j, data in enumerate(sets):
+    for data in sets:
         u = signals(data, moving)
-        if lags is not None:
-            u = np.concatenate([u, lags[j]], axis=1)
         if temperature and data.temperature is not None:
             u = np.concatenate([u, data.temperature[:, None]], axis=1)
-        if channel_lags is not None:
-            u = np.concatenate([u, channel_lags[j]], axis=1)
         whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
-        if like is not None:
-            out, width = like[j].rejected, like[j].width
-        else:
-            out, width = _rejected(u, data.raw, whole) if options.robust else np.zeros_like(whole), None
-        rows.append(_rows(data, u, whole & ~out, out, options.drift or 0, width, timed))
+        out = _rejected(u, data.raw, whole) if options.robust else np.zeros_like(whole)
+        rows.append(_rows(data, u, whole & ~out, out, options.drift or 0, timed))
+    return _compressed(rows, options)
+
+
+def with_signals(
+    parts: Sequence[CompressedSet],
+    columns: Sequence[Matrix],
+    options: InSituOptions,
+    *,
+    first: int | None = None,
+) -> tuple[CompressedSet, ...]:
+    """Return compressed sets with more signals; the same samples take part, in the same windows.
+
+    Args:
+        parts: The sets.
+        columns: At their rows, shape (m, q) each.
+        options: How offsets may drift.
+        first: Number of the signals before which they stand; behind all by default.
+    """
+    rows = []
+    for part, more in zip(parts, columns, strict=True):
+        source = part.source
+        place = source.terms + (source.inputs if first is None else first)
+        wide = np.insert(source.columns, [place], source.weight[:, None] * more, axis=1)
+        rows.append(source._replace(columns=wide, inputs=source.inputs + more.shape[1]))
+    return _compressed(rows, options)
+
+
+def _compressed(rows: Sequence["SetRows"], options: InSituOptions) -> tuple[CompressedSet, ...]:
     colour = _colour(rows) if options.drift is None else Colour()
     return tuple(_triangularise(one, colour) for one in rows)
 
 
-class _Rows(NamedTuple):
+class SetRows(NamedTuple):
     """A set in rows of nearly equal weight, in the order of time."""
 
     name: str
@@ -253,16 +273,15 @@ def _rows(
     used: NDArray[np.bool_],
     rejected: NDArray[np.bool_],
     drift: int,
-    width: int | None,
     timed: bool,
-) -> _Rows:
-    mean = _averages(u, data.raw, used, width)
+) -> SetRows:
+    mean = _averages(u, data.raw, used)
     basis, ends = _offset_basis(data, mean.place, drift)
     spacing = float(mean.width)
     if timed and data.time is not None and len(data.time) > 1:
         spacing *= float(data.time[-1] - data.time[0]) / (len(data.time) - 1)
     columns = mean.weight[:, None] * np.concatenate([basis, mean.signals, mean.raw], axis=1)
-    return _Rows(
+    return SetRows(
         data.name,
         used,
         rejected,
@@ -277,7 +296,7 @@ def _rows(
     )
 
 
-def _colour(rows: Sequence[_Rows]) -> Colour:
+def _colour(rows: Sequence[SetRows]) -> Colour:
     """Return the colour of what no linear map of the signals explains."""
     found, spread = [], 0.0
     for one in rows:
@@ -305,7 +324,7 @@ def _scaled(columns: Matrix) -> Matrix:
     return np.asarray(columns / np.where(size > 0.0, size, 1.0))
 
 
-def _triangularise(rows: _Rows, colour: Colour) -> CompressedSet:
+def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     d, first = rows.terms, rows.terms + rows.inputs
     white = colour.weigh(rows.columns, rows.spacing)
     R = triangle(white)
@@ -345,11 +364,11 @@ def _triangularise(rows: _Rows, colour: Colour) -> CompressedSet:
         index=rows.place,
         width=rows.width,
         colour=colour,
-        spacing=rows.spacing,
+        source=rows,
     )
 
 
-def _offsets(rows: _Rows, colour: Colour) -> tuple[OffsetAt, OffsetAt]:
+def _offsets(rows: SetRows, colour: Colour) -> tuple[OffsetAt, OffsetAt]:
     """Return the offset at the middle and at the end."""
     d, first = rows.terms, rows.terms + rows.inputs
     weights, variances = colour.slow(len(rows.columns), rows.spacing, (0.5, 1.0))
@@ -398,17 +417,13 @@ class _Averages(NamedTuple):
     """Samples of a window."""
 
 
-def _averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_], width: int | None) -> _Averages:
-    """Return means over windows in which the signals hardly change; the model is linear, so they follow it.
-
-    Without a width, windows are as wide as the signals allow.
-    """
+def _averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_]) -> _Averages:
+    """Return means over windows, as wide as the signals hardly change; the model is linear and follows."""
     place = np.flatnonzero(used)
     columns = np.concatenate([signals, raw], axis=1)
     columns = columns if len(place) == len(columns) else columns[place]
     inputs = signals.shape[1]
-    if width is None:
-        width = _window(columns[:, :inputs])
+    width = _window(columns[:, :inputs])
     mean = _means(columns, width)
     count = np.full(len(mean), width)
     count[-1] = len(place) - width * (len(mean) - 1)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ.answer_checks import added_slope, projected
-from surefoot.calibration.in_situ.compress import CompressedSet, compress
+from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
 from surefoot.calibration.in_situ.covariance import whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.input_checks import TOO_FAST, turning
@@ -99,9 +99,8 @@ class Evidence:
     def beside(self, columns: Sequence[Matrix]) -> Problem:
         """Return the problem with signals that act on the readings, shape (n_j, q) a set."""
         plain = self.problem
-        parts = compress(
-            self.sets, self.options, plain.moving, plain.temperature, channel_lags=columns, like=plain.sets
-        )
+        rows = [part.at_rows(one) for part, one in zip(plain.sets, columns, strict=True)]
+        parts = with_signals(plain.sets, rows, self.options)
         return replace(plain, sets=parts, channel_lags=columns[0].shape[1], whitening=whitening(parts))
 
     def alone(self, j: int, column: Vector) -> Problem:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from surefoot.calibration.in_situ.compress import compress
+from surefoot.calibration.in_situ.compress import with_signals
 from surefoot.calibration.in_situ.covariance import noise_level, whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import AXES, signals
@@ -44,6 +44,9 @@ _LEADS = 0.3
 
 _STEPS = 3000
 """Steps in which a set's plays are followed, if its limb turns slowly."""
+
+_BLOCK = 250
+"""Steps whose plays are held at once."""
 
 _ROWS_EACH = 10
 """Rows that a set must have on average for each input of the response: few rows show loops in any noise."""
@@ -106,7 +109,7 @@ def _of_loads(
     start = np.concatenate([solution.limb, np.zeros(AXES), solution.outer[plain.parameters :]])
     for _ in range(_ROUNDS):
         lags = lag_signals(_loads(sets, problem, solution))
-        parts = compress(sets, options, plain.moving, plain.temperature, lags=lags, like=plain.sets)
+        parts = with_signals(plain.sets, _at_rows(sets, plain, lags), options, first=s)
         problem = replace(
             plain,
             sets=parts,
@@ -127,9 +130,8 @@ def _of_channels(
 ) -> tuple[Problem, Solution]:
     problem = plain
     for _ in range(_ROUNDS):
-        loads = _loads(sets, problem, solution)
-        lags = lag_signals([load @ solution.A.T for load in loads])
-        parts = compress(sets, options, plain.moving, plain.temperature, channel_lags=lags, like=plain.sets)
+        lags = lag_signals([load @ solution.A.T for load in _loads(sets, problem, solution)])
+        parts = with_signals(plain.sets, _at_rows(sets, plain, lags), options)
         channels = lags[0].shape[1]
         problem = replace(
             plain, sets=parts, channel_lags=channels, whitening=whitening(parts), level=noise_level(parts)
@@ -138,41 +140,48 @@ def _of_channels(
     return problem, solution
 
 
+def _stride(data: InSituSet) -> int:
+    return max(len(data.raw) // _STEPS, 1)
+
+
 def _loads(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> list[Matrix]:
-    """Return wrenches that the limb and what was added exert, (n_j, 6) each; the last one is held in gaps."""
-    inputs = signals(sets[0], problem.moving).shape[1]
-    T = transforms(problem, solution)[:, :AXES, :inputs]
+    """Return wrenches that the limb and what was added exert, (n_j, 6) each; the last one is held in gaps.
+
+    Between turning points a play only follows, so that few samples of a slow sweep are enough.
+    """
     loads = []
-    for data, transform in zip(sets, T, strict=True):
-        u = signals(data, problem.moving)
+    for j, data in enumerate(sets):
+        u = signals(data, problem.moving, _stride(data))
         whole = np.isfinite(u).all(axis=1)
         latest = np.maximum.accumulate(np.where(whole, np.arange(len(u)), -1))
         latest[latest < 0] = int(np.argmax(whole))
+        transform = transforms(problem, solution)[j, :AXES, : u.shape[1]]
         loads.append(u[latest] @ transform.T)
     return loads
 
 
-def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
-    """Return the sums of the plays of each axis or channel, (n_j, a) each.
+def _at_rows(sets: Sequence[InSituSet], problem: Problem, lags: Sequence[Matrix]) -> list[Matrix]:
+    """Return lags at the rows of the compressed sets, (m_j, a) each."""
+    found = []
+    for data, part, lag in zip(sets, problem.sets, lags, strict=True):
+        places = _stride(data) * np.arange(len(lag))
+        found.append(np.stack([np.interp(part.index, places, one) for one in lag.T], axis=1))
+    return found
 
-    Between turning points a play only follows, so that few samples of a slow sweep are enough.
-    """
-    strides = [max(len(wrench) // _STEPS, 1) for wrench in wrenches]
-    thinned = [wrench[::stride] for wrench, stride in zip(wrenches, strides, strict=True)]
-    longest = max(len(wrench) for wrench in thinned)
-    loads = np.stack([np.pad(w, ((0, longest - len(w)), (0, 0)), mode="edge") for w in thinned], axis=1)
-    low, high = loads[..., None] - slack, loads[..., None] + slack
-    play, plays = loads[0][..., None] * np.ones(slack.shape[1]), np.empty_like(low)
-    for i in range(longest):
-        play = np.minimum(np.maximum(play, low[i]), high[i], out=plays[i])
-    plays = plays.sum(axis=-1)
-    sums = []
-    for j, (wrench, stride, few) in enumerate(zip(wrenches, strides, thinned, strict=True)):
-        places, seen = np.arange(len(wrench)), stride * np.arange(len(few))
-        sums.append(
-            np.stack([np.interp(places, seen, plays[: len(few), j, a]) for a in range(few.shape[1])], axis=1)
-        )
-    return sums
+
+def _plays(wrenches: Sequence[Matrix], slack: Matrix) -> list[Matrix]:
+    """Return the sums of the plays of each axis or channel, (n_j, a) each."""
+    longest = max(len(wrench) for wrench in wrenches)
+    loads = np.stack([np.pad(w, ((0, longest - len(w)), (0, 0)), mode="edge") for w in wrenches], axis=1)
+    play, sums = loads[0][..., None] * np.ones(slack.shape[1]), np.empty_like(loads)
+    for first in range(0, longest, _BLOCK):
+        block = loads[first : first + _BLOCK, ..., None]
+        low, high = block - slack, block + slack
+        plays = np.empty_like(low)
+        for i in range(len(block)):
+            play = np.minimum(np.maximum(play, low[i]), high[i], out=plays[i])
+        sums[first : first + _BLOCK] = plays.sum(axis=-1)
+    return [sums[: len(wrench), j] for j, wrench in enumerate(wrenches)]
 
 
 def lag_signals(wrenches: Sequence[Matrix]) -> list[Matrix]:

@@ -82,16 +82,18 @@ _NOISE_FLOOR = 1e-6
 none."""
 
 
-def signals(data: InSituSet, moving: bool) -> Matrix:
-    """Return u of each sample, shape (n, 3) at rest and (n, 12) moving."""
+def signals(data: InSituSet, moving: bool, stride: int = 1) -> Matrix:
+    """Return u of each sample, or of one in ``stride``, shape (n, 3) at rest and (n, 12) moving."""
+    gravity = data.gravity[::stride]
     if not moving:
-        return data.gravity
+        return gravity
     rate, acceleration = data.angular_velocity, data.angular_acceleration
     if rate is None or acceleration is None:
-        still = np.zeros((len(data.gravity), PRODUCTS.stop - DIRECT.stop))
-        return np.concatenate([data.gravity, still], axis=1)
+        still = np.zeros((len(gravity), PRODUCTS.stop - DIRECT.stop))
+        return np.concatenate([gravity, still], axis=1)
+    rate, acceleration = rate[::stride], acceleration[::stride]
     products = np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=1)
-    return np.concatenate([data.gravity, acceleration, products], axis=1)
+    return np.concatenate([gravity, acceleration, products], axis=1)
 
 
 @cache

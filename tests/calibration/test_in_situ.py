@@ -1,5 +1,7 @@
 """The measurement-space fit of a six-axis sensor in its limb."""
 
+import sys
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +10,7 @@ from _in_situ import ADDED_MASS, NOISE, SENSORS, make_set, moving_sets, noisy_se
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
@@ -371,3 +374,29 @@ def test_few_samples_show_no_hysteresis():
         sets, _ = noisy_sets("leg", rng, n=12)
         fit = calibrate_in_situ(sets, options=InSituOptions(scale_tolerance=10.0, axis_tolerance=10.0))
         assert fit.hysteresis is None
+
+
+def test_one_thread_solves_and_the_others_come_back(monkeypatch):
+    module = sys.modules[calibrate_in_situ.__module__]
+    fit, seen = module._fit, []
+
+    def watched(*given):
+        seen.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
+        return fit(*given)
+
+    monkeypatch.setattr(module, "_fit", watched)
+    with threadpool_limits(limits=2, user_api="blas"):
+        calibrate_in_situ(paper_sets("leg", np.random.default_rng(0), n=50, noise=0.001)[0])
+        after = [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
+    assert set(seen) == {1}
+    assert set(after) == {2}
+
+
+def test_many_samples_take_less_memory_than_they_have():
+    sets = 4 * noisy_sets("leg", np.random.default_rng(28), n=60_000)[0]
+    held = sum(one.raw.nbytes + one.gravity.nbytes for one in sets)
+    tracemalloc.start()
+    calibrate_in_situ(sets)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < held
