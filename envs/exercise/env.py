@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.balance import AnkleBalance
-from surefoot.envs.exercise.motion import Motion
+from surefoot.envs.exercise.motion import plan_motion
 from surefoot.envs.exercise.observation import ExerciseObserver
-from surefoot.envs.exercise.robot import prepare_robot
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.observation import FORCE_BOUND, Observation
 from surefoot.envs.options import check_render_mode, checked_action, checked_range, positive
@@ -114,7 +113,8 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         length = None if duration is None else positive("duration", duration)
         check_render_mode(render_mode, self.metadata["render_modes"])
 
-        prepared = prepare_robot(robot, feet)
+        self.motion = plan_motion(robot, feet, boxes=render_mode is None)
+        prepared = self.motion.robot
         self.model, self.drawing = prepared.model, prepared.instrumentation.drawing
         self.data = mujoco.MjData(self.model)
         self._instrumentation = prepared.instrumentation
@@ -126,7 +126,6 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
             )
         self.dt = self._substeps * float(self.model.opt.timestep)
         self._steps = None if length is None else max(round(length / self.dt), 1)
-        self.motion = Motion(prepared)
         self._balance = AnkleBalance(prepared, self.motion)
         self._torso, self._leg_motors = prepared.torso, prepared.leg_motors
         self.joint_names = self.drawing.joint_names

@@ -14,9 +14,12 @@ leads by at most 0.29 :math:`A`.
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 from itertools import pairwise, product
 from math import ceil, sqrt
-from typing import Final, NamedTuple
+from pathlib import Path as File
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -25,8 +28,9 @@ from scipy.interpolate import CubicSpline
 
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.postures import Postures, UnreachableError
-from surefoot.envs.exercise.robot import ExerciseRobot
+from surefoot.envs.exercise.robot import ExerciseRobot, prepare_robot
 from surefoot.envs.prelude import Prelude
+from surefoot.envs.robots.library import ROBOTS
 
 MOVE_TIME: Final = 4.5
 """Duration of a sway to one side in units of sqrt(h / g)."""
@@ -75,6 +79,12 @@ EXTENTS: Final = (1.4, 1.0, 0.5)
 
 TEMPOS: Final = (0.5, 1.0, 1.4)
 """Tempos that they are offered with: factors on all speeds."""
+
+
+MOST_KEPT: Final = 4
+"""Robots whose exercise is kept for more environments of the same."""
+
+_PLANNED: "dict[tuple[Any, ...], Motion]" = {}
 
 
 class Path(NamedTuple):
@@ -195,6 +205,34 @@ def motions_offered() -> list[list[str]]:
     scaled = [*(f"sway {way}" for way in SWAYS), "lean left", "lean right"]
     kinds = [[kind] for kind in fixed] + [[f"{kind} {extent:g}" for extent in EXTENTS] for kind in scaled]
     return [[f"{name} @ {tempo:g}" for name in names] for names in kinds for tempo in TEMPOS]
+
+
+def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Motion":
+    """Plan the exercise of a robot, once for all environments of the same; each has a model of its own.
+
+    Args:
+        robot: As of :func:`~surefoot.envs.exercise.robot.prepare_robot`; a ``mujoco.MjSpec`` is not kept.
+        feet: Names of the feet's bodies, the left one first; None to guess.
+        boxes: Whether meshes that are only seen become boxes.
+
+    Raises:
+        ModuleNotFoundError: If a named robot's package is missing.
+        TypeError: If ``robot`` or ``feet`` is of another type.
+        ValueError: If there is no such robot, or it cannot do the exercise.
+    """
+    named = isinstance(robot, str) and robot in ROBOTS
+    if not named and not (isinstance(robot, str | File) and File(robot).is_file()):
+        return Motion(prepare_robot(robot, feet, boxes=boxes))
+    version = None if named else (File(robot).resolve(), File(robot).stat().st_mtime_ns)
+    key = (str(robot), version, repr(feet), boxes)
+    if key not in _PLANNED:
+        planned = Motion(prepare_robot(robot, feet, boxes=boxes))
+        while len(_PLANNED) >= MOST_KEPT:
+            del _PLANNED[next(iter(_PLANNED))]
+        _PLANNED[key] = planned
+    own = copy(_PLANNED[key])
+    own.robot = replace(own.robot, model=copy(own.robot.model))
+    return own
 
 
 class Motion:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.feet import standing_pose
+from surefoot.envs.instrumentation.made import make
 from surefoot.envs.instrumentation.spec import Instrumentation, instrument
 from surefoot.envs.robots.library import ROBOTS, load_robot_spec
 
@@ -53,13 +54,14 @@ class ExerciseRobot:
         return self.gravity * float(self.model.body_subtreemass[self.torso])
 
 
-def prepare_robot(robot: Any, feet: Sequence[str] | None = None) -> ExerciseRobot:
+def prepare_robot(robot: Any, feet: Sequence[str] | None = None, *, boxes: bool = False) -> ExerciseRobot:
     """Put sensors into a biped and make it strong enough to stand on one leg.
 
     Args:
         robot: A name that :func:`~surefoot.envs.load_robot_spec` knows, the path of an MJCF file with robot
             and floor, or such a ``mujoco.MjSpec``, which is not changed.
         feet: Names of the feet's bodies, the left one first; None to guess.
+        boxes: Whether meshes that are only seen become boxes, which take less memory.
 
     Raises:
         ModuleNotFoundError: If a named robot's package is missing.
@@ -67,8 +69,17 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None) -> ExerciseRobo
         ValueError: If there is no such robot or file, it has not two flat feet, it does not float on one free
             joint, or a joint of a leg has no position motor.
     """
-    instrumentation = instrument(_load(robot), feet)
-    model = instrumentation.spec.compile()
+    spec = _load(robot)
+    if boxes and spec.meshes:
+        full = spec.copy().compile()
+        usual: Any = {"cells": None, "margin": 0.005, "prefix": "surefoot/"}
+        made = make(spec, full, feet, soles=False, boxes=True, forced=True, **usual)
+        assert made.instrumentation is not None
+        assert made.model is not None
+        instrumentation, model = made.instrumentation, made.model
+    else:
+        instrumentation = instrument(spec, feet)
+        model = instrumentation.spec.compile()
     bodies = [foot.body for foot in instrumentation.feet]
     if len(bodies) != 2:
         raise ValueError(f"An exercise needs two feet, feet=(left, right); got {bodies}.")

@@ -1,6 +1,7 @@
 """Any MuJoCo environment with sensors in its feet: the same episodes, and the truth besides."""
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,19 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.envs.instrumentation.drawing import RobotDrawing
+from surefoot.envs.instrumentation.made import make
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
-from surefoot.envs.instrumentation.robot import joint_name
-from surefoot.envs.instrumentation.soles import put_soles
-from surefoot.envs.instrumentation.spec import Instrumentation, instrument_as, refuse_taken
-from surefoot.envs.instrumentation.swap import (
-    carry_over,
-    find_description,
-    find_difference,
-    find_holder,
-    put_in,
-    swap_in,
-    why_not_in_place,
-)
+from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
+from surefoot.envs.instrumentation.swap import find_description, find_holder, put_in, swap_in
 from surefoot.envs.instrumentation.truth import step_truth
 
 
@@ -56,6 +48,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         spec: The robot's description, if not that of ``unwrapped.fullpath``: a file, or a ``mujoco.MjSpec``,
             with which the wrapper's own ``spec`` cannot be pickled or written as JSON.
         in_place: Whether to put sensors into the environment's model; None to decide.
+        visuals: Whether meshes that are only seen stay. They take most of a humanoid's memory; without them
+            boxes of their size are drawn. None for those that the environment draws (``render_mode``).
         prefix: What the names of added sites and sensors begin with.
 
     Attributes:
@@ -63,7 +57,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         tells: Whether ``info`` has the truth; a wrapper that reads :attr:`truth` may save the time.
         drawing: What the robot's maker hands out.
         joint_names: The hinge joints that encoders measure.
-        instrumentation: The instrumented description; None for a model that was left alone.
+        instrumentation: The instrumented description, which copies share; None for a model that was left
+            alone.
         untouched: Why the model was left alone; empty if it was not.
 
     Environments of dm_control, which hold their robot as ``unwrapped.physics``, are never changed: the same
@@ -86,6 +81,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         soles: bool | Mapping[str, Sequence[float]] = False,
         spec: str | Path | mujoco.MjSpec | None = None,
         in_place: bool | None = None,
+        visuals: bool | None = None,
         prefix: str = "surefoot/",
     ) -> None:
         _check_types(cells, soles)
@@ -99,6 +95,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             soles={body: list(size) for body, size in soles.items()} if isinstance(soles, Mapping) else soles,
             spec=str(spec) if isinstance(spec, Path) else spec,
             in_place=in_place,
+            visuals=visuals,
             prefix=prefix,
         )
         gym.Wrapper.__init__(self, env)
@@ -119,26 +116,33 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         if soles and in_place is False:
             raise ValueError("'soles' changes the model: leave 'in_place' alone.")
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
-        made: tuple[Instrumentation, mujoco.MjModel] | None = None
         self.untouched = "there is no description of it: give 'spec'"
         if foreign:
             self.untouched = "dm_control's physics holds it"
+        base = self._base
+        self.instrumentation: Instrumentation | None = None
         if in_place is False:
             self.untouched = "in_place=False"
         elif description is not None:
-            made, different = self._make(description, feet, soles, given)
-            self.untouched = f"its file is of another robot: {different}"
-            if different and (spec is not None or soles or in_place):
-                raise ValueError(f"The description is not that of the environment's robot: {different}.")
-            if made is not None:
-                self.untouched = _obstacle(env, made[1], prefix, forced=bool(soles or in_place))
-        base = self._base
-        self.instrumentation: Instrumentation | None = None
+            forced = bool(soles or in_place)
+            boxes = not (getattr(env, "render_mode", None) if visuals is None else visuals)
+            made = make(description, base.model, feet, soles=soles, boxes=boxes, forced=forced, **given)
+            if made.different and (spec is not None or forced):
+                raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
+            holder = find_holder(env)
+            if holder and forced:
+                raise ValueError(f"The environment's model cannot be replaced: {_held(holder)}.")
+            self.untouched = made.obstacle
+            if made.different:
+                self.untouched = f"its file is of another robot: {made.different}"
+            elif holder:
+                self.untouched = _held(holder)
+            elif made.model is not None:
+                self.instrumentation = made.instrumentation
+                swap_in(base, copy(made.model))
         self._reader: SensorReader | FeetReader
-        if made is not None and not self.untouched:
-            self.instrumentation, model = made
-            swap_in(base, model)
-            self._reader = SensorReader(model, base.data, self.instrumentation)
+        if self.instrumentation is not None:
+            self._reader = SensorReader(base.model, base.data, self.instrumentation)
             self.drawing: RobotDrawing = self.instrumentation.drawing
         else:
             self._reader = FeetReader(base.model, base.data, feet, **given)
@@ -150,7 +154,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.tells = True
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_rng": self._base._np_random}
+        return vars(self) | {"_rng": self.unwrapped._np_random}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         rng = kept.pop("_rng")
@@ -158,7 +162,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         if self._base.model is not self._model:
             # Gymnasium's environments are copied by making them again: a copy goes on where this one is.
             put_in(self._base, self._model, self._data)
-            self._base._np_random = rng
+            self.unwrapped._np_random = rng
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -201,30 +205,6 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     def _told(self, info: dict[str, Any]) -> dict[str, Any]:
         return {**info, "surefoot": {"truth": step_truth(self.truth)}} if self.tells else info
-
-    def _make(
-        self,
-        description: mujoco.MjSpec,
-        feet: Sequence[str] | None,
-        soles: bool | Mapping[str, Sequence[float]],
-        given: dict[str, Any],
-    ) -> tuple[tuple[Instrumentation, mujoco.MjModel] | None, str]:
-        """Make the instrumented robot with the environment's own numbers, or return why it is another."""
-        bare, prefix = self._base.model, given["prefix"]
-        if soles:
-            put_soles(description, bare, soles, feet, prefix)
-        named = description.copy()
-        measured = named.compile()
-        for joint, compiled in zip(description.joints, named.joints, strict=True):
-            joint.name = joint_name(measured, compiled.id)
-        different = find_difference(bare, measured, prefix)
-        if different:
-            return None, different
-        carry_over(bare, measured, prefix)
-        made = instrument_as(description, measured, feet, **given)
-        model = made.spec.compile()
-        carry_over(bare, model, prefix)
-        return (made, model), ""
 
     def _refuse_another(self) -> None:
         """Raise RuntimeError if the robot that is watched is not simulated any more."""
@@ -298,16 +278,6 @@ def _refuse(env: gym.Env[Any, Any], base: Any, prefix: str) -> None:
     refuse_taken({mujoco.mj_id2name(model, kind, i) or "" for kind, n in kinds for i in range(n)}, prefix)
 
 
-def _obstacle(env: gym.Env[Any, Any], model: mujoco.MjModel, prefix: str, *, forced: bool) -> str:
-    """Return why sensors cannot be put into an environment's own model; empty if they can.
-
-    Raises:
-        ValueError: If they have to.
-    """
-    holder = find_holder(env)
-    if holder:
-        reason = f"{holder} holds a view of it, which would go on showing the old one"
-        if forced:
-            raise ValueError(f"The environment's model cannot be replaced: {reason}.")
-        return reason
-    return "" if forced else why_not_in_place(env, model, prefix)
+def _held(holder: str) -> str:
+    """Return why a model cannot be replaced of which an attribute holds a view."""
+    return f"{holder} holds a view of it, which would go on showing the old one"

@@ -1,6 +1,7 @@
 """How an instrumented model takes the place of the one that an environment made."""
 
 from collections.abc import Iterator
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +35,7 @@ _FLAGS: Final = (
     "geom_priority",
     "geom_group",
     "geom_matid",
+    "geom_sameframe",
     "site_group",
     "jnt_limited",
     "jnt_actfrclimited",
@@ -51,6 +53,9 @@ _FLAGS: Final = (
 _DERIVED: Final = ("sensor_", "bvh_", "oct_", "key_", "mesh_", "hfield_", "skin_", "tex_", "flex")
 """Beginnings of the names of arrays that are another model's own, or that no environment changes."""
 
+_DRAWN: Final = ("mesh_", "bvh_", "oct_", "tex_", "skin_")
+"""Beginnings of the names of arrays that only drawing and collisions with meshes need."""
+
 _NAMED: Final = {
     "bodies": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
     "joints": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
@@ -61,22 +66,19 @@ _VIEWS: Final = ("MjOption", "MjVisual", "MjStatistic", "_MjContactList", "MjCon
 """MuJoCo's types that point into a model or its data, besides those whose name ends in Views."""
 
 
-def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> mujoco.MjSpec | None:
-    """Read the description of an environment's robot, if it has one.
+def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> Path | mujoco.MjSpec | None:
+    """Return what describes an environment's robot: what the user gave, or its file; None without.
 
     Args:
         spec: What the user gave: a file, a specification, or None.
         env: The innermost environment.
-
-    Returns:
-        A specification of one's own; None if there is none.
     """
     if isinstance(spec, mujoco.MjSpec):
-        return spec.copy()
+        return spec
     path = spec if spec is not None else getattr(env, "fullpath", None)
     if spec is None and (not isinstance(path, str | Path) or not Path(path).is_file()):
         return None
-    return mujoco.MjSpec.from_file(str(path))
+    return Path(str(path))
 
 
 def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> str:
@@ -107,8 +109,7 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
         prefix: What the names of these begin with.
     """
     kept = _kept(new, prefix)
-    for name in dir(old):
-        value = getattr(old, name) if name[0] != "_" else None
+    for name, value in _public(old):
         if not isinstance(value, np.ndarray) or name.startswith(_DERIVED):
             continue
         if value.dtype.kind == "f" or name in _FLAGS:
@@ -123,21 +124,49 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
         if old.key(key).name == new.key(key).name:
             for name in ("key_qpos", "key_qvel", "key_ctrl"):
                 getattr(new, name)[key] = getattr(old, name)[key]
-    pairs: list[tuple[Any, Any]] = [(old.opt, new.opt), (old.stat, new.stat)]
-    parts = ("global_", "quality", "headlight", "map", "scale", "rgba")
-    pairs += [(getattr(old.vis, part), getattr(new.vis, part)) for part in parts]
-    for ours, theirs in pairs:
-        for name in dir(ours):
-            value = getattr(ours, name) if name[0] != "_" else None
+    for ours, theirs in zip(_options(old), _options(new), strict=True):
+        for name, value in _public(ours):
             if isinstance(value, np.ndarray):
                 getattr(theirs, name)[...] = value
             elif isinstance(value, int | float):
                 setattr(theirs, name, value)
 
 
-def why_not_in_place(env: gym.Env[Any, Any], new: mujoco.MjModel, prefix: str) -> str:
+def differing_array(old: mujoco.MjModel, new: mujoco.MjModel) -> str:
+    """Return the name of an array in which a robot differs from the same with other meshes; empty if none.
+
+    Args:
+        old: A robot.
+        new: The same with boxes for meshes that are only seen, and all numbers carried over.
+    """
+    for name, value in _public(old):
+        if isinstance(value, np.ndarray) and not name.startswith(_DRAWN):
+            other = getattr(new, name)
+            if not np.array_equal(value, other, equal_nan=value.dtype.kind == "f"):
+                return name
+    # Sensors of distances meet what is seen.
+    rays = (mujoco.mjtSensor.mjSENS_RANGEFINDER, mujoco.mjtSensor.mjSENS_GEOMDIST)
+    return "sensor_type" if np.isin(old.sensor_type, rays).any() else ""
+
+
+def fingerprint(model: mujoco.MjModel) -> bytes:
+    """Return a digest of all numbers and names of a model, but of what only its drawing needs."""
+    digest = blake2b(bytes(model.names))
+    for name, value in _public(model):
+        if isinstance(value, np.ndarray) and (
+            name in ("mesh_vert", "mesh_graph") or not name.startswith(_DRAWN)
+        ):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(value).data)
+    for part in _options(model):
+        for name, value in _public(part):
+            if isinstance(value, np.ndarray | int | float):
+                digest.update(f"{name} {np.asarray(value).tolist()}".encode())
+    return digest.digest()
+
+
+def why_not_in_place(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> str:
     """Return what an environment may look up by number that would change; empty if nothing does."""
-    old = env.unwrapped.model  # type: ignore[attr-defined]
     if old.nsensor:
         return "the model has sensors of its own, and the environment may read all sensor data at once"
     if not np.array_equal(_kept(new, prefix)["site"], np.arange(old.nsite)):
@@ -177,8 +206,7 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
     mujoco.mj_getState(old, before, state, kind)
     mujoco.mj_setState(new, data, state, kind)
     # What was derived from the state goes along: some environments look at it before they step.
-    for name in dir(before):
-        value = getattr(before, name) if name[0] != "_" else None
+    for name, value in _public(before):
         if isinstance(value, np.ndarray) and value.size:
             target = getattr(data, name)
             if target.shape == value.shape:
@@ -211,6 +239,19 @@ def _rows(model: mujoco.MjModel, name: str, kept: dict[str, NDArray[np.intp]]) -
     value: NDArray[Any] = getattr(model, name)
     rows = kept.get(name.split("_")[0])
     return value if rows is None else value[rows]
+
+
+def _public(part: Any) -> Iterator[tuple[str, Any]]:
+    """List what a structure of MuJoCo holds, by its names."""
+    for name in dir(part):
+        if name[0] != "_":
+            yield name, getattr(part, name)
+
+
+def _options(model: mujoco.MjModel) -> list[Any]:
+    """List the structures of numbers that are no arrays of a model."""
+    parts = ("global_", "quality", "headlight", "map", "scale", "rgba")
+    return [model.opt, model.stat, *(getattr(model.vis, part) for part in parts)]
 
 
 def _points(value: Any, old: tuple[Any, Any], seen: set[int], depth: int) -> bool:

@@ -1,0 +1,122 @@
+"""Instrumented models for environments: made once, and copied for all environments alike.
+
+To compile a humanoid's meshes takes seconds, and they take most of its memory. Environments that are not
+drawn get boxes in the place of meshes that are only seen; each has a copy of its own, whose numbers it may
+change.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from surefoot.envs.instrumentation.meshes import box_meshes
+from surefoot.envs.instrumentation.robot import joint_name
+from surefoot.envs.instrumentation.soles import put_soles
+from surefoot.envs.instrumentation.spec import Instrumentation, instrument_as
+from surefoot.envs.instrumentation.swap import (
+    carry_over,
+    differing_array,
+    find_difference,
+    fingerprint,
+    why_not_in_place,
+)
+
+MOST_KEPT: Final = 4
+"""Robots that are kept for more environments of the same kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A robot for environments that have the same description and the same numbers.
+
+    Attributes:
+        different: Why the description is of another robot; empty if it is not.
+        obstacle: Why sensors would be seen by such an environment; empty if they would not.
+        model: The instrumented robot; with an obstacle the bare one with boxes for meshes, or None.
+        instrumentation: What was added; None with an obstacle.
+    """
+
+    different: str = ""
+    obstacle: str = ""
+    model: mujoco.MjModel | None = None
+    instrumentation: Instrumentation | None = None
+
+
+_KEPT: dict[tuple[Any, ...], Made] = {}
+
+
+def make(
+    description: Path | mujoco.MjSpec,
+    bare: mujoco.MjModel,
+    feet: Sequence[str] | None,
+    *,
+    soles: bool | Mapping[str, Sequence[float]],
+    boxes: bool,
+    forced: bool,
+    **given: Any,
+) -> Made:
+    """Make the instrumented robot with an environment's own numbers, or take that of another like it.
+
+    Args:
+        description: Of the robot: a file, or a specification, of which nothing is kept.
+        bare: The environment's model.
+        feet: Names of the feet's bodies; None to guess.
+        soles: Flat soles, as of :class:`~surefoot.envs.InstrumentedEnv`.
+        boxes: Whether meshes that are only seen become boxes.
+        forced: Whether sensors are put in whatever may see them.
+        **given: Options of :func:`~surefoot.envs.instrumentation.spec.instrument_as`.
+    """
+    if isinstance(description, mujoco.MjSpec):
+        return _make(description.copy(), bare, feet, soles, boxes, forced, given)
+    cells = {body: np.asarray(places).tolist() for body, places in (given["cells"] or {}).items()}
+    options = repr((feet, soles, boxes, forced, {**given, "cells": cells}))
+    key = (str(description.resolve()), description.stat().st_mtime_ns, options, fingerprint(bare))
+    if key not in _KEPT:
+        made = _make(mujoco.MjSpec.from_file(str(description)), bare, feet, soles, boxes, forced, given)
+        while len(_KEPT) >= MOST_KEPT:
+            del _KEPT[next(iter(_KEPT))]
+        _KEPT[key] = made
+    return _KEPT[key]
+
+
+def _make(
+    description: mujoco.MjSpec,
+    bare: mujoco.MjModel,
+    feet: Sequence[str] | None,
+    soles: bool | Mapping[str, Sequence[float]],
+    boxes: bool,
+    forced: bool,
+    given: dict[str, Any],
+) -> Made:
+    prefix = given["prefix"]
+    boxes = boxes and bare.nmesh > 0
+    if boxes:
+        boxed = description.copy()
+        box_meshes(boxed, bare)
+        measured = boxed.compile()
+        alike = not find_difference(bare, measured, prefix)
+        if alike:
+            carry_over(bare, measured, prefix)
+        boxes = alike and not differing_array(bare, measured)
+        description = boxed if boxes else description
+    if soles:
+        put_soles(description, bare, soles, feet, prefix)
+    named = description.copy()
+    measured = named.compile()
+    for joint, compiled in zip(description.joints, named.joints, strict=True):
+        joint.name = joint_name(measured, compiled.id)
+    different = find_difference(bare, measured, prefix)
+    if different:
+        return Made(different=different)
+    carry_over(bare, measured, prefix)
+    made = instrument_as(description, measured, feet, **given)
+    model = made.spec.compile()
+    carry_over(bare, model, prefix)
+    obstacle = "" if forced else why_not_in_place(bare, model, prefix)
+    if obstacle:
+        return Made(obstacle=obstacle, model=measured if boxes else None)
+    return Made(model=model, instrumentation=made)
