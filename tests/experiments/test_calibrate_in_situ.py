@@ -112,16 +112,14 @@ def test_a_matrix_that_an_icub_cannot_hold_is_left_out(short: Path, tmp_path: Pa
 
 def test_what_is_refused_leaves_nothing_behind(short: Path, tmp_path: Path) -> None:
     config = changed(config_beside(short), fit={"sets": ["1", "2"]}, factory={})
-    with pytest.raises(CalibrationRefused, match=r"in_situ_leg\.parquet: .*mass"):
+    with pytest.raises(CalibrationRefused, match=r"in_situ_leg\.parquet: .*mass.*--accept REASON goes on"):
         calibrate_in_situ_log(short, config, folder=tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_refusal_that_is_accepted_is_said_in_every_file(short: Path, tmp_path: Path) -> None:
+def test_a_refusal_that_is_accepted_is_said_in_every_file(short: Path, tmp_path: Path, undrawn: None) -> None:
     config = config_beside(short)
     strict = changed(config, fit=config.fit.model_dump() | {"residual_tolerance": 1e-4})
-    with pytest.raises(CalibrationRefused, match="--accept REASON goes on"):
-        calibrate_in_situ_log(short, strict, folder=tmp_path)
     reason = "the sensor is <old>,\nand known to be"
     result = calibrate_in_situ_log(short, strict, folder=tmp_path, accept=reason)
     assert sorted(result.files) == ["calibration", "report", "ros2", "yaml"]
@@ -140,7 +138,7 @@ def test_a_reason_without_a_refusal_is_not_needed(short: Path, tmp_path: Path, n
     assert any("Nothing was refused" in notice for notice in result.notices)
 
 
-def test_a_drivers_newtons_are_calibrated_as_counts_are(tmp_path: Path, short: Path) -> None:
+def test_a_drivers_newtons_are_calibrated_as_counts_are(tmp_path: Path, short: Path, undrawn: None) -> None:
     """By the maker's matrix the counts become a driver's wrench; the true wrench stays what it was."""
     config = config_beside(short)
     matrix, counted = config.factory.matrix, pq.read_table(short)
@@ -164,7 +162,7 @@ def test_a_drivers_newtons_are_calibrated_as_counts_are(tmp_path: Path, short: P
     assert "icub" not in result.files
     page = html.unescape(result.files["report"].read_text())
     assert "Offsets (N, N m)" in page
-    assert "count" not in page.split("<h2>2.")[1].replace("1st (1000 counts)", "")
+    assert "count" not in page.split("<h2>2.")[1]
     assert json.loads(result.files["calibration"].read_text())["raw_unit"] == "N, N m"
 
 
