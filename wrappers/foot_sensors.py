@@ -17,7 +17,7 @@ from surefoot.sensors.presets import resolve
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_device
-from surefoot.wrappers.instruments import Instruments, InstrumentsState
+from surefoot.wrappers.instruments import Instruments, InstrumentsState, usual_cells
 from surefoot.wrappers.raw_view import RawView
 from surefoot.wrappers.source import (
     Source,
@@ -82,7 +82,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     Args:
         env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
         config: What is under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells` or a
-            :class:`~surefoot.sensors.ForceTorque`, or a mapping of the fields of either.
+            :class:`~surefoot.sensors.ForceTorque`, or a mapping of the fields of either. ``None`` for the
+            cells of ``"hx711-load-cells"``, or larger ones of their kind for a robot that is too heavy for
+            these (:func:`~surefoot.sensors.sized`).
         ankles: Six-axis sensors besides load cells, likewise; ``None`` for none.
         imu: The IMU, likewise.
         encoders: The joint encoders, likewise.
@@ -113,7 +115,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        config: str | Mapping[str, Any] | FootDevice = "hx711-load-cells",
+        config: str | Mapping[str, Any] | FootDevice | None = None,
         *,
         ankles: str | Mapping[str, Any] | FootDevice | None = None,
         imu: str | Mapping[str, Any] | Imu = "nao-imu",
@@ -147,7 +149,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         source = find_source(self.env)
         assert source is not None
         self.source: Source = source
-        devices = [foot_device(given) for given in (config, ankles) if given is not None]
+        cells_or_ankles = usual_cells(source.drawing) if config is None else config
+        devices = [foot_device(given) for given in (cells_or_ankles, ankles) if given is not None]
         if severity != 1.0:
             devices = [scaled(device, float(severity)) for device in devices]
         for device in devices:

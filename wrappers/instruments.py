@@ -4,6 +4,8 @@ Their channels follow each other foot by foot: (left cells, left ankle, right ce
 level foot at rest weighs below its ankle counts as part of that sensor's offset, as it does for a calibrator.
 """
 
+import warnings
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,15 +14,19 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import Corruption, ForceTorque, LoadCells, force_torque, load_cells
+from surefoot.sensors import Corruption, ForceTorque, LoadCells, force_torque, load_cells, sized
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map
+from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.foot_device import JITTER_BOUND, FootDevice
 
 Floats = NDArray[np.float64]
 
 USUAL_LENGTH = 0.2
 """Length in m of a foot that has none, such as a sphere: errors of moments are stated in its terms."""
+
+PEAK: Final = 1.5
+"""What a foot has to bear in body weights: the robot on one foot, and half as much again when it lands."""
 
 NO_LEAP = 1e3
 """Change of a reading in body weights that no sample reaches."""
@@ -201,6 +207,9 @@ class Instruments:
 
     Raises:
         ValueError: If an instrument does not fit the robot, or a kind is given twice.
+
+    Warns:
+        UserWarning: If a foot's instruments are rated for less than 1.5 times the robot's weight.
     """
 
     def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing) -> None:
@@ -209,6 +218,9 @@ class Instruments:
             raise ValueError(
                 f"Give load cells, six-axis sensors or one of each, got {[kind.__name__ for kind in kinds]}."
             )
+        for device in devices:
+            if not _bears(device, drawing):
+                warnings.warn(_too_small(device, drawing), stacklevel=3)
         found: list[CellsUnderFeet | SensorsInAnkles] = [
             CellsUnderFeet(device, drawing)
             if isinstance(device, LoadCells)
@@ -291,6 +303,46 @@ class Instruments:
                 for start, k in zip(starts, per_foot, strict=True)
             ]
         )
+
+
+def usual_cells(drawing: RobotDrawing) -> LoadCells:
+    """Choose the cells of ``hx711-load-cells`` for a robot, of its size if they were too small."""
+    usual = replace(HX711_LOAD_CELLS, channels=4 * len(drawing.feet))
+    return usual if _bears(usual, drawing) else sized(usual, drawing.weight)
+
+
+def _bears(device: FootDevice, drawing: RobotDrawing) -> bool:
+    """Return whether a foot's instruments are rated for what it has to bear; ideal ones bear everything."""
+    if isinstance(device, LoadCells):
+        ideal = device.adc_bits == 0 and not device.mechanics.acts
+    else:
+        ideal = not device.converts
+    if ideal:
+        return True
+    return _rated(device) >= PEAK * drawing.weight
+
+
+def _rated(device: FootDevice) -> float:
+    """Return the load in N that a foot's instruments are rated for."""
+    return 4.0 * device.capacity if isinstance(device, LoadCells) else device.full_scale_force
+
+
+def _too_small(device: FootDevice, drawing: RobotDrawing) -> str:
+    what = (
+        f"Four load cells of {device.capacity:.4g} N" if isinstance(device, LoadCells) else "Six-axis sensors"
+    )
+    way_out = (
+        "leave 'config' out, which chooses cells of the robot's size, or give "
+        f"sized(config, {drawing.weight:.0f}) of surefoot.sensors"
+        if isinstance(device, LoadCells)
+        else "give a larger ForceTorque.full_scale_force"
+    )
+    least = f"{PEAK * drawing.weight:.0f} N"
+    return (
+        f"{what} are rated for {_rated(device):.0f} N a foot, and a foot of this robot of "
+        f"{drawing.weight:.0f} N bears {least} when it lands: they are overloaded, or read too little. "
+        f"To choose others, {way_out}."
+    )
 
 
 def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> dict[str, float]:

@@ -72,6 +72,12 @@ class RobotDrawing:
     below_cells: BelowSensor | None
     below_ankle: BelowSensor
 
+    @functools.cached_property
+    def weight(self) -> float:
+        """Weight of all that hangs on the torso in N, at 9.81 m/s^2."""
+        model = self.spec().compile()
+        return 9.81 * float(model.body_subtreemass[model.body(self.torso).id])
+
     def spec(self) -> mujoco.MjSpec:
         """Read the skeleton afresh, to perturb in memory and then ``compile()``."""
         return mujoco.MjSpec.from_string(self.xml)

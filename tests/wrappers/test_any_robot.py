@@ -13,8 +13,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 
 from surefoot.envs import InstrumentedEnv
+from surefoot.sensors import preset, sized
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
-from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers import FootSensors, SelfCalibration, TruthRow, VectorFootSensors
 from surefoot.wrappers.belief_errors import NO_ERRORS
 
 ANKLES = "icub-force-torque"
@@ -149,6 +150,45 @@ def test_feet_without_soles_have_forces_and_no_centre_of_pressure() -> None:
     assert np.corrcoef(told, true)[0, 1] > 0.99
     with pytest.raises(ValueError, match=r"The foot 'left_foot' has no area.*six-axis sensors in the ankles"):
         FootSensors(gym.make("Humanoid-v5"))
+
+
+def test_cells_are_of_the_robots_size() -> None:
+    nao, humanoid = (
+        FootSensors(gym.make("surefoot/NaoStand-v0")),
+        FootSensors(gym.make("Humanoid-v5"), soles=True),
+    )
+    usual = preset("hx711-load-cells")
+    assert nao.instruments.parts[0].config == usual
+    (cells,) = (part.config for part in humanoid.instruments.parts)
+    weight = 9.81 * humanoid.unwrapped.model.body_subtreemass[1]
+    assert cells == sized(usual, humanoid.source.drawing.weight)
+    assert 4.0 * cells.capacity > 1.5 * weight
+    hopper = FootSensors(gym.make("Hopper-v5"), feet=("foot",), soles=True)
+    assert hopper.instruments.channels == 4
+
+
+@pytest.mark.parametrize(
+    ("config", "match"),
+    [
+        ("hx711-load-cells", r"Four load cells of 98.1 N are rated for 392 N .* robot of 413 N bears 620 N"),
+        ("ati-mini45", r"Six-axis sensors are rated for 580 N .* give a larger ForceTorque.full_scale_force"),
+    ],
+)
+def test_sensors_that_are_too_small_are_told_of(config: str, match: str) -> None:
+    with pytest.warns(UserWarning, match=match):
+        FootSensors(gym.make("Humanoid-v5"), config, soles=True)
+
+
+def test_many_robots_get_cells_of_their_size() -> None:
+    envs = gym.make_vec(
+        "Humanoid-v5", 2, "sync", wrappers=[lambda env: TruthRow(InstrumentedEnv(env, soles=True))]
+    )
+    sensed = VectorFootSensors(envs)
+    cells = sensed.sensors.instruments.parts[0].config
+    assert cells == sized(preset("hx711-load-cells"), sensed.sensors.drawing.weight)
+    with pytest.warns(UserWarning, match=r"98.1 N are rated for 392 N a foot"):
+        VectorFootSensors(envs, "hx711-load-cells")
+    envs.close()
 
 
 MODEL = """

@@ -42,7 +42,8 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
 
     Args:
         env: A vector environment.
-        config: What is under the feet: a preset's name, a mapping or a configuration.
+        config: What is under the feet: a preset's name, a mapping or a configuration; ``None`` for the cells
+            of ``"hx711-load-cells"``, or larger ones for a robot that is too heavy for these.
         imu: The IMUs, likewise.
         encoders: The joint encoders, likewise.
         link: The links over which encoders and IMUs reach the hosts, likewise.
@@ -62,7 +63,7 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     def __init__(
         self,
         env: VectorEnv[Any, Any, Any],
-        config: str | Mapping[str, Any] | FootDevice = "hx711-load-cells",
+        config: str | Mapping[str, Any] | FootDevice | None = None,
         *,
         imu: str | Mapping[str, Any] | Imu = "nao-imu",
         encoders: str | Mapping[str, Any] | Encoders = "nao-encoders",
@@ -72,10 +73,10 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         stream: int = SENSOR_STREAM,
     ) -> None:
         super().__init__(env)
-        devices = choose_devices("VectorFootSensors", config, imu, encoders, link, severity, stream)
         copies: Any = env.unwrapped
         space: Any = env.single_observation_space
         drawing, meaning = check_copies("VectorFootSensors", space, copies.get_attr)
+        devices = choose_devices("VectorFootSensors", drawing, config, imu, encoders, link, severity, stream)
         count = env.num_envs
         self.sensors = BatchSensors(count, drawing, meaning, devices, stream=stream, fresh=fresh)
         self._view = BatchView(self.sensors, space)

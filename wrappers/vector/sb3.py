@@ -61,7 +61,7 @@ class VecFootSensors(VecEnvWrapper):
     def __init__(
         self,
         venv: VecEnv,
-        config: str | Mapping[str, Any] | FootDevice = "hx711-load-cells",
+        config: str | Mapping[str, Any] | FootDevice | None = None,
         *,
         imu: str | Mapping[str, Any] | Imu = "nao-imu",
         encoders: str | Mapping[str, Any] | Encoders = "nao-encoders",
@@ -70,9 +70,9 @@ class VecFootSensors(VecEnvWrapper):
         fresh: bool = False,
         stream: int = SENSOR_STREAM,
     ) -> None:
-        devices = choose_devices("VecFootSensors", config, imu, encoders, link, severity, stream)
         space: Any = venv.observation_space
         drawing, meaning = check_copies("VecFootSensors", space, venv.get_attr)
+        devices = choose_devices("VecFootSensors", drawing, config, imu, encoders, link, severity, stream)
         self.sensors = BatchSensors(venv.num_envs, drawing, meaning, devices, stream=stream, fresh=fresh)
         self._view = BatchView(self.sensors, space)
         super().__init__(venv, observation_space=self._view.space)

@@ -21,7 +21,7 @@ from surefoot.sensors.select import batch_axes, select
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
 from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
-from surefoot.wrappers.instruments import Instruments
+from surefoot.wrappers.instruments import Instruments, usual_cells
 from surefoot.wrappers.source import check_stream, wants_fresh
 from surefoot.wrappers.telemetry import timely_link
 from surefoot.wrappers.vector.telemetry import BatchTelemetry
@@ -315,7 +315,14 @@ class BatchSensors:
 
 
 def choose_devices(
-    owner: str, feet: Any, imu: Any, encoders: Any, link: Any, severity: float, stream: int
+    owner: str,
+    drawing: RobotDrawing,
+    feet: Any,
+    imu: Any,
+    encoders: Any,
+    link: Any,
+    severity: float,
+    stream: int,
 ) -> Devices:
     """Return configurations of preset names, mappings or configurations.
 
@@ -323,7 +330,7 @@ def choose_devices(
         ValueError: If a name is unknown or a value is refused.
     """
     check_stream(owner, stream)
-    device = foot_device(feet)
+    device = usual_cells(drawing) if feet is None else foot_device(feet)
     chosen = timely_link(link)
     if severity != 1.0:
         device = scaled(device, severity)
