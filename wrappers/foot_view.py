@@ -1,6 +1,6 @@
 """What an agent is shown of calibrated feet: which parts, in which bounds, and what is held when."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import sqrt
 from typing import Any, Final
 
@@ -22,8 +22,29 @@ CERTAINTY: Final = ("foot_force_std", "cop_std")
 CERTAIN_METHODS: Final = ("moment",)
 """Methods that report one."""
 
-PARTS: Final = (*DEFAULT, "wrench", "vgrf", *CERTAINTY, "foot_flags")
+RAW: Final = "foot_raw"
+"""Counts, which :class:`~surefoot.wrappers.FootSensors` shows: millions, hidden unless they are asked for."""
+
+MANY: Final = (*DEFAULT, "foot_load", RAW)
+"""All that can be shown of many robots at once."""
+
+PARTS: Final = (*MANY, "wrench", "vgrf", *CERTAINTY, "foot_flags")
 """All that can be shown."""
+
+
+def check_parts(parts: Sequence[str], known: Sequence[str] = PARTS) -> None:
+    """Raise ValueError if a part does not exist, is named twice, or there is none of calibrated feet."""
+    unknown = [part for part in parts if part not in known]
+    if isinstance(parts, str) or unknown or len(set(parts)) != len(parts) or not set(parts) - {RAW}:
+        raise ValueError(
+            f"'show' must name parts of {known}, each once, got {parts!r}; leave the wrapper out to show "
+            "nothing calibrated."
+        )
+
+
+def seen_below(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
+    """Return what stays of the sensors' observation, or of its space: without counts nobody asks for."""
+    return {key: part for key, part in observed.items() if key != RAW or RAW in parts}
 
 
 def check_certainty(parts: Sequence[str], method: str) -> None:
@@ -46,27 +67,25 @@ class FootView:
         flaw: Why the feet have no centres of pressure, or empty.
 
     Attributes:
-        spaces: The space of each part.
+        spaces: The space of each part that is calibrated.
+        force_bound: Largest force that is shown in N.
+        weight: What the robot believes to weigh in N: the unit of ``"foot_load"``.
 
     Raises:
         ValueError: If a part does not exist, or is named twice.
     """
 
     def __init__(self, parts: Sequence[str], layout: FeetLayout, mass: float, flaw: str = "") -> None:
-        unknown = [part for part in parts if part not in PARTS]
-        if isinstance(parts, str) or unknown or len(set(parts)) != len(parts) or not parts:
-            raise ValueError(
-                f"'show' must name parts of {PARTS}, each once, got {parts!r}; leave the wrapper out to show "
-                "nothing calibrated."
-            )
-        self.parts = tuple(parts)
+        check_parts(parts)
+        self.parts = tuple(part for part in parts if part != RAW)
         self._flawed = bool(flaw)
         channels, feet = layout.channels, len(layout.feet)
         force = max(FORCE_BOUND, 5.0 * mass * GRAVITY)
-        self._force_bound = force
+        self.force_bound, self.weight = force, mass * GRAVITY
         box = spaces.Box
         every: dict[str, spaces.Space[Any]] = {
             "foot_force": box(-force, force, (channels,), np.float32),
+            "foot_load": box(-force / self.weight, force / self.weight, (channels,), np.float32),
             "cop_foot": box(-COP_BOUND, COP_BOUND, (feet, 2), np.float32),
             "cop": box(-COP_BOUND, COP_BOUND, (2,), np.float32),
             "cop_valid": spaces.MultiBinary(1 + feet),
@@ -127,9 +146,15 @@ class FootView:
                 return np.array(self._cop_std, dtype=np.float32)
             case "foot_flags":
                 return np.array(estimate.flags, dtype=np.int32)
-        value = getattr(estimate, part.removeprefix("foot_"))
-        bound = self._force_bound
-        limited: NDArray[Any] = np.minimum(np.maximum(value, -bound), bound).astype(np.float32)
+            case "foot_load":
+                return self._limited(estimate.force, self.weight)
+        return self._limited(getattr(estimate, part.removeprefix("foot_")), 1.0)
+
+    def _limited(self, force: Any, unit: float) -> NDArray[np.float32]:
+        bound = self.force_bound
+        limited: NDArray[np.float32] = (np.minimum(np.maximum(force, -bound), bound) / unit).astype(
+            np.float32
+        )
         return limited
 
 

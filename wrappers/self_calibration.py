@@ -16,7 +16,7 @@ from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.beliefs import Beliefs, nothing, told_reference
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
-from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
+from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty, seen_below
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
 from surefoot.wrappers.nominal import Masses, NominalModel
@@ -58,7 +58,8 @@ class Learnt(NamedTuple):
 class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Calibrate the readings of :class:`FootSensors` while the robot moves, and observe the result.
 
-    The observation keeps ``"foot_raw"`` and gains, from the counts alone, what ``show`` names:
+    The observation gains, from the counts alone, what ``show`` names, and loses ``"foot_raw"`` unless that is
+    named as well: counts are millions, which saturate a policy.
 
     | Key | Observation | Min | Max | Unit |
     |-----|-------------|-----|-----|------|
@@ -66,6 +67,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     | ``"cop_foot"`` (2, 2) | centre of pressure of each foot (left, right), sole frame | -1 | 1 | m |
     | ``"cop"`` (2) | centre of pressure of both feet, level frame | -1 | 1 | m |
     | ``"cop_valid"`` (3) | whether the total, left and right one are defined | 0 | 1 | 1 |
+    | ``"foot_load"`` (K) | ``"foot_force"`` by the robot's weight | -1000 / weight | 1000 / weight | 1 (m) |
+    | ``"foot_raw"`` (K) | readings as they come, see :class:`FootSensors` | 0 | 2^24 - 1 | count |
     | ``"wrench"`` (2, 6) | wrench of the ground on each sole, sole frame | -1000 | 1000 | N, N m |
     | ``"vgrf"`` (2) | vertical force on each foot, level frame | -1000 | 1000 | N |
     | ``"foot_force_std"`` (K) | standard deviation of ``"foot_force"`` | 0 | 1000 | N (N m) |
@@ -94,7 +97,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         initial: The map to start from: ``"nominal"``, the data sheet's; ``"calibrated"``, what a
             calibration from known weights would have found just before the episode; or
             :class:`~surefoot.calibration.Parameters` (also as a mapping).
-        show: What is observed.
+        show: What is observed. For a policy that scales nothing itself, ``("foot_load", "cop_foot", "cop",
+            "cop_valid")``: none of it exceeds the order of one.
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
         fresh: Whether calibration starts fresh at each reset.
         errors: How wrong the robot is about itself, also as a mapping of some of the fields.
@@ -172,7 +176,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
                 f"SelfCalibration(FootSensors(env)). Got {env}."
             )
         sensors.listen()
-        self.observation_space = spaces.Dict(dict(space.spaces) | self._view.spaces)
+        self._show = tuple(show)
+        self.observation_space = spaces.Dict(seen_below(space.spaces, show) | self._view.spaces)
         self.calibrator: FootCalibrator
         self.beliefs: Beliefs
         self.reference: Reference
@@ -290,7 +295,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             reference=told_reference(reference),
             lag=self._late,
         )
-        return observation | self._view.show(estimate, self.beliefs.soles(sensors.time))
+        parts = self._view.show(estimate, self.beliefs.soles(sensors.time))
+        return seen_below(observation, self._show) | parts
 
     def _next_reference(self) -> Reference:
         """Take in the plan and the posture of one more sample, and return the reference for it.

@@ -54,6 +54,8 @@ QUICK: dict[str, Callable[[], gym.Env[Any, Any]]] = {
     "InstrumentedEnv": lambda: InstrumentedEnv(humanoid()),
     "SelfCalibration": calibrated,
     "SelfCalibration of ankles": lambda: calibrated(humanoid(), ANKLES),
+    "SelfCalibration, planar": lambda: calibrated(gym.make("Walker2d-v5"), ANKLES),
+    "SelfCalibration, soles": lambda: SelfCalibration(FootSensors(humanoid(), soles=True)),
     "TruthRow": lambda: TruthRow(humanoid()),
 }
 SLOW: dict[str, Callable[[], gym.Env[Any, Any]]] = {

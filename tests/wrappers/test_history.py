@@ -19,7 +19,7 @@ def test_a_stack_holds_what_was_seen_at_its_moments(make_bare) -> None:
         seen.append(observation["cop"][-1])
         for row, back in enumerate((8, 4, 0)):
             np.testing.assert_array_equal(observation["cop"][row], seen[max(step - back, 0)])
-        assert observation["foot_raw"].shape == (8,)
+        assert observation["foot_force"].shape == (8,)
         observation, *_ = env.step(STILL)
     again, _ = env.reset()
     np.testing.assert_array_equal(again["cop"], np.repeat(again["cop"][-1:], 3, axis=0))

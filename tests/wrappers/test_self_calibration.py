@@ -11,6 +11,7 @@ from surefoot.calibration import FootCalibrator, Parameters
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.contacts import CONTACT_MARGIN, Plan
+from surefoot.wrappers.foot_view import DEFAULT
 
 STILL = np.zeros(11, dtype=np.float32)
 
@@ -50,11 +51,13 @@ def test_truth_is_never_looked_at(method: str, make_bare) -> None:
 
 
 def test_what_is_shown_is_the_calibrated_count(make_bare) -> None:
-    env = SelfCalibration(FootSensors(make_bare()), "window")
+    env = SelfCalibration(FootSensors(make_bare()), "window", show=(*DEFAULT, "foot_raw", "foot_load"))
+    weight = 9.81 * env._model.mass
     for observation, info in walk(env, 150):
         scale, offset = info["surefoot"]["parameters"].values()
         force = scale * observation["foot_raw"] + offset
         np.testing.assert_allclose(observation["foot_force"], force, atol=1e-3)
+        np.testing.assert_allclose(weight * observation["foot_load"], force, atol=0.2)
         assert info["surefoot"]["covariance"] is None
         assert info["surefoot"]["flags"].shape == (8,)
         np.testing.assert_allclose(info["surefoot"]["vgrf"].sum(), force.sum(), rtol=0.02, atol=0.2)
@@ -82,7 +85,7 @@ def test_another_calibrator_given_the_same_reports_the_same(make_bare) -> None:
 def test_the_same_seed_under_every_method_is_the_same_stream(make_bare) -> None:
     streams = []
     for method, initial in (("none", "nominal"), ("window", "nominal"), ("tare", "calibrated")):
-        env = SelfCalibration(FootSensors(make_bare()), method, initial=initial)
+        env = SelfCalibration(FootSensors(make_bare()), method, initial=initial, show=("cop", "foot_raw"))
         streams.append([(o["foot_raw"], i["surefoot"]["reference"]["com"]) for o, i in walk(env, 40)])
     for other in streams[1:]:
         for (raw, com), (same_raw, same_com) in zip(streams[0], other, strict=True):

@@ -6,7 +6,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import surefoot  # noqa: F401
@@ -323,3 +325,56 @@ def test_one_may_listen_later() -> None:
     for _ in range(3):
         observations, *_ = envs.step(still)
     assert np.isfinite(observations["foot_force"]).all()
+
+
+SEEN = ("foot_load", "cop_foot", "cop", "cop_valid")
+
+
+def _saturated(model: Any, venv: Any) -> float:
+    """Share of the first layer's outputs beyond 0.99, over units and varied observations."""
+    rng, seen = np.random.default_rng(0), [venv.reset()]
+    for _ in range(150):
+        # Falls and goes on: hardly two observations are alike.
+        action = rng.uniform(-0.5, 0.5, (venv.num_envs, *venv.action_space.shape)).astype(np.float32)
+        seen.append(venv.step(action)[0])
+    observed = {key: np.concatenate([one[key] for one in seen]) for key in seen[0]}
+    assert np.ptp(observed["state"], axis=0).max() > 1.0
+    assert np.ptp(observed["foot_load"], axis=0).max() > 0.1
+    with torch.no_grad():
+        features = model.policy.extract_features(model.policy.obs_to_tensor(observed)[0])
+        first: Any = model.policy.mlp_extractor.policy_net[:2](features)
+    return float((first.abs() > 0.99).float().mean())
+
+
+@pytest.mark.parametrize("steps", [256, pytest.param(4096, marks=pytest.mark.slow)])
+def test_a_policy_of_sb3_sees_its_feet_and_counts_would_blind_it(steps: int) -> None:
+    torch.set_num_threads(1)
+    shares = {}
+    for show in (SEEN, (*SEEN, "foot_raw")):
+        copies = [partial(_copy, None, "Balance", stand_time=0.1)] * 2
+        venv = VecSelfCalibration(VecFootSensors(DummyVecEnv(copies), fresh=True), show=show)
+        model = PPO("MultiInputPolicy", venv, n_steps=128, n_epochs=4, seed=0, device="cpu")
+        shares[show] = [_saturated(model, venv)]
+        model.learn(steps)
+        shares[show].append(_saturated(model, venv))
+    assert max(shares[SEEN]) < 0.05
+    assert min(shares[(*SEEN, "foot_raw")]) > 0.95
+
+
+@pytest.mark.parametrize("show", [("foot_load", "cop"), ("cop", "foot_raw"), ("foot_force", "foot_load")])
+def test_what_is_shown_of_many_is_chosen_and_the_same_everywhere(show: tuple[str, ...]) -> None:
+    envs = _vector(show=show)
+    venv = VecSelfCalibration(VecFootSensors(DummyVecEnv(_functions())), show=show)
+    assert set(envs.single_observation_space) == set(venv.observation_space) == {"state", *show}
+    seen, _ = envs.reset(seed=0)
+    assert envs.observation_space.contains(seen)
+    assert set(seen) == set(venv.reset()) == {"state", *show}
+    if "foot_force" in show:
+        weight = 9.81 * envs.calibration._mass
+        np.testing.assert_allclose(weight * seen["foot_load"], seen["foot_force"], rtol=1e-5)
+
+
+@pytest.mark.parametrize("show", [("wrench",), "cop", ("cop", "cop"), ("foot_raw",)])
+def test_what_cannot_be_shown_of_many_is_refused(show: Any) -> None:
+    with pytest.raises(ValueError, match=r"'show' must name parts of \('foot_force', .*, each once"):
+        _vector(show=show)

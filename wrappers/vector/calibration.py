@@ -8,7 +8,7 @@ calibrator knows one of each. Both are taken out of what it sees: in units of it
 the Newton-Euler equations are those of a robot of mass M, and F m / M is the force again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import ceil
 from typing import Any
 
@@ -68,6 +68,7 @@ class BatchCalibration:
         method: str,
         *,
         initial: str | Parameters | Mapping[str, Any],
+        show: Sequence[str],
         lag: int | None,
         fresh: bool,
         errors: BeliefErrors,
@@ -97,7 +98,7 @@ class BatchCalibration:
             options=layout_options(instruments.layout, drawing, method) | dict(options),
         )
         self._method = online_method(method, self._setup, **own)
-        self.feet = BatchFeet(sensors.count, instruments.layout, self._mass, drawing.flaw)
+        self.feet = BatchFeet(sensors.count, instruments.layout, self._mass, drawing.flaw, show)
         self._beliefs = self._make_beliefs(averaged=True)
         sensors.listen()
         self._rng = np.random.default_rng()
@@ -160,7 +161,7 @@ class BatchCalibration:
             scale=self.parameters.scale,
             offset=self.parameters.offset,
         )
-        self.feet.show(estimate, *self._beliefs.soles())
+        self.feet.take(estimate, *self._beliefs.soles())
 
     def begin_episode(self, mask: Mask) -> None:
         """Take in robots whose next episode starts within the step that ended one, after the sensors."""

@@ -1,5 +1,6 @@
 """What is observed of the calibrated feet of N robots."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from surefoot.calibration import FeetLayout
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.envs.observation import COP_BOUND
-from surefoot.wrappers.foot_view import DEFAULT, FootView
+from surefoot.wrappers.foot_view import DEFAULT, MANY, FootView, check_parts, seen_below
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,18 +23,28 @@ class BatchFeet:
     Args:
         count: Number of robots N.
         layout: The two feet and their channels.
-        mass: Mass that a robot believes it has in kg, for the bounds.
+        mass: Mass that a robot believes it has in kg, for the bounds and the unit of loads.
         flaw: Why the feet have no centres of pressure, or empty.
+        show: Names among :data:`~surefoot.wrappers.foot_view.MANY`.
+
+    Raises:
+        ValueError: If a part does not exist, or is named twice.
 
     Attributes:
+        show: As given.
         spaces: The space of each part for one robot.
         shown: What is observed now, each with the robots in front; arrays that later steps do not change.
         stepped: The same at the end of the last step, before the next episodes started.
     """
 
-    def __init__(self, count: int, layout: FeetLayout, mass: float, flaw: str) -> None:
-        self.spaces: dict[str, spaces.Space[Any]] = FootView(DEFAULT, layout, mass, flaw).spaces
-        self._bound = float(self.spaces["foot_force"].high[0])  # type: ignore[attr-defined]
+    def __init__(
+        self, count: int, layout: FeetLayout, mass: float, flaw: str, show: Sequence[str] = DEFAULT
+    ) -> None:
+        check_parts(show, MANY)
+        self.show = tuple(show)
+        view = FootView(show, layout, mass, flaw)
+        self.spaces: dict[str, spaces.Space[Any]] = view.spaces
+        self._weight, self._bound = view.weight, view.force_bound
         self._flawed = bool(flaw)
         self._wrench_map = layout.wrench_map.reshape(-1, layout.channels).T
         self._cop: Floats = np.zeros((count, 2))
@@ -49,7 +60,7 @@ class BatchFeet:
         self._cop[mask] = 0.0
         self._cop_foot[mask] = 0.0
 
-    def show(self, estimate: Estimate, place: Floats, heading: Floats) -> None:
+    def take(self, estimate: Estimate, place: Floats, heading: Floats) -> None:
         """Show one sample of all robots.
 
         Args:
@@ -67,8 +78,8 @@ class BatchFeet:
         Args:
             mask: These robots, shape (N,).
             force: Calibrated channels of all robots in N, shape (N, K).
-            place: As of :meth:`show`.
-            heading: As of :meth:`show`.
+            place: As of :meth:`take`.
+            heading: As of :meth:`take`.
         """
         wrench = (force @ self._wrench_map).reshape(len(force), 2, 6)
         fz = wrench[..., 2]
@@ -103,13 +114,18 @@ class BatchFeet:
 
     def _parts(self, force: Floats, valid: Mask) -> dict[str, NDArray[Any]]:
         limited = np.minimum(np.maximum(force, -self._bound), self._bound)
-        seen = valid & False if self._flawed else valid
-        return {
-            "foot_force": limited.astype(np.float32),
-            "cop_foot": self._cop_foot.astype(np.float32),
-            "cop": self._cop.astype(np.float32),
-            "cop_valid": seen.astype(np.int8),
+        every = {
+            "foot_force": limited,
+            "foot_load": limited / self._weight,
+            "cop_foot": self._cop_foot,
+            "cop": self._cop,
+            "cop_valid": valid & False if self._flawed else valid,
         }
+        return {part: every[part].astype(space.dtype) for part, space in self.spaces.items()}
+
+    def around(self, observed: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
+        """Put parts beside what the sensors show."""
+        return {**seen_below(observed, self.show), **parts}
 
 
 def _bounded(place: Floats) -> Floats:

@@ -17,6 +17,7 @@ from surefoot.sensors import Encoders, Imu, Link
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
+from surefoot.wrappers.foot_view import DEFAULT
 from surefoot.wrappers.self_calibration import BELIEF_STREAM
 from surefoot.wrappers.vector.calibration import BatchCalibration
 from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
@@ -119,6 +120,7 @@ class VecSelfCalibration(VecEnvWrapper):
         venv: :class:`VecFootSensors` around a vector environment.
         method: As of :class:`~surefoot.wrappers.vector.self_calibration.VectorSelfCalibration`, like all.
         initial: The map to start from.
+        show: What is observed.
         lag: How many samples ago a reference describes the feet.
         fresh: Whether the calibration of a robot starts fresh at each of its resets.
         errors: How wrong the robots are about themselves, also as a mapping of some of the fields.
@@ -139,6 +141,7 @@ class VecSelfCalibration(VecEnvWrapper):
         method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
+        show: Sequence[str] = DEFAULT,
         lag: int | None = None,
         fresh: bool = False,
         errors: BeliefErrors | Mapping[str, Any] = USUAL,
@@ -155,6 +158,7 @@ class VecSelfCalibration(VecEnvWrapper):
             venv.sensors,
             method,
             initial=initial,
+            show=show,
             lag=lag,
             fresh=fresh,
             errors=belief_errors(errors, options),
@@ -162,14 +166,15 @@ class VecSelfCalibration(VecEnvWrapper):
             options=options,
         )
         space: Any = venv.observation_space
-        shown = spaces.Dict(dict(space.spaces) | self.calibration.feet.spaces)
+        feet = self.calibration.feet
+        shown = spaces.Dict(feet.around(space.spaces, feet.spaces))
         super().__init__(venv, observation_space=shown)
 
     def reset(self) -> dict[str, Any]:
         """Reset all robots; calibration starts fresh if they were seeded."""
         observations = self._feet.reset()
         self.calibration.reset(None, self._feet.seeds)
-        return {**observations, **self.calibration.feet.shown}
+        return self.calibration.feet.around(observations, self.calibration.feet.shown)
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """Finish a step and calibrate by one sample."""
@@ -177,8 +182,10 @@ class VecSelfCalibration(VecEnvWrapper):
         calibration = self.calibration
         calibration.step()
         for robot in np.flatnonzero(dones).tolist():
-            final = {**infos[robot]["terminal_observation"], **calibration.feet.last_of(robot)}
+            final = calibration.feet.around(
+                infos[robot]["terminal_observation"], calibration.feet.last_of(robot)
+            )
             infos[robot] = {**infos[robot], "terminal_observation": final}
         if dones.any():
             calibration.begin_episode(dones)
-        return {**observations, **calibration.feet.shown}, rewards, dones, infos
+        return calibration.feet.around(observations, calibration.feet.shown), rewards, dones, infos

@@ -1,6 +1,6 @@
 """Self-calibration of many robots while they walk, each with what it knows of itself."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
+from surefoot.wrappers.foot_view import DEFAULT
 from surefoot.wrappers.self_calibration import BELIEF_STREAM
 from surefoot.wrappers.source import find_sensors, split_options
 from surefoot.wrappers.vector.calibration import BatchCalibration
@@ -20,9 +21,10 @@ from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
 class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
-    The observation keeps ``"foot_raw"`` and gains ``"foot_force"`` (N, K), ``"cop_foot"`` (N, 2, 2),
-    ``"cop"`` (N, 2) and ``"cop_valid"`` (N, 3) as :class:`~surefoot.wrappers.SelfCalibration` has them for
-    one robot. The robots are calibrated by one calibrator for all, each with errors of its own beliefs.
+    The observation loses ``"foot_raw"`` and gains ``"foot_force"`` (N, K), ``"cop_foot"`` (N, 2, 2),
+    ``"cop"`` (N, 2) and ``"cop_valid"`` (N, 3), or what else ``show`` names, as
+    :class:`~surefoot.wrappers.SelfCalibration` has them for one robot. The robots are calibrated by one
+    calibrator for all, each with errors of its own beliefs.
 
     ``infos["surefoot"]`` gains ``"parameters"`` and ``"lag"`` (N), and at steps ``"flags"`` (N, K),
     ``"vgrf"`` (N, 2) N and ``"reference"``: a reset only applies what was learnt to the first readings. All
@@ -38,6 +40,8 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         method: A key of :data:`surefoot.calibration.METHODS`.
         initial: The map to start from: ``"nominal"``, ``"calibrated"`` or
             :class:`~surefoot.calibration.Parameters`.
+        show: What is observed: of these four, ``"foot_load"`` (N, K), forces in body weights, and
+            ``"foot_raw"`` (N, K).
         lag: How many samples ago a reference describes the feet; by default as few as the link allows.
         fresh: Whether the calibration of a robot starts fresh at each of its resets.
         errors: How wrong the robots are about themselves, also as a mapping of some of the fields.
@@ -59,6 +63,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         method: str = "moment",
         *,
         initial: str | Parameters | Mapping[str, Any] = "nominal",
+        show: Sequence[str] = DEFAULT,
         lag: int | None = None,
         fresh: bool = False,
         errors: BeliefErrors | Mapping[str, Any] = USUAL,
@@ -71,6 +76,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
             self._sensors,
             method,
             initial=initial,
+            show=show,
             lag=lag,
             fresh=fresh,
             errors=belief_errors(errors, options),
@@ -83,7 +89,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
                 "VectorSelfCalibration adds to a Dict of observations, as VectorFootSensors shows them, and "
                 f"found {type(space).__name__}; put whatever changes observations around both."
             )
-        single = spaces.Dict(dict(space.spaces) | self.calibration.feet.spaces)
+        single = spaces.Dict(self.calibration.feet.around(space.spaces, self.calibration.feet.spaces))
         self.single_observation_space = single
         self.observation_space = batch_space(single, env.num_envs)
 
@@ -101,7 +107,8 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         mask = None if rest is None else rest.get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)
         self.calibration.reset(mask, seed, asked.get("calibration"))
-        return {**observations, **self.calibration.feet.shown}, self._with_calibration(infos, False)
+        feet = self.calibration.feet
+        return feet.around(observations, feet.shown), self._with_calibration(infos, False)
 
     def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], Infos]:
         """Step all robots and calibrate by one sample."""
@@ -111,10 +118,10 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         if started_within is not None:
             finals = infos["final_obs"].copy()
             for robot in np.flatnonzero(started_within).tolist():
-                finals[robot] = {**finals[robot], **calibration.feet.last_of(robot)}
+                finals[robot] = calibration.feet.around(finals[robot], calibration.feet.last_of(robot))
             infos = {**infos, "final_obs": finals}
             calibration.begin_episode(started_within)
-        shown = {**observations, **calibration.feet.shown}
+        shown = calibration.feet.around(observations, calibration.feet.shown)
         return shown, rewards, terminations, truncations, self._with_calibration(infos, True)
 
     def _with_calibration(self, infos: Infos, stepped: bool) -> Infos:
