@@ -37,7 +37,7 @@ from surefoot.calibration.in_situ.covariance import (
     with_disagreement,
     with_rows,
 )
-from surefoot.calibration.in_situ.data import InSituSet, about_one_temperature
+from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.factory import choose_shares, leaning_matrix, likely_shares
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.hypotheses import Evidence, explained
@@ -69,6 +69,7 @@ from surefoot.calibration.in_situ.solve import (
     starts,
     transforms,
 )
+from surefoot.calibration.in_situ.temperature import about_one_temperature, with_gains
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats, accepting
 
 __all__ = ["calibrate_in_situ"]
@@ -219,6 +220,8 @@ def _fit(
     found = minima(problem, first)
     check_rotation(found)
     solution = found[0]
+    if reference is not None and not rank.missing:
+        problem, solution = with_gains(problem, solution, options) or (problem, solution)
     if loops:
         problem, solution = with_hysteresis(sets, problem, solution, options) or (problem, solution)
         warnings += check_within(sets, problem.sets, options)
@@ -379,8 +382,8 @@ def _leaning(
 
 def _limb_alone(problem: Problem, solution: Solution) -> tuple[float, float] | None:
     """Return the limb's mass and its deviation in kg by the readings; None if they do not determine it."""
-    of_loops = problem.limb_root[-AXES:] if problem.hysteresis else problem.limb_root[:0]
-    free = replace(problem, limb_root=of_loops, prior_response=None)
+    of_limb = len(problem.limb_root) - (problem.parameters - problem.of_loads.start)
+    free = replace(problem, limb_root=problem.limb_root[of_limb:], prior_response=None)
     if data_rank(free, solution.limb).missing:
         return None
     alone = solve(free, [solution.outer])
@@ -425,6 +428,7 @@ def _outcome(
         set_stats=set_stats,
         affine_residual=np.array([part.affine_residual for part in parts]),
         set_names=tuple(part.name for part in parts),
+        temperature_gain=solution.limb[problem.of_loads][: problem.gains] if problem.gains else None,
         hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
         channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
     )

@@ -9,13 +9,13 @@ Conventions of this part of the library:
   reads. While the limb moves it is g - a with the acceleration a of the sensor's origin.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["InSituSet", "about_one_temperature"]
+__all__ = ["InSituSet"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,33 +96,3 @@ class InSituSet:
         if array.shape != shape:
             raise ValueError(f"'{self.name}': '{name}' must have shape {shape}, got {array.shape}.")
         object.__setattr__(self, name, array)
-
-
-_LEAST_WARMING = 0.3
-"""Standard deviation in K that a temperature must have within sets to show its effect."""
-
-
-def about_one_temperature(
-    sets: tuple[InSituSet, ...],
-) -> tuple[tuple[InSituSet, ...], float | None, tuple[str, ...]]:
-    """Return sets with temperatures less their mean, the mean in their unit, and warnings.
-
-    Temperatures that show no effect are left out; the mean is None then.
-    """
-    given = [data.temperature for data in sets if data.temperature is not None]
-    if not given:
-        return sets, None, ()
-    without = tuple(replace(data, temperature=None) for data in sets)
-    if len(given) < len(sets):
-        missing = ", ".join(f"'{data.name}'" for data in sets if data.temperature is None)
-        return without, None, (f"{missing} has no temperature, so that of the others was left out.",)
-    within = float(np.sqrt(np.mean([np.nanvar(one) for one in given])))
-    if within < _LEAST_WARMING:
-        warning = (
-            f"The temperature varies by {within:.2g} K within sets, too little to show its effect "
-            f"({_LEAST_WARMING} K): it was left out."
-        )
-        return without, None, (warning,)
-    mean = float(np.nanmean(np.concatenate(given)))
-    centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
-    return tuple(centred), mean, ()

@@ -102,6 +102,8 @@ class InSituFit:
         affine_residual: Share of a set's spread that leaves the three-space of Lemma 1, shape (J,).
         set_names: What messages call the sets.
         temperature_reference: Temperature at which the offsets hold.
+        temperature_gain: What each axis reads more per K, as a share of its load, shape (6,); None if that
+            was not seen.
         hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if loads
             were not seen to lag.
         channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
@@ -127,6 +129,7 @@ class InSituFit:
     affine_residual: NDArray[np.float64]
     set_names: tuple[str, ...]
     temperature_reference: float = 0.0
+    temperature_gain: NDArray[np.float64] | None = None
     hysteresis: NDArray[np.float64] | None = None
     channel_hysteresis: NDArray[np.float64] | None = None
     data_share: NDArray[np.float64] | None = None
@@ -173,10 +176,13 @@ class InSituFit:
             What the limb exerts on the robot, at and in the sensor's frame, shape (..., 6).
         """
         o = self.offset if offset is None else np.asarray(offset)
+        gain: NDArray[np.float64] | float = 1.0
         if temperature is not None and self.temperature_coefficient is not None:
-            warmer = np.asarray(temperature, dtype=np.float64) - self.temperature_reference
-            o = o + warmer[..., None] * self.temperature_coefficient
-        return np.asarray((np.asarray(raw, dtype=np.float64) - o) @ self.matrix.T)
+            warmer = (np.asarray(temperature, dtype=np.float64) - self.temperature_reference)[..., None]
+            o = o + warmer * self.temperature_coefficient
+            if self.temperature_gain is not None:
+                gain = 1.0 + warmer * self.temperature_gain
+        return np.asarray((np.asarray(raw, dtype=np.float64) - o) @ self.matrix.T / gain)
 
 
 def error_covariance(fit: InSituFit) -> Matrix:

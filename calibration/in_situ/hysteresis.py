@@ -15,7 +15,7 @@ Loads may lag, axis by axis, as a spring body does, or the readings of gauges, c
 does: then p is that of each channel's own load A_c w, and acts on the readings directly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from surefoot.calibration.in_situ.compress import with_signals
-from surefoot.calibration.in_situ.covariance import noise_level, whitening
+from surefoot.calibration.in_situ.covariance import UNUSED, noise_level, whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import AXES, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, solve, transforms
 
-__all__ = ["lag_signals", "with_hysteresis"]
+__all__ = ["beside_loads", "criterion", "lag_signals", "with_hysteresis"]
 
 Matrix = NDArray[np.float64]
 
@@ -66,19 +66,19 @@ def with_hysteresis(
     """
     if sum(part.rows for part in problem.sets) < _ROWS_EACH * problem.inputs * len(problem.sets):
         return None
-    plain = _criterion(problem, solution)
+    plain = criterion(problem, solution)
     kinds = (_of_loads(sets, problem, solution, options), _of_channels(sets, problem, solution, options))
     # What leads the load is no hysteresis but two clocks that disagree.
     lagging = [fitted for fitted in kinds if _lags(loop_shares(*fitted))]
-    best = min(lagging, key=lambda fitted: _criterion(*fitted), default=None)
-    return best if best is not None and _criterion(*best) < plain else None
+    best = min(lagging, key=lambda fitted: criterion(*fitted), default=None)
+    return best if best is not None and criterion(*best) < plain else None
 
 
 def _lags(shares: NDArray[np.float64]) -> bool:
     return bool(np.max(shares) > 0.0 and np.min(shares) > -_LEADS * np.max(shares))
 
 
-def _criterion(problem: Problem, solution: Solution) -> float:
+def criterion(problem: Problem, solution: Solution) -> float:
     """Return minus twice the log-likelihood, with Schwarz's penalty for what was free to fit (1978).
 
     That is the solution's unknowns alone: what the sets' own maps leave and what the solution leaves of
@@ -88,7 +88,7 @@ def _criterion(problem: Problem, solution: Solution) -> float:
     unwhiten = np.linalg.inv(problem.whitening).T
     scatter = sum(part.scatter for part in problem.sets)
     for part, residual in zip(problem.sets, solution.residual @ unwhiten, strict=True):
-        scatter = scatter + residual.T @ np.linalg.pinv(part.gram, hermitian=True) @ residual
+        scatter = scatter + residual.T @ np.linalg.pinv(part.gram, UNUSED, hermitian=True) @ residual
     size = np.sqrt(np.diag(scatter))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
     free = solution.jacobian.shape[1]
@@ -99,17 +99,40 @@ def _criterion(problem: Problem, solution: Solution) -> float:
 def _of_loads(
     sets: Sequence[InSituSet], plain: Problem, solution: Solution, options: InSituOptions
 ) -> tuple[Problem, Solution]:
-    limb_root = block_diag(plain.limb_root, np.eye(AXES) / _SHARE_STD)
+    def lags(problem: Problem, solution: Solution) -> list[Matrix]:
+        return _at_rows(sets, plain, lag_signals(_loads(sets, problem, solution)))
+
+    return beside_loads(plain, solution, lags, _SHARE_STD, options)
+
+
+def beside_loads(
+    plain: Problem,
+    solution: Solution,
+    columns: Callable[[Problem, Solution], list[Matrix]],
+    std: float,
+    options: InSituOptions,
+) -> tuple[Problem, Solution]:
+    """Return the problem with signals that follow from the loads, and its solution.
+
+    Each is one more parameter behind the limb's: what an axis reads of its signal.
+
+    Args:
+        plain: The problem without.
+        solution: Its solution.
+        columns: Returns the signals of the axes at the rows of each set, shape (m, 6), by a solution.
+        std: Expected size of the parameters.
+        options: Of the fit.
+    """
+    limb_root = block_diag(plain.limb_root, np.eye(AXES) / std)
     p, _, s = plain.basis.shape
     basis = np.zeros((p + AXES, AXES, s + AXES))
     basis[:p, :, :s] = plain.basis
-    # Each axis's lag, times its share, adds to the wrench along that axis.
+    # Each axis's signal, times its parameter, adds to the wrench along that axis.
     basis[p:, :, s:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
     problem = plain
     start = np.concatenate([solution.limb, np.zeros(AXES), solution.outer[plain.parameters :]])
     for _ in range(_ROUNDS):
-        lags = lag_signals(_loads(sets, problem, solution))
-        parts = with_signals(plain.sets, _at_rows(sets, plain, lags), options, first=s)
+        parts = with_signals(plain.sets, columns(problem, solution), options, first=s)
         problem = replace(
             plain,
             sets=parts,

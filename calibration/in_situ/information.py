@@ -172,7 +172,7 @@ def _sizes(problem: Problem, solution: Solution) -> Vector:
     reach = max(float(np.linalg.norm(solution.limb[MOMENT])) / max(mass, np.finfo(float).tiny), _REACH)
     limb = np.full(problem.outer, mass * reach**2)
     limb[MASS], limb[MOMENT] = mass, mass * reach
-    limb[problem.loops] = 1.0
+    limb[problem.of_loads] = 1.0
     limb[problem.parameters :] = 1.0
     return np.concatenate([np.tile(columns, len(white)), limb])
 

@@ -85,6 +85,7 @@ class Problem:
         prior_shares: How far each column of A may be from the factory's, as a share of its size, shape (6,).
         limb: Expected inertial parameters, shape (p,); zero where nothing is known.
         limb_root: Rows that weigh phi - limb, shape (q, p).
+        gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
         level: Variance of the rows' noise over that of white noise. Rows of what is known beforehand are as
             much heavier: what hangs together in time must not overrule it.
     """
@@ -101,6 +102,7 @@ class Problem:
     prior_shares: Vector
     limb: Vector
     limb_root: Matrix
+    gains: int = 0
     level: float = 1.0
 
     @property
@@ -109,14 +111,19 @@ class Problem:
         return len(self.limb)
 
     @property
-    def loops(self) -> slice:
-        """Places of the shares of the axes' hysteresis in the parameters, behind the limb's; or empty."""
+    def of_loads(self) -> slice:
+        """Places of what makes a load act on itself in the parameters, behind the limb's; or empty."""
         return slice(MOVING if self.moving else STATIC, self.parameters)
+
+    @property
+    def loops(self) -> slice:
+        """Places of the shares of the axes' hysteresis in the parameters; or empty."""
+        return slice(self.of_loads.start + self.gains, self.parameters)
 
     @property
     def hysteresis(self) -> bool:
         """Whether the axes' hysteresis is part of the problem."""
-        return self.parameters > (MOVING if self.moving else STATIC)
+        return bool(self.parameters > self.of_loads.start + self.gains)
 
     @property
     def inputs(self) -> int:

@@ -26,7 +26,8 @@ _CONVENTIONS = (
     "response is counts per N and N m: raw = response wrench + offset",
     "offset is that of the last set at its end, offset_of_each_set_count those in the middle of each set; "
     "with a temperature coefficient, raw = response wrench + offset + coefficient (temperature_degC - "
-    "temperature_reference_degC)",
+    "temperature_reference_degC); with a temperature gain each axis of the wrench counts for 1 + gain times "
+    "that difference",
     "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
 )
 _NAMES = {
@@ -36,6 +37,7 @@ _NAMES = {
     "response": "response_count_per_N_Nm",
     "noise": "noise_covariance_count2",
     "temperature_coefficient": "temperature_coefficient_count_per_K",
+    "temperature_gain": "temperature_gain_per_K",
     "hysteresis": "hysteresis_share_of_swing",
     "channel_hysteresis": "hysteresis_share_of_swing_of_each_channel",
     "rotation": "R_sensor_accelerometer",

@@ -165,6 +165,58 @@ def test_finds_the_temperature_coefficient():
     np.testing.assert_allclose(hot, 0.0, atol=0.5)
 
 
+def warmed_sets(rng, gain, swing=15.0, n=1500):
+    """Sets of a leg that warms and cools by 15 K, whose offsets and gains (1/K) go with it."""
+    sets, offset = noisy_sets("leg", rng, n=n)
+    matrix, coefficient, warmed = SENSORS["leg"][0], np.array([2.0, -1.0, 0.5, 0.4, -1.5, 2.0]), []
+    for j, one in enumerate(sets):
+        warmer = 0.5 * swing * np.sin(np.linspace(0.0, 2.2 + 0.7 * j, n) + j)
+        more = ((one.raw - offset) @ matrix.T * gain * warmer[:, None]) @ np.linalg.inv(matrix).T
+        raw = one.raw + more + np.outer(warmer, coefficient)
+        warmed.append(replace(one, raw=raw, temperature=25.0 + warmer + 0.05 * rng.standard_normal(n)))
+    return warmed, offset
+
+
+GAIN = 1e-3 * np.array([0.8, 0.6, -0.5, 0.7, 0.9, -0.6])
+WIDE = InSituOptions(residual_tolerance=0.5, mass_tolerance=0.5, scale_tolerance=0.5, axis_tolerance=5.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gain_that_goes_with_the_temperature_is_found(seed):
+    warmed, _ = warmed_sets(np.random.default_rng([29, seed]), GAIN)
+    fit = calibrate_in_situ(warmed)
+    np.testing.assert_allclose(fit.temperature_gain, GAIN, atol=1.5e-4)
+    mass = SENSORS["leg"][1]
+    assert abs(fit.limb.mass - mass) < 4.0 * fit.limb_mass_std
+    # Readings of one load, cold and hot, are one wrench.
+    cold, hot = fit.temperature_reference - 7.0, fit.temperature_reference + 7.0
+    load = np.array([10.0, -20.0, 30.0, 1.0, -2.0, 0.5])
+    for kelvin in (cold, hot):
+        warmer = kelvin - fit.temperature_reference
+        raw = fit.response @ (load * (1.0 + warmer * fit.temperature_gain)) + fit.offset
+        raw = raw + warmer * fit.temperature_coefficient
+        np.testing.assert_allclose(fit.wrench(raw, temperature=kelvin), load, rtol=1e-9)
+    cool = calibrate_in_situ([replace(one, temperature=None) for one in warmed], options=WIDE, refuse=False)
+    true = np.linalg.inv(SENSORS["leg"][0])
+    ours, without = (np.linalg.norm(f.matrix @ true - np.eye(6)) for f in (fit, cool))
+    assert ours < 0.5 * without or np.isnan(without)
+
+
+def test_a_gain_that_stays_is_none():
+    warmed, _ = warmed_sets(np.random.default_rng(30), np.zeros(6))
+    fit = calibrate_in_situ(warmed)
+    assert fit.temperature_gain is None
+    assert fit.temperature_coefficient is not None
+
+
+def test_a_temperature_that_goes_with_gravity_is_left_out():
+    sets, _ = noisy_sets("leg", np.random.default_rng(31))
+    sets = [replace(one, temperature=25.0 + one.gravity[:, 0]) for one in sets]
+    fit = calibrate_in_situ(sets)
+    assert fit.temperature_coefficient is None
+    assert any("went with gravity" in warning for warning in fit.warnings)
+
+
 def test_the_temperature_of_a_leaning_fit_is_its_own():
     matrix, mass, com, _ = SENSORS["foot"]
     sets, _ = noisy_sets("foot", np.random.default_rng(23), n=1000, count=1)

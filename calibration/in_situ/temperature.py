@@ -1,0 +1,115 @@
+r"""The temperature as a regressor of offset and gain.
+
+A sensor that warms by :math:`\theta` reads
+
+.. math:: r = A (1 + \theta\, \mathrm{diag}(\gamma)) w + o + \tau \theta + e,
+
+with a coefficient :math:`\tau` of each channel's offset (Andrade Chavez et al., Sensors 2019, 19, 5521) and
+:math:`\gamma` of each axis's gain: a spring that gives way more when it is warm. The offset's is a signal
+that acts on the readings directly; the gain's is one that follows from the load, :math:`\theta w`. The mean
+temperature is that at which matrix and offsets hold.
+
+A temperature that hardly varies within sets, or that went with gravity, shows no effect and is left out. The
+gain's takes part if it is worth its six parameters (Schwarz, 1978).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.in_situ.compress import CompressedSet
+from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.hysteresis import beside_loads, criterion
+from surefoot.calibration.in_situ.model import AXES
+from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ.solve import Problem, Solution, transforms
+
+__all__ = ["about_one_temperature", "with_gains"]
+
+Matrix = NDArray[np.float64]
+
+_LEAST_WARMING = 0.3
+"""Standard deviation in K that a temperature must have within sets to show its effect."""
+
+_LEAST_LEFT = 0.1
+"""Share of its spread that what gravity explains must leave of a temperature."""
+
+_GAIN_STD = 0.005
+"""Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
+
+
+def about_one_temperature(
+    sets: tuple[InSituSet, ...],
+) -> tuple[tuple[InSituSet, ...], float | None, tuple[str, ...]]:
+    """Return sets with temperatures less their mean, the mean in their unit, and warnings.
+
+    Temperatures that show no effect are left out; the mean is None then.
+    """
+    given = [data.temperature for data in sets if data.temperature is not None]
+    if not given:
+        return sets, None, ()
+    without = tuple(replace(data, temperature=None) for data in sets)
+    if len(given) < len(sets):
+        missing = ", ".join(f"'{data.name}'" for data in sets if data.temperature is None)
+        return without, None, (f"{missing} has no temperature, so that of the others was left out.",)
+    within = float(np.sqrt(np.mean([np.nanvar(one) for one in given])))
+    if within < _LEAST_WARMING:
+        warning = (
+            f"The temperature varies by {within:.2g} K within sets, too little to show its effect "
+            f"({_LEAST_WARMING} K): it was left out."
+        )
+        return without, None, (warning,)
+    left = _beside_gravity(sets)
+    if left < _LEAST_LEFT:
+        warning = (
+            f"The temperature went with gravity: what gravity explains leaves {left:.0%} of its spread. It "
+            "was left out; let the sensor warm or cool while the limb turns several times."
+        )
+        return without, None, (warning,)
+    mean = float(np.nanmean(np.concatenate(given)))
+    centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
+    return tuple(centred), mean, ()
+
+
+def _beside_gravity(sets: Sequence[InSituSet]) -> float:
+    """Return the share of the temperature's spread within sets that is not linear in gravity."""
+    left = spread = 0.0
+    for data in sets:
+        assert data.temperature is not None
+        whole = np.isfinite(data.temperature) & np.isfinite(data.gravity).all(axis=1)
+        warmth = data.temperature[whole] - np.mean(data.temperature[whole])
+        gravity = data.gravity[whole] - data.gravity[whole].mean(axis=0)
+        left += float(np.sum((warmth - gravity @ np.linalg.lstsq(gravity, warmth, rcond=None)[0]) ** 2))
+        spread += float(np.sum(warmth**2))
+    return float(np.sqrt(left / spread))
+
+
+def with_gains(
+    problem: Problem, solution: Solution, options: InSituOptions
+) -> tuple[Problem, Solution] | None:
+    """Return the problem with gains of the axes by temperature, and its solution; None if not worth it.
+
+    Args:
+        problem: With the temperature as a signal, without hysteresis.
+        solution: Its solution.
+        options: Of the fit.
+    """
+
+    def warm_loads(at: Problem, found: Solution) -> list[Matrix]:
+        inputs = problem.basis.shape[2]
+        T = transforms(at, found)[:, :AXES, :inputs]
+        return [_warm(part, t) for part, t in zip(problem.sets, T, strict=True)]
+
+    fitted, found = beside_loads(problem, solution, warm_loads, _GAIN_STD, options)
+    if criterion(fitted, found) >= criterion(problem, solution):
+        return None
+    return replace(fitted, gains=AXES), found
+
+
+def _warm(part: CompressedSet, transform: Matrix) -> Matrix:
+    """Return the temperature times the load at the rows of a set, shape (m, 6)."""
+    source = part.source
+    signals = source.columns[:, source.terms : source.terms + source.inputs] / source.weight[:, None]
+    return np.asarray(signals[:, -1:] * (signals[:, : transform.shape[1]] @ transform.T))
