@@ -95,7 +95,7 @@ def data_share(problem: Problem, solution: Solution, noise: Matrix, tolerance: f
     squares = data.T @ data
     asked = _asked(problem, channels, inputs, len(squares))
     values, vectors = np.linalg.eigh(_of_asked(squares, asked))
-    weak = values < 1.0 / tolerance**2
+    weak = values < (1.0 / tolerance) ** 2
     taking = np.zeros(len(squares), dtype=np.bool_)
     taking[asked] = np.sum(vectors[:, weak] ** 2, axis=1) > 0.5 / max(int(np.sum(weak)), 1) ** 2
     to_output = output_derivatives(problem, solution, noise) * scale

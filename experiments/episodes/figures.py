@@ -179,7 +179,7 @@ def _heat(axes: Axes, rows: Frame, titles: dict[str, str]) -> None:
     axes.imshow(share, vmin=0.0, vmax=1.0, cmap="magma_r", aspect="auto")
     for (i, j), value in np.ndenumerate(share):
         if np.isfinite(value):
-            colour = "white" if value > 0.55 else "black"
+            colour = "white" if value > 0.45 else "black"
             axes.text(j, i, f"{100 * value:.0f} %", ha="center", va="center", color=colour, fontsize=8)
     axes.set_xticks(range(len(severities)), [f"{severity:g}" for severity in severities])
     axes.set_yticks(range(len(titles)), list(titles.values()))

@@ -40,7 +40,7 @@ def pattern(request):
     if request.param is None:
         return plan_route(ROUTE)
     speed, turn_rate = request.param
-    return plan_walk(speed, turn_rate, 8.0)
+    return plan_walk(speed, turn_rate, 6.0)
 
 
 def soles_of(model, qpos):
