@@ -81,7 +81,7 @@ def find_feet(
     if root not in feet and to_torso[2] < UPRIGHT * np.linalg.norm(to_torso):
         raise ValueError(
             f"The soles of {list(names)!r} cannot be measured, as the robot does not stand on them in its "
-            f"{_pose_name(model)}: '{model.body(root).name}' is {to_torso[2]:.2f} m above them and "
+            f"{pose_name(model)}: '{model.body(root).name}' is {to_torso[2]:.2f} m above them and "
             f"{np.linalg.norm(to_torso[:2]):.2f} m beside. {_KEYFRAME}"
         )
     return feet
@@ -183,7 +183,7 @@ def _doubt(
     depth, tall = float(np.ptp(places[:, :2] @ forward)), float(np.ptp(places[:, 2]))
     if depth > tall:
         return (
-            f"{names} are lowest, but in its {_pose_name(model)} the robot lies: it reaches {depth:.2f} m "
+            f"{names} are lowest, but in its {pose_name(model)} the robot lies: it reaches {depth:.2f} m "
             f"along the ground and {tall:.2f} m up. {_KEYFRAME}"
         )
     return ""
@@ -202,7 +202,7 @@ def _joints_above(model: mujoco.MjModel, body: int) -> int:
     return count
 
 
-def _pose_name(model: mujoco.MjModel) -> str:
+def pose_name(model: mujoco.MjModel) -> str:
     """Return how the pose is called in which a robot is measured."""
     named = {model.key(i).name for i in range(model.nkey)}
     return next((f"keyframe '{name}'" for name in STANDING if name in named), "zero pose")

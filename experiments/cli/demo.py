@@ -32,8 +32,18 @@ def view(
     duration: Annotated[float, Option(help="Duration in s, 4 s of standing included.")] = 20.0,
     severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
     video: Annotated[Path | None, Option(help="Film into this .mp4, .webp or .gif: no window.")] = None,
+    feet: Annotated[
+        str | None,
+        Option(help="Show the feet of this environment, robot or MJCF file instead.", metavar="ENV"),
+    ] = None,
+    foot: Annotated[list[str] | None, Option(help="A foot's body, the left one first; else guessed.")] = None,
+    soles: Annotated[bool, Option("--soles", help="Flat soles for feet without area.")] = False,
+    image: Annotated[Path, Option(help="Where the picture of the feet goes.")] = Path("feet.png"),
 ) -> None:
-    """Watch the walker in a window, or film it; its feed is the method window by default."""
+    """Watch the walker in a window, or film it; or draw a robot with its instrumented soles."""
+    if feet is not None:
+        _show_feet(feet, foot, soles, image)
+        return
     from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
 
     prepare_rendering()
@@ -50,3 +60,22 @@ def view(
             typer.echo(f"Film: {film_walks(video, feeds, **options)}")
     except (ValueError, OSError, ImportError) as error:
         fail(str(error))
+
+
+def _show_feet(name: str, feet: list[str] | None, soles: bool, image: Path) -> None:
+    """Tell which bodies are a robot's feet, and draw them."""
+    from surefoot.experiments.walks.video import prepare_rendering
+
+    prepare_rendering()
+    import gymnasium as gym
+
+    from surefoot.experiments.feet import FeetDrawing
+
+    try:
+        drawing = FeetDrawing(name, feet or None, soles=soles)
+        for line in drawing.words():
+            typer.echo(line)
+        drawing.draw(image)
+    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
+        fail(str(error))
+    typer.echo(f"Picture: {image}")

@@ -1,0 +1,170 @@
+"""What is known of a robot's feet before anything runs: in words, and drawn with its instrumented soles."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from surefoot.envs import InstrumentedEnv, RobotDrawing, load_robot_spec
+from surefoot.envs.instrumentation.feet import pose_name, standing_pose
+from surefoot.envs.instrumentation.robot import MeasuredRobot, measure_robot
+from surefoot.envs.robots.library import ROBOTS
+
+SIZE = 640, 480
+"""Width and height of each of two pictures in pixels: what every model has room for."""
+
+MARGIN = 0.005
+"""How far cells are drawn in from the soles' edges in m, as wrappers do."""
+
+ABOVE = 0.004
+"""Height in m above the soles in which their marks are drawn."""
+
+EDGE, AXIS, CELL = (0.1, 0.4, 1.0, 1.0), (1.0, 0.2, 0.1, 1.0), (1.0, 0.8, 0.1, 1.0)
+"""Colours of a sole's edge, of its x axis and of its cells."""
+
+
+class FeetDrawing:
+    """A robot whose feet are looked at in the pose in which they are measured.
+
+    Args:
+        name: A robot that :func:`~surefoot.envs.load_robot_spec` knows, an MJCF file, or an environment.
+        feet: Names of the feet's bodies, the left one first; None to guess.
+        soles: Whether feet without area get flat soles.
+
+    Attributes:
+        model: The robot.
+        layout: What was measured of it.
+        cells: Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area.
+
+    Raises:
+        ModuleNotFoundError: If a named robot's package is missing.
+        TypeError: If an environment does not run on MuJoCo.
+        ValueError: If the feet cannot be found.
+        gymnasium.error.Error: If there is no such environment.
+    """
+
+    def __init__(self, name: str, feet: Sequence[str] | None = None, *, soles: bool = False) -> None:
+        self.name, self._guessed = name, feet is None
+        self.model, cells = _model(name, feet, soles)
+        self._data = standing_pose(self.model)
+        self.layout: MeasuredRobot = measure_robot(self.model, self._data, feet, None, MARGIN)
+        self.cells = self.layout.cells if cells is None else tuple(cells[..., :2])
+
+    def words(self) -> list[str]:
+        """Return lines that tell which bodies are the feet, and what is under them."""
+        bodies = ", ".join(f"'{foot.body}'" for foot in self.layout.feet)
+        how = "guessed" if self._guessed else "as named"
+        lines = [
+            f"{self.name}: feet {bodies} ({how}, left first), torso '{self.layout.torso}', "
+            f"seen in its {pose_name(self.model)}"
+        ]
+        for foot, cells in zip(self.layout.feet, self.cells, strict=True):
+            if cells is None:
+                lines.append(foot.flaw)
+                continue
+            length, width = 1e3 * np.ptp(foot.polygon, axis=0)
+            places = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in 1e3 * cells)
+            lines.append(f"'{foot.body}': sole {length:.0f} x {width:.0f} mm, cells at {places} mm")
+        return lines
+
+    def draw(self, path: Path) -> None:
+        """Write a picture: the whole robot, and its feet from near.
+
+        Edges of soles are blue, their x axes, to the toes, red, and cells yellow.
+
+        Raises:
+            RuntimeError: If nothing here can draw.
+        """
+        width, height = SIZE
+        try:
+            renderer = mujoco.Renderer(self.model, height, width)
+        except (mujoco.FatalError, RuntimeError, AttributeError, ImportError) as error:
+            raise RuntimeError(f"No picture can be drawn: {error}. Set MUJOCO_GL=egl.") from error
+        with renderer:
+            soles = np.concatenate([self._corners(i) for i in range(len(self.layout.feet))])
+            middle = soles.mean(axis=0)
+            tall = max(float(np.ptp(self._data.xpos[1:, 2])), 0.1)
+            apart = float(np.linalg.norm(np.ptp(soles, axis=0))) + 0.1 * tall
+            chest = middle + np.array([0.0, 0.0, 0.5 * tall])
+            views = ((chest, 2.2 * tall, -10.0), (middle, 1.5 * apart, -30.0))
+            pictures = [self._picture(renderer, *view) for view in views]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.concatenate(pictures, axis=1)).save(path)
+
+    def _picture(
+        self, renderer: Any, lookat: NDArray[np.float64], distance: float, elevation: float
+    ) -> NDArray[np.uint8]:
+        camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
+        camera.lookat[:], camera.distance = lookat, distance
+        camera.azimuth, camera.elevation = 145.0, elevation
+        option.flags[mujoco.mjtVisFlag.mjVIS_TRANSPARENT] = True
+        renderer.update_scene(self._data, camera, option)
+        for i, (foot, cells) in enumerate(zip(self.layout.feet, self.cells, strict=True)):
+            origin, R_world_sole = self._sole(i)
+            # Not in the floor, on which the sole lies.
+            origin = origin + ABOVE * R_world_sole[:, 2]
+            if len(foot.polygon):
+                corners = self._corners(i) + ABOVE * R_world_sole[:, 2]
+                for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                    _line(renderer.scene, start, end, EDGE)
+            reach = 0.5 * float(np.ptp(foot.polygon[:, 0])) if len(foot.polygon) else 0.1
+            _line(renderer.scene, origin, origin + reach * R_world_sole[:, 0], AXIS)
+            for place in () if cells is None else cells:
+                _ball(renderer.scene, origin + R_world_sole[:, :2] @ place, CELL)
+        picture: NDArray[np.uint8] = renderer.render()
+        return picture
+
+    def _corners(self, i: int) -> NDArray[np.float64]:
+        """Return the corners of a sole in the world in m, or its origin if it has no area, shape (n, 3)."""
+        origin, R_world_sole = self._sole(i)
+        polygon = self.layout.feet[i].polygon
+        corners: NDArray[np.float64] = origin + np.pad(polygon, ((0, 0), (0, 1))) @ R_world_sole.T
+        return corners if len(polygon) else origin[None]
+
+    def _sole(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return a sole's origin in the world in m and its axes."""
+        foot = self.layout.feet[i]
+        body = self._data.body(foot.body)
+        R_world_foot = body.xmat.reshape(3, 3)
+        return body.xpos + R_world_foot @ foot.position_sole_foot, R_world_foot @ foot.R_foot_sole
+
+
+def _model(
+    name: str, feet: Sequence[str] | None, soles: bool
+) -> tuple[mujoco.MjModel, NDArray[np.float64] | None]:
+    """Compile a robot, or take that of an environment, with its own places of cells if it has them."""
+    file = Path(name)
+    if name in ROBOTS or file.is_file():
+        if soles:
+            raise ValueError(f"'{name}' is a robot alone; soles are put under the feet of environments.")
+        spec = load_robot_spec(name) if name in ROBOTS else mujoco.MjSpec.from_file(str(file))
+        return spec.compile(), None
+    env = gym.make(name)
+    if not hasattr(env.unwrapped, "drawing"):
+        env = InstrumentedEnv(env, feet, soles=soles, visuals=True)
+    drawing: RobotDrawing = env.get_wrapper_attr("drawing")
+    return env.get_wrapper_attr("model"), drawing.position_cell_sole
+
+
+def _line(scene: Any, start: NDArray[np.float64], end: NDArray[np.float64], rgba: Sequence[float]) -> None:
+    geom = _new_geom(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, rgba)
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.002, start, end)
+
+
+def _ball(scene: Any, place: NDArray[np.float64], rgba: Sequence[float]) -> None:
+    _new_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, rgba).pos[:] = place
+
+
+def _new_geom(scene: Any, kind: mujoco.mjtGeom, rgba: Sequence[float]) -> Any:
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(
+        geom, kind, np.full(3, 0.006), np.zeros(3), np.eye(3).ravel(), np.array(rgba, dtype=np.float32)
+    )
+    geom.emission = 1.0
+    scene.ngeom += 1
+    return geom
