@@ -1,5 +1,6 @@
 """Two lines around any biped: its episodes stay its own, bit for bit, and its feet are felt."""
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -121,6 +122,21 @@ def test_feet_without_soles_have_forces_and_no_centre_of_pressure() -> None:
     assert np.corrcoef(told, true)[0, 1] > 0.99
     with pytest.raises(ValueError, match=r"The foot 'left_foot' has no area.*six-axis sensors in the ankles"):
         FootSensors(gym.make("Humanoid-v5"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_episodes_are_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("moviepy", reason="the extra 'rl' (moviepy) is not installed")
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    drawn = gym.make("surefoot/NaoStand-v0", render_mode="rgb_array")
+    env = gym.wrappers.RecordVideo(FootSensors(drawn), str(tmp_path), disable_logger=True)
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros(env.action_space.shape or ()))
+    env.close()
+    (film,) = tmp_path.glob("*.mp4")
+    assert film.stat().st_size > 1000
 
 
 def test_cells_are_of_the_robots_size() -> None:
