@@ -160,6 +160,11 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         rng = kept.pop("_rng")
         self.__dict__.update(kept)
         if self._base.model is not self._model:
+            if isinstance(self._base, _Physics):
+                raise TypeError(
+                    "dm_control's physics was copied to another model, which nobody watches: copy the "
+                    "environment alone, and put InstrumentedEnv around the copy."
+                )
             # Gymnasium's environments are copied by making them again: a copy goes on where this one is.
             put_in(self._base, self._model, self._data)
             self.unwrapped._np_random = rng

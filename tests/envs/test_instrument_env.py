@@ -403,6 +403,13 @@ def test_dm_controls_physics_is_read_beside():
         own.step(None)
         np.testing.assert_array_equal(env.truth.rows, own.truth.rows)
     assert env.truth.vgrf().sum() > 10.0
+    copy = deepcopy(env)
+    copy.step(None)
+    env.step(None)
+    np.testing.assert_array_equal(copy.truth.rows, env.truth.rows)
+    copy.unwrapped.make()
+    with pytest.raises(TypeError, match="copied to another model, which nobody watches"):
+        deepcopy(copy)
     with pytest.raises(ValueError, match="dm_control's physics cannot exchange"):
         InstrumentedEnv(Controlled(), soles=True)
 
