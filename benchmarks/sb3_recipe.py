@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 import surefoot  # noqa: F401
 from surefoot.wrappers import TruthRow
@@ -27,7 +27,9 @@ EVALUATION_SEED = 30_000
 def robots(count: int, show: tuple[str, ...] = SHOW, **options: Any) -> VecEnv:
     """Make robots that balance on load cells that drift and are calibrated."""
     task = {"stand_time": 0.25, "duration": 8.0, "payload_time": (0.1, 1.5), "push_interval": 8.0} | options
-    copies = DummyVecEnv([lambda: TruthRow(gym.make("surefoot/NaoBalance-v0", **task))] * count)
+    copies = DummyVecEnv(
+        [lambda: TruthRow(gym.make("surefoot/NaoBalance-v0", action_scale=0.05, **task))] * count
+    )
     return VecSelfCalibration(VecFootSensors(copies, fresh=True), show=show)
 
 
@@ -35,11 +37,11 @@ def recipe(venv: VecEnv, seed: int) -> PPO:
     """Make the model of docs/vector.md."""
     return PPO(
         "MultiInputPolicy",
-        venv,
+        VecNormalize(venv, norm_obs=False, gamma=0.99),  # rewards alone
         n_steps=256,
         batch_size=512,
-        learning_rate=1e-3,
-        gamma=0.98,
+        learning_rate=5e-4,
+        gamma=0.99,
         use_sde=True,  # smooth exploration: feet that shake measure nothing
         sde_sample_freq=8,
         policy_kwargs={"log_std_init": -2.5},

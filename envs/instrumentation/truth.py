@@ -63,7 +63,7 @@ class FeetTruth:
             )
         force = -feet[..., FootColumns.force]
         arm = feet[..., FootColumns.place] - feet[..., FootColumns.position_sole]
-        world = np.stack([force, np.cross(arm, force) - feet[..., FootColumns.torque]], axis=-2)
+        world = np.stack([force, cross(arm, force) - feet[..., FootColumns.torque]], axis=-2)
         return (world @ self.R_world_sole).reshape(*feet.shape[:-1], 6)
 
     @property
@@ -217,6 +217,12 @@ def centre_of_pressure(ground: NDArray[np.float64]) -> NDArray[np.float64]:
     load = force[..., 2].sum(axis=-1)
     load = np.where(load > CONTACT_FORCE, load, np.nan)
     return np.stack([-moment[..., 1].sum(axis=-1) / load, moment[..., 0].sum(axis=-1) / load], axis=-1)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Multiply vectors, shape (..., 3); np.cross takes several times as long for a few robots' rows."""
+    x, y, z = (a[..., i] * b[..., j] - a[..., j] * b[..., i] for i, j in ((1, 2), (2, 0), (0, 1)))
+    return np.stack([x, y, z], axis=-1)
 
 
 def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:

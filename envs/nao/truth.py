@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.plate import SolePlate
-from surefoot.envs.instrumentation.truth import centre_of_pressure
+from surefoot.envs.instrumentation.truth import centre_of_pressure, cross
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
 
@@ -96,7 +96,7 @@ class Truth:
         """Wrenches of the ground on the robot at and in the sole frames in N and N m, shape (S, 2, 6)."""
         ground = self.rows[:, self.channels.ground].reshape(-1, 2, 9)
         force, torque, position = ground[..., :3], ground[..., 3:6], ground[..., 6:]
-        moment = torque + np.cross(position - self.position_sole, force)
+        moment = torque + cross(position - self.position_sole, force)
         world = np.stack([force, moment], axis=-2)
         return (world @ self.R_world_sole).reshape(-1, 2, 6)
 
