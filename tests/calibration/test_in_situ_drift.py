@@ -79,7 +79,7 @@ def rasters(sensor, rng, drift, rows=1500):
 def test_a_raster_is_answered_within_its_uncertainty(sensor, drift):
     errors, off, plain = [], [], []
     mass = SENSORS[sensor][1]
-    for seed in range(4):
+    for seed in range(6):
         sets = rasters(sensor, np.random.default_rng([33, seed]), drift)
         fit = calibrate_in_situ(sets)
         errors.append((fit.limb.mass - mass) / fit.limb_mass_std)
