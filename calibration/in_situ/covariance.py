@@ -41,8 +41,9 @@ __all__ = [
 
 Matrix = NDArray[np.float64]
 
-_BELIEVED = 4.0
-"""Free rows that must speak of the noise along a signal to count for as much as its spectrum."""
+_RAISES, _LOWERS = 4.0, 30.0
+"""Free rows that must speak of the noise along a signal to count for as much as its spectrum: more of them
+where they show less noise, since to be too sure is worse than to be too unsure."""
 
 UNUSED = 1e-9
 """Share of the largest variance of a set's rows below which a signal never varied."""
@@ -79,8 +80,9 @@ def with_disagreement(problem: Problem, solution: Solution) -> Problem:
     used = size > UNUSED * np.max(size, axis=1, keepdims=True)
     square = np.sum(solution.residual**2, axis=2) / np.where(used, size, np.inf)
     freedom = np.where(used, free.sum(axis=2), 0.0)
-    factor = (_BELIEVED + square.sum(axis=0)) / (_BELIEVED + freedom.sum(axis=0))
-    root = np.sqrt(factor)
+    shown, rows = square.sum(axis=0), freedom.sum(axis=0)
+    believed = np.where(shown > rows, _RAISES, _LOWERS)
+    root = np.sqrt((believed + shown) / (believed + rows))
     parts = tuple(replace(part, gram=root[:, None] * part.gram * root) for part in problem.sets)
     return replace(problem, sets=parts)
 
