@@ -35,8 +35,8 @@ def savitzky_golay(
         ValueError: If the log is shorter than the window, holds values that are not finite, or the window,
             the order and the derivative do not belong together.
 
-    >>> savitzky_golay(np.arange(7.0) ** 3, window=5).round(6)
-    array([  0.,   1.,   8.,  27.,  64., 125., 216.])
+    >>> savitzky_golay(np.arange(1.0, 8.0) ** 3, window=5).round(6)
+    array([  1.,   8.,  27.,  64., 125., 216., 343.])
     """
     values = np.asarray(signal, dtype=np.float64)
     if values.ndim == 0:
