@@ -43,7 +43,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         StandingState: StandingState._fields,
         MomentState: (
             *("mean", "covariance", "prior", "given", "given_covariance", "learnt", "spread"),
-            *("kept_mean", "kept_covariance", "noise"),
+            *("kept_mean", "kept_covariance", "noise", "misfit"),
         ),
         ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
     }

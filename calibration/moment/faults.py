@@ -33,6 +33,12 @@ LONGEST_LEAP = 3
 _ALONE = 4.0
 """How many times further than any other cell of its foot a reading must leap to be an error."""
 
+_BUMPY = 1.5
+"""Leaps of other channels of late from which on leaps are blows: a robot that bounces, and no faulty cell."""
+
+_BUMP_MEMORY = 0.9
+"""Share of the count of leaps that a block keeps."""
+
 _WELL = 0.5 * SUSPICION
 """Mean squared normalised residual of a block below which nothing seems wrong."""
 
@@ -65,6 +71,7 @@ class ChannelState(NamedTuple):
     Attributes:
         last: Last readings that were believed, F0 in N, shape (..., K).
         leaps: Samples in a row that were held for leaping, shape (..., K).
+        leapt: How often each channel leapt of late, shape (..., K).
         trust: Blocks in which nothing seemed wrong, shape (...).
         doubt: Blocks since something seemed wrong, 0 while nothing does, shape (...).
         scores: As in :class:`~surefoot.calibration.moment.hypotheses.Evidence`, shape (..., 1 + H + 1).
@@ -82,6 +89,7 @@ class ChannelState(NamedTuple):
 
     last: Array
     leaps: Array
+    leapt: Array
     trust: Array
     doubt: Array
     scores: Array
@@ -129,6 +137,7 @@ class ChannelFaults:
         return ChannelState(
             last=resting + zero,
             leaps=xp.zeros(raw.shape, dtype=xp.int64, device=device) + LONGEST_LEAP,
+            leapt=zero,
             trust=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
             doubt=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
             scores=xp.zeros((*raw.shape[:-1], 1 + hypotheses + 1), dtype=raw.dtype, device=device),
@@ -168,10 +177,12 @@ class ChannelFaults:
         # A foot that lands moves several of its cells.
         others = xp.max(step[..., None, :] * self._constants.like(force).same_foot, axis=-1)
         leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
+        leapt = state.leapt + xp.astype(leaping & (state.leaps == 0), force.dtype)
+        leaping = leaping & (xp.sum(state.leapt, axis=-1)[..., None] - state.leapt < _BUMPY)
         leaps = xp.where(leaping, state.leaps + 1, xp.where(read, 0, state.leaps))
         used = xp.where(leaping, state.last, force)
         flags = state.kind | int(Flag.SPIKE) * leaping
-        return state._replace(last=used, leaps=leaps), used, read & ~leaping, flags
+        return state._replace(last=used, leaps=leaps, leapt=leapt), used, read & ~leaping, flags
 
     def silent(self, state: ChannelState, force: Array, read: Array) -> ChannelState:
         """Find channels that are silent, or always read the same.
@@ -197,7 +208,7 @@ class ChannelFaults:
         kind = int(Flag.DEAD) * dead | int(Flag.SATURATED) * rail | int(Flag.STUCK) * (stuck & ~dead & ~rail)
         kind = kind | int(Flag.MISSING) * missing
         fresh = (stuck | missing) & (state.lost < 0.5) & (own.cells > 0.5)
-        return self._lose(state, fresh, kind)
+        return self._lose(state._replace(leapt=_BUMP_MEMORY * state.leapt), fresh, kind)
 
     def contradicted(self, state: ChannelState, seen: Contradiction) -> tuple[ChannelState, Array, Array]:
         """Hold hypotheses against the robot's motion.

@@ -52,13 +52,15 @@ class LearntSeverity:
             start=unknowns.start[unknowns.map],
         )
 
-    def reweighted(self, mean: Array, covariance: Array, prior: Array) -> tuple[Array, Array]:
+    def reweighted(self, mean: Array, covariance: Array, prior: Array, misfit: Array) -> tuple[Array, Array]:
         """Return scales and offsets under all severities together.
 
         Args:
             mean: The filter's unknowns, shape (..., N).
             covariance: Theirs, shape (..., N, N).
             prior: Variances of scales and offsets by the widest start and their drift, shape (..., M).
+            misfit: Mean square of residuals over what is expected of them, shape (...): above 1, the data are
+                worth that many times less.
 
         Returns:
             Scales and offsets, shape (..., M), and their covariance, shape (..., M, M).
@@ -68,9 +70,10 @@ class LearntSeverity:
         units = std[..., :, None] * std[..., None, :]
         share, axes = xp.linalg.eigh(covariance[..., of_map, of_map] / units)
         share = xp.clip(share, _LEAST, 1.0)
-        seen = (axes * (1.0 / share - 1.0)[..., None, :]) @ axes.mT
+        worth = 1.0 / xp.clip(misfit, 1.0, None)[..., None]
+        seen = (axes * (worth * (1.0 / share - 1.0))[..., None, :]) @ axes.mT
         off = (mean[..., of_map] - own.start) / std
-        pull = (axes @ ((axes.mT @ off[..., None]) / share[..., None]))[..., None, :, :]
+        pull = (axes @ ((axes.mT @ off[..., None]) * (worth / share)[..., None]))[..., None, :, :]
 
         severity = own.variance * ((prior - own.beyond) / prior)[..., None, :]
         precision = seen[..., None, :, :] + own.identity / severity[..., None, :]

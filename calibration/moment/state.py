@@ -37,6 +37,7 @@ class MomentState(NamedTuple):
         kept_mean: The unknowns of two moments of the last seconds, to go back to, shape (..., 2, N).
         kept_covariance: Their covariances, shape (..., 2, N, N).
         noise: By how many times rows' variances are taken as larger than assumed, shape (..., kinds).
+        misfit: Mean square of residuals before learning over what is expected of them, shape (...).
         quiet: Blocks in which the readings have not changed, shape (...).
         anchor: The readings from which on they have not, shape (..., K).
         status: Flags of the last update, shape (...).
@@ -56,6 +57,7 @@ class MomentState(NamedTuple):
     kept_mean: Array
     kept_covariance: Array
     noise: Array
+    misfit: Array
     quiet: Array
     anchor: Array
     status: Array

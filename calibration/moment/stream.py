@@ -72,6 +72,13 @@ swings, no offset is known, and all of them together count as one."""
 _REACH = 10.0
 """Standard deviations from the starting map beyond which a sensor is not thought to be."""
 
+_MISFIT_MEMORY = 0.06
+"""How much of the misfit one update renews: it is that of the last three seconds."""
+
+_LARGEST_MISFIT = 25.0
+"""Largest squared normalised innovation that the misfit counts, and what it begins with: a start that all
+fits is believed after some seconds."""
+
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to."""
 
@@ -137,6 +144,7 @@ class MomentStream:
             kept_mean=zeros(2, 1) + own.start,
             kept_covariance=zeros(2, 1, 1) + own.covariance,
             noise=zeros(self.newton_euler.kinds) + _FIRST_NOISE,
+            misfit=zeros() + _LARGEST_MISFIT,
             quiet=zeros(),
             anchor=zeros(self.setup.layout.channels),
             status=zeros(dtype=xp.int64),
@@ -219,10 +227,14 @@ class MomentStream:
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
+        # A robot that is held, of which nothing is used, says nothing of the motion that it had.
+        held = ~xp.any(newton.H != 0.0, axis=(-2, -1))
+        misfit = xp.where(held, state.misfit, self._misfit(state.misfit, residuals))
+        state = state._replace(misfit=misfit)
         state = self._watch(state, faults, mean, block, rows, places, residuals)
         # What no fault and no load explains is noise; a robot that stands shows little of it.
-        kept = waiting | (quiet > 0.5) | self._faults.explicable(state.faults)
-        noise = xp.where(kept[..., None], state.noise, self._noise(state.noise, step, newton))
+        kept = held | waiting | (quiet > 0.5) | self._faults.explicable(state.faults)
+        noise = xp.where(kept[..., None], state.noise, self._noise(state.noise, residuals))
         return state._replace(noise=noise), step
 
     def _bilinear(self, rows: Rows, places: Array, covariance: Array) -> Rows:
@@ -262,7 +274,9 @@ class MomentStream:
         It moves only where the unknowns did: without new rows nothing but the uncertainty grows.
         """
         xp, of_map = namespace_of(state.mean), self.unknowns.map
-        learnt, covariance = self._severity.reweighted(state.mean, state.covariance, state.prior)
+        learnt, covariance = self._severity.reweighted(
+            state.mean, state.covariance, state.prior, state.misfit
+        )
         mean = xp.concat([learnt, state.mean[..., of_map.stop :]], axis=-1)
         mean = xp.where(any_along(state.mean != before)[..., None], mean, state.given)
         of_channels = self._uncertainty.of_parameters(mean, covariance)
@@ -364,6 +378,14 @@ class MomentStream:
         keep = xp.reshape(xp.stack([~groups] * kinds, axis=-1), tuple(e.shape))
         return rows.keep(xp.astype(keep, e.dtype)), xp.any(groups, axis=-1)
 
+    def _misfit(self, misfit: Array, residuals: Residuals) -> Array:
+        """Follow how large residuals are against what is expected, those that are left out as well."""
+        xp = namespace_of(misfit)
+        count = xp.sum(residuals.there, axis=-1)
+        square = xp.clip(residuals.residual**2 / residuals.variance, 0.0, _LARGEST_MISFIT)
+        seen = xp.sum(square * residuals.there, axis=-1) / xp.where(count > 0.5, count, 1.0)
+        return misfit + _MISFIT_MEMORY * (seen - misfit)
+
     def _changed(self, mean: Array, covariance: Array, rows: Rows) -> Array:
         """Return where the force of a whole block leaps away from what the motion asks for (bool)."""
         xp, which = namespace_of(mean), slice(self.newton_euler.vertical, None, self.newton_euler.kinds)
@@ -391,13 +413,11 @@ class MomentStream:
         rows = self.tare.rows(mean, block, count, reading)
         return rows.keep(1.0 - faults.lost) if faults.altered else rows, xp.any(doubted, axis=-1)
 
-    def _noise(self, noise: Array, step: KalmanStep, rows: Rows) -> Array:
-        """Follow how large innovations are against what is assumed; never take noise for less than that."""
+    def _noise(self, noise: Array, residuals: Residuals) -> Array:
+        """Follow how large residuals are against what is expected; never take noise for less than assumed."""
         xp = namespace_of(noise)
-        count = rows.y.shape[-1]
-        e, predicted = step.innovation[..., :count], step.predicted[..., :count]
-        there = xp.astype(xp.any(rows.H != 0.0, axis=-1), noise.dtype)
-        surplus = (xp.clip(e * e / (predicted + rows.variance), 0.0, _LARGEST_SQUARE) - 1.0) * there
+        square = xp.clip(residuals.residual**2 / residuals.variance, 0.0, _LARGEST_SQUARE)
+        surplus = (square - 1.0) * residuals.there
         surplus = xp.mean(xp.reshape(surplus, (*noise.shape[:-1], -1, self.newton_euler.kinds)), axis=-2)
         return xp.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
 
