@@ -75,9 +75,11 @@ _REACH = 10.0
 _MISFIT_MEMORY = 0.06
 """How much of the misfit one update renews: it is that of the last three seconds."""
 
+_FIRST_MISFIT = 4.0
+"""The misfit before anything was seen: a start that all fits is believed after some seconds."""
+
 _LARGEST_MISFIT = 25.0
-"""Largest squared normalised innovation that the misfit counts, and what it begins with: a start that all
-fits is believed after some seconds."""
+"""Largest squared normalised innovation that the misfit counts."""
 
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to."""
@@ -144,7 +146,7 @@ class MomentStream:
             kept_mean=zeros(2, 1) + own.start,
             kept_covariance=zeros(2, 1, 1) + own.covariance,
             noise=zeros(self.newton_euler.kinds) + _FIRST_NOISE,
-            misfit=zeros() + _LARGEST_MISFIT,
+            misfit=zeros() + _FIRST_MISFIT,
             quiet=zeros(),
             anchor=zeros(self.setup.layout.channels),
             status=zeros(dtype=xp.int64),

@@ -28,11 +28,11 @@ def posterior(H, y, noise, std):
     return START + gain @ off, np.diag(std**2) - gain @ H @ np.diag(std**2), evidence
 
 
-def reweighted(mean, covariance, drift=0.0):
+def reweighted(mean, covariance, drift=0.0, misfit=1.0):
     rest = UNKNOWNS.size - SIZE
     whole = np.pad(covariance, (0, rest))
     return LearntSeverity(UNKNOWNS).reweighted(
-        np.append(mean, np.zeros(rest)), whole, (WIDEST * STATED) ** 2 + drift
+        np.append(mean, np.zeros(rest)), whole, (WIDEST * STATED) ** 2 + drift, np.array(misfit)
     )
 
 
@@ -68,6 +68,20 @@ def test_drift_widens_every_prior_by_the_same_share():
     drift = 2.0 * STATED**2
     _, covariance = reweighted(START, np.diag((WIDEST * STATED) ** 2 + drift), drift)
     assert_allclose(np.diag(covariance), 3.0 * np.mean(np.square(SEVERITIES)) * STATED**2, rtol=1e-9)
+
+
+def test_data_that_do_not_fit_are_worth_less():
+    rng = np.random.default_rng(3)
+    H = rng.normal(size=(40, SIZE)) / STATED
+    y = H @ (START + STATED * rng.normal(size=SIZE)) + 0.5 * rng.normal(size=40)
+    misfit = 4.0
+    found = reweighted(*posterior(H, y, 0.5, WIDEST * STATED)[:2], misfit=misfit)
+    expected = reweighted(*posterior(H, y, 0.5 * misfit**0.5, WIDEST * STATED)[:2])
+    assert_allclose(found[0], expected[0], atol=1e-6)
+    assert_allclose(found[1], expected[1], atol=1e-8)
+    # Data that fit better than expected are worth no more.
+    alike = reweighted(*posterior(H, y, 0.5, WIDEST * STATED)[:2], misfit=0.1)
+    assert_allclose(alike[0], reweighted(*posterior(H, y, 0.5, WIDEST * STATED)[:2])[0])
 
 
 def test_a_calibrated_robot_keeps_its_map_though_its_body_is_not_as_believed():
