@@ -69,7 +69,10 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
     wanted = _leaves(like)
     if set(wanted) != set(saved_leaves):
         odd = sorted(set(wanted) ^ set(saved_leaves))
-        raise ValueError(f"'{path}' holds the state of another method: {odd} are not in both.")
+        raise ValueError(
+            f"'{path}' holds the state of another method or of another version of surefoot: {odd} are not "
+            "in both. Calibrate afresh."
+        )
     for name, leaf in wanted.items():
         expected, found = _to_numpy(leaf), saved_leaves[name]
         if expected.shape != found.shape or expected.dtype != found.dtype:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
@@ -136,6 +137,7 @@ def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> di
     facts["raw_unit"] = log.config.units.of_raw
     files["calibration"] = write_json(fit, at("json"), **facts)
     files["yaml"] = write_yaml(fit, at("yaml"), **facts)
-    last = None if temperature is None else float(temperature[-1])
+    measured = [] if temperature is None else temperature[np.isfinite(temperature)].tolist()
+    last = measured[-1] if measured else None
     files["ros2"] = write_ros2_parameters(fit, at("ros2.yaml"), temperature=last)
     return files

@@ -167,8 +167,9 @@ class InSituConfig(Settings):
     @classmethod
     def _driver(cls, given: Any) -> Any:
         """Take a driver's wrench for the maker's: its matrix is part of the readings."""
-        newtons = isinstance(given, Mapping) and dict(given.get("units") or {}).get("raw") == "N"
-        return {**given, "factory": given.get("factory") or {"matrix": np.eye(6)}} if newtons else given
+        units = given.get("units") if isinstance(given, Mapping) else None
+        raw = units.get("raw") if isinstance(units, Mapping) else getattr(units, "raw", None)
+        return {**given, "factory": given.get("factory") or {"matrix": np.eye(6)}} if raw == "N" else given
 
     @model_validator(mode="after")
     def _listed_once(self) -> Self:

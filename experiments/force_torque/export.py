@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -183,16 +184,18 @@ def write_ros2_parameters(
     """Write parameters of ROS 2's ``force_torque_sensor_broadcaster``.
 
     It publishes (reported + offset) x multiplier axis by axis and takes no matrix: the driver has to report C
-    r, and the offset in this file is -C o, at a temperature as :func:`offset_wrench` takes it. A comment
-    holds C.
+    r, and the offset in this file is -C o, at a temperature as :func:`offset_wrench` takes it. Gains that go
+    with the temperature are multipliers. A comment holds C.
     """
     rows = "\n".join("#   [" + ", ".join(f"{value:.9g}" for value in row) + "]" for row in fit.matrix)
     add = offset_wrench(fit, temperature).tolist()
-    offset = {
-        "force": dict(zip("xyz", add[:3], strict=True)),
-        "torque": dict(zip("xyz", add[3:], strict=True)),
-    }
-    parameters = {node: {"ros__parameters": {"frame_id": frame_id, "offset": offset}}}
+    parameters: dict[str, Any] = {"frame_id": frame_id, "offset": _by_axis(add)}
+    hotter = ""
+    if fit.temperature_gain is not None:
+        assert temperature is not None
+        gain = 1.0 + (temperature - fit.temperature_reference) * fit.temperature_gain
+        parameters["multiplier"] = _by_axis((1.0 / gain).tolist())
+        hotter = f"# 'multiplier' makes up for what the axes read more at {temperature:.4g} degC.\n"
     text = "".join(f"# REFUSED: {flat(str(no))}\n" for no in fit.refusals)
     text += f"# ACCEPTED: {flat(fit.accepted)}\n" if fit.accepted else ""
     text += (
@@ -201,7 +204,14 @@ def write_ros2_parameters(
         "of its own:\n# offset = -matrix offset_count, and what is published is matrix (raw - "
         "offset_count), the wrench that\n# the limb exerts on the robot. For the wrench of the robot on the "
         "limb turn the signs of both round.\n# Matrix (rows fx fy fz tx ty tz in N and N m per reading):\n"
-        f"{rows}\n" + yaml.safe_dump(parameters, sort_keys=False)
+        f"{rows}\n{hotter}" + yaml.safe_dump({node: {"ros__parameters": parameters}}, sort_keys=False)
     )
     write_text(path, text)
     return path
+
+
+def _by_axis(wrench: Sequence[float]) -> dict[str, dict[str, float]]:
+    return {
+        "force": dict(zip("xyz", wrench[:3], strict=True)),
+        "torque": dict(zip("xyz", wrench[3:], strict=True)),
+    }

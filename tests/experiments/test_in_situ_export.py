@@ -3,13 +3,14 @@
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-from surefoot.calibration.in_situ import InSituFit, Limb
+from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.force_torque.export import (
     offset_wrench,
@@ -19,6 +20,7 @@ from surefoot.experiments.force_torque.export import (
     write_yaml,
 )
 from surefoot.experiments.force_torque.icub import read_matrix, write_icub_matrix
+from surefoot.experiments.force_torque.tables import Calibrated
 from surefoot.experiments.logs.format import LogError
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142
 
@@ -209,3 +211,33 @@ def test_an_offset_that_follows_the_temperature_needs_one(tmp_path: Path) -> Non
     expected = -made.matrix @ (made.offset + 30.0 * np.arange(6.0))
     np.testing.assert_allclose(offset_wrench(made, 30.0), expected)
     assert list(tmp_path.iterdir()) == []
+
+
+def warm() -> InSituFit:
+    """A calibration whose offsets and gains go with the temperature."""
+    made = fit(temperature_coefficient=np.arange(6.0), temperature_gain=np.linspace(-0.01, 0.02, 6))
+    return dataclasses.replace(made, response=np.linalg.inv(made.matrix), temperature_reference=25.0)
+
+
+def test_gains_that_follow_the_temperature_are_multipliers(tmp_path: Path) -> None:
+    made, raw = warm(), 1e4 * np.random.default_rng(2).standard_normal(6)
+    path = write_ros2_parameters(made, tmp_path / "ros2.yaml", temperature=40.0)
+    found = yaml.safe_load(path.read_text())["force_torque_sensor_broadcaster"]["ros__parameters"]
+    offset, multiplier = (
+        np.array([found[name][kind][axis] for kind in ("force", "torque") for axis in "xyz"])
+        for name in ("offset", "multiplier")
+    )
+    np.testing.assert_allclose(
+        (made.matrix @ raw + offset) * multiplier, made.wrench(raw, temperature=40.0), rtol=1e-9
+    )
+
+
+def test_pages_take_all_that_the_temperature_does_off_the_readings() -> None:
+    made, rng = warm(), np.random.default_rng(3)
+    load, warmer = rng.standard_normal((9, 6)), rng.uniform(-10.0, 10.0, 9)[:, None]
+    cold = load @ made.response.T + made.offset
+    raw = (load * (1.0 + warmer * made.temperature_gain)) @ made.response.T + made.offset
+    raw = raw + warmer * made.temperature_coefficient
+    data = InSituSet(raw, rng.standard_normal((9, 3)), temperature=25.0 + warmer[:, 0])
+    log: Any = SimpleNamespace(sets=(data,))
+    np.testing.assert_allclose(Calibrated(log, made).sets[0].raw, cold, rtol=1e-9)

@@ -408,6 +408,7 @@ BAD_CONFIGS = {
         '[columns]\nrw = ["a"]\n',
         "columns: unknown key 'rw'; there are time, set, raw",
     ),
+    "units that are no table": ("units = 3\n", "units: Input should be a valid dictionary"),
     "unknown unit": (
         '[units]\nacceleration = "ft"\n',
         r"units.acceleration: Input should be 'm/s\^2', 'g' or 'mg', got 'ft'",
