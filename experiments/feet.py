@@ -145,7 +145,12 @@ def _model(
         spec = load_robot_spec(name) if name in ROBOTS else mujoco.MjSpec.from_file(str(file))
         return spec.compile(), None
     env = gym.make(name)
-    if not hasattr(env.unwrapped, "drawing"):
+    if hasattr(env.unwrapped, "drawing"):
+        if feet is not None or soles:
+            raise ValueError(
+                f"'{name}' has feet with soles of its own: leave 'feet' (--foot) and 'soles' out."
+            )
+    else:
         env = InstrumentedEnv(env, feet, soles=soles, visuals=True)
     drawing: RobotDrawing = env.get_wrapper_attr("drawing")
     return env.get_wrapper_attr("model"), drawing.position_cell_sole

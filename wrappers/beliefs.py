@@ -246,17 +246,17 @@ def nothing(feet: int) -> Reference:
     )
 
 
-def told_reference(reference: Reference) -> dict[str, Any]:
+def reference_info(reference: Reference) -> dict[str, Any]:
     """Return references (...) for ``info``, as arrays of their own without NaN, which is unlike itself.
 
     What nobody knows is 0 there, and ``"known"`` (...) says where something is known.
     """
     known = ~np.isnan(reference.com[..., 0])
-    told: dict[str, Any] = {"known": known if known.ndim else bool(known)}
+    info: dict[str, Any] = {"known": known if known.ndim else bool(known)}
     for name, part in reference._asdict().items():
         where = known.reshape(known.shape + (1,) * (part.ndim - known.ndim))
-        told[name] = part.copy() if part.dtype == bool else np.where(where, part, 0.0)
-    return told
+        info[name] = part.copy() if part.dtype == bool else np.where(where, part, 0.0)
+    return info
 
 
 def _level(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

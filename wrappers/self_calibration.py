@@ -13,7 +13,7 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
-from surefoot.wrappers.beliefs import Beliefs, nothing, told_reference
+from surefoot.wrappers.beliefs import Beliefs, nothing, reference_info
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty, seen_below
@@ -292,7 +292,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             covariance=None if estimate.covariance is None else estimate.covariance.copy(),
             flags=estimate.flags.copy(),
             vgrf=estimate.vgrf.copy(),
-            reference=told_reference(reference),
+            reference=reference_info(reference),
             lag=self._late,
         )
         parts = self._view.show(estimate, self.beliefs.soles(sensors.time))

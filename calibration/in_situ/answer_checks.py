@@ -236,8 +236,8 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     against what hangs there: by a solution that does without it if the limb is determined or known, else by
     the limb that it shows itself.
     """
-    held = determined or len(problem.limb_root) == STATIC
-    expected = _loads(problem, solution) if held else _hangs(factory, problem, solution)
+    limb_known = determined or len(problem.limb_root) == STATIC
+    expected = _loads(problem, solution) if limb_known else _hangs(factory, problem, solution)
     measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
     masses = problem.added[:, MASS]
     levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
@@ -245,7 +245,7 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
 
     def missed(matrix: Matrix) -> float:
-        hangs = expected if held else _hangs(matrix, problem, solution)
+        hangs = expected if limb_known else _hangs(matrix, problem, solution)
         if hangs is None:
             return np.inf
         return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))

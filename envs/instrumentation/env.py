@@ -198,7 +198,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             observation, info = self.env.reset(seed=seed, options=options)
         self._refuse_another()
         self.truth = self._reader.now()
-        return observation, self._told(info)
+        return observation, self._with_truth(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment, and read what happened."""
@@ -206,9 +206,9 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         if self._base.data is not self._data:
             self._refuse_another()
         self.truth = self._reader.after_step()
-        return observation, reward, terminated, truncated, self._told(info)
+        return observation, reward, terminated, truncated, self._with_truth(info)
 
-    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _with_truth(self, info: dict[str, Any]) -> dict[str, Any]:
         return {**info, "surefoot": {"truth": step_truth(self.truth)}} if self.tells else info
 
     def _refuse_another(self) -> None:

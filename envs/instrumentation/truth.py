@@ -239,7 +239,7 @@ def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def step_truth(truth: FeetTruth) -> dict[str, Array]:
-    """Return what ``info`` tells of a step, as arrays of their own, at the last of rows of shape (S, ...).
+    """Return what ``info`` holds of a step, as arrays of their own, at the last of rows of shape (S, ...).
 
     ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N, ``cop_world`` (2) m, ``cop_foot``
     (F, 2) m, ``cop_valid`` (1 + F), ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m.
@@ -257,8 +257,8 @@ def step_truth(truth: FeetTruth) -> dict[str, Array]:
         cops.append([-own[4] / own[2], own[3] / own[2]] if valid[-1] else [0.0, 0.0])
     if load > CONTACT_FORCE:
         cops[0], valid[0] = [-moment_y / load, moment_x / load], True
-    told = {} if layout.flaw else {"force_cell": wrench.ravel() @ layout.force_of_wrench}
-    return told | {
+    cells = {} if layout.flaw else {"force_cell": wrench.ravel() @ layout.force_of_wrench}
+    return cells | {
         "vgrf": np.array(vgrf),
         "cop_world": np.array(cops[0]),
         "cop_foot": np.array(cops[1:]),

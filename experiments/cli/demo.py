@@ -44,6 +44,8 @@ def view(
     if feet is not None:
         _show_feet(feet, foot, soles, image)
         return
+    if foot or soles:
+        fail("--foot and --soles go with --feet ENV, which says whose feet.")
     from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
 
     prepare_rendering()

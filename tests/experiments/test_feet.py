@@ -51,6 +51,7 @@ def test_the_command_draws_the_robot_and_its_soles(tmp_path: Path, monkeypatch: 
         (["Foo-v1"], "doesn't exist"),
         (["CartPole-v1"], "needs an environment on MuJoCo"),
         (["nao", "--soles"], "soles are put under the feet of environments"),
+        (["surefoot/NaoStand-v0", "--soles"], "has feet with soles of its own"),
         (["Humanoid-v5", "--foot", "paw"], "each once, got ['paw']"),
     ],
 )
@@ -58,3 +59,9 @@ def test_what_cannot_be_shown_is_told_in_one_line(arguments: list[str], text: st
     result = CliRunner().invoke(app, ["view", "--feet", *arguments])
     assert result.exit_code == 2
     assert text in result.output.replace("\n", " ")
+
+
+def test_feet_are_named_of_a_robot_alone() -> None:
+    result = CliRunner().invoke(app, ["view", "--soles"])
+    assert result.exit_code == 2
+    assert "go with --feet ENV" in result.output

@@ -20,7 +20,7 @@ from surefoot.calibration.episodes import select
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.wrappers.belief_errors import BeliefErrors
-from surefoot.wrappers.beliefs import told_reference
+from surefoot.wrappers.beliefs import reference_info
 from surefoot.wrappers.contacts import CONTACT_MARGIN
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import waiting_samples
@@ -181,7 +181,7 @@ class BatchCalibration:
         if stepped:
             estimate = self.estimate
             known |= {"flags": estimate.flags.copy(), "vgrf": estimate.vgrf.copy()}
-            known["reference"] = told_reference(self.reference)
+            known["reference"] = reference_info(self.reference)
         return known
 
     def _next_reference(self, contacts: Floats) -> Reference:

@@ -24,14 +24,14 @@ def batch_truth(truth: Any, drawing: RobotDrawing) -> dict[str, NDArray[Any]]:
         ``com`` (N, 3) m and ``wrench_sole`` (N, F, 6) N and N m.
     """
     wrench, R = truth.wrench_sole, truth.R_world_sole
-    told = {} if drawing.position_cell_sole is None else {"force_cell": truth.force_cell.copy()}
+    cells = {} if drawing.position_cell_sole is None else {"force_cell": truth.force_cell.copy()}
     vertical: Floats = np.einsum("nfi,nfi->nf", R[..., 2, :], wrench[..., :3])
     torque = np.einsum("nfij,nfj->nfi", R, wrench[..., 3:])
     place = truth.position_sole[..., :2] * vertical[..., None]
     moment = (place + np.stack([-torque[..., 1], torque[..., 0]], axis=-1)).sum(axis=1)
     load = vertical.sum(axis=1)
     loaded, pressed = load > CONTACT_FORCE, (wrench[..., 2] > CONTACT_FORCE) & _has_area(truth, drawing)
-    return told | {
+    return cells | {
         "vgrf": vertical,
         "cop_world": np.where(loaded[:, None], moment / np.where(loaded, load, 1.0)[:, None], 0.0),
         "cop_foot": np.where(pressed[..., None], cop_in_sole(wrench), 0.0),
