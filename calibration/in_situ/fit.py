@@ -184,6 +184,22 @@ class InSituFit:
                 gain = 1.0 + warmer * self.temperature_gain
         return np.asarray((np.asarray(raw, dtype=np.float64) - o) @ self.matrix.T / gain)
 
+    def at_reference(
+        self, raw: NDArray[np.float64], temperature: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return what a sensor would have read at the temperature of its offsets, in counts, shape (..., k).
+
+        Args:
+            raw: Counts, shape (..., k).
+            temperature: At which they were read, shape (...).
+        """
+        warmer = (np.asarray(temperature, dtype=np.float64) - self.temperature_reference)[..., None]
+        cool = raw if self.temperature_coefficient is None else raw - warmer * self.temperature_coefficient
+        if self.temperature_gain is not None:
+            load = self.wrench(raw, temperature=temperature)
+            cool = cool - (warmer * self.temperature_gain * load) @ self.response.T
+        return np.asarray(cool)
+
 
 def error_covariance(fit: InSituFit) -> Matrix:
     r"""Return the covariance of (offset, D row by row, m, m c) by a fit, shape (k + 40, k + 40).

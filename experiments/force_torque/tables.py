@@ -34,11 +34,7 @@ class Calibrated:
         for data in self.log.sets:
             raw = data.raw
             if fit.temperature_coefficient is not None and data.temperature is not None:
-                warmer = data.temperature[:, None] - fit.temperature_reference
-                if fit.temperature_gain is not None:
-                    load = fit.wrench(raw, temperature=data.temperature)
-                    raw = raw - (warmer * fit.temperature_gain * load) @ fit.response.T
-                raw = raw - warmer * fit.temperature_coefficient
+                raw = fit.at_reference(raw, data.temperature)
             found.append(replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T))
         return tuple(found)
 

@@ -196,6 +196,7 @@ def test_a_gain_that_goes_with_the_temperature_is_found(seed):
         raw = fit.response @ (load * (1.0 + warmer * fit.temperature_gain)) + fit.offset
         raw = raw + warmer * fit.temperature_coefficient
         np.testing.assert_allclose(fit.wrench(raw, temperature=kelvin), load, rtol=1e-9)
+        np.testing.assert_allclose(fit.at_reference(raw, kelvin), fit.response @ load + fit.offset, rtol=1e-9)
     cool = calibrate_in_situ([replace(one, temperature=None) for one in warmed], options=WIDE, refuse=False)
     true = np.linalg.inv(SENSORS["leg"][0])
     ours, without = (np.linalg.norm(f.matrix @ true - np.eye(6)) for f in (fit, cool))
