@@ -259,6 +259,18 @@ def test_a_reading_that_stays_away_is_believed_after_three_samples(broken):
     assert not (flags[at + 3 : at + 8] & int(Flag.SPIKE)).any()
 
 
+def test_blows_to_a_robot_that_bounces_are_no_spikes(broken):
+    """Cells of both feet leap one after the other: after the first of them nothing is held any more."""
+    raw, leap = broken.healthy[: AT + 160].copy(), 0.4 * believed_mass(BAD) * GRAVITY
+    blows = range(AT, AT + 160, 5)
+    for i, at in enumerate(blows):
+        raw[at, :, (3 * i) % 8] += leap
+    flags = calibrated(raw, head(broken.reference, AT + 160)).flags
+    held = [(flags[at, :, (3 * i) % 8] & int(Flag.SPIKE)) > 0 for i, at in enumerate(blows)]
+    assert np.all(held[0])
+    assert np.mean(held[2:]) < 0.05
+
+
 def test_a_foot_that_lands_on_all_its_cells_does_not_spike(broken):
     raw, leap = broken.healthy[: AT + 8].copy(), 0.4 * believed_mass(BAD) * GRAVITY
     raw[AT:, :, :4] += leap * np.array([1.0, 0.9, 0.6, 0.8])
