@@ -42,7 +42,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         WindowState: ("theta", "standing", "walking"),
         StandingState: StandingState._fields,
         MomentState: (
-            *("mean", "covariance", "prior", "given", "given_covariance", "learnt", "spread"),
+            *("mean", "covariance", "drift", "given", "given_covariance", "learnt", "spread"),
             *("kept_mean", "kept_covariance", "noise", "misfit"),
         ),
         ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),

@@ -45,10 +45,12 @@ class MomentFilterConfig:
     """Samples that are averaged into one set of rows; must divide ``every``."""
 
     scale_std: float = 0.12
-    """How far scales are thought to be from the starting map: 12 % for cells that were never calibrated."""
+    """How far scales are thought to be from the starting map: 12 % for cells that were never calibrated.
+    Whether it is a twenty-fifth of that or five times as much is learnt."""
 
     offset_std: float = 0.03
-    """How far offsets are thought to be from the starting map, in body weights (1.5 N for a NAO)."""
+    """How far offsets are thought to be from the starting map, in body weights (1.5 N for a NAO); as
+    uncertain as `scale_std`."""
 
     cross_talk: float = 0.0
     """How much the axes of a six-axis sensor are thought to talk across, relative to their own scale; 0 takes

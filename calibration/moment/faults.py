@@ -2,7 +2,8 @@
 
 Three things give a channel away:
 
-* **It leaps.** A reading that is away from the last by more than a foot can is held, for a few samples.
+* **It leaps.** A reading that is away from the last by more than a foot can is held, for a few samples; not
+  while several channels leap within seconds, as those of a robot that bounces do.
 * **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
 * **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.hypotheses`.
 
@@ -36,8 +37,8 @@ _ALONE = 4.0
 _BUMPY = 1.5
 """Leaps of other channels of late from which on leaps are blows: a robot that bounces, and no faulty cell."""
 
-_BUMP_MEMORY = 0.9
-"""Share of the count of leaps that a block keeps."""
+_BUMP_MEMORY = 0.993
+"""Share of the count of leaps that a sample keeps: it is that of some 140 samples."""
 
 _WELL = 0.5 * SUSPICION
 """Mean squared normalised residual of a block below which nothing seems wrong."""
@@ -171,7 +172,7 @@ class ChannelFaults:
             force = (state.wiring @ force[..., None])[..., 0]
             read = (xp.abs(state.wiring) @ xp.astype(read, force.dtype)[..., None])[..., 0] > 0.5
         step = xp.abs(force - state.last)
-        leaping = step > self._leap
+        state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > self._leap
         if not anywhere(leaping):
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
         # A foot that lands moves several of its cells.
@@ -208,7 +209,7 @@ class ChannelFaults:
         kind = int(Flag.DEAD) * dead | int(Flag.SATURATED) * rail | int(Flag.STUCK) * (stuck & ~dead & ~rail)
         kind = kind | int(Flag.MISSING) * missing
         fresh = (stuck | missing) & (state.lost < 0.5) & (own.cells > 0.5)
-        return self._lose(state._replace(leapt=_BUMP_MEMORY * state.leapt), fresh, kind)
+        return self._lose(state, fresh, kind)
 
     def contradicted(self, state: ChannelState, seen: Contradiction) -> tuple[ChannelState, Array, Array]:
         """Hold hypotheses against the robot's motion.

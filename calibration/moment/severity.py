@@ -27,7 +27,7 @@ from surefoot.calibration.moment.unknowns import Unknowns
 SEVERITIES = (0.04, 0.2, 1.0, 5.0)
 """How far off sensors may be, in stated standard deviations: calibrated, well kept, as stated, neglected."""
 
-WIDEST = 3.0
+FIRST_WIDTH = 3.0
 """Stated standard deviations of the prior that the filter begins with."""
 
 _LEAST = 1e-6
@@ -47,18 +47,18 @@ class LearntSeverity:
         severities = [np.repeat(pair, widths) for pair in product(SEVERITIES, repeat=2)]
         self._constants = Constants(
             variance=np.stack(severities) ** 2,
-            beyond=(WIDEST**2 - 1.0) * unknowns.std[unknowns.map] ** 2,
+            stated=unknowns.std[unknowns.map] ** 2,
             identity=np.eye(unknowns.map.stop),
             start=unknowns.start[unknowns.map],
         )
 
-    def reweighted(self, mean: Array, covariance: Array, prior: Array, misfit: Array) -> tuple[Array, Array]:
+    def reweighted(self, mean: Array, covariance: Array, drift: Array, misfit: Array) -> tuple[Array, Array]:
         """Return scales and offsets under all severities together.
 
         Args:
             mean: The filter's unknowns, shape (..., N).
             covariance: Theirs, shape (..., N, N).
-            prior: Variances of scales and offsets by the widest start and their drift, shape (..., M).
+            drift: Variances that scales and offsets have drifted by since the start, shape (..., M).
             misfit: Mean square of residuals over what is expected of them, shape (...): above 1, the data are
                 worth that many times less.
 
@@ -66,6 +66,8 @@ class LearntSeverity:
             Scales and offsets, shape (..., M), and their covariance, shape (..., M, M).
         """
         xp, own, of_map = namespace_of(mean), self._constants.like(mean), self.unknowns.map
+        stated = own.stated + drift
+        prior = FIRST_WIDTH**2 * own.stated + drift
         std = xp.sqrt(prior)
         units = std[..., :, None] * std[..., None, :]
         share, axes = xp.linalg.eigh(covariance[..., of_map, of_map] / units)
@@ -75,7 +77,7 @@ class LearntSeverity:
         off = (mean[..., of_map] - own.start) / std
         pull = (axes @ ((axes.mT @ off[..., None]) * (worth / share)[..., None]))[..., None, :, :]
 
-        severity = own.variance * ((prior - own.beyond) / prior)[..., None, :]
+        severity = own.variance * (stated / prior)[..., None, :]
         precision = seen[..., None, :, :] + own.identity / severity[..., None, :]
         V = xp.linalg.inv(precision)
         found = V @ pull

@@ -29,7 +29,7 @@ class MomentState(NamedTuple):
             (..., every + 2 settle, P); see :class:`BlockColumns`.
         mean: The unknowns, shape (..., N).
         covariance: Their covariance, shape (..., N, N).
-        prior: Variances of scales and offsets by the widest start and their drift, shape (..., P + K).
+        drift: Variances that scales and offsets have drifted by since the start, shape (..., P + K).
         given: The unknowns as they are handed out, by a prior that is learnt as well, shape (..., N).
         given_covariance: Covariance of their scales and offsets, shape (..., P + K, P + K).
         learnt: Covariance of (a, b) of each channel, shape (..., 2K, 2K).
@@ -49,7 +49,7 @@ class MomentState(NamedTuple):
     pending: Array
     mean: Array
     covariance: Array
-    prior: Array
+    drift: Array
     given: Array
     given_covariance: Array
     learnt: Array

@@ -20,7 +20,7 @@ from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.parity import Parity
 from surefoot.calibration.moment.rows import Block, Residuals, Rows
-from surefoot.calibration.moment.severity import WIDEST, LearntSeverity
+from surefoot.calibration.moment.severity import FIRST_WIDTH, LearntSeverity
 from surefoot.calibration.moment.state import BlockColumns, MomentState
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.uncertainty import Uncertainty
@@ -73,7 +73,7 @@ _REACH = 10.0
 """Standard deviations from the starting map beyond which a sensor is not thought to be."""
 
 _MISFIT_MEMORY = 0.06
-"""How much of the misfit one update renews: it is that of the last three seconds."""
+"""How much of the misfit one update renews: it is that of some seventeen blocks."""
 
 _FIRST_MISFIT = 4.0
 """The misfit before anything was seen: a start that all fits is believed after some seconds."""
@@ -106,13 +106,14 @@ class MomentStream:
         motion = self._front_end.motions.columns.size
         self._pending = BlockColumns(*in_a_row(channels, motion, channels, feet, 1, 1))
         scale, offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
-        # What is stated, or less, is found in what is handed out.
-        std = unknowns.std.copy()
-        std[unknowns.map] *= WIDEST
+        wide = np.ones(unknowns.size)
+        wide[unknowns.map] = FIRST_WIDTH
+        std = unknowns.std * wide
         self._constants = Constants(
             start=unknowns.start,
             covariance=np.diag(std**2),
-            prior=std[unknowns.map] ** 2,
+            wide=wide,
+            stated=unknowns.std[unknowns.map] ** 2,
             walk=np.diag(unknowns.walk * config.every * setup.dt),
             learnt=unknowns.learnt,
             identity=np.eye(unknowns.size),
@@ -138,7 +139,7 @@ class MomentStream:
             pending=zeros(self.config.span, self._pending.sound.stop),
             mean=mean,
             covariance=covariance,
-            prior=zeros(1) + own.prior,
+            drift=zeros(own.stated.shape[-1]),
             given=mean,
             given_covariance=covariance,
             learnt=zeros(2 * self.setup.layout.channels, 1),
@@ -177,7 +178,7 @@ class MomentStream:
             walk = self._constants.like(raw).walk * (
                 min(dt, _LONGEST_PAUSE) / (self.config.every * self.setup.dt)
             )
-            state = state._replace(covariance=state.covariance + walk, prior=state.prior + self._of_map(walk))
+            state = state._replace(covariance=state.covariance + walk, drift=state.drift + self._of_map(walk))
         if state.step % self.config.every:
             nothing = 0.0 * state.noise[..., 0]
             return state, self._estimate(state, sample, kinds, nothing + xp.nan, nothing)
@@ -192,13 +193,13 @@ class MomentStream:
         faults = self._faults.silent(state.faults, block.force, read)
         block = block._replace(use=block.use * self._complete(faults, read))
         covariance = state.covariance + own.walk
-        state = state._replace(prior=state.prior + self._of_map(own.walk))
+        state = state._replace(drift=state.drift + self._of_map(own.walk))
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         assumed = rows.variance / xp.concat([state.noise] * (config.every // config.average), axis=-1)
         rows = self._bilinear(rows, places, covariance)
         residuals = Residuals.of(rows, mean, covariance)
-        newton, rejected = self._plausible(rows, residuals, assumed)
+        newton, rejected = self._plausible(rows, residuals, covariance, assumed)
         waiting = self._faults.suspects(faults, residuals)
         # What still seems wrong when no channel was found to be is the robot itself.
         changed = self._changed(mean, covariance, newton) | self._faults.unexplained(faults)
@@ -207,7 +208,7 @@ class MomentStream:
         covariance = covariance + xp.where(changed[..., None, None], own.change, 0.0)
         quiet, anchor, learnt_from = self._quiet(state, block, newton)
         if bool(xp.any(block.swing > 0.5)):
-            tare, doubted = self._tare(mean, covariance, block, faults)
+            tare, doubted = self._tare(mean, covariance, state.drift, block, faults)
             learnt_from, rejected = learnt_from.beside(tare), rejected | doubted
         if self.parity.matters:
             parity = self.parity.rows(mean, block)
@@ -217,7 +218,7 @@ class MomentStream:
         learnt_from = learnt_from.keep(xp.astype(~waiting, mean.dtype)[..., None])
         learnt = self._learnt(covariance, own.learnt)
         step = kalman_step(mean, covariance, *learnt_from, learnt, own.identity, config.gate)
-        low, high = self._limits(state.prior)
+        low, high = self._limits(state.drift)
         clipped = xp.clip(step.mean, low, high)
         rejected = rejected | xp.any(clipped != step.mean, axis=-1)
         finite = xp.all(xp.isfinite(step.mean), axis=-1)
@@ -229,13 +230,13 @@ class MomentStream:
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        # A robot that is held, of which nothing is used, says nothing of the motion that it had.
-        held = ~xp.any(newton.H != 0.0, axis=(-2, -1))
-        misfit = xp.where(held, state.misfit, self._misfit(state.misfit, residuals))
+        # A robot of which nothing is used, as somebody holds it, says nothing of the motion that it had.
+        unused = waiting | ~xp.any(newton.H != 0.0, axis=(-2, -1))
+        misfit = xp.where(unused, state.misfit, self._misfit(state.misfit, residuals))
         state = state._replace(misfit=misfit)
         state = self._watch(state, faults, mean, block, rows, places, residuals)
         # What no fault and no load explains is noise; a robot that stands shows little of it.
-        kept = held | waiting | (quiet > 0.5) | self._faults.explicable(state.faults)
+        kept = unused | (quiet > 0.5) | self._faults.explicable(state.faults)
         noise = xp.where(kept[..., None], state.noise, self._noise(state.noise, residuals))
         return state._replace(noise=noise), step
 
@@ -243,8 +244,8 @@ class MomentStream:
         """Allow for the product of the errors of scales and offsets, which columns leave out."""
         xp, unknowns, own = namespace_of(covariance), self.unknowns, self._constants.like(covariance)
         variance = xp.linalg.diagonal(covariance)
-        # Hardly any sensor has both as wide as the start is.
-        product = unknowns.own_scales(variance) * variance[..., unknowns.offset] / WIDEST**2
+        # Hardly any sensor is as far off in both as the filter begins with.
+        product = unknowns.own_scales(variance) * variance[..., unknowns.offset] / FIRST_WIDTH**2
         lever = places * own.unit
         more = _SHARED * ((lever * lever) @ product[..., None])[..., 0]
         return rows._replace(variance=rows.variance + more)
@@ -262,22 +263,23 @@ class MomentStream:
         """Return the variances of scales and offsets, shape (..., M)."""
         return namespace_of(covariance).linalg.diagonal(covariance)[..., self.unknowns.map]
 
-    def _limits(self, prior: Array) -> tuple[Array, Array]:
+    def _limits(self, drift: Array) -> tuple[Array, Array]:
         """Return the bounds of what a sensor can be, by where it began and how far it can have drifted."""
-        xp, own = namespace_of(prior), self._constants.like(prior)
+        xp, own = namespace_of(drift), self._constants.like(drift)
         # Errors of the reference may change, when a load is picked up; a sensor only drifts.
-        others = xp.inf + own.start[self.unknowns.map.stop :] + 0.0 * prior[..., :1]
-        reach = _REACH * xp.concat([xp.sqrt(prior), others], axis=-1)
+        others = xp.inf + own.start[self.unknowns.map.stop :] + 0.0 * drift[..., :1]
+        sensors = xp.sqrt(FIRST_WIDTH**2 * own.stated + drift)
+        reach = _REACH * xp.concat([sensors, others], axis=-1)
         return own.start - reach, own.start + reach
 
     def _given(self, state: MomentState, before: Array) -> MomentState:
         """Return the state with what is handed out: the unknowns by a prior that was learnt as well.
 
-        It moves only where the unknowns did: without new rows nothing but the uncertainty grows.
+        It moves only where the unknowns did: without new rows only the uncertainty changes.
         """
         xp, of_map = namespace_of(state.mean), self.unknowns.map
         learnt, covariance = self._severity.reweighted(
-            state.mean, state.covariance, state.prior, state.misfit
+            state.mean, state.covariance, state.drift, state.misfit
         )
         mean = xp.concat([learnt, state.mean[..., of_map.stop :]], axis=-1)
         mean = xp.where(any_along(state.mean != before)[..., None], mean, state.given)
@@ -316,7 +318,8 @@ class MomentStream:
         faults, found, loaded = self._faults.contradicted(faults, seen)
         found = found | fresh
         used = xp.all(block.use > 0.5, axis=-1) & ~found
-        faults = self._faults.learn(faults, force, used)
+        given = unknowns.force(state.given[..., None, :], reading, own.unit)
+        faults = self._faults.learn(faults, given, used)
         more = xp.where(loaded[..., None, None], own.change, 0.0)
         state = state._replace(faults=faults, covariance=state.covariance + more)
         if bool(xp.any(found)):
@@ -366,15 +369,18 @@ class MomentStream:
         anchor = xp.where(moved[..., None], middle, state.anchor)
         return quiet, anchor, rows._replace(variance=rows.variance * ((1.0 + quiet) ** 2)[..., None])
 
-    def _plausible(self, rows: Rows, residuals: Residuals, assumed: Array) -> tuple[Rows, Array]:
+    def _plausible(
+        self, rows: Rows, residuals: Residuals, covariance: Array, assumed: Array
+    ) -> tuple[Rows, Array]:
         """Leave out groups of rows that no error of calibration explains, such as of a lifted robot.
 
         Noise that is learnt, or expected at first, is no reason to learn from such rows: they are held
         against the variances that are assumed, shape (..., m), and sensors against what is stated of them.
         """
-        predicted = (residuals.variance - rows.variance) / WIDEST**2
-        e, variance = residuals.residual, predicted + assumed
-        xp, kinds = namespace_of(e), self.newton_euler.kinds
+        e, kinds = residuals.residual, self.newton_euler.kinds
+        xp = namespace_of(e)
+        H = rows.H / self._constants.like(e).wide
+        variance = xp.sum((H @ covariance) * H, axis=-1) + assumed
         wrong = (xp.abs(e) > self.config.reject) & (e * e > _REJECT_STD**2 * variance)
         groups = xp.any(xp.reshape(wrong, (*e.shape[:-1], -1, kinds)), axis=-1)
         keep = xp.reshape(xp.stack([~groups] * kinds, axis=-1), tuple(e.shape))
@@ -401,12 +407,17 @@ class MomentStream:
         spread = spread + xp.sum(rows.variance[..., which] * there, axis=-1) / count**2
         return (e * e > _LEAP_STD**2 * spread) & (xp.abs(e) > _LEAST_CHANGE * self.config.mass_change)
 
-    def _tare(self, mean: Array, covariance: Array, block: Block, faults: ChannelState) -> tuple[Rows, Array]:
+    def _tare(
+        self, mean: Array, covariance: Array, drift: Array, block: Block, faults: ChannelState
+    ) -> tuple[Rows, Array]:
         """Write the tare of feet that hang, unless they carry weight."""
         xp, of_map = namespace_of(mean), self.unknowns.map
         count, reading = self.tare.hanging(block)
         load, row = self.tare.load(mean, reading, faults.spare if faults.altered else None)
-        spread = xp.sum((row @ covariance[..., of_map, of_map]) * row, axis=-1) / WIDEST**2
+        # As it is known to, and before anything was learnt to what is stated.
+        stated = xp.sum(row * row * (self._constants.like(row).stated + drift)[..., None, :], axis=-1)
+        known = xp.sum((row @ covariance[..., of_map, of_map]) * row, axis=-1)
+        spread = xp.where(known < stated, known, stated)
         limit = self.config.swing_load + _LOAD_STD * xp.sqrt(xp.clip(spread, 0.0, None))
         doubted = (count > 0.5) & (xp.abs(load) > limit)
         # Not all feet of a robot that stands are in the air.

@@ -10,7 +10,7 @@ from _synthetic import LAYOUT, MASS, NOMINAL, Faults, errors
 from numpy.testing import assert_allclose
 
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.severity import SEVERITIES, WIDEST, LearntSeverity
+from surefoot.calibration.moment.severity import SEVERITIES, FIRST_WIDTH, LearntSeverity
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
 
@@ -32,7 +32,7 @@ def reweighted(mean, covariance, drift=0.0, misfit=1.0):
     rest = UNKNOWNS.size - SIZE
     whole = np.pad(covariance, (0, rest))
     return LearntSeverity(UNKNOWNS).reweighted(
-        np.append(mean, np.zeros(rest)), whole, (WIDEST * STATED) ** 2 + drift, np.array(misfit)
+        np.append(mean, np.zeros(rest)), whole, np.zeros(SIZE) + drift, np.array(misfit)
     )
 
 
@@ -42,7 +42,7 @@ def test_it_is_the_mixture_of_exact_posteriors(severity, rows):
     rng = np.random.default_rng(7)
     H = rng.normal(size=(rows, SIZE)) / STATED
     y = H @ (START + severity * STATED * rng.normal(size=SIZE)) + 0.5 * rng.normal(size=rows)
-    mean, covariance, _ = posterior(H, y, 0.5, WIDEST * STATED)
+    mean, covariance, _ = posterior(H, y, 0.5, FIRST_WIDTH * STATED)
     widths = UNKNOWNS.scales, UNKNOWNS.channels
     each = [posterior(H, y, 0.5, STATED * np.repeat(s, widths)) for s in product(SEVERITIES, repeat=2)]
     means, covariances, evidences = (np.array(part) for part in zip(*each, strict=True))
@@ -57,16 +57,15 @@ def test_it_is_the_mixture_of_exact_posteriors(severity, rows):
 
 
 def test_without_data_it_is_the_start_with_all_severities_alike():
-    mean, covariance = reweighted(START, np.diag((WIDEST * STATED) ** 2))
+    mean, covariance = reweighted(START, np.diag((FIRST_WIDTH * STATED) ** 2))
     assert_allclose(mean, START, atol=1e-12)
     expected = np.mean(np.square(SEVERITIES)) * STATED**2
-    # Information is clipped at nothing from below, within rounding.
     assert_allclose(np.diag(covariance), expected, rtol=1e-9)
 
 
 def test_drift_widens_every_prior_by_the_same_share():
     drift = 2.0 * STATED**2
-    _, covariance = reweighted(START, np.diag((WIDEST * STATED) ** 2 + drift), drift)
+    _, covariance = reweighted(START, np.diag((FIRST_WIDTH * STATED) ** 2 + drift), drift)
     assert_allclose(np.diag(covariance), 3.0 * np.mean(np.square(SEVERITIES)) * STATED**2, rtol=1e-9)
 
 
@@ -75,13 +74,13 @@ def test_data_that_do_not_fit_are_worth_less():
     H = rng.normal(size=(40, SIZE)) / STATED
     y = H @ (START + STATED * rng.normal(size=SIZE)) + 0.5 * rng.normal(size=40)
     misfit = 4.0
-    found = reweighted(*posterior(H, y, 0.5, WIDEST * STATED)[:2], misfit=misfit)
-    expected = reweighted(*posterior(H, y, 0.5 * misfit**0.5, WIDEST * STATED)[:2])
+    found = reweighted(*posterior(H, y, 0.5, FIRST_WIDTH * STATED)[:2], misfit=misfit)
+    expected = reweighted(*posterior(H, y, 0.5 * misfit**0.5, FIRST_WIDTH * STATED)[:2])
     assert_allclose(found[0], expected[0], atol=1e-6)
     assert_allclose(found[1], expected[1], atol=1e-8)
     # Data that fit better than expected are worth no more.
-    alike = reweighted(*posterior(H, y, 0.5, WIDEST * STATED)[:2], misfit=0.1)
-    assert_allclose(alike[0], reweighted(*posterior(H, y, 0.5, WIDEST * STATED)[:2])[0])
+    alike = reweighted(*posterior(H, y, 0.5, FIRST_WIDTH * STATED)[:2], misfit=0.1)
+    assert_allclose(alike[0], reweighted(*posterior(H, y, 0.5, FIRST_WIDTH * STATED)[:2])[0])
 
 
 def test_a_calibrated_robot_keeps_its_map_though_its_body_is_not_as_believed():
