@@ -10,7 +10,7 @@ from _synthetic import LAYOUT, MASS, NOMINAL, Faults, errors
 from numpy.testing import assert_allclose
 
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.severity import SEVERITIES, FIRST_WIDTH, LearntSeverity
+from surefoot.calibration.moment.severity import FIRST_WIDTH, SEVERITIES, LearntSeverity
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
 
