@@ -18,6 +18,7 @@ import typer
 from typer.testing import CliRunner
 
 from surefoot.calibration import GRAVITY, Reference, calibrate_in_situ, nao_shoe_layout
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.export import write_json
@@ -187,6 +188,14 @@ def test_what_is_named_exists(page: Path) -> None:
         )
         slugs = [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings]
         assert not anchor or anchor in slugs, f"{path}#{anchor}"
+
+
+def test_options_of_the_moment_filter_have_the_defaults_that_the_page_says() -> None:
+    page = (ROOT / "docs" / "which-calibrator.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)[^|]* \| [^|]+ \|$", page, re.MULTILINE)
+    assert len(rows) == 12
+    config = MomentFilterConfig()
+    assert all(getattr(config, name) == float(default) for name, default in rows)
 
 
 def test_the_readme_fits_on_a_screen_and_its_results_are_those_of_the_results_page() -> None:
