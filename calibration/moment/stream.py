@@ -18,6 +18,7 @@ from surefoot.calibration.moment.faults import TRUST, ChannelFaults, ChannelStat
 from surefoot.calibration.moment.hypotheses import Contradiction
 from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
+from surefoot.calibration.moment.noise import FIRST_MISFIT, FIRST_NOISE, followed_misfit, followed_noise
 from surefoot.calibration.moment.parity import Parity
 from surefoot.calibration.moment.rows import Block, Residuals, Rows
 from surefoot.calibration.moment.severity import FIRST_WIDTH, LearntSeverity
@@ -31,12 +32,6 @@ from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 _REJECT_STD = 8.0
 """Standard deviations beyond which a large innovation is no error of calibration."""
 
-_LOUDEST = 100.0
-"""By how many times variances are taken as larger than assumed at most."""
-
-_LARGEST_SQUARE = 9.0
-"""Largest squared normalised innovation that the noise follows: one beyond three deviations may be wrong."""
-
 _LEAP_STD = 5.0
 """Standard deviations of a block's mean vertical force beyond which the mass itself is doubted."""
 
@@ -45,13 +40,6 @@ _LEAST_CHANGE = 0.5
 
 _SETTLED = 50.0
 """Blocks without doubt that must have passed before the mass is doubted."""
-
-_FIRST_NOISE = 16.0
-"""By how many times variances are taken as larger than assumed before anything moved: a map that was fitted
-to noise in the first seconds is not forgotten soon."""
-
-_NOISE_MEMORY = 0.1
-"""How much of the noise's factor one update renews."""
 
 _LOAD_STD = 4.0
 """Standard deviations of a foot's load that a foot in the air may seem to carry besides ``swing_load``."""
@@ -71,15 +59,6 @@ swings, no offset is known, and all of them together count as one."""
 
 _REACH = 10.0
 """Standard deviations from the starting map beyond which a sensor is not thought to be."""
-
-_MISFIT_MEMORY = 0.06
-"""How much of the misfit one update renews: it is that of some seventeen blocks."""
-
-_FIRST_MISFIT = 4.0
-"""The misfit before anything was seen: a start that all fits is believed after some seconds."""
-
-_LARGEST_MISFIT = 25.0
-"""Largest squared normalised innovation that the misfit counts."""
 
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to."""
@@ -146,8 +125,8 @@ class MomentStream:
             spread=zeros(3, 1),
             kept_mean=zeros(2, 1) + own.start,
             kept_covariance=zeros(2, 1, 1) + own.covariance,
-            noise=zeros(self.newton_euler.kinds) + _FIRST_NOISE,
-            misfit=zeros() + _FIRST_MISFIT,
+            noise=zeros(self.newton_euler.kinds) + FIRST_NOISE,
+            misfit=zeros() + FIRST_MISFIT,
             quiet=zeros(),
             anchor=zeros(self.setup.layout.channels),
             status=zeros(dtype=xp.int64),
@@ -232,12 +211,12 @@ class MomentStream:
         )
         # A robot of which nothing is used, as somebody holds it, says nothing of the motion that it had.
         unused = waiting | ~xp.any(newton.H != 0.0, axis=(-2, -1))
-        misfit = xp.where(unused, state.misfit, self._misfit(state.misfit, residuals))
+        misfit = xp.where(unused, state.misfit, followed_misfit(state.misfit, residuals))
         state = state._replace(misfit=misfit)
         state = self._watch(state, faults, mean, block, rows, places, residuals)
         # What no fault and no load explains is noise; a robot that stands shows little of it.
         kept = unused | (quiet > 0.5) | self._faults.explicable(state.faults)
-        noise = xp.where(kept[..., None], state.noise, self._noise(state.noise, residuals))
+        noise = xp.where(kept[..., None], state.noise, followed_noise(state.noise, residuals))
         return state._replace(noise=noise), step
 
     def _bilinear(self, rows: Rows, places: Array, covariance: Array) -> Rows:
@@ -386,14 +365,6 @@ class MomentStream:
         keep = xp.reshape(xp.stack([~groups] * kinds, axis=-1), tuple(e.shape))
         return rows.keep(xp.astype(keep, e.dtype)), xp.any(groups, axis=-1)
 
-    def _misfit(self, misfit: Array, residuals: Residuals) -> Array:
-        """Follow how large residuals are against what is expected, those that are left out as well."""
-        xp = namespace_of(misfit)
-        count = xp.sum(residuals.there, axis=-1)
-        square = xp.clip(residuals.residual**2 / residuals.variance, 0.0, _LARGEST_MISFIT)
-        seen = xp.sum(square * residuals.there, axis=-1) / xp.where(count > 0.5, count, 1.0)
-        return misfit + _MISFIT_MEMORY * (seen - misfit)
-
     def _changed(self, mean: Array, covariance: Array, rows: Rows) -> Array:
         """Return where the force of a whole block leaps away from what the motion asks for (bool)."""
         xp, which = namespace_of(mean), slice(self.newton_euler.vertical, None, self.newton_euler.kinds)
@@ -425,14 +396,6 @@ class MomentStream:
         count = xp.where(doubted, 0.0, count)
         rows = self.tare.rows(mean, block, count, reading)
         return rows.keep(1.0 - faults.lost) if faults.altered else rows, xp.any(doubted, axis=-1)
-
-    def _noise(self, noise: Array, residuals: Residuals) -> Array:
-        """Follow how large residuals are against what is expected; never take noise for less than assumed."""
-        xp = namespace_of(noise)
-        square = xp.clip(residuals.residual**2 / residuals.variance, 0.0, _LARGEST_SQUARE)
-        surplus = (square - 1.0) * residuals.there
-        surplus = xp.mean(xp.reshape(surplus, (*noise.shape[:-1], -1, self.newton_euler.kinds)), axis=-2)
-        return xp.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
 
     def _estimate(
         self, state: MomentState, sample: Sample, kinds: Array, nis: Array, nis_rows: Array
