@@ -13,8 +13,9 @@ With D the diagonal prior of two severities, one of all scales and one of all of
     2 log evidence = (m_D - x0)' V^-1 (m_D - x0) - log det(D V^-1),
 
 exactly so for sensors that stay as they are. What is handed out is the mean of all m_D by their evidence,
-with the covariance of that mixture. The filter itself goes on as it was: a severity that proves wrong later
-has cost nothing.
+with the covariance of that mixture; what is stated is taken for likelier beforehand, and so decides on a
+robot that hardly moves. The filter itself goes on as it was: a severity that proves wrong later has cost
+nothing.
 """
 
 from itertools import product
@@ -27,7 +28,10 @@ from surefoot.calibration.moment.unknowns import Unknowns
 SEVERITIES = (0.04, 0.2, 1.0, 5.0)
 """How far off sensors may be, in stated standard deviations: calibrated, well kept, as stated, neglected."""
 
-FIRST_WIDTH = 3.0
+LIKELY = (0.1, 0.1, 0.7, 0.1)
+"""How likely each of them is before anything was seen."""
+
+FIRST_WIDTH = 2.0
 """Stated standard deviations of the prior that the filter begins with."""
 
 _LEAST = 1e-6
@@ -47,6 +51,7 @@ class LearntSeverity:
         severities = [np.repeat(pair, widths) for pair in product(SEVERITIES, repeat=2)]
         self._constants = Constants(
             variance=np.stack(severities) ** 2,
+            likely=2.0 * np.log([np.prod(pair) for pair in product(LIKELY, repeat=2)]),
             stated=unknowns.std[unknowns.map] ** 2,
             identity=np.eye(unknowns.map.stop),
             start=unknowns.start[unknowns.map],
@@ -83,6 +88,7 @@ class LearntSeverity:
         found = V @ pull
         _, size = xp.linalg.slogdet(precision)
         evidence = xp.sum((found * pull)[..., 0], axis=-1) - size - xp.sum(xp.log(severity), axis=-1)
+        evidence = evidence + own.likely
         weight = xp.exp(0.5 * (evidence - xp.max(evidence, axis=-1, keepdims=True)))
         weight = (weight / xp.sum(weight, axis=-1, keepdims=True))[..., None, None]
         mixed = xp.sum(weight * found, axis=-3)

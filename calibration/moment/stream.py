@@ -53,9 +53,9 @@ _LONGEST_PAUSE = 3600.0
 _UNSURE_MASS = 2.0
 """How many times less sure than at the start the mass is while it is estimated."""
 
-_SHARED = 32.0
-"""Rows of a kind, those of 0.8 s, that share the product of the errors of scale and offset: until a foot
-swings, no offset is known, and all of them together count as one."""
+_SHARED = 4.0
+"""Rows of a kind that share the product of the errors of scale and offset: until a foot swings, no offset is
+known. More serve sensors that are worse than stated, fewer those on a robot that only stands."""
 
 _REACH = 10.0
 """Standard deviations from the starting map beyond which a sensor is not thought to be."""

@@ -10,7 +10,7 @@ from _synthetic import LAYOUT, MASS, NOMINAL, Faults, errors
 from numpy.testing import assert_allclose
 
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.severity import FIRST_WIDTH, SEVERITIES, LearntSeverity
+from surefoot.calibration.moment.severity import FIRST_WIDTH, LIKELY, SEVERITIES, LearntSeverity
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
 
@@ -46,7 +46,8 @@ def test_it_is_the_mixture_of_exact_posteriors(severity, rows):
     widths = UNKNOWNS.scales, UNKNOWNS.channels
     each = [posterior(H, y, 0.5, STATED * np.repeat(s, widths)) for s in product(SEVERITIES, repeat=2)]
     means, covariances, evidences = (np.array(part) for part in zip(*each, strict=True))
-    weight = np.exp(evidences - evidences.max())
+    before = np.array([np.prod(pair) for pair in product(LIKELY, repeat=2)])
+    weight = before * np.exp(evidences - evidences.max())
     weight /= weight.sum()
     expected = weight @ means
     apart = means - expected
@@ -56,17 +57,17 @@ def test_it_is_the_mixture_of_exact_posteriors(severity, rows):
     assert_allclose(found[1], spread, atol=1e-5 * (STATED.max() ** 2))
 
 
-def test_without_data_it_is_the_start_with_all_severities_alike():
+def test_without_data_it_is_the_start_with_severities_as_likely_as_before():
     mean, covariance = reweighted(START, np.diag((FIRST_WIDTH * STATED) ** 2))
     assert_allclose(mean, START, atol=1e-12)
-    expected = np.mean(np.square(SEVERITIES)) * STATED**2
+    expected = np.dot(LIKELY, np.square(SEVERITIES)) * STATED**2
     assert_allclose(np.diag(covariance), expected, rtol=1e-9)
 
 
 def test_drift_widens_every_prior_by_the_same_share():
     drift = 2.0 * STATED**2
     _, covariance = reweighted(START, np.diag((FIRST_WIDTH * STATED) ** 2 + drift), drift)
-    assert_allclose(np.diag(covariance), 3.0 * np.mean(np.square(SEVERITIES)) * STATED**2, rtol=1e-9)
+    assert_allclose(np.diag(covariance), 3.0 * np.dot(LIKELY, np.square(SEVERITIES)) * STATED**2, rtol=1e-9)
 
 
 def test_data_that_do_not_fit_are_worth_less():
