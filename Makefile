@@ -36,7 +36,7 @@ results: $(VENV)/.dev
 	done
 	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
 	$(BIN)/surefoot compare walking --full --seeds $(WALKS) --out $(RESULTS)/full
-	$(BIN)/python -m surefoot.experiments.study.results docs/results.md
+	$(BIN)/python -m surefoot.experiments.study.results docs/results.md docs/in-situ.md
 
 # Studies that take minutes: a million fuzzed samples, consistency over 200 runs.
 slow: $(VENV)/.dev
