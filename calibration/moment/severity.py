@@ -34,8 +34,8 @@ LIKELY = (0.1, 0.1, 0.7, 0.1)
 FIRST_WIDTH = 2.0
 """Stated standard deviations of the prior that the filter begins with."""
 
-_LEAST = 1e-6
-"""Least share of its starting variance that anything is known to: float32 knows no smaller one."""
+_LEAST = 8.0
+"""Least share of its starting variance that anything is known to, in roundings of the library's numbers."""
 
 
 class LearntSeverity:
@@ -76,7 +76,7 @@ class LearntSeverity:
         std = xp.sqrt(prior)
         units = std[..., :, None] * std[..., None, :]
         share, axes = xp.linalg.eigh(covariance[..., of_map, of_map] / units)
-        share = xp.clip(share, _LEAST, 1.0)
+        share = xp.clip(share, _LEAST * float(xp.finfo(mean.dtype).eps), 1.0)
         worth = 1.0 / xp.clip(misfit, 1.0, None)[..., None]
         seen = (axes * (worth * (1.0 / share - 1.0))[..., None, :]) @ axes.mT
         off = (mean[..., of_map] - own.start) / std

@@ -53,7 +53,7 @@ _LONGEST_PAUSE = 3600.0
 _UNSURE_MASS = 2.0
 """How many times less sure than at the start the mass is while it is estimated."""
 
-_SHARED = 4.0
+_SHARED = 8.0
 """Rows of a kind that share the product of the errors of scale and offset: until a foot swings, no offset is
 known. More serve sensors that are worse than stated, fewer those on a robot that only stands."""
 

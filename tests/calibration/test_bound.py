@@ -10,6 +10,7 @@ from _synthetic import DT, LAYOUT
 
 from surefoot.calibration import Parameters, Reference
 from surefoot.calibration.front_end.motion import Motions
+from surefoot.calibration.moment import noise
 from surefoot.calibration.moment import stream as stream_module
 from surefoot.calibration.moment.bound import posterior_bound
 from surefoot.calibration.moment.config import MomentFilterConfig
@@ -188,8 +189,9 @@ def test_arguments_that_do_not_fit_are_refused(log):
 def against_the_bound(monkeypatch, **options):
     """Errors of forces and of the centre of pressure after 4 s, over those of the bound."""
     # The bound is that of a filter that is told the noise.
-    monkeypatch.setattr(stream_module, "_NOISE_MEMORY", 0.0)
-    monkeypatch.setattr(stream_module, "_FIRST_NOISE", 1.0)
+    monkeypatch.setattr(noise, "_NOISE_MEMORY", 0.0)
+    monkeypatch.setattr(stream_module, "FIRST_NOISE", 1.0)
+    monkeypatch.setattr(stream_module, "FIRST_MISFIT", 1.0)
     config, runs = MomentFilterConfig(**KNOWN, **options), 64
     drawn = matched(on_cells(1, 0.1, 12.0), LAYOUT, config, runs, 6)
     method = moment_filter(drawn.setup, config)

@@ -43,7 +43,8 @@ def test_ankle_sensors_are_calibrated_from_walking(cross_talk):
     wrong = [rms(force - truth.force[-1]) for force in (estimate.force, drawn.raw[-1])]
     assert (wrong[0] < 0.5 * wrong[1]).all()
     if cross_talk:
-        full = np.einsum("rij,rj->ri", estimate.matrix, drawn.raw[-1]) + offset
+        given = unknowns.offsets(state.given, unknowns.unit)
+        full = np.einsum("rij,rj->ri", estimate.matrix, drawn.raw[-1]) + given
         np.testing.assert_allclose(full, estimate.force, atol=1e-9)
     else:
         assert estimate.matrix is None
