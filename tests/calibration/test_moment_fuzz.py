@@ -96,7 +96,8 @@ def test_a_hundred_thousand_fuzzed_samples_lose_nothing(dtype):
 def test_a_million_fuzzed_samples_lose_nothing():
     wrong, lost = fuzz(4000, 250, np.float64, sweep=125)
     assert np.isfinite(wrong).mean() > 0.999
-    # The clock's jumps stand for hours of drift, which widen every prior: 86 %, and 95 % with the stated one alone.
+    # The clock's jumps stand for hours of drift, which widen every prior: 86 %, where the stated one alone
+    # has more than 95 %.
     assert np.mean(wrong[~lost] < 4.0) > 0.8
 
 
