@@ -12,11 +12,11 @@ outer unknowns are searched (variable projection: Golub and Pereyra, 1973; Jacob
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -130,7 +130,7 @@ class Problem:
         """Columns of the response: six, and one more for each signal that acts on the readings directly."""
         return AXES + self.temperature + self.channel_lags
 
-    @property
+    @cached_property
     def prior_root(self) -> Vector:
         """Weight of the rows of each column of W A by the factory, shape (6,)."""
         if self.prior_response is None:
@@ -138,10 +138,30 @@ class Problem:
         size = np.sqrt(np.mean((self.whitening @ self.prior_response) ** 2, axis=0))
         return np.asarray(np.sqrt(self.level) / (self.prior_shares * size))
 
-    @property
+    @cached_property
     def weighted_limb_root(self) -> Matrix:
         """Rows that weigh phi - limb beside those of the readings, shape (q, p)."""
         return np.asarray(np.sqrt(self.level) * self.limb_root)
+
+    @cached_property
+    def signals(self) -> NDArray[np.float64]:
+        """The sets' compressed signals, shape (J, n, s)."""
+        return np.stack([part.uu for part in self.sets])
+
+    @cached_property
+    def prior_rows(self) -> Matrix:
+        """Rows of X that weigh W A against the factory's, below the sets': (6, inputs), or none."""
+        if self.prior_response is None:
+            return np.zeros((0, self.inputs))
+        return np.eye(AXES, self.inputs) * self.prior_root[:, None]
+
+    @cached_property
+    def readings(self) -> Matrix:
+        """Y: whitened readings of the sets' rows and, below them, the factory's response, weighed."""
+        rows = np.concatenate([part.ur for part in self.sets])
+        if self.prior_response is not None:
+            rows = np.concatenate([rows, self.prior_root[:, None] * self.prior_response.T])
+        return np.asarray(rows @ self.whitening.T)
 
     @property
     def outer(self) -> int:
@@ -200,9 +220,13 @@ def transforms(problem: Problem, solution: Solution | _Outer) -> NDArray[np.floa
     T = np.einsum("jp,pws->jws", solution.limb + problem.added, problem.basis)
     if problem.rotation:
         T[..., DIRECT] = T[..., DIRECT] @ solution.rotation
-    if problem.inputs > AXES:
-        T = np.stack([block_diag(part, np.eye(problem.inputs - AXES)) for part in T])
-    return np.asarray(T)
+    direct = problem.inputs - AXES
+    if not direct:
+        return np.asarray(T)
+    whole = np.zeros((len(T), problem.inputs, T.shape[2] + direct))
+    whole[:, :AXES, :-direct] = T
+    whole[:, AXES:, -direct:] = np.eye(direct)
+    return whole
 
 
 def of_unit_length(columns: Matrix) -> tuple[Matrix, Vector]:
@@ -269,13 +293,8 @@ class _Linear(NamedTuple):
     @classmethod
     def at(cls, problem: Problem, x: Vector) -> "_Linear":
         outer = _Outer.of(problem, x)
-        T = transforms(problem, outer)
-        X = np.concatenate([part.uu @ t.T for part, t in zip(problem.sets, T, strict=True)])
-        Y = np.concatenate([part.ur for part in problem.sets]) @ problem.whitening.T
-        if problem.prior_response is not None:
-            root = problem.prior_root
-            X = np.concatenate([X, np.eye(AXES, problem.inputs) * root[:, None]])
-            Y = np.concatenate([Y, root[:, None] * (problem.whitening @ problem.prior_response).T])
+        rows = problem.signals @ transforms(problem, outer).swapaxes(1, 2)
+        X, Y = np.concatenate([rows.reshape(-1, problem.inputs), problem.prior_rows]), problem.readings
         unit, size = of_unit_length(X)
         left, singular, right = np.linalg.svd(unit, full_matrices=False)
         kept = singular > ROUNDING * singular[0]
@@ -307,30 +326,30 @@ class _Residual:
         """Return Kaufman's: what of dX A' the response could not undo."""
         inner, problem = self._at(x), self._problem
         axes = _left_jacobian(inner.outer.vector) if problem.rotation else np.eye(3)
-        columns = []
-        for dX in _design_derivatives(problem, inner.outer, axes, len(inner.X)):
-            moved = dX @ inner.response
-            columns.append((moved - inner.left @ (inner.left.T @ moved)).ravel())
-        known = np.pad(problem.weighted_limb_root, ((0, 0), (0, problem.outer - problem.parameters)))
-        return np.concatenate([np.stack(columns, axis=1), known])
+        moved = _design_derivatives(problem, inner.outer, axes) @ inner.response
+        moved -= inner.left @ (inner.left.T @ moved)
+        rows = moved[0].size
+        found = np.zeros((rows + len(problem.limb_root), problem.outer))
+        found[:rows] = moved.reshape(problem.outer, -1).T
+        found[rows:, : problem.parameters] = problem.weighted_limb_root
+        return found
 
 
-def _design_derivatives(problem: Problem, outer: _Outer, axes: Matrix, rows: int) -> list[Matrix]:
-    """Return dX by each inertial parameter and by turning further about each column of axes."""
-    basis = problem.basis.copy()
-    basis[..., DIRECT] = basis[..., DIRECT] @ outer.rotation
-    steps = [np.broadcast_to(one, (len(problem.sets), *one.shape)) for one in basis]
+def _design_derivatives(problem: Problem, outer: _Outer, axes: Matrix) -> NDArray[np.float64]:
+    """Return dX by each inertial parameter and by turning further about each column of axes, one a row."""
+    signals, known = problem.signals, len(problem.prior_rows)
+    (J, n, _), s = signals.shape, problem.basis.shape[2]
+    dX = np.zeros((problem.outer, J * n + known, problem.inputs))
+    of_sets = dX[:, : J * n].reshape(problem.outer, J, n, problem.inputs)[..., :AXES]
+    basis = problem.basis
     if problem.rotation:
+        basis = basis.copy()
+        basis[..., DIRECT] = basis[..., DIRECT] @ outer.rotation
         gravity = np.einsum("jp,pws->jws", outer.limb + problem.added, problem.basis[..., DIRECT])
-        steps += [gravity @ (skew(axis) @ outer.rotation) for axis in axes.T]
-    derivatives = []
-    for step in steps:
-        dX, first = np.zeros((rows, problem.inputs)), 0
-        for part, d in zip(problem.sets, step, strict=True):
-            dX[first : first + len(part.uu), :AXES] = part.uu[:, : d.shape[1]] @ d.T
-            first += len(part.uu)
-        derivatives.append(dX)
-    return derivatives
+        steps = np.stack([gravity @ (skew(axis) @ outer.rotation) for axis in axes.T])
+        of_sets[problem.parameters :] = signals[..., DIRECT] @ steps.swapaxes(-1, -2)
+    of_sets[: problem.parameters] = signals[..., :s] @ basis[:, None].swapaxes(-1, -2)
+    return dX
 
 
 def _left_jacobian(vector: Vector) -> Matrix:
@@ -349,7 +368,7 @@ def expand(problem: Problem, x: Vector) -> Solution:
     outer, X, Y, white, _ = _Linear.at(problem, x)
     rows, channels = X @ white - Y, Y.shape[1]
     linear = np.einsum("ra,ij->rija", X, np.eye(channels)).reshape(rows.size, -1)
-    bilinear = [(dX @ white).ravel() for dX in _design_derivatives(problem, outer, np.eye(3), len(X))]
+    bilinear = (_design_derivatives(problem, outer, np.eye(3)) @ white).reshape(problem.outer, -1).T
     known = np.zeros((len(problem.limb_root), linear.shape[1] + problem.outer))
     known[:, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.weighted_limb_root
     limb_rows = problem.weighted_limb_root @ (outer.limb - problem.limb)
@@ -358,7 +377,7 @@ def expand(problem: Problem, x: Vector) -> Solution:
         response=np.asarray(np.linalg.solve(problem.whitening, white.T)),
         limb=outer.limb,
         rotation=outer.rotation,
-        jacobian=np.concatenate([np.column_stack([linear, *bilinear]), known]),
+        jacobian=np.concatenate([np.column_stack([linear, bilinear]), known]),
         residual=rows[:of_sets].reshape(len(problem.sets), -1, channels),
         cost=0.5 * float(np.sum(rows**2) + limb_rows @ limb_rows),
         outer=x,
