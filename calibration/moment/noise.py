@@ -34,8 +34,7 @@ def followed_noise(noise: Array, residuals: Residuals) -> Array:
         residuals: Of rows before they are learnt from, kind by kind in turn, those that are left out as well.
     """
     xp = namespace_of(noise)
-    square = xp.clip(residuals.residual**2 / residuals.variance, 0.0, _LARGEST_SQUARE)
-    surplus = (square - 1.0) * residuals.there
+    surplus = (residuals.squares(_LARGEST_SQUARE) - 1.0) * residuals.there
     surplus = xp.mean(xp.reshape(surplus, (*noise.shape[:-1], -1, noise.shape[-1])), axis=-2)
     return xp.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
 
@@ -47,8 +46,4 @@ def followed_misfit(misfit: Array, residuals: Residuals) -> Array:
         misfit: What it was, shape (...).
         residuals: As of :func:`followed_noise`.
     """
-    xp = namespace_of(misfit)
-    count = xp.sum(residuals.there, axis=-1)
-    square = xp.clip(residuals.residual**2 / residuals.variance, 0.0, _LARGEST_MISFIT)
-    seen = xp.sum(square * residuals.there, axis=-1) / xp.where(count > 0.5, count, 1.0)
-    return misfit + _MISFIT_MEMORY * (seen - misfit)
+    return misfit + _MISFIT_MEMORY * (residuals.mean_square(_LARGEST_MISFIT) - misfit)

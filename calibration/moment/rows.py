@@ -85,16 +85,28 @@ class Residuals(NamedTuple):
         residual = rows.y - (rows.H @ mean[..., None])[..., 0]
         variance = xp.sum((rows.H @ covariance) * rows.H, axis=-1) + rows.variance
         there = xp.astype(xp.any(rows.H != 0.0, axis=-1), mean.dtype)
-        return cls(residual, variance, there, _mean_square(residual, variance, there, axis=-1))
+        square = _squares(residual, variance, _CLIP)
+        return cls(residual, variance, there, _mean_of(square, there, axis=-1))
+
+    def squares(self, largest: float) -> Array:
+        """Return the squared normalised residuals, each at most so large, shape (..., m)."""
+        return _squares(self.residual, self.variance, largest)
+
+    def mean_square(self, largest: float) -> Array:
+        """Return the mean of :meth:`squares` over the rows that hold anything, shape (...)."""
+        return _mean_of(self.squares(largest), self.there, axis=-1)
 
     def mean_with(self, change: Array) -> Array:
         """Return the mean for residuals that hypotheses change, shape (..., m, H) to (..., H)."""
         residual, variance, there = (part[..., None] for part in self[:3])
-        return _mean_square(residual + change, variance, there, axis=-2)
+        return _mean_of(_squares(residual + change, variance, _CLIP), there, axis=-2)
 
 
-def _mean_square(residual: Array, variance: Array, there: Array, axis: int) -> Array:
-    xp = namespace_of(residual)
+def _squares(residual: Array, variance: Array, largest: float) -> Array:
+    return namespace_of(residual).clip(residual * residual / variance, 0.0, largest)
+
+
+def _mean_of(square: Array, there: Array, axis: int) -> Array:
+    xp = namespace_of(square)
     count = xp.sum(there, axis=axis)
-    square = xp.clip(residual * residual / variance, 0.0, _CLIP) * there
-    return xp.sum(square, axis=axis) / xp.where(count > 0.5, count, 1.0)
+    return xp.sum(square * there, axis=axis) / xp.where(count > 0.5, count, 1.0)

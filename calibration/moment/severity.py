@@ -57,6 +57,18 @@ class LearntSeverity:
             start=unknowns.start[unknowns.map],
         )
 
+    def stated(self, drift: Array) -> Array:
+        """Return the variances that are stated of scales and offsets that have drifted since the start.
+
+        Args:
+            drift: Variances that they have drifted by, shape (..., M).
+        """
+        return self._constants.like(drift).stated + drift
+
+    def first(self, drift: Array) -> Array:
+        """Return the variances that the filter begins with, for sensors that have drifted since; as above."""
+        return FIRST_WIDTH**2 * self._constants.like(drift).stated + drift
+
     def reweighted(self, mean: Array, covariance: Array, drift: Array, misfit: Array) -> tuple[Array, Array]:
         """Return scales and offsets under all severities together.
 
@@ -71,8 +83,7 @@ class LearntSeverity:
             Scales and offsets, shape (..., M), and their covariance, shape (..., M, M).
         """
         xp, own, of_map = namespace_of(mean), self._constants.like(mean), self.unknowns.map
-        stated = own.stated + drift
-        prior = FIRST_WIDTH**2 * own.stated + drift
+        stated, prior = self.stated(drift), self.first(drift)
         std = xp.sqrt(prior)
         units = std[..., :, None] * std[..., None, :]
         share, axes = xp.linalg.eigh(covariance[..., of_map, of_map] / units)

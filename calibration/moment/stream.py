@@ -92,8 +92,8 @@ class MomentStream:
             start=unknowns.start,
             covariance=np.diag(std**2),
             wide=wide,
-            stated=unknowns.std[unknowns.map] ** 2,
             walk=np.diag(unknowns.walk * config.every * setup.dt),
+            drift=unknowns.walk[unknowns.map] * config.every * setup.dt,
             learnt=unknowns.learnt,
             identity=np.eye(unknowns.size),
             unit=unknowns.unit,
@@ -118,7 +118,7 @@ class MomentStream:
             pending=zeros(self.config.span, self._pending.sound.stop),
             mean=mean,
             covariance=covariance,
-            drift=zeros(own.stated.shape[-1]),
+            drift=zeros(own.drift.shape[-1]),
             given=mean,
             given_covariance=covariance,
             learnt=zeros(2 * self.setup.layout.channels, 1),
@@ -154,10 +154,7 @@ class MomentStream:
         pending = xp.concat([pending[..., 1:, :], newest[..., None, :]], axis=-2)
         state = state._replace(front=front, step=state.step + 1, pending=pending, faults=faults)
         if sample.gap and 0.0 < dt < float("inf"):
-            walk = self._constants.like(raw).walk * (
-                min(dt, _LONGEST_PAUSE) / (self.config.every * self.setup.dt)
-            )
-            state = state._replace(covariance=state.covariance + walk, drift=state.drift + self._of_map(walk))
+            state = self._walked(state, min(dt, _LONGEST_PAUSE) / (self.config.every * self.setup.dt))
         if state.step % self.config.every:
             nothing = 0.0 * state.noise[..., 0]
             return state, self._estimate(state, sample, kinds, nothing + xp.nan, nothing)
@@ -171,8 +168,8 @@ class MomentStream:
         block, read = self._block(state)
         faults = self._faults.silent(state.faults, block.force, read)
         block = block._replace(use=block.use * self._complete(faults, read))
-        covariance = state.covariance + own.walk
-        state = state._replace(drift=state.drift + self._of_map(own.walk))
+        before, state = state.covariance, self._walked(state, 1.0)
+        covariance = state.covariance
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         assumed = rows.variance / xp.concat([state.noise] * (config.every // config.average), axis=-1)
@@ -202,17 +199,16 @@ class MomentStream:
         rejected = rejected | xp.any(clipped != step.mean, axis=-1)
         finite = xp.all(xp.isfinite(step.mean), axis=-1)
         finite = finite & xp.all(xp.isfinite(step.covariance), axis=(-2, -1))
+        # A robot of which nothing is used, as somebody holds it, says nothing of the motion that it had.
+        unused = waiting | ~xp.any(newton.H != 0.0, axis=(-2, -1))
         state = state._replace(
             mean=xp.where(finite[..., None], clipped, mean),
-            covariance=xp.where(finite[..., None, None], step.covariance, state.covariance),
+            covariance=xp.where(finite[..., None, None], step.covariance, before),
+            misfit=xp.where(unused, state.misfit, followed_misfit(state.misfit, residuals)),
             quiet=quiet,
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        # A robot of which nothing is used, as somebody holds it, says nothing of the motion that it had.
-        unused = waiting | ~xp.any(newton.H != 0.0, axis=(-2, -1))
-        misfit = xp.where(unused, state.misfit, followed_misfit(state.misfit, residuals))
-        state = state._replace(misfit=misfit)
         state = self._watch(state, faults, mean, block, rows, places, residuals)
         # What no fault and no load explains is noise; a robot that stands shows little of it.
         kept = unused | (quiet > 0.5) | self._faults.explicable(state.faults)
@@ -238,16 +234,19 @@ class MomentStream:
         only = self._constants.like(covariance).identity[mass, :]
         return learnt * (1.0 - only * xp.astype(~unsure, covariance.dtype)[..., None])
 
-    def _of_map(self, covariance: Array) -> Array:
-        """Return the variances of scales and offsets, shape (..., M)."""
-        return namespace_of(covariance).linalg.diagonal(covariance)[..., self.unknowns.map]
+    def _walked(self, state: MomentState, blocks: float) -> MomentState:
+        """Return the state after the time of some blocks in which the unknowns have drifted."""
+        own = self._constants.like(state.mean)
+        return state._replace(
+            covariance=state.covariance + blocks * own.walk, drift=state.drift + blocks * own.drift
+        )
 
     def _limits(self, drift: Array) -> tuple[Array, Array]:
         """Return the bounds of what a sensor can be, by where it began and how far it can have drifted."""
         xp, own = namespace_of(drift), self._constants.like(drift)
         # Errors of the reference may change, when a load is picked up; a sensor only drifts.
         others = xp.inf + own.start[self.unknowns.map.stop :] + 0.0 * drift[..., :1]
-        sensors = xp.sqrt(FIRST_WIDTH**2 * own.stated + drift)
+        sensors = xp.sqrt(self._severity.first(drift))
         reach = _REACH * xp.concat([sensors, others], axis=-1)
         return own.start - reach, own.start + reach
 
@@ -386,7 +385,7 @@ class MomentStream:
         count, reading = self.tare.hanging(block)
         load, row = self.tare.load(mean, reading, faults.spare if faults.altered else None)
         # As it is known to, and before anything was learnt to what is stated.
-        stated = xp.sum(row * row * (self._constants.like(row).stated + drift)[..., None, :], axis=-1)
+        stated = xp.sum(row * row * self._severity.stated(drift)[..., None, :], axis=-1)
         known = xp.sum((row @ covariance[..., of_map, of_map]) * row, axis=-1)
         spread = xp.where(known < stated, known, stated)
         limit = self.config.swing_load + _LOAD_STD * xp.sqrt(xp.clip(spread, 0.0, None))

@@ -5,7 +5,8 @@ docs/wrappers.md lists what of Gymnasium's published tests does not apply, and w
 
 import pickle
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any
 
@@ -89,25 +90,34 @@ def roll(env: gym.Env[Any, Any], moves: list[Any]) -> list[Any]:
     return [env.reset(seed=5), *map(env.step, moves)]
 
 
-@EACH
-def test_it_passes_gymnasiums_checks(make: Make) -> None:
+@contextmanager
+def no_warnings_but(*messages: str) -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        for message in messages:
+            warnings.filterwarnings("ignore", message=message)
+        yield
+
+
+@EACH
+def test_it_passes_gymnasiums_checks(make: Make) -> None:
+    with no_warnings_but(
         # Humanoid's own: its observation has no bounds, and its action is not of order one.
-        warnings.filterwarnings("ignore", message=".*A Box observation space m..imum value is")
-        warnings.filterwarnings("ignore", message=".*we recommend using a symmetric and normalized space")
-        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version")
+        ".*A Box observation space m..imum value is",
+        ".*we recommend using a symmetric and normalized space",
+        ".*is different from the unwrapped version",
+    ):
         check_env(make(), skip_render_check=True)
 
 
 @EACH
 def test_it_passes_the_checks_of_sb3(make: Make) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with no_warnings_but(
         # A policy flattens what is no vector by itself.
-        warnings.filterwarnings("ignore", message=".*has an unconventional shape")
-        warnings.filterwarnings("ignore", message="We recommend you to use a symmetric and normalized Box")
-        warnings.filterwarnings("ignore", message=".*Box observation space maximum and minimum values are")
+        ".*has an unconventional shape",
+        "We recommend you to use a symmetric and normalized Box",
+        ".*Box observation space maximum and minimum values are",
+    ):
         env_checker.check_env(make(), skip_render_check=True)
 
 
