@@ -43,7 +43,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         StandingState: StandingState._fields,
         MomentState: (
             *("mean", "covariance", "drift", "given", "given_covariance", "learnt", "spread"),
-            *("kept_mean", "kept_covariance", "noise", "misfit"),
+            *("kept_mean", "kept_covariance", "noise", "misfit", "unproven"),
         ),
         ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
     }

@@ -76,15 +76,15 @@ class FootCalibrator:
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
         self._options = options
-        self._init, self._update = online_method(self.method, self.setup, **options)
+        self._pure = online_method(self.method, self.setup, **options)
         self._state: Any = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: part for name, part in vars(self).items() if name not in ("_init", "_update")}
+        return {name: part for name, part in vars(self).items() if name != "_pure"}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept)
-        self._init, self._update = online_method(self.method, self.setup, **self._options)
+        self._pure = online_method(self.method, self.setup, **self._options)
 
     @property
     def state(self) -> Any:
@@ -111,9 +111,22 @@ class FootCalibrator:
         """
         if not is_array_api_obj(raw) or (isinstance(raw, np.ndarray) and raw.dtype.kind in "iu"):
             raw = np.asarray(raw, dtype=np.float64)
-        state = self._init(raw) if self._state is None else self._state
-        self._state, estimate = self._update(state, raw, reference, self.setup.dt if dt is None else dt)
+        state = self._pure.init(raw) if self._state is None else self._state
+        self._state, estimate = self._pure.update(state, raw, reference, self.setup.dt if dt is None else dt)
         return estimate
+
+    def retract(self, which: Array | bool = True) -> None:
+        """Take back what was learnt in the last seconds, for a robot that has fallen or was seized.
+
+        Both begin before anybody notices. The moment filter goes back by 1.5 to 3 s, and hands out nothing
+        new before it has learnt for 1.5 s again; other methods go on as they are.
+
+        Args:
+            which: Robots of a batch (bool), of the batch's shape; all by default.
+        """
+        if self._state is not None:
+            everyone = getattr(self._state, "front", self._state).known | True
+            self._state = self._pure.retract(self._state, everyone & which)
 
     def reset(self) -> None:
         """Drop all that was learnt: the next sample begins from the starting map."""
@@ -144,7 +157,7 @@ class FootCalibrator:
             # The state of a method that learns nothing is that of its front end alone.
             front = getattr(self._state, "front", self._state)
             like = np.zeros(self.setup.layout.channels) if front is None else front.raw
-        self._state = load_state(path, self._init(like), **self._notes())
+        self._state = load_state(path, self._pure.init(like), **self._notes())
 
     def _notes(self) -> dict[str, str]:
         """Name what a saved state belongs to."""

@@ -1,10 +1,11 @@
 """The online methods: one interface, one table.
 
-An online method is a pair of pure functions over a state that is a value,
+An online method is a set of pure functions over a state that is a value,
 
-    init, update = online_method("moment", setup)
+    init, update, retract = online_method("moment", setup)
     state = init(raw)                                       # the kind and batch shape of readings to come
     state, estimate = update(state, raw, reference, dt)     # one sample
+    state = retract(state, fell)                            # what robots learnt as they began to fall
 
 on the array API standard: NumPy for one robot or many, torch on any device. A state is a ``NamedTuple`` of
 arrays and whole numbers: keeping one, copying one, and :func:`surefoot.calibration.state.save_state` lose

@@ -101,7 +101,7 @@ def replay(
             com_acceleration=_filter_plausible(log.com_acceleration, *limits, cutoff, nominal),
             angular_momentum_rate=_filter_plausible(log.angular_momentum_rate, *limits, cutoff, nominal),
         )
-    init, update = online_method(method, setup, **options)
+    init, update, _ = online_method(method, setup, **options)
     state, front = init(readings[0]), front_end.init(readings[0])
     estimates = []
     for k in range(len(readings)):

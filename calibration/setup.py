@@ -30,15 +30,19 @@ def method_name(name: str) -> str:
 
 
 class OnlineMethod(NamedTuple):
-    """An online calibrator as a pair of pure functions.
+    """An online calibrator as pure functions.
 
     Attributes:
         init: ``init(raw) -> state``. ``raw`` only gives the library, dtype, device and batch shape.
         update: ``update(state, raw, reference, dt) -> (state, Estimate)``.
+        retract: ``retract(state, which) -> state`` takes back what robots have learnt in the last seconds,
+            those of ``which`` (bool, the batch shape), as something happened to them that began before it was
+            noticed, such as a fall. Methods that remember no earlier state leave theirs as it is.
     """
 
     init: Callable[[Array], Any]
     update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]]
+    retract: Callable[[Any, Array], Any] = lambda state, which: state
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

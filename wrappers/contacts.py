@@ -127,12 +127,16 @@ class Upright:
 
     Args:
         dt: Time between samples in s.
+
+    Attributes:
+        fell: Whether it was upright until the last moment, and no longer at it.
     """
 
     def __init__(self, dt: float) -> None:
         self._share = dt / (dt + LEAN_TIME)
         self._mean = (0.0, 0.0, 0.0)
         self._highest = 0.0
+        self._upright = self.fell = False
 
     def at(self, reference: Reference, force_bias: NDArray[np.float64]) -> bool:
         """Take in the robot's beliefs of one moment, and return whether it was upright then.
@@ -142,6 +146,7 @@ class Upright:
             force_bias: What the robot takes for an error of its accelerometer in m/s^2, shape (3,).
         """
         x, y, z = reference.com_acceleration.tolist()
+        self.fell = False
         if x != x:
             return True
         share, (mx, my, mz) = self._share, self._mean
@@ -149,8 +154,10 @@ class Upright:
         bx, by, bz = force_bias.tolist()
         height = float(reference.com[2]) - min(reference.position_sole[:, 2].tolist())
         self._highest = max(self._highest, height)
-        return bool(
+        upright = bool(
             mx * mx + my * my + mz * mz < LEANING * LEANING
             and bx * bx + by * by + bz * bz < LARGEST_FORCE_BIAS * LARGEST_FORCE_BIAS
             and height > LOWEST * self._highest
         )
+        self.fell, self._upright = self._upright and not upright, upright
+        return upright

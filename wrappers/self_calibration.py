@@ -14,6 +14,7 @@ from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.beliefs import Beliefs, nothing, reference_info
+from surefoot.wrappers.chances import Chances
 from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty, seen_below
@@ -185,6 +186,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.estimate: Estimate
         self.frozen = self._made = False
         self._waiting = 0
+        self._chances = Chances()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -199,6 +201,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             ValueError: If a choice does not exist, or the lag needs more telemetry than is kept.
         """
         _, asked = split_options(options, "sensors", "calibration")
+        if self._made and not self.frozen and self._method != "none":
+            self._chances.judge(self._moved(), self.calibrator.setup.dt)
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._rng = np.random.default_rng([self._stream, seed])
@@ -223,7 +227,11 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         observation, reward, terminated, truncated, info = self.env.step(action)
         check_clock("SelfCalibration", self.env, self._sensors.time - before, self._sensors.telemetry.dt)
         self.beliefs.update(self._sensors.packets)
-        return self._calibrate(observation, info), reward, terminated, truncated, info
+        observation = self._calibrate(observation, info)
+        if terminated:
+            # Mostly a fall, which began some moments ago.
+            self.calibrator.retract()
+        return observation, reward, terminated, truncated, info
 
     def freeze(self, frozen: bool = True) -> None:
         """Learn nothing from now on, or learn again: readings are corrected by what was learnt so far.
@@ -252,6 +260,11 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.calibrator = self._calibrator(learnt.initial, self.calibrator.setup.dt, self._late)
         self.calibrator.state = learnt.state
         self._wait_out()
+
+    def _moved(self) -> bool:
+        """Return whether the map is no longer the starting map."""
+        start, now = self.calibrator.setup.initial, self.estimate
+        return bool((now.scale != start.scale).any() or (now.offset != start.offset).any())
 
     def _wait_out(self) -> None:
         """Learn nothing while the oldest sample that a reference needs is of the last episode."""
@@ -285,6 +298,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         sensors = self._sensors
         self.reference_time = sensors.time - self._late * sensors.telemetry.dt - self._age
         self.reference = reference = self._next_reference()
+        self._chances.add(reference)
         self.estimate = estimate = self.calibrator.update(sensors.raw, reference)
         info.setdefault("surefoot", {}).update(
             # Copies, as an estimate may hold arrays of the one before.
@@ -314,6 +328,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             contacts = np.zeros(2, dtype=bool), np.zeros(2, dtype=bool)
         reference = self.beliefs.reference(self.reference_time, *contacts)
         if not self._upright.at(reference, self.beliefs.force_bias):
+            if self._upright.fell:
+                self.calibrator.retract()
             return nothing(2)
         if command is not None:
             return reference

@@ -38,6 +38,7 @@ class MomentState(NamedTuple):
         kept_covariance: Their covariances, shape (..., 2, N, N).
         noise: By how many times rows' variances are taken as larger than assumed, shape (..., kinds).
         misfit: Mean square of residuals before learning over what is expected of them, shape (...).
+        unproven: Blocks in use that must pass before what is learnt is handed out, shape (...).
         quiet: Blocks in which the readings have not changed, shape (...).
         anchor: The readings from which on they have not, shape (..., K).
         status: Flags of the last update, shape (...).
@@ -58,6 +59,7 @@ class MomentState(NamedTuple):
     kept_covariance: Array
     noise: Array
     misfit: Array
+    unproven: Array
     quiet: Array
     anchor: Array
     status: Array

@@ -61,7 +61,7 @@ _REACH = 10.0
 """Standard deviations from the starting map beyond which a sensor is not thought to be."""
 
 _KEPT = 1.5
-"""Time in s between the states that are kept to go back to."""
+"""Time in s between the states that are kept to go back to, and after which what is learnt is handed out."""
 
 
 class MomentStream:
@@ -120,19 +120,29 @@ class MomentStream:
             covariance=covariance,
             drift=zeros(own.drift.shape[-1]),
             given=mean,
-            given_covariance=covariance,
+            given_covariance=covariance[..., self.unknowns.map, self.unknowns.map],
             learnt=zeros(2 * self.setup.layout.channels, 1),
             spread=zeros(3, 1),
             kept_mean=zeros(2, 1) + own.start,
             kept_covariance=zeros(2, 1, 1) + own.covariance,
             noise=zeros(self.newton_euler.kinds) + FIRST_NOISE,
             misfit=zeros() + FIRST_MISFIT,
+            unproven=zeros(),
             quiet=zeros(),
             anchor=zeros(self.setup.layout.channels),
             status=zeros(dtype=xp.int64),
             faults=self._faults.init(raw, own.scale * front.raw + own.offset),
         )
-        return self._given(begun, mean)
+        return self._doubted(begun, xp.isfinite(begun.misfit))
+
+    def retract(self, state: MomentState, which: Array) -> MomentState:
+        """Take back what was learnt of late; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
+        xp, means, covariances = namespace_of(state.mean), state.kept_mean, state.kept_covariance
+        state = self._back(state, which)._replace(
+            kept_mean=xp.where(which[..., None, None], means[..., :1, :], means),
+            kept_covariance=xp.where(which[..., None, None, None], covariances[..., :1, :, :], covariances),
+        )
+        return self._doubted(state, which)
 
     def update(
         self, state: MomentState, raw: Array, reference: Reference, dt: float
@@ -202,6 +212,7 @@ class MomentStream:
         # A robot of which nothing is used, as somebody holds it, says nothing of the motion that it had.
         unused = waiting | ~xp.any(newton.H != 0.0, axis=(-2, -1))
         state = state._replace(
+            unproven=xp.where(unused, state.unproven, xp.clip(state.unproven - 1.0, 0.0, None)),
             mean=xp.where(finite[..., None], clipped, mean),
             covariance=xp.where(finite[..., None, None], step.covariance, before),
             misfit=xp.where(unused, state.misfit, followed_misfit(state.misfit, residuals)),
@@ -237,9 +248,28 @@ class MomentStream:
     def _walked(self, state: MomentState, blocks: float) -> MomentState:
         """Return the state after the time of some blocks in which the unknowns have drifted."""
         own = self._constants.like(state.mean)
+        of_map = self.unknowns.map
         return state._replace(
-            covariance=state.covariance + blocks * own.walk, drift=state.drift + blocks * own.drift
+            covariance=state.covariance + blocks * own.walk,
+            drift=state.drift + blocks * own.drift,
+            given_covariance=state.given_covariance + blocks * own.walk[of_map, of_map],
         )
+
+    def _back(self, state: MomentState, which: Array) -> MomentState:
+        """Return the state with what some robots, shape (...), knew some seconds ago."""
+        xp, those = namespace_of(state.mean), which[..., None, None]
+        return state._replace(
+            mean=xp.where(which[..., None], state.kept_mean[..., 0, :], state.mean),
+            covariance=xp.where(those, state.kept_covariance[..., 0, :, :], state.covariance),
+            pending=xp.where(those, 0.0, state.pending),
+        )
+
+    def _doubted(self, state: MomentState, which: Array) -> MomentState:
+        """Return the state in which some robots, shape (...), hand out what they know now for a while."""
+        xp = namespace_of(state.mean)
+        proven = state._replace(unproven=xp.where(which, 0.0, state.unproven))
+        proven = self._given(proven, xp.where(which[..., None], xp.nan, state.mean))
+        return proven._replace(unproven=xp.where(which, float(self._keep_every), state.unproven))
 
     def _limits(self, drift: Array) -> tuple[Array, Array]:
         """Return the bounds of what a sensor can be, by where it began and how far it can have drifted."""
@@ -253,14 +283,17 @@ class MomentStream:
     def _given(self, state: MomentState, before: Array) -> MomentState:
         """Return the state with what is handed out: the unknowns by a prior that was learnt as well.
 
-        It moves only where the unknowns did: without new rows only the uncertainty changes.
+        It moves only where the unknowns did, as without new rows only the uncertainty changes, and not while
+        they are unproven: a fall shows some moments after it has begun.
         """
         xp, of_map = namespace_of(state.mean), self.unknowns.map
         learnt, covariance = self._severity.reweighted(
             state.mean, state.covariance, state.drift, state.misfit
         )
         mean = xp.concat([learnt, state.mean[..., of_map.stop :]], axis=-1)
-        mean = xp.where(any_along(state.mean != before)[..., None], mean, state.given)
+        proven = state.unproven < 0.5
+        mean = xp.where((any_along(state.mean != before) & proven)[..., None], mean, state.given)
+        covariance = xp.where(proven[..., None, None], covariance, state.given_covariance)
         of_channels = self._uncertainty.of_parameters(mean, covariance)
         return state._replace(
             given=mean,
@@ -301,12 +334,7 @@ class MomentStream:
         more = xp.where(loaded[..., None, None], own.change, 0.0)
         state = state._replace(faults=faults, covariance=state.covariance + more)
         if bool(xp.any(found)):
-            old_mean, old_covariance = state.kept_mean[..., 0, :], state.kept_covariance[..., 0, :, :]
-            state = state._replace(
-                mean=xp.where(found[..., None], old_mean, state.mean),
-                covariance=xp.where(found[..., None, None], old_covariance, state.covariance),
-                pending=xp.where(found[..., None, None], 0.0, state.pending),
-            )
+            state = self._back(state, found)
         state = self._given(state, before)
         if (state.step // self.config.every) % self._keep_every == 0:
             state = state._replace(
@@ -420,4 +448,4 @@ def moment_filter(setup: OnlineSetup, config: MomentFilterConfig | None = None) 
         config: Options.
     """
     stream = MomentStream(setup, config or MomentFilterConfig())
-    return OnlineMethod(stream.init, stream.update)
+    return OnlineMethod(stream.init, stream.update, stream.retract)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from _matched import ANKLES, matched, on_ankles
-from _robots import BAD, stream
+from _robots import BAD, repeated, rows_between, stream
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, walk
 
-from surefoot.calibration import Parameters, Reference, replay
+from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference, replay
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import moment_filter
 from surefoot.calibration.state import load_state, save_state
@@ -23,6 +23,52 @@ def together(ankle_fleet):
     return stream(
         moment_filter(ankle_fleet.setup, ankle_fleet.config), ankle_fleet.raw, ankle_fleet.reference
     )[1:]
+
+
+def test_what_was_learnt_as_a_robot_fell_is_taken_back():
+    """Of three robots side by side the second falls: it believes to lean by 3 cm for a second."""
+    log = walk(1, 0.1, 8.0, 2.0, BAD)
+    raw, reference = np.stack([log.raw] * 3, axis=1), repeated(log.reference, 3, axis=1)
+    lean = reference.com.copy()
+    lean[320:400, 1, 0] += 0.03
+    fell = reference._replace(com=lean)
+    method, which = moment_filter(OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)), np.arange(3) == 1
+    state, _, _ = stream(method, raw[:320], rows_between(fell, 0, 320))
+    before = state.given[1].copy()
+    state, _, _ = stream(method, raw[320:400], rows_between(fell, 320, 400), state)
+    assert np.abs(state.given[1] - before).max() > 0.02
+    after = method.retract(state, which)
+    for old, new in zip(state, after, strict=True):
+        if isinstance(old, np.ndarray):
+            np.testing.assert_array_equal(new[[0, 2]], old[[0, 2]])
+    # Until it leant all three were alike.
+    np.testing.assert_array_equal(after.mean[1], state.kept_mean[0, 0])
+    # What it learns is handed out once it has learnt for a while.
+    held, _, _ = stream(method, raw[400:512], rows_between(reference, 400, 512), after)
+    np.testing.assert_array_equal(held.given[1], after.given[1])
+    assert (held.mean[1] != after.mean[1]).any()
+    proven, _, _ = stream(method, raw[512:608], rows_between(reference, 512, 608), held)
+    assert (proven.given[1] != after.given[1]).any()
+    # Again and again: what is gone back to is never of a fall.
+    twice = method.retract(method.retract(after, which), which)
+    np.testing.assert_array_equal(twice.mean[1], after.mean[1])
+
+
+@pytest.mark.parametrize("method", ["none", "tare", "window", "moment"])
+def test_a_calibrator_takes_back_what_it_can(method):
+    calibrator = FootCalibrator(LAYOUT, method, mass=MASS, initial=NOMINAL)
+    calibrator.retract()
+    assert calibrator.state is None
+    log = walk(1, 0.1, 4.0, 0.5, BAD)
+    for k in range(300):
+        calibrator.update(log.raw[k], Reference(*(part[k] for part in log.reference)))
+    learnt = calibrator.state
+    calibrator.retract(False)
+    before = calibrator.update(log.raw[300], Reference(*(part[300] for part in log.reference)))
+    calibrator.state = learnt
+    calibrator.retract()
+    after = calibrator.update(log.raw[300], Reference(*(part[300] for part in log.reference)))
+    assert (after.scale != before.scale).any() == (method == "moment")
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ def test_a_foot_that_carries_weight_is_not_believed_to_swing():
 
 
 def test_one_loaded_cell_speaks_for_its_foot_and_not_for_the_other():
-    init, update = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
+    init, update, _ = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
     log = walk(0, duration=0.0)
     reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
     force = np.array([0.2, 0.3, 30.0, 0.1, 0.2, 0.3, 0.4, 0.1])
@@ -65,7 +65,7 @@ def test_one_loaded_cell_speaks_for_its_foot_and_not_for_the_other():
 
 
 def test_readings_that_do_not_agree_are_no_zero():
-    init, update = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
+    init, update, _ = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
     rng = np.random.default_rng(0)
     log = walk(0, duration=0.0)
     reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
@@ -101,7 +101,7 @@ def test_options_without_meaning_are_refused(options, message):
 
 
 def test_a_gap_begins_the_count_anew():
-    init, update = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
+    init, update, _ = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
     log = walk(0, duration=0.0)
     reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
     state = init(log.raw[0])

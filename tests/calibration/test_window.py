@@ -508,7 +508,7 @@ def test_an_update_is_one_every_four_samples():
 def test_methods_hand_out_a_state_that_is_a_value():
     log = walk(2, duration=2.0, stand=1.0, faults=Faults.bad())
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)
-    init, update = online_method("window", setup, standing_start=False)
+    init, update, _ = online_method("window", setup, standing_start=False)
     state = init(log.raw[0])
     for k in range(120):
         state, _ = update(state, log.raw[k], Reference(*(part[k] for part in log.reference)), DT)

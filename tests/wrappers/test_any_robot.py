@@ -1,5 +1,6 @@
 """Two lines around any biped: its episodes stay its own, bit for bit, and its feet are felt."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,18 @@ import numpy as np
 import pytest
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.utils.env_match import check_environments_match
+from gymnasium.vector import SyncVectorEnv
 
 from surefoot.envs import InstrumentedEnv
 from surefoot.sensors import preset, sized
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
-from surefoot.wrappers import FootSensors, SelfCalibration, TruthRow, VectorFootSensors
+from surefoot.wrappers import (
+    FootSensors,
+    SelfCalibration,
+    TruthRow,
+    VectorFootSensors,
+    VectorSelfCalibration,
+)
 from surefoot.wrappers.belief_errors import NO_ERRORS
 
 ANKLES = "icub-force-torque"
@@ -267,6 +275,48 @@ def test_a_robot_that_is_dropped_learns_when_it_stands(stilts: str) -> None:
         known.append(np.isfinite(env.reference.com).all())
     assert not all(known)
     assert all(known[100:])
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_robots_that_only_fall_keep_their_starting_map(vector: bool) -> None:
+    """Nothing is learnt of the feet of a robot that falls within a second, again and again."""
+    env: Any
+    if vector:
+        copies = [lambda: TruthRow(InstrumentedEnv(gym.make("Humanoid-v5"), soles=True))] * 2
+        env = VectorSelfCalibration(VectorFootSensors(SyncVectorEnv(copies)))
+    else:
+        env = SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True))
+    _, info = env.reset(seed=3)
+    start, ended = np.array(info["surefoot"]["parameters"]["scale"]), 0
+    for _ in range(240):
+        _, _, terminated, _, info = env.step(0.0 * env.action_space.sample())
+        np.testing.assert_array_equal(info["surefoot"]["parameters"]["scale"], start)
+        ended += int(np.sum(terminated))
+        if terminated is True:
+            env.reset()
+    assert ended > 2
+
+
+def keep_falling(env: gym.Env[Any, Any], steps: int) -> None:
+    env.reset(seed=3)
+    for _ in range(steps):
+        _, _, terminated, _, _ = env.step(np.zeros(17))
+        if terminated:
+            env.reset()
+
+
+def test_who_learns_nothing_is_told_why_once() -> None:
+    env = SelfCalibration(FootSensors(gym.make("Humanoid-v5"), soles=True))
+    with pytest.warns(UserWarning, match="SelfCalibration has learnt nothing in 1[0-9] s") as told:
+        keep_falling(env, 900)
+    text = str(told[0].message)
+    assert len(told) == 1
+    upright, standing, longest = (
+        float(part) for part in re.findall(r"(?:in|for) ([0-9.]+) (?:%|s at)", text)
+    )
+    assert 50.0 < upright <= 100.0
+    assert standing < upright
+    assert longest < 1.5
 
 
 def test_feet_that_do_not_exist_are_refused_with_those_that_do(stilts: str) -> None:

@@ -116,6 +116,15 @@ def test_who_leans_lies_or_sits_is_not_upright(moment: Reference, bias: float, u
     assert seen[-1] == upright
 
 
+def test_a_fall_is_told_once() -> None:
+    gate = Upright(0.02)
+    told = []
+    for moment in [leaning(0.0)] * 50 + [leaning(1.0)] * 50 + [leaning(0.0)] * 200 + [leaning(1.0)] * 50:
+        gate.at(moment, np.zeros(3))
+        told.append(gate.fell)
+    assert np.sum(told) == 2
+
+
 def test_a_push_is_no_fall() -> None:
     gate = Upright(0.0125)
     hard = believed(0.0, 0.0)._replace(com_acceleration=np.array([6.0, 0.0, 0.0]), com=np.array([0, 0, 0.8]))

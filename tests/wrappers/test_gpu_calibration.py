@@ -71,7 +71,7 @@ def assert_same(one, other, robots=slice(None)):
 def test_the_module_is_the_method(method, log):
     module = make(method)
     options = {"standing_start": False} if method in ("window", "quasi-static") else {}
-    init, update = online_method(method, module.setup, **options)
+    init, update, _ = online_method(method, module.setup, **options)
     state = init(log[0][0])
     for k, ours in enumerate(run(module, log, 20)):
         raw, reference = row(log, k)
@@ -109,6 +109,15 @@ def test_a_step_is_one_step_however_often_it_is_asked_for(method, log):
     expected = once(*row(log, 18), step=18)
     assert_same(often(*row(log, 18)), expected)
     assert_same(often(*row(log, 19)), expected)
+
+
+def test_a_fall_takes_back_what_was_learnt(log):
+    module = make("moment")
+    run(module, log, 150)
+    learnt = module(*row(log, 149), step=149)
+    module.retract(torch.tensor([True, False, False, True]))
+    after = module(*row(log, 149), step=150)
+    assert (after.scale != learnt.scale).any(dim=1).tolist() == [True, False, False, True]
 
 
 @pytest.mark.parametrize("fresh", [False, True])

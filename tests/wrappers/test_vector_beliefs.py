@@ -216,6 +216,7 @@ def test_who_is_upright_is_found_as_by_the_scalar_class():
             own.at(Reference(*(part[i] for part in reference)), bias[i]) for i, own in enumerate(alone)
         ]
         np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(batch.fell, [own.fell for own in alone])
         told.append(found)
     share = np.mean(told, axis=0)
     assert 0.7 < share[0] < 0.9, share

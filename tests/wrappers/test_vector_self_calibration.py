@@ -51,7 +51,7 @@ def test_each_robot_is_calibrated_as_it_would_be_alone():
         FootCalibrator(batch._setup.layout, mass=batch._mass, initial=start, dt=1 / 80, lag=batch.lag)
         for start in starts
     ]
-    for _ in range(100):
+    for _ in range(160):
         seen, *_, infos = env.step(ACTIONS)
         reference, raw = env.calibration.reference, env._sensors.stepped.raw
         for i, own in enumerate(alone):
@@ -150,7 +150,7 @@ def test_a_seed_repeats_all_on_the_same_object():
         seen, infos = env.reset(seed=4, **options)
         assert set(infos["surefoot"]) == {"truth", "parameters", "lag"}
         shown = []
-        for _ in range(60):
+        for _ in range(160):
             shown.append({**seen, "scale": env.calibration.parameters.scale})
             seen, *_ = env.step(ACTIONS)
         return shown
@@ -175,7 +175,7 @@ def test_nothing_is_learnt_from_a_robot_that_is_not_upright():
         return upright(reference, bias) & np.array([True, False, True])
 
     batch._upright.at = lying
-    for _ in range(100):
+    for _ in range(160):
         *_, infos = env.step(ACTIONS)
         assert not infos["surefoot"]["reference"]["known"][1]
         assert not infos["surefoot"]["reference"]["stance"][1].any()
@@ -193,7 +193,7 @@ def test_old_readings_are_waited_for_alike_in_all_modes(mode):
     # An age of 0.095 s is 8 samples, which the reference is older than its lag.
     wait, run = 8 + 8, 0
     done = np.zeros(ROBOTS, dtype=bool)
-    for _ in range(60):
+    for _ in range(160):
         starting = done
         *_, terminated, truncated, infos = env.step(ACTIONS)
         done = terminated | truncated

@@ -125,6 +125,18 @@ class SelfCalibrationModule(BatchModule):
         mask = self._note_starting(env_ids)
         self._state = (select if fresh else begin_episode)(mask, self._fresh, self._state)
 
+    def retract(self, env_ids: RobotIds = None) -> None:
+        """Take back what robots have learnt in the last seconds: they have fallen, which began before.
+
+        Args:
+            env_ids: These robots; all by default.
+
+        Raises:
+            ValueError: If there is no such robot.
+        """
+        which = mask_of(env_ids, self.num_envs, self.device)
+        self._state = self._method.retract(self._state, which)
+
     def freeze(self, frozen: bool = True) -> None:
         """Stop learning, or go on: what was learnt is applied either way, and stays bit for bit meanwhile.
 

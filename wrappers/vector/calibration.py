@@ -163,6 +163,11 @@ class BatchCalibration:
         )
         self.feet.take(estimate, *self._beliefs.soles())
 
+    def retract(self, mask: Mask) -> None:
+        """Take back what robots have learnt of late who have fallen, shape (N,)."""
+        if mask.any():
+            self._state = self._method.retract(self._state, mask)
+
     def begin_episode(self, mask: Mask) -> None:
         """Take in robots whose next episode starts within the step that ended one, after the sensors."""
         self._begin(mask, self._sensors.sensors_fresh | (mask & self._fresh), self._rng)
@@ -197,6 +202,7 @@ class BatchCalibration:
         silent = unknown | ~self._upright.at(reference, self._beliefs.force_bias)
         if silent.any():
             reference = _silenced(reference, silent)
+        self.retract(self._upright.fell)
         if planned:
             return reference
         stance, swing = self._kinematics.at(reference)

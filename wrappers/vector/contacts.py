@@ -96,16 +96,21 @@ class BatchUpright:
     Args:
         count: Number of robots N.
         dt: Time between samples in s.
+
+    Attributes:
+        fell: Robots that were upright until the last moment, and no longer at it, shape (N,).
     """
 
     def __init__(self, count: int, dt: float) -> None:
         self._share = dt / (dt + LEAN_TIME)
         self._mean: Floats = np.zeros((count, 3))
         self._highest: Floats = np.zeros(count)
+        self._upright: Mask = np.zeros(count, dtype=bool)
+        self.fell = self._upright
 
     def begin_episode(self, mask: Mask) -> None:
         """Start some robots without a past, shape (N,)."""
-        self._mean[mask], self._highest[mask] = 0.0, 0.0
+        self._mean[mask], self._highest[mask], self._upright[mask] = 0.0, 0.0, False
 
     def at(self, reference: Reference, force_bias: Floats) -> Mask:
         """Take in the robots' beliefs of one moment, and return whether they were upright then.
@@ -128,5 +133,7 @@ class BatchUpright:
             & (np.einsum("ni,ni->n", force_bias, force_bias) < LARGEST_FORCE_BIAS * LARGEST_FORCE_BIAS)
             & (height > LOWEST * self._highest)
         )
+        self.fell = self._upright & ~upright & known
+        self._upright = np.where(known, upright, self._upright)
         upright |= ~known
         return upright

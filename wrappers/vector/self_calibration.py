@@ -115,6 +115,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         calibration, started_within = self.calibration, self._sensors.started_within
         calibration.step()
+        calibration.retract(terminations)
         if started_within is not None:
             finals = infos["final_obs"].copy()
             for robot in np.flatnonzero(started_within).tolist():

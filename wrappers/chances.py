@@ -1,0 +1,47 @@
+"""How much a calibrator was given to learn from, so that one that learns nothing can say why."""
+
+import warnings
+
+from surefoot.calibration import Reference
+
+PATIENCE = 10.0
+"""Time in s after which a calibrator should have learnt something."""
+
+
+class Chances:
+    """Counts samples that a calibrator can learn from, and warns once if it has learnt nothing of them."""
+
+    def __init__(self) -> None:
+        self._samples = self._upright = self._standing = self._run = self._longest = 0
+        self._warned = False
+
+    def add(self, reference: Reference) -> None:
+        """Count one sample by its reference, which is NaN while the robot is not upright."""
+        upright = bool(reference.com[0] == reference.com[0])
+        standing = upright and bool(reference.stance.any())
+        self._samples += 1
+        self._upright += upright
+        self._standing += standing
+        self._run = self._run + 1 if standing else 0
+        self._longest = max(self._longest, self._run)
+
+    def judge(self, learnt: bool, dt: float) -> None:
+        """Warn, once and not before :data:`PATIENCE`, if nothing was learnt.
+
+        Args:
+            learnt: Whether anything was.
+            dt: Time between samples in s.
+        """
+        if self._warned or (not learnt and self._samples * dt < PATIENCE):
+            return
+        self._warned = True
+        if learnt:
+            return
+        upright, standing = (round(100 * part / self._samples) for part in (self._upright, self._standing))
+        warnings.warn(
+            f"SelfCalibration has learnt nothing in {self._samples * dt:.0f} s, and readings stay at the "
+            f"starting map: the robot was upright in {upright} % of the samples and had a foot surely on the "
+            f"ground in {standing} %, for {self._longest * dt:.1f} s at most. It learns while a robot "
+            "stands or walks, and 'moment' hands out nothing that it has learnt for less than 1.5 s.",
+            stacklevel=3,
+        )
