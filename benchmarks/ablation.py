@@ -1,91 +1,134 @@
 """What each ingredient of the moment filter is worth: each switched off in turn, on the same walks.
 
-    python benchmarks/ablation.py --seeds 10
+    python benchmarks/ablation.py --seeds 10 --strangers FOLDER
 
-Walks of 34 s at three speeds at the bad start (gains off by 12 %, zeros by 1.5 N, drift of 2 % and 1 N per
-square root of a minute), cells read when the host reads; errors from 14 s on against MuJoCo's truth, beside
-the posterior Cramer-Rao bound. About 3 s of recording for each walk.
+Walks of 34 s, cells read when the host reads, errors from 14 s on against MuJoCo's truth: the package's own
+walker at the bad start (scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a
+minute), at three times that, and with a perfect map that drifts by a tenth; and, from the logs of
+``second_walker.py``, the bad start and the perfect map on a walker that the filter was not made on. Of each
+the error of the centre of pressure in mm, as the root mean square over walks, and the NEES a parameter.
 """
 
 import argparse
-from collections.abc import Callable
-from dataclasses import replace
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
+import second_walker
 
-from surefoot.calibration import FeetLayout, FootLayout
-from surefoot.experiments.arena.bound import bound_of
-from surefoot.experiments.logs.format import Log
+from surefoot.calibration.moment import noise, severity, stream
+from surefoot.experiments.arena.replay import play
+from surefoot.experiments.arena.score import score_run
+from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.walks.record import Condition, record_walk
-from surefoot.experiments.walks.replay import replay_logs
-from surefoot.experiments.walks.score import score_forces
-from surefoot.sensors import LoadCells
-
-SPEEDS = (0.02, 0.04, 0.1)
-SETTLE = 14.0
-INSTANT = Condition("instant", "a bad start", LoadCells(rate=None), "nominal")
+from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.sensors import LoadCells, scaled
 
 
-def weightless(log: Log) -> Log:
-    """Forget the sole plates beyond the cells."""
-    feet = (FootLayout.load_cells(foot.name, foot.position_cell_sole) for foot in log.layout.feet)
-    return replace(log, layout=FeetLayout(tuple(feet)))
+@dataclass(frozen=True)
+class Variant:
+    """The filter without one of its ingredients.
+
+    Attributes:
+        options: Of the method.
+        constants: (module, name, value) of what no option reaches.
+    """
+
+    options: dict[str, Any] = field(default_factory=dict)
+    constants: tuple[tuple[ModuleType, str, Any], ...] = ()
 
 
-VARIANTS: dict[str, tuple[dict[str, Any], Callable[[Log], Log] | None]] = {
-    "as it is": ({}, None),
-    "no swing tare": ({"swing_noise": 1e3}, None),
-    "centre of mass taken for right": ({"com_std": 0.0, "com_change": 0.0}, None),
-    "mass taken for right": ({"mass_std": 0.0, "mass_change": 0.0}, None),
-    "delay taken for right": ({"delay_std": 0.0}, None),
-    "no drift": ({"scale_drift": 0.0, "offset_drift": 0.0}, None),
-    "soles without mass": ({}, weightless),
-    "channels read at one moment": ({"timing_noise": 0.0}, None),
-    "force noise as small as the sample's": ({"force_noise": 0.006}, None),
-    "averages over 8 samples": ({"average": 8}, None),
-    "no averages": ({"average": 1}, None),
-    "centre of mass known to 6 mm": ({"com_std": 0.006}, None),
+VARIANTS = {
+    "as it is": Variant(),
+    "the start is believed as stated": Variant(
+        constants=(
+            (severity, "SEVERITIES", (1.0,)),
+            (severity, "LIKELY", (1.0,)),
+            (severity, "FIRST_WIDTH", 1.0),
+            (stream, "FIRST_WIDTH", 1.0),
+        )
+    ),
+    "noise is as assumed": Variant(
+        constants=((stream, "FIRST_NOISE", 1.0), (noise, "_NOISE_MEMORY", 0.0)),
+    ),
+    "misfit is not counted": Variant(
+        constants=((stream, "FIRST_MISFIT", 1.0), (noise, "_MISFIT_MEMORY", 0.0)),
+    ),
+    "product of errors not allowed for": Variant(constants=((stream, "_SHARED", 0.0),)),
+    "no swing tare": Variant({"swing_noise": 1e3}),
+    "centre of mass taken for right": Variant({"com_std": 0.0, "com_change": 0.0}),
+    "mass taken for right": Variant({"mass_std": 0.0, "mass_change": 0.0}),
+    "delay taken for right": Variant({"delay_std": 0.0}),
+    "no drift": Variant({"scale_drift": 0.0, "offset_drift": 0.0}),
+    "channels read at one moment": Variant({"timing_noise": 0.0}),
+    "averages over 8 samples": Variant({"average": 8}),
+    "no averages": Variant({"average": 1}),
 }
 
 
+def own_walks(speed: float, seeds: range) -> dict[str, list[Stream]]:
+    """Record walks of the package's own walker, the same ones at every start."""
+    starts = {
+        "bad start": LoadCells(rate=None),
+        "three times": scaled(LoadCells(rate=None), 3.0),
+        "perfect map": second_walker.STARTS["bench"].cells,
+    }
+    conditions = [Condition(name, name, cells, "nominal") for name, cells in starts.items()]
+    streams: dict[str, list[Stream]] = {name: [] for name in starts}
+    for seed in seeds:
+        for name, log in record_walk(speed, seed, second_walker.DURATION, conditions).items():
+            judged = log.time >= second_walker.SETTLE
+            streams[name].append(Stream(replace(log, calibrated=None), seed, judged, STAND_TIME))
+    return streams
+
+
+def strangers(folder: Path, speed: float, seeds: range) -> dict[str, list[Stream]]:
+    """Read walks of the second walker, recorded first where they are missing."""
+    starts = {"second walker, bad start": "bad", "second walker, perfect map": "bench"}
+    for seed in seeds:
+        second_walker.record_missing(folder, speed, seed, second_walker.DURATION, tuple(starts.values()))
+    return {
+        name: [second_walker.stream(second_walker.log_path(folder, start, speed, seed)) for seed in seeds]
+        for name, start in starts.items()
+    }
+
+
+def scores(streams: list[Stream], variant: Variant) -> str:
+    """Play a variant on walks: the CoP in mm, and the NEES a parameter."""
+    with ExitStack() as stack:
+        for module, name, value in variant.constants:
+            stack.enter_context(patch.object(module, name, value))
+        played = play(streams, "moment", **variant.options)
+    rows = [score_run(one, run) for one, run in zip(streams, played, strict=True)]
+    cop = 1e3 * np.sqrt(np.mean([row["cop"] ** 2 for row in rows]))
+    return f"{cop:.2f} ({np.mean([row['nees'] for row in rows]):.1f})"
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Print a table of the variants by walks."""
+    layout = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=200)
-    arguments = parser.parse_args()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    for speed in SPEEDS:
-        logs = [record_walk(speed, seed, 34.0, [INSTANT])[INSTANT.name] for seed in seeds]
-        bounds = [bound_of(log, log.time >= SETTLE, {}) for log in logs]
-        print(f"\n{speed} m/s, {len(logs)} seeds: rmse of CoP (mm), vGRF (N), single cells (N)", flush=True)
-        limit = [np.mean([bound[part] for bound in bounds]) for part in ("cop", "vgrf", "cell")]
-        print(f"  {'bound':38s} {1e3 * limit[0]:6.2f} {limit[1]:6.3f} {limit[2]:6.3f}")
-        for name, (options, change) in VARIANTS.items():
-            told = logs if change is None else [change(log) for log in logs]
-            found = np.array(
-                [_score(log, done.force) for log, done in zip(logs, _replay(told, options), strict=True)]
-            )
-            mean = found.mean(axis=0)
-            print(f"  {name:38s} {1e3 * mean[0]:6.2f} {mean[1]:6.3f} {mean[2]:6.3f}", flush=True)
-
-
-def _replay(logs: list[Log], options: dict[str, Any]) -> list[Any]:
-    return replay_logs(logs, "moment", **options)
-
-
-def _score(log: Log, force: Any) -> tuple[float, float, float]:
-    assert log.truth is not None
-    score = score_forces(
-        force,
-        log.truth.force,
-        layout=log.layout,
-        position_sole=log.truth.position_sole,
-        R_world_sole=log.truth.R_world_sole,
-        time=log.time,
-        settle=SETTLE,
-    )
-    return score.cop, score.vgrf, score.cell
+    parser.add_argument("--speed", type=float, default=0.04, help="m/s")
+    parser.add_argument("--strangers", type=Path, help="folder of the second walker's logs, of four seeds")
+    given = parser.parse_args()
+    walks = own_walks(given.speed, range(given.first_seed, given.first_seed + given.seeds))
+    if given.strangers is not None:
+        walks |= strangers(given.strangers, given.speed, range(4))
+    print("|", " | ".join(["without", *walks]), "|")
+    print("|---" * (1 + len(walks)) + "|")
+    for name, variant in VARIANTS.items():
+        print(
+            "|",
+            " | ".join([name, *(scores(streams, variant) for streams in walks.values())]),
+            "|",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
