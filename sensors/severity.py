@@ -76,6 +76,8 @@ ERRORS: Mapping[type, tuple[str, ...]] = MappingProxyType(
             "noise_force",
             "noise_torque",
             "hysteresis",
+            "nonlinearity",
+            "cross_nonlinearity",
             "creep_shares",
             "offset_drift_force",
             "offset_drift_torque",
@@ -107,7 +109,13 @@ LIMITS: Mapping[type, Mapping[str, float]] = MappingProxyType(
     {
         Mechanics: {"nonlinearity": 0.08, "hysteresis": 0.12, "overload_share": 1.0},
         Wire: {"wrong_words": 1.0, "stale_repeats": 0.95, "packet_loss": 0.95, "gap_share": 0.95},
-        StrainGauges: {"scale_error_std": 0.5, "cross_talk_std": 0.5, "hysteresis": 0.08},
+        StrainGauges: {
+            "scale_error_std": 0.5,
+            "cross_talk_std": 0.5,
+            "hysteresis": 0.08,
+            "nonlinearity": 0.08,
+            "cross_nonlinearity": 0.018,
+        },
     }
 )
 """The largest value to which a severity above 1 takes a field. Beyond, readings would fall under a growing

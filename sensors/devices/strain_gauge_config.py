@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.creep import check_creep
+from surefoot.sensors.stages.nonlinearity import coupled_slope
 
 AXES = 6
 """Components of a wrench, (fx, fy, fz, tx, ty, tz)."""
@@ -98,6 +99,14 @@ class StrainGauges:
     hysteresis_true_torque: float = 5.0
     """... and in N m what that weight does at the hip."""
 
+    nonlinearity: float = 0.0
+    """Largest departure of an axis's cubic term in shares of the full scale, drawn at power-up (see
+    :func:`~surefoot.sensors.stages.nonlinearity.coupled_nonlinearity`) ..."""
+
+    cross_nonlinearity: float = 0.0
+    """... and of what two axes at their full scales add to each. An affine map left errors up to 16 N of a
+    sensor of an iCub3, a polynomial 6 N (arXiv 2312.09846)."""
+
     creep_shares: tuple[float, ...] = (0.0005, 0.0005)
     """What a constant load adds to its reading in the end, in shares of it, one exponential each."""
 
@@ -146,6 +155,9 @@ class StrainGauges:
             most = getattr(self, f"full_scale_{name}")
             field = f"hysteresis_true_{name}"
             require(getattr(self, field) <= most, self, field, f"be at most the full scale, {most}")
+        possible = coupled_slope(self.nonlinearity, self.cross_nonlinearity, AXES) < 1.0
+        rule = "keep 5.2 nonlinearity + 30 cross_nonlinearity below 1, or two loads could have one reading"
+        require(possible, self, "cross_nonlinearity", rule)
         check_creep(self)
 
     def _check_matrix(self) -> None:

@@ -16,9 +16,9 @@ no sensor loses an axis, however large the errors. Offsets, their drift and the 
 and are given as what :math:`C_0` makes of them. More than six gauges have offsets and noise of the same size
 that no wrench could cause: that is the redundancy of such gauges.
 
-The load creeps and lags (see :mod:`surefoot.sensors.stages.creep` and
-:mod:`surefoot.sensors.stages.hysteresis`), heat changes offsets and scales
-(:mod:`surefoot.sensors.stages.temperature`), and the converter rounds and clips.
+The element bends out of proportion, creeps and lags (see :mod:`surefoot.sensors.stages.nonlinearity`,
+:mod:`surefoot.sensors.stages.creep` and :mod:`surefoot.sensors.stages.hysteresis`), heat changes offsets and
+scales (:mod:`surefoot.sensors.stages.temperature`), and the converter rounds and clips.
 """
 
 from typing import Any, NamedTuple
@@ -34,6 +34,7 @@ from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
 from surefoot.sensors.randomness import filled, normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep
 from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
+from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity
 from surefoot.sensors.stages.temperature import warmed
 
 DOUBLINGS = 6
@@ -57,6 +58,7 @@ class StrainGaugeState(NamedTuple):
         temperature: Rise since power-up in K, shape (...).
         creep: What the loads have left to creep.
         hysteresis: What the loads have left in the slacks.
+        bend: A ``CoupledState``; ``()`` where the element is linear.
     """
 
     response: Array
@@ -65,6 +67,7 @@ class StrainGaugeState(NamedTuple):
     temperature: Array
     creep: CreepState
     hysteresis: HysteresisState
+    bend: Any = ()
 
 
 @device
@@ -104,6 +107,8 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=(felt * true).max(axis=1) / most
     )
     creeping = creep(config.creep_shares, config.creep_time_constants)
+    bends = config.nonlinearity > 0.0 or config.cross_nonlinearity > 0.0
+    bending = coupled_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> StrainGaugeState:
         if not shape or shape[-1] != k:
@@ -123,6 +128,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             filled(rng, 0.0, batch, dtype),
             creeping.init((*batch, AXES), rng, dtype),
             lagging.init((*batch, AXES if of_load else k), rng, dtype),
+            bending.init((*batch, AXES), rng, dtype) if bends else (),
         )
 
     def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
@@ -135,7 +141,8 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             cast_like(part, wrench)
             for part in (state.response, state.tempco, state.offset, state.temperature)
         )
-        load, crept = creeping.apply(wrench, state.creep, rng, dt)
+        bent, bend = bending.apply(wrench, state.bend, rng, dt) if bends else (wrench, ())
+        load, crept = creeping.apply(bent, state.creep, rng, dt)
         lagged = state.hysteresis
         if of_load:
             load, lagged = lagging.apply(load, lagged, rng, dt)
@@ -155,7 +162,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             counts = counts + normal(rng, tuple(counts.shape), wrench.dtype) @ noise_map.like(wrench)
         if config.adc_bits:
             counts = round_off(limit(counts, low, high))
-        return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged)
+        return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged, bend)
 
     return Corruption(init, apply)
 
@@ -190,7 +197,9 @@ def read_sequence(
 
 
 def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array, Array]:
-    """Return the map from wrenches to counts at this moment, without creep, hysteresis, noise and converter.
+    """Return the map from wrenches to counts at this moment, of a linear element, noise and converter apart.
+
+    Creep and hysteresis are left out as well.
 
     With hysteresis it holds at the ends of cycles of the amplitudes ``config.hysteresis_true_force`` and
     ``config.hysteresis_true_torque``.

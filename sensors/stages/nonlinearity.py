@@ -10,6 +10,9 @@ line, as a share of the full scale, at :math:`u = 1/2` and :math:`u = 1/\sqrt 3`
 of a bridge of unequal arms and tells pressing from pulling: at :math:`u = -1` it is off by :math:`-8 a`.
 The cubic one is odd and so right at both full scales. Data sheets give :math:`2 \cdot 10^{-4}` for a bar
 cell of class C3, :math:`5 \cdot 10^{-4}` for a cheap one, :math:`2 \cdot 10^{-3}` for a ring.
+
+The element of a six-axis sensor bends in all directions at once. There the cubic term of each axis has
+company of products, :math:`x_{FS} \sum_{j < k} c_{jk} u_j u_k`, that vanish while one axis alone is loaded.
 """
 
 from typing import Any, NamedTuple
@@ -103,5 +106,66 @@ def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonline
         scale, quadratic = scales.like(reading), cast_like(state.quadratic, reading)
         u = limit(reading / scale, -1.0, 1.0)
         return reading + (4.0 * quadratic * scale) * (u - u * u), NonlinearityState(quadratic)
+
+    return Corruption(init, apply)
+
+
+class CoupledState(NamedTuple):
+    """Nonlinearity of axes that feel each other; constant from power-up.
+
+    Attributes:
+        cubic: Departure of each axis at 0.577 of its full scale in shares of it, shape (..., K).
+        cross: Departure of each axis where two others are at their full scales, in shares of its own, shape
+            (..., K, K, K); zero but for j < k.
+    """
+
+    cubic: Array
+    cross: Array
+
+
+def coupled_slope(cubic: float, cross: float, axes: int) -> float:
+    """Return the most by which a row of the slopes of :func:`coupled_nonlinearity` misses the identity.
+
+    Below one no two loads have one reading.
+    """
+    return 2.0 * CUBIC_PEAK * cubic + axes * (axes - 1) * cross
+
+
+def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Corruption[CoupledState]:
+    """Add cubic errors and products of two axes, which each axis draws for itself at power-up.
+
+    Loads beyond the full scale keep the error that they have there.
+
+    Args:
+        cubic: Largest departure of the cubic terms in shares of the full scale: they are drawn uniformly from
+            ``-cubic`` to ``cubic``.
+        cross: The same for what two axes at their full scales add to each.
+        full_scale: Full scale of each axis, shape (K,).
+
+    Raises:
+        ValueError: If an argument is negative, or two loads could have one reading.
+    """
+    check_not_negative(cubic=cubic, cross=cross)
+    scales = Table(full_scale)
+    axes = len(scales.values)
+    if coupled_slope(cubic, cross, axes) >= 1.0:
+        raise ValueError(
+            f"'cubic' and 'cross' must keep {2.0 * CUBIC_PEAK:.3g} cubic + {axes * (axes - 1)} cross below "
+            f"1, or two loads could have one reading, got {cubic!r} and {cross!r}."
+        )
+    pairs = Table(np.triu(np.ones((axes, axes)), 1))
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> CoupledState:
+        terms = uniform(rng, -cubic, cubic, shape, dtype)
+        products = uniform(rng, -cross, cross, (*shape, axes, axes), dtype)
+        return CoupledState(terms, products * pairs.like(products))
+
+    def apply(reading: Array, state: CoupledState, rng: Rng, dt: float) -> tuple[Array, CoupledState]:
+        scale = scales.like(reading)
+        own, cross_terms = (cast_like(part, reading) for part in state)
+        u = limit(reading / scale, -1.0, 1.0)
+        products = ((cross_terms @ u[..., None, :, None])[..., 0] @ u[..., None])[..., 0]
+        off = CUBIC_PEAK * own * (u - u * u * u) + products
+        return reading + scale * off, CoupledState(own, cross_terms)
 
     return Corruption(init, apply)

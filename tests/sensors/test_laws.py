@@ -10,7 +10,7 @@ from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import SMALLEST_LOOP, mechanics
 from surefoot.sensors.stages.mounting import mounting
 from surefoot.sensors.stages.moving_average import moving_average
-from surefoot.sensors.stages.nonlinearity import drawn_nonlinearity, nonlinearity
+from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity, drawn_nonlinearity, nonlinearity
 from surefoot.sensors.stages.overload import overload
 
 # Nonlinearity
@@ -54,6 +54,37 @@ def test_drawn_terms_are_uniform_within_the_data_sheet():
     assert np.abs(off[1]).max() == pytest.approx(0.2, rel=0.01)
     # Uniform: the standard deviation is the range over the root of 12.
     assert off[1].std() == pytest.approx(0.4 / 12**0.5, rel=0.02)
+
+
+def test_coupled_axes_bend_by_their_cubic_terms_and_by_products_of_two():
+    scale = np.array([100.0, 10.0, 1.0])
+    stage = coupled_nonlinearity(0.04, 0.02, scale)
+    state = stage.init((4000, 3), np.random.default_rng(8))
+
+    def off(share):
+        load = np.tile(share * scale, (4000, 1))
+        return (stage.apply(load, state, np.random.default_rng(0), DT)[0] - load) / scale
+
+    alone = off(np.array([3.0**-0.5, 0.0, 0.0]))
+    np.testing.assert_array_equal(alone[:, 1:], 0.0)
+    assert np.abs(alone[:, 0]).max() == pytest.approx(0.04, rel=0.01)
+    assert alone[:, 0].std() == pytest.approx(0.08 / 12**0.5, rel=0.02)
+    # Cubic terms vanish at the full scale, products are the same for both signs, and all stay beyond it.
+    two = off(np.array([1.0, 1.0, 0.0]))
+    assert two.std(axis=0) == pytest.approx([0.04 / 12**0.5] * 3, rel=0.03)
+    np.testing.assert_allclose(off(np.array([-1.0, -1.0, 0.0])), two, atol=1e-12)
+    np.testing.assert_allclose(off(np.array([2.0, 3.0, 0.0])), two, atol=1e-12)
+
+
+def test_no_two_loads_of_coupled_axes_have_one_reading():
+    stage = coupled_nonlinearity(0.08, 0.018, [1.0] * 6)
+    state = stage.init((200, 6), np.random.default_rng(9))
+    rng = np.random.default_rng(10)
+    at, step = rng.uniform(-1.0, 1.0, (200, 6)), 1e-6 * np.eye(6)
+    slopes = [
+        (stage.apply(at + d, state, rng, DT)[0] - stage.apply(at - d, state, rng, DT)[0]) / 2e-6 for d in step
+    ]
+    assert np.linalg.det(np.stack(slopes, axis=-1)).min() > 0.0
 
 
 # Mounting
@@ -269,6 +300,8 @@ def test_each_field_of_the_mechanics_is_one_stage_with_its_numbers(fields, stage
         (lambda: nonlinearity(-0.09, 0.0, 1.0), "must leave readings that grow"),
         (lambda: nonlinearity(0.0, 0.2, 1.0), "must leave readings that grow"),
         (lambda: nonlinearity(0.0, [0.0, -0.4], 1.0), "must leave readings that grow"),
+        (lambda: coupled_nonlinearity(-0.1, 0.0, [1.0] * 6), "'cubic' must be finite and not negative"),
+        (lambda: coupled_nonlinearity(0.1, 0.02, [1.0] * 6), r"keep 5.2 cubic \+ 30 cross below 1"),
         (lambda: mounting(-1.0, 1.0), "'threshold' must be finite and not negative, got -1.0"),
         (lambda: mounting(1.0, 1.0, warp=(1, 0)), r"'warp' must hold \+1 or -1.*got \(1, 0\)"),
         (lambda: mounting(1.0, 1.0).init((6,), None), r"whole feet of 4 cells, got shape \(6,\)"),

@@ -11,6 +11,7 @@ from surefoot.sensors import StrainGauges, preset, strain_gauges
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142
 from surefoot.sensors.devices.strain_gauges import read_sequence, shift_offset, true_response
 from surefoot.sensors.presets import resolve
+from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity
 
 LEG = preset("icub-ftsens-leg", StrainGauges)
 PERFECT = preset("perfect", StrainGauges)
@@ -182,6 +183,18 @@ def test_cycles_of_the_stated_amplitude_end_where_the_true_response_says(of):
         assert shown[0] - shown[1] == pytest.approx(2.0 * amplitude, rel=tolerance)
 
 
+def test_an_element_bends_in_shares_of_its_full_scales():
+    bends = {"nonlinearity": 0.04, "cross_nonlinearity": 0.01}
+    config = replace(PERFECT, full_scale_force=60.0, full_scale_torque=6.0, **bends)
+    sensor, state, rng = drawn(config, (5,), seed=12)
+    counts, _ = sensor.apply(np.tile(WRENCH, (5, 1)), state, rng, 0.01)
+    bent, _ = coupled_nonlinearity(0.04, 0.01, config.full_scale).apply(
+        np.tile(WRENCH, (5, 1)), state.bend, rng, 0.01
+    )
+    np.testing.assert_allclose(wrenches(config, counts), bent, rtol=1e-9)
+    assert abs(bent - WRENCH).max() > 0.2
+
+
 def test_a_constant_load_creeps():
     config = replace(PERFECT, creep_shares=(0.002,), creep_time_constants=(30.0,))
     sensor, state, rng = drawn(config)
@@ -276,6 +289,10 @@ def test_matrices_may_come_as_arrays_and_lists():
         (
             {"hysteresis_true_torque": 36.0},
             "StrainGauges.hysteresis_true_torque must be at most the full scale, 35.0, got 36.0",
+        ),
+        (
+            {"nonlinearity": 0.1, "cross_nonlinearity": 0.02},
+            r"cross_nonlinearity must keep 5.2 nonlinearity \+ 30 cross_nonlinearity below 1.*got 0.02",
         ),
         ({"creep_shares": (float("inf"),)}, r"StrainGauges.creep_shares must be finite, got \(inf,\)"),
         ({"creep_shares": (0.1,)}, "StrainGauges.creep_time_constants must hold a positive time for each of"),
