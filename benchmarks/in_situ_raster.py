@@ -119,6 +119,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seeds", type=int, default=20, help="sensors a case")
+    parser.add_argument("--first", type=int, default=0, help="the first of the seeds")
     parser.add_argument("--rate", type=float, default=20.0, help="samples per s")
     parser.add_argument("--paths", nargs="+", default=["raster", "sweep"], choices=["raster", "sweep"])
     parser.add_argument("--sensors", nargs="+", default=["leg", "foot"], choices=["leg", "foot"])
@@ -133,7 +134,7 @@ def main() -> None:
     ]
     rows, refusals = [], []
     for case in cases:
-        found = scores(case, range(arguments.seeds), arguments.rate)
+        found = scores(case, range(arguments.first, arguments.first + arguments.seeds), arguments.rate)
         rows.append(row(case, found))
         counted = Counter(one.refusal for one in found if one.refusal)
         name = f"{case.path}, {case.sensor}, {case.hysteresis:.1%}"

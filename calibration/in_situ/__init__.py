@@ -1,6 +1,7 @@
 """Calibrate six-axis force-torque sensors where they are built in, from gravity and known masses.
 
 * :func:`calibrate_in_situ`: the fit to use; :class:`InSituTracker` keeps its offset up to date.
+* :class:`NonlinearMap`: what a fit adds to the linear map of a sensor that is not linear.
 * :func:`plan_excitation`: which posture or mass to take next.
 * :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
   Pucci and Nori, 2015).
@@ -20,6 +21,7 @@ from surefoot.calibration.in_situ.excitation import (
     prior_from_fit,
 )
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.nonlinear import NonlinearMap
 from surefoot.calibration.in_situ.options import InSituOptions, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
 from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
@@ -38,6 +40,7 @@ __all__ = [
     "KnownLimb",
     "Limb",
     "MassCandidate",
+    "NonlinearMap",
     "OffsetFit",
     "PaperMatrixFit",
     "PlannedPose",

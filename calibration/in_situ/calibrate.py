@@ -40,6 +40,7 @@ from surefoot.calibration.in_situ.covariance import (
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.factory import choose_shares, leaning_matrix, likely_shares
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
+from surefoot.calibration.in_situ.held_out import with_nonlinear
 from surefoot.calibration.in_situ.hypotheses import Evidence, explained
 from surefoot.calibration.in_situ.hysteresis import with_hysteresis
 from surefoot.calibration.in_situ.information import data_share, slow_turn
@@ -121,7 +122,13 @@ def calibrate_in_situ(
     factory = _checked_factory(sets, factory_matrix)
     # Matrices are small: threads would only wait for each other, on a busy machine for seconds.
     with _linear_algebra().limit(limits=1, user_api="blas"):
-        return _answer((tuple(sets), factory, limb, options), refuse, accept)
+
+        def answer(given: tuple[InSituSet, ...], options: InSituOptions) -> InSituFit:
+            return _answer((given, factory, limb, options), refuse, accept)
+
+        if options.nonlinear is not None:
+            return with_nonlinear(tuple(sets), options, answer, weighed=limb is not None)
+        return answer(tuple(sets), options)
 
 
 @cache

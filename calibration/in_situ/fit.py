@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.model import AXES, MASS, RELATIVE_ERRORS, STATIC, limb_parameters
+from surefoot.calibration.in_situ.nonlinear import NonlinearMap
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["ErrorColumns", "FitColumns", "InSituFit", "Limb", "check_calibrated", "error_covariance"]
@@ -110,6 +111,7 @@ class InSituFit:
         data_share: Of the information on each entry of ``covariance``, the share that the readings give by
             themselves, without a factory matrix or a known limb, shape (7 k + 4,).
         accepted: The reason that was given to pass the refusals; empty if none was passed.
+        nonlinear: What :meth:`wrench` adds for a sensor that is not linear; None if nothing.
     """
 
     matrix: NDArray[np.float64]
@@ -134,6 +136,7 @@ class InSituFit:
     channel_hysteresis: NDArray[np.float64] | None = None
     data_share: NDArray[np.float64] | None = None
     accepted: str = ""
+    nonlinear: NonlinearMap | None = None
 
     @property
     def columns(self) -> FitColumns:
@@ -164,7 +167,7 @@ class InSituFit:
         offset: NDArray[np.float64] | None = None,
         temperature: float | NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
-        """Return w = C (r - o) in N and N m (in-situ paper, Eq. 2).
+        """Return w = C (r - o) in N and N m (in-situ paper, Eq. 2), and what :attr:`nonlinear` adds.
 
         Args:
             raw: Counts, shape (..., k).
@@ -182,7 +185,9 @@ class InSituFit:
             o = o + warmer * self.temperature_coefficient
             if self.temperature_gain is not None:
                 gain = 1.0 + warmer * self.temperature_gain
-        return np.asarray((np.asarray(raw, dtype=np.float64) - o) @ self.matrix.T / gain)
+        above = np.asarray(raw, dtype=np.float64) - o
+        added = 0.0 if self.nonlinear is None else self.nonlinear.wrench(above)
+        return np.asarray(above @ self.matrix.T / gain + added)
 
     def at_reference(
         self, raw: NDArray[np.float64], temperature: float | NDArray[np.float64]

@@ -23,7 +23,7 @@ from surefoot.calibration.in_situ.answer_checks import added_slope, projected
 from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
 from surefoot.calibration.in_situ.covariance import whitening
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.input_checks import TOO_FAST, turning
+from surefoot.calibration.in_situ.input_checks import BENT_CURE, TOO_FAST, turning
 from surefoot.calibration.in_situ.model import (
     DIRECT,
     INERTIA,
@@ -371,7 +371,7 @@ def _bending(evidence: Evidence) -> Iterator[Cause]:
     problem = evidence.beside(columns)
     yield Cause(
         "the limb bends as it turns, or the sensor is not linear",
-        "Hold the joints beyond the sensor fast, or lighten what is added.",
+        BENT_CURE,
         problem,
         solve(problem, [evidence.solution.outer]),
         columns[0].shape[1] * len(problem.whitening),

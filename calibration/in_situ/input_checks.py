@@ -15,7 +15,7 @@ from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["TOO_FAST", "Contradiction", "check_bending", "check_sets", "check_within", "turning"]
+__all__ = ["BENT_CURE", "TOO_FAST", "Contradiction", "check_bending", "check_sets", "check_within", "turning"]
 
 _GRAVITY = (8.8, 10.8)
 """Between these the length of gravity must lie in m/s^2, with the bias that an accelerometer may have."""
@@ -90,6 +90,12 @@ _CHANCE = 1e-4
 
 _SMOOTHED, _FEWEST = 0.3, 5
 """Time in s, and rows at least, over which the turning of gravity is taken."""
+
+BENT_CURE = (
+    "Hold the joints beyond the sensor fast, or lighten what is added; if it is the sensor, 'nonlinear' fits "
+    "a polynomial."
+)
+"""What helps where readings go with gravity's squares."""
 
 TOO_FAST = "the limb moved too fast to be taken as at rest"
 """What is said of that."""
@@ -385,7 +391,7 @@ def _bends(data: InSituSet, share: float) -> Contradiction:
     return Contradiction(
         f"'{data.name}': {share:.1%} of the readings' spread goes with gravity's squares: the limb bends as "
         "it turns, or the sensor is not linear.",
-        "Hold the joints beyond the sensor fast, or lighten what is added.",
+        BENT_CURE,
     )
 
 

@@ -1,7 +1,7 @@
 """Options of in-situ calibration and of its tracker, and what may be known of the limb."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ __all__ = ["InSituOptions", "InSituTrackerConfig", "KnownLimb"]
 
 MOST_DRIFT = 8
 """Most cosines along which an offset may drift: more would follow the limb's turning."""
+
+DEGREES = (2, 3)
+"""Of polynomials on top of the linear map."""
 
 LEARN = ("offset", "axes", "matrix")
 """What a tracker can estimate: the offset alone, with one relative factor for each axis, with all of D."""
@@ -72,6 +75,10 @@ class InSituOptions:
     """Whether the rotation from the accelerometer's frame to the sensor's is unknown (in-situ paper, remark
     of II-B). Added masses at places known in the sensor's frame show it; limb at rest only."""
 
+    nonlinear: int | Literal["auto"] | None = None
+    """Degree of a polynomial on top of the linear map, 2 or 3, or "auto" for the better of both; an axis gets
+    it only where it predicts readings that took no part clearly better. None is for none."""
+
     code_range: tuple[float, float] | None = None
     """Lowest and highest count of the converter; channels that stay there are saturated."""
 
@@ -94,6 +101,8 @@ class InSituOptions:
             raise ValueError(
                 f"'drift' must be a whole number from 0 to {MOST_DRIFT}, or None, got {self.drift!r}."
             )
+        if self.nonlinear not in (None, "auto", *DEGREES):
+            raise ValueError(f"'nonlinear' must be None, 'auto' or one of {DEGREES}, got {self.nonlinear!r}.")
         stds = self.factory_std
         if stds is not None and (len(stds) != 6 or not all(value > 0.0 for value in stds)):
             raise ValueError(f"'factory_std' must hold six positive shares, one an axis, got {stds!r}.")

@@ -5,18 +5,20 @@ an ellipsoid instead, whose semi-axes show by how much and in how many direction
 limb taken off, what is left is the added mass (Table II) and its place (Table III).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.fit import Limb
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
 
 __all__ = [
     "AddedMassEstimate",
     "Ellipsoid",
     "added_mass",
+    "as_seen",
     "expected_wrench",
     "force_ellipsoid",
     "motion_wrench",
@@ -198,6 +200,12 @@ def motion_wrench(data: InSituSet, limb: Limb, *, added: bool = True) -> NDArray
     found[:, :3] = -np.cross(rate, first) - np.cross(spin, np.cross(spin, first))
     found[:, 3:] = -rate @ inertia.T - np.cross(spin, spin @ inertia.T)
     return found
+
+
+def as_seen(data: InSituSet, fit: InSituFit) -> InSituSet:
+    """Return a set with gravity in the sensor's frame, and readings without what the temperature does."""
+    raw = data.raw if data.temperature is None else fit.at_reference(data.raw, data.temperature)
+    return replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T)
 
 
 def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:

@@ -115,6 +115,10 @@ def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> di
         return stem.with_name(f"{stem.name}.{ending}")
 
     files: dict[str, Path] = {}
+    if fit.nonlinear is not None:
+        notices.append(
+            "Only the JSON and YAML files hold the polynomial: ROS 2's and the iCub's hold the linear map."
+        )
     sensor, temperature = log.config.sensor, log.fitted[-1].temperature
     if log.config.units.raw == "N":
         notices.append(

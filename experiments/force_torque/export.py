@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import surefoot
 from surefoot.calibration.in_situ import InSituFit, Limb
+from surefoot.calibration.in_situ.nonlinear import NonlinearMap, Products
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import write_text
@@ -29,6 +30,9 @@ _CONVENTIONS = (
     "with a temperature coefficient, raw = response wrench + offset + coefficient (temperature_degC - "
     "temperature_reference_degC); with a temperature gain each axis of the wrench counts for 1 + gain times "
     "that difference",
+    "with nonlinear, z = scale (raw - offset) - centre; its products of two (then three) components in order "
+    "of their numbers, less affine (1, z), times coefficients are added to the wrench where |ellipsoid z| <= "
+    "1; from there to 1.25 they are those of z / |ellipsoid z| and fade linearly to zero",
     "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
 )
 _NAMES = {
@@ -74,6 +78,7 @@ def _facts(
             "matrix_std_N_Nm_per_count": fit.matrix_std,
             "offset_std_count": fit.offset_std,
             "temperature_reference_degC": fit.temperature_reference,
+            "nonlinear": None if fit.nonlinear is None else dataclasses.asdict(fit.nonlinear),
             "limb": {
                 "mass_kg": fit.limb.mass,
                 "mass_std_kg": fit.limb_mass_std,
@@ -145,8 +150,17 @@ def _fit_of(given: dict[str, Any]) -> InSituFit:
         set_stats=tuple(_stats_of(one) for one in given["sets"]),
         set_names=tuple(one["name"] for one in given["sets"]),
         temperature_reference=float(given["temperature_reference_degC"]),
+        nonlinear=_nonlinear_of(given.get("nonlinear")),
         **{"temperature_coefficient": None, **values},
     )
+
+
+def _nonlinear_of(given: dict[str, Any] | None) -> NonlinearMap | None:
+    if given is None:
+        return None
+    arrays = {name: _array(value) for name, value in given.items() if name not in ("products", "degrees")}
+    products = Products(**{name: _array(value) for name, value in given["products"].items()})
+    return NonlinearMap(**arrays, products=products, degrees=tuple(given["degrees"]))
 
 
 def _array(value: Any) -> Any:

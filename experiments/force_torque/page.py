@@ -25,6 +25,10 @@ _MATRIX = """
     frame. Standard deviations are the fit's own; they know nothing of masses or places that were given
     wrongly."""
 
+_NONLINEAR = """
+    A polynomial in the wrench by the matrix is added to it, on the axes where it predicts what took no part
+    clearly better. The matrix above is the best linear map."""
+
 _RAW = """
     Readings of a rigid limb at rest lie on an ellipsoid in a three-dimensional part of the channels' space
     (in-situ paper, Lemma 1 and Fig. 5). What lies outside is noise, hysteresis, motion or a limb that
@@ -66,6 +70,9 @@ def _sections(folder: Path, found: tables.Calibrated) -> Iterator[Section]:
         yield Section("masses", "Added masses", (flat(_MASSES),), tables=weighed)
     matrix = (tables.matrix_table(found), tables.offset_table(found))
     yield Section("calibration", "The calibration", (flat(_MATRIX),), tables=matrix)
+    if found.fit.nonlinear is not None:
+        bent = (tables.nonlinear_table(found),)
+        yield Section("nonlinear", "Not linear", (flat(_NONLINEAR),), tables=bent)
     path = figures.raw_ellipsoids(folder / "raw.png", found)
     shown = (ReportFigure(path, "Figure 2", flat(_RAW_CAPTION)),)
     yield Section("raw", "Raw readings", (flat(_RAW),), figures=shown)
