@@ -20,7 +20,7 @@ def bad_fleet():
 
 def test_with_perfect_sensors_only_the_noise_of_the_reference_is_left():
     faults = Faults(acceleration=0.1, rate=0.05, lag=2)
-    logs, raw, reference = fleet(range(3), faults=faults)
+    logs, raw, reference = fleet(range(3), faults=faults, duration=12.0)
     estimate = calibrated(raw, reference, faults)
     for i, log in enumerate(logs):
         # One sample of this reference is off by 2.8 mm and 0.5 N.
@@ -86,7 +86,7 @@ def test_a_loaded_foot_that_claims_to_swing_is_refused():
 
 
 def test_a_walking_robot_with_wrong_contacts_is_not_poisoned():
-    logs, raw, reference = fleet(range(4), speeds=(0.04,))
+    logs, raw, reference = fleet(range(4), speeds=(0.04,), duration=12.0)
     told = np.array([(False, False), (True, False), (True, True)])
     lied = repeated(reference, len(told), axis=1)
     stance, swing = (np.broadcast_to(part[:, None, None], lied.stance.shape).copy() for part in told.T)
@@ -100,7 +100,7 @@ def test_a_walking_robot_with_wrong_contacts_is_not_poisoned():
 
 
 def test_lifted_off_the_ground_for_a_while_nothing_is_learnt_and_nothing_lost():
-    log, at, samples = walk(1, 0.04, 12.0, 2.0, BAD), 640, 800
+    log, at, samples = walk(1, 0.04, 12.0, 2.0, BAD), 640, 400
     nothing = -(log.correction.offset / log.correction.scale)[at]
     hanging = np.repeat(((nothing - NOMINAL.offset) / NOMINAL.scale)[None], samples, axis=0)
     still = [np.repeat(part[:1], samples, axis=0) for part in log.reference]
@@ -126,7 +126,7 @@ def test_lifted_off_the_ground_for_a_while_nothing_is_learnt_and_nothing_lost():
 
 @pytest.fixture(scope="module")
 def standing():
-    logs, raw, reference = fleet(range(4), speeds=(0.0,), duration=0.0, stand=60.0)
+    logs, raw, reference = fleet(range(4), speeds=(0.0,), duration=0.0, stand=30.0)
     return logs, raw, calibrated(raw, reference)
 
 
