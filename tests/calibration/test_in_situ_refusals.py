@@ -102,7 +102,6 @@ REFUSALS = {
     "two masses": (lambda s: [*s[:2], s[1]], "Different added masses: 2, and three are needed"),
     "no set without": (lambda s: s[1:], "The 3 different added masses determine 36 of 40 unknowns"),
     "a limb that bends": (bending, "of the readings' spread goes with gravity's squares: the limb bends"),
-    "a bump": (bumped, "'data set 1': 10% of the samples disagree with all others, most of them between 20."),
     "a mass that is not as given": (
         heavier,
         "Likeliest: the added mass of 'data set 3' is 0.703 kg, and 0.620 kg was given (> 99 %)",
@@ -392,7 +391,6 @@ def exchanged_places(sets):
 @pytest.mark.parametrize("spoil", [heavier, pytest.param(exchanged_places, marks=pytest.mark.slow)])
 def test_masses_are_checked_while_the_limb_moves(spoil):
     sets, _ = moving_sets(np.random.default_rng(5), noise=1.0)
-    assert calibrate_in_situ(sets).result is FitResult.DETERMINED
     with pytest.raises(CalibrationRefused, match="added mass"):
         calibrate_in_situ(spoil(sets))
 
@@ -428,7 +426,9 @@ def test_an_uncalibrated_accelerometer_is_reported():
 
 def test_a_gyroscope_does_not_hide_the_accelerometer():
     sets, _ = moving_sets(np.random.default_rng(5), noise=1.0)
-    assert calibrate_in_situ(sets).warnings == ()
+    sound = calibrate_in_situ(sets)
+    assert sound.result is FitResult.DETERMINED
+    assert sound.warnings == ()
     fit = calibrate_in_situ([replace(one, gravity=np.add(one.gravity, [0.0, 0.6, -0.8])) for one in sets])
     assert "the accelerometer has a bias of about (0.0" in fit.warnings[0]
     with pytest.raises(CalibrationRefused, match="the accelerometer's scale is off by"):
@@ -499,7 +499,9 @@ def test_a_refusal_can_be_passed_with_a_reason():
 
 def test_the_likeliest_cause_stays_with_a_fit_past_a_refusal():
     fit = calibrate_in_situ(bumped(leg_sets()), accept="the bump was left out")
-    assert "Likeliest: something touched the limb in 'data set 1'" in fit.refusals[0].reason
+    said = fit.refusals[0].reason
+    assert "'data set 1': 10% of the samples disagree with all others, most of them between 20." in said
+    assert "Likeliest: something touched the limb in 'data set 1'" in said
     assert fit.limb.mass == pytest.approx(MASS, rel=0.01)
 
 

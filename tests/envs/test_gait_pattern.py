@@ -54,24 +54,16 @@ def soles_of(model, qpos):
     return position, rotation, data.subtree_com[1].copy()
 
 
-def inside_hull(point, corners, margin):
-    """Whether a point lies in the convex hull, ``margin`` or more from its edge, looked at from all sides."""
+def test_the_cop_reference_stays_well_inside_the_support(pattern):
+    """It lies 3 cm or more within the convex hull of the standing shoes' corners, from all sides."""
+    middle = np.array([(0.02397, 0.00676), (0.02397, -0.00676)])
+    c, s = np.cos(pattern.yaw_sole), np.sin(pattern.yaw_sole)
+    turn = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+    corners = pattern.position_sole[:, :, None, :2] + (middle[:, None] + SHOE) @ turn
     angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
     direction = np.stack([np.cos(angle), np.sin(angle)])
-    return bool(((corners @ direction).max(axis=0) >= point @ direction + margin).all())
-
-
-def test_the_cop_reference_stays_well_inside_the_support(pattern):
-    for k in range(pattern.ticks):
-        corners = []
-        for foot in range(2):
-            if pattern.stance[k, foot]:
-                middle = np.array([0.02397, 0.00676 if foot == 0 else -0.00676])
-                c, s = np.cos(pattern.yaw_sole[k, foot]), np.sin(pattern.yaw_sole[k, foot])
-                corners.append(
-                    pattern.position_sole[k, foot, :2] + (middle + SHOE) @ np.array([[c, s], [-s, c]])
-                )
-        assert inside_hull(pattern.cop[k], np.concatenate(corners), 0.03), k
+    reach = np.where(pattern.stance[..., None, None], corners @ direction, -np.inf).max(axis=(1, 2))
+    assert (reach >= pattern.cop @ direction + 0.03).all()
 
 
 def test_motion_is_continuous(pattern):
@@ -107,7 +99,7 @@ def test_feet_land_without_velocity(pattern):
 
 def test_the_posture_puts_everything_where_it_is_planned(pattern, model):
     assert pattern.kinematic_error < 0.5e-3
-    for k in range(0, pattern.ticks, 7):
+    for k in range(0, pattern.ticks, 23):
         position, rotation, com = soles_of(model, pattern.qpos[k])
         assert position == pytest.approx(pattern.position_sole[k], abs=2e-5)
         assert com == pytest.approx(pattern.com[k], abs=2e-5)
@@ -150,23 +142,23 @@ def test_stride_phase_tells_the_feet_apart(pattern):
 
 
 def test_a_walk_goes_as_far_as_its_footsteps():
-    pattern = plan_walk(0.1, 0.0, 8.0)
+    pattern = plan_walk(0.1, 0.0, 6.0)
     walked = pattern.com[-1, 0] - pattern.com[0, 0]
     assert walked == pytest.approx(pattern.footsteps[-1].position[0], abs=1e-3)
 
 
 def test_the_same_arguments_are_planned_once():
-    assert plan_walk(0.04, 0.0, 8.0) is plan_walk(0.04, 0.0, 8.0)
+    assert plan_walk(0.04, 0.0, 6.0) is plan_walk(0.04, 0.0, 6.0)
 
 
 def test_a_pattern_cannot_be_changed_by_its_users():
-    command = plan_walk(0.04, 0.0, 8.0).command(100)
+    command = plan_walk(0.04, 0.0, 6.0).command(100)
     with pytest.raises(ValueError, match="read-only"):
         command.joint_target[0] = 1.0
 
 
 def test_outside_its_time_a_pattern_stands():
-    pattern = plan_walk(0.04, 0.0, 8.0)
+    pattern = plan_walk(0.04, 0.0, 6.0)
     assert pattern.command(-5).com == pytest.approx(pattern.com[0])
     assert pattern.command(10**6).com == pytest.approx(pattern.com[-1])
     assert pattern.command(10**6).stance.all()
@@ -204,7 +196,7 @@ def test_a_posture_out_of_reach_is_named(model):
 
 
 def test_a_still_body_has_its_zmp_below_its_centre_of_mass(model):
-    stand = plan_walk(0.04, 0.0, 8.0)
+    stand = plan_walk(0.04, 0.0, 6.0)
     qpos = np.tile(stand.qpos[0], (5, 1))
     assert multibody_zmp(model, qpos, 1 / 80) == pytest.approx(np.tile(stand.com[0, :2], (5, 1)), abs=1e-5)
 

@@ -37,16 +37,16 @@ def rms(error):
 
 
 def test_it_passes_the_environment_checker():
-    check_env(gym.make("surefoot/NaoWalk-v0", duration=8.0).unwrapped, skip_render_check=True)
+    check_env(gym.make("surefoot/NaoWalk-v0", duration=6.0).unwrapped, skip_render_check=True)
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.04, 0.1])
 def test_the_open_loop_walker_goes_as_fast_as_planned_to_the_end_of_its_plan(speed):
-    env = NaoWalkEnv(speed=speed, duration=8.0, **QUIET)
+    env = NaoWalkEnv(speed=speed, duration=6.0, **QUIET)
     env.reset(seed=0)
     start = env.truth.com[-1, 0]
     cop_error, joint_error, steps, terminated = walk(env)
-    assert (steps, terminated) == (env.pattern.ticks, False) == (640, False)
+    assert (steps, terminated) == (env.pattern.ticks, False) == (480, False)
     assert env.truth.com[-1, 0] - start == pytest.approx(np.ptp(env.pattern.com[:, 0]), rel=0.03)
     assert rms(cop_error) < 0.01
     # The motors' lead makes up for load and lag: legs are where the pattern has them.
@@ -56,27 +56,27 @@ def test_the_open_loop_walker_goes_as_fast_as_planned_to_the_end_of_its_plan(spe
 
 @pytest.mark.parametrize(("speed", "turn_rate"), [(0.1, 0.0), (0.0, 0.2), (0.04, -0.1)])
 def test_the_stabilised_walker_follows_its_cop_reference(speed, turn_rate):
-    env = NaoWalkEnv(speed=speed, turn_rate=turn_rate, duration=8.0)
+    env = NaoWalkEnv(speed=speed, turn_rate=turn_rate, duration=6.0)
     cop_error, _, _, terminated = walk(env, Stabiliser(env.state_layout), seed=5)
     assert not terminated
     assert rms(cop_error) < 0.01
 
 
 def test_a_biased_cop_throws_the_stabilised_walker():
-    env = NaoWalkEnv(speed=0.1, duration=8.0)
+    env = NaoWalkEnv(speed=0.1, duration=6.0)
     for side in (-1.0, 1.0):
         assert walk(env, Stabiliser(env.state_layout), seed=6, bias=(0.0, 0.03 * side))[3]
 
 
 def test_it_turns():
-    env = NaoWalkEnv(speed=0.0, turn_rate=0.2, duration=8.0, **QUIET)
+    env = NaoWalkEnv(speed=0.0, turn_rate=0.2, duration=6.0, **QUIET)
     assert not walk(env)[3]
     ahead = env.truth.R_world_torso[-1, :2, 0]
     assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(env.pattern.yaw_sole[-1].mean(), abs=0.03)
 
 
 def test_rewards_are_the_sum_of_their_terms_and_highest_on_the_pattern():
-    env = NaoWalkEnv(duration=8.0, **QUIET)
+    env = NaoWalkEnv(duration=6.0, **QUIET)
     env.reset(seed=0)
     rewards = []
     for _ in range(200):
@@ -93,7 +93,7 @@ def test_rewards_are_the_sum_of_their_terms_and_highest_on_the_pattern():
 
 
 def test_the_reward_does_not_depend_on_where_in_the_world_the_robot_walks():
-    env = NaoWalkEnv(duration=8.0, **QUIET)
+    env = NaoWalkEnv(duration=6.0, **QUIET)
     action = np.zeros(11, dtype=np.float32)
     rewards = []
     for turn in (0.0, 2.0):

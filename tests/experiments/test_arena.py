@@ -42,8 +42,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
         scenarios=RUN,
         methods=("none", "tare"),
         jobs=1,
-        duration=STAND_TIME + 7.0,
-        settle=STAND_TIME + 2.0,
+        duration=STAND_TIME + 5.5,
+        settle=STAND_TIME + 1.0,
     )
     return run_arena(options, bound=bound)
 
@@ -110,7 +110,7 @@ def test_another_option_is_another_file(tmp_path: Path) -> None:
     assert len(names) == 8
 
 
-def test_the_page_holds_everything(results: ArenaResults) -> None:
+def test_the_page_holds_everything(results: ArenaResults, undrawn: None) -> None:
     text = write_arena_page(results).page.read_text(encoding="utf-8")
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
     for name in RUN:
@@ -190,7 +190,7 @@ def test_beliefs_and_sensors_are_altered(results: ArenaResults) -> None:
 
 @pytest.fixture(scope="module")
 def ankles() -> dict[str, Log]:
-    return record_walk(0.1, 1, STAND_TIME + 3.0, SCENARIOS["ankle-ft"].walk.conditions)
+    return record_walk(0.1, 1, STAND_TIME + 2.0, SCENARIOS["ankle-ft"].walk.conditions)
 
 
 @pytest.mark.parametrize("name", ["ankle", "both"])

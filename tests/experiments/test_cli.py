@@ -62,7 +62,7 @@ def test_weights_print_the_papers_tables(tmp_path: Path) -> None:
     assert len(pd.read_csv(tmp_path / "table3.csv")) == 2
 
 
-def test_calibrating_a_walk(log: Log, tmp_path: Path) -> None:
+def test_calibrating_a_walk(log: Log, tmp_path: Path, undrawn: None) -> None:
     path = write_log(log, tmp_path / "walk.parquet")
     result = RUNNER.invoke(app, ["calibrate", "walk", str(path), "--method", "none"])
     assert result.exit_code == 0, result.output

@@ -205,6 +205,7 @@ def test_the_page_is_one_file_with_everything(tmp_path, undrawn):
 
 
 def test_hostile_names_are_only_names(tmp_path):
+    """Drawn for once: a figure is where a name could be taken for mathematics."""
     few = {"true": 100.0, "none": 50.0}
     hostile = "<script>alert(1)</script> $\\frac{"
     frame = frame_of(*(episodes(who, few, (1.0,), seeds=3) for who in (hostile, "a/same.npz", "b/same.npz")))

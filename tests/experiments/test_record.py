@@ -14,11 +14,11 @@ from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 @pytest.fixture(scope="module")
 def walk() -> dict[str, Log]:
-    return record_walk(0.1, 3, 6.0)
+    return record_walk(0.1, 3, 4.6)
 
 
 def test_the_same_seed_is_the_same_walk(walk: dict[str, Log]) -> None:
-    again, other = record_walk(0.1, 3, 6.0), record_walk(0.1, 4, 6.0)
+    again, other = record_walk(0.1, 3, 4.6), record_walk(0.1, 4, 4.6)
     for name, log in walk.items():
         np.testing.assert_array_equal(again[name].raw, log.raw)
         np.testing.assert_array_equal(again[name].reference.com, log.reference.com)

@@ -55,11 +55,11 @@ QUICK: dict[str, Callable[[], gym.Env[Any, Any]]] = {
     "InstrumentedEnv": lambda: InstrumentedEnv(humanoid()),
     "SelfCalibration": calibrated,
     "SelfCalibration of ankles": lambda: calibrated(humanoid(), ANKLES),
-    "SelfCalibration, planar": lambda: calibrated(gym.make("Walker2d-v5"), ANKLES),
-    "SelfCalibration, soles": lambda: SelfCalibration(FootSensors(humanoid(), soles=True)),
     "TruthRow": lambda: TruthRow(humanoid()),
 }
 SLOW: dict[str, Callable[[], gym.Env[Any, Any]]] = {
+    "SelfCalibration, planar": lambda: calibrated(gym.make("Walker2d-v5"), ANKLES),
+    "SelfCalibration, soles": lambda: SelfCalibration(FootSensors(humanoid(), soles=True)),
     "Exercise": lambda: gym.make("surefoot/Exercise-v0", robot="nao"),
     "NaoStand": lambda: gym.make("surefoot/NaoStand-v0"),
     "NaoWalk": lambda: gym.make("surefoot/NaoWalk-v0"),
