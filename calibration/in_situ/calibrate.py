@@ -115,9 +115,13 @@ def calibrate_in_situ(
         The matrix, the offsets, the limb, and how sure they are.
 
     Raises:
-        ValueError: If shapes do not belong together or no set is given.
+        ValueError: If shapes do not belong together, no set is given, or ``accept`` is blank.
         CalibrationRefused: If the data do not determine the fit, or contradict themselves.
     """
+    if accept and not accept.strip():
+        raise ValueError(
+            f"'accept' must say why a refusal may be passed, got {accept!r}; leave it empty if none may."
+        )
     options = InSituOptions() if options is None else options
     factory = _checked_factory(sets, factory_matrix)
     # Matrices are small: threads would only wait for each other, on a busy machine for seconds.

@@ -158,12 +158,12 @@ class Spectrum:
     Attributes:
         frequency: Of each mode that shows noise in Hz, or per sample, shape (b,).
         left: Share of it that the signals do not explain, shape (b,).
-        power: Squares, shape (b, k).
+        modes: The residuals' amplitudes, shape (b, k).
     """
 
     frequency: Vector
     left: Vector
-    power: Matrix
+    modes: Matrix
 
     @classmethod
     def of(cls, residual: Matrix, explained: Matrix, spacing: float) -> "Spectrum":
@@ -178,15 +178,14 @@ class Spectrum:
         left = 1.0 - np.sum(dct(explained, norm="ortho", axis=0) ** 2, axis=1)
         seen = np.flatnonzero(left > _FREE)
         seen = seen[seen > 0]
-        power = dct(residual, norm="ortho", axis=0)[seen] ** 2
-        return cls(seen / (2.0 * rows * spacing), left[seen], power)
+        return cls(seen / (2.0 * rows * spacing), left[seen], dct(residual, norm="ortho", axis=0)[seen])
 
 
 def likeliest_colour(spectra: Sequence[Spectrum], motion: float) -> Colour:
     """Return the colour that explains residuals best; white unless another is worth its parameters.
 
     Args:
-        spectra: Of the sets, in channels whose noise is independent.
+        spectra: Of the sets, in channels none of which follows from the others.
         motion: Frequency of the limb's motion.
     """
     spectra = [one for one in spectra if len(one.left) >= _LEAST_MODES]
@@ -194,6 +193,10 @@ def likeliest_colour(spectra: Sequence[Spectrum], motion: float) -> Colour:
         return Colour()
     frequency, left, power = _bands(spectra)
     total, channels = float(np.sum(left)), power.shape[1]
+    # The likeliest covariance goes with the channels, so that their units and mixture change nothing.
+    overall = np.sum(power, axis=0)
+    root = np.linalg.inv(np.linalg.cholesky(overall))
+    power = (root @ power @ root.T).reshape(len(power), -1)
     corners = np.geomspace(frequency[0] / 4.0, frequency[-1], _CORNERS)
     slowest = max(_SLOWER * motion, 2.0 * float(frequency[0]))
     knees = np.geomspace(slowest, max(2.0 * slowest, float(frequency[-1])), _KNEES)
@@ -205,9 +208,9 @@ def likeliest_colour(spectra: Sequence[Spectrum], motion: float) -> Colour:
     powers = {name: _powers(grid, frequency) for name, grid in tried.items()}
 
     def costs(shape: Matrix) -> Vector:
-        """Minus twice the log-likelihood, each channel with its own white noise."""
-        white = (1.0 / shape) @ power / total
-        return np.asarray(total * np.sum(np.log(white + _NONE), axis=1) + channels * np.log(shape) @ left)
+        """Minus twice the log-likelihood, with the likeliest covariance of the channels' white noise."""
+        white = ((1.0 / shape) @ power).reshape(-1, channels, channels)
+        return np.asarray(total * np.linalg.slogdet(white)[1] + channels * np.log(shape) @ left)
 
     found = []
     for order in (("drift", "hysteresis"), ("hysteresis", "drift")):
@@ -239,13 +242,17 @@ def _penalty(best: dict[str, int], count: float) -> float:
 
 
 def _bands(spectra: Sequence[Spectrum]) -> tuple[Vector, Vector, Matrix]:
-    """Return mean frequencies of bands, the slowest first, the modes' worth in each, and their power."""
+    """Return mean frequencies of bands, the slowest first, the modes' worth in each, and their covariance.
+
+    The last is summed over modes, shape (bands, k, k).
+    """
     frequency = np.concatenate([one.frequency for one in spectra])
     left = np.concatenate([one.left for one in spectra])
-    power = np.concatenate([one.power for one in spectra])
+    modes = np.concatenate([one.modes for one in spectra])
     band = np.round(_PER_OCTAVE * np.log2(frequency)).astype(int)
     order = np.argsort(band, kind="stable")
     _, first = np.unique(band[order], return_index=True)
     count = np.add.reduceat(left[order], first)
     middle = np.exp(np.add.reduceat((left * np.log(frequency))[order], first) / count)
-    return middle, count, np.add.reduceat(power[order], first, axis=0)
+    power = [one.T @ one for one in np.split(modes[order], first[1:])]
+    return middle, count, np.array(power)

@@ -57,7 +57,7 @@ def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
     scatter = np.sum([part.rr.T @ part.rr for part in sets], axis=0)
     freedom = max(sum(part.freedom for part in sets), 1)
     S = scatter / freedom
-    share = len(S) / (freedom + len(S))
+    share = (len(S) / (freedom + len(S))) ** 2
     spread = np.sum([part.ur.T @ part.ur for part in sets], axis=0) / sum(part.samples for part in sets)
     diagonal = np.diag(np.diag(S))
     return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(np.diag(spread)))

@@ -29,7 +29,7 @@ from surefoot.calibration.in_situ.nonlinear import (
 from surefoot.calibration.in_situ.options import DEGREES, InSituOptions
 from surefoot.calibration.in_situ.validation import as_seen, expected_wrench
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
-from surefoot.calibration.results import FitResult
+from surefoot.calibration.results import CalibrationRefused, FitResult
 
 __all__ = ["choose_nonlinear", "with_nonlinear"]
 
@@ -44,7 +44,7 @@ _STRAY = 10.0
 _STRETCHES = 5
 """Of time, into which a set is cut."""
 
-_WEIGHTS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+_WEIGHTS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Of the ridge, to choose from."""
 
 _GAIN = 0.9
@@ -58,8 +58,8 @@ _BENT = {"residual_tolerance": 0.5, "mass_tolerance": 0.3}
 """Tolerances of the linear fit that a polynomial may still mend."""
 
 _STAYS = (
-    "No polynomial predicted what took no part clearly better than the linear map, so that the sensor counts "
-    "as linear."
+    "No polynomial predicted what took no part clearly better than the linear map, or made the sets agree, so "
+    "that the sensor counts as linear."
 )
 _SCALE = (
     "Added masses do not show the scale of a sensor that is not linear, as its slope is another one under a "
@@ -72,7 +72,8 @@ def with_nonlinear(
 ) -> InSituFit:
     """Return the linear fit with a polynomial on top, where that predicts better; else the linear fit.
 
-    Whether the sets agree with each other is judged by readings from which the polynomial was taken off.
+    Whether the sets agree with each other is judged by readings from which the polynomial was taken off; where
+    they still do not, it does not count.
 
     Args:
         sets: The sets.
@@ -89,16 +90,10 @@ def with_nonlinear(
     found = choose_nonlinear(
         sets, linear, DEGREES if options.nonlinear == "auto" else [int(options.nonlinear)]
     )
-    if found is None:
+    checked = None if found is None else _straight(sets, linear, found, plain, answer)
+    if found is None or checked is None:
         fit = answer(sets, plain)
         return replace(fit, warnings=(*fit.warnings, _STAYS))
-    straight = tuple(
-        replace(data, raw=data.raw + found.wrench(as_seen(data, linear).raw - offset) @ linear.response.T)
-        for data, offset in zip(sets, linear.offsets, strict=True)
-    )
-    checked = answer(straight, plain)
-    if checked.result is FitResult.REFUSED:
-        return checked
     return replace(
         linear,
         nonlinear=found,
@@ -107,6 +102,25 @@ def with_nonlinear(
         accepted=checked.accepted,
         warnings=(*checked.warnings, _said(found), *(() if weighed else (_SCALE,))),
     )
+
+
+def _straight(
+    sets: tuple[InSituSet, ...],
+    linear: InSituFit,
+    found: NonlinearMap,
+    options: InSituOptions,
+    answer: Callable[..., InSituFit],
+) -> InSituFit | None:
+    """Return the fit of readings from which the polynomial was taken off; None if that is refused."""
+    straight = tuple(
+        replace(data, raw=data.raw + found.wrench(as_seen(data, linear).raw - offset) @ linear.response.T)
+        for data, offset in zip(sets, linear.offsets, strict=True)
+    )
+    try:
+        fit = answer(straight, options)
+    except CalibrationRefused:
+        return None
+    return None if fit.result is FitResult.REFUSED else fit
 
 
 def _said(found: NonlinearMap) -> str:

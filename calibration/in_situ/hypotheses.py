@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ.answer_checks import added_slope, projected
 from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
-from surefoot.calibration.in_situ.covariance import whitening
+from surefoot.calibration.in_situ.covariance import noise_level, whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.input_checks import BENT_CURE, TOO_FAST, turning
 from surefoot.calibration.in_situ.model import (
@@ -101,7 +101,13 @@ class Evidence:
         plain = self.problem
         rows = [part.at_rows(one) for part, one in zip(plain.sets, columns, strict=True)]
         parts = with_signals(plain.sets, rows, self.options)
-        return replace(plain, sets=parts, channel_lags=columns[0].shape[1], whitening=whitening(parts))
+        return replace(
+            plain,
+            sets=parts,
+            channel_lags=columns[0].shape[1],
+            whitening=whitening(parts),
+            level=noise_level(parts),
+        )
 
     def alone(self, j: int, column: Vector) -> Problem:
         """Return the problem with a signal of one set, shape (n_j,)."""

@@ -82,6 +82,8 @@ def read_sensors(
         # One sensor reads all sets: its offsets jump in between, and nothing else.
         one = _one_sensor(config, len(runs[0]), np.random.default_rng([_STREAM, place + 2, seed]))
         state.response[i], state.offset[i], state.tempco[:, i] = one.response, one.offset, one.tempco
+        for of_all, own in zip(state.bend, one.bend, strict=True):
+            of_all[i] = own
     response, offset = true_response(config, state)
     dt = float(runs[0][0].time[1] - runs[0][0].time[0])
     counts, after, _ = read_sequence(config, wrench, state, rng, dt)

@@ -91,6 +91,25 @@ def test_order_of_samples_and_sets_does_not_matter():
     np.testing.assert_allclose(other.offsets[-1], fit.offsets[0], rtol=1e-6)
 
 
+@pytest.mark.parametrize("factory", [False, True])
+def test_units_and_mixture_of_the_channels_change_nothing(factory):
+    """Counts, a driver's newtons and any other mixture of them: one answer, within a hundredth of its sigma."""
+    rng = np.random.default_rng(70)
+    sets, _ = noisy_sets("leg", rng, n=1200)
+    matrix = SENSORS["leg"][0]
+    response = np.linalg.inv(matrix)
+    walks = [np.cumsum(0.02 * NOISE * rng.standard_normal((1200, 6)), axis=0) for _ in sets]
+    sets = [replace(one, raw=one.raw + walk @ response.T) for one, walk in zip(sets, walks, strict=True)]
+    counts = calibrate_in_situ(sets, factory_matrix=1.1 * matrix if factory else None)
+    for mixture in (matrix, rng.standard_normal((6, 6))):
+        mixed = [replace(one, raw=one.raw @ mixture.T) for one in sets]
+        made = 1.1 * matrix @ np.linalg.inv(mixture)
+        fit = calibrate_in_situ(mixed, factory_matrix=made if factory else None)
+        np.testing.assert_allclose((fit.matrix @ mixture - counts.matrix) / counts.matrix_std, 0.0, atol=0.01)
+        assert fit.limb.mass == pytest.approx(counts.limb.mass, abs=0.01 * counts.limb_mass_std)
+        assert fit.limb_mass_std == pytest.approx(counts.limb_mass_std, rel=0.01)
+
+
 def test_a_turned_sensor_frame_turns_the_matrix():
     sets, _ = noisy_sets("leg", np.random.default_rng(6))
     turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()

@@ -298,6 +298,10 @@ ARGUMENTS = {
         lambda s: ([s[0], replace(s[1], raw=np.ones((600, 7)))], {}),
         "All sets must have the same number of channels, got [6, 7].",
     ),
+    "blank reason": (
+        lambda s: (s, {"accept": " \n"}),
+        "'accept' must say why a refusal may be passed, got ' \\n'; leave it empty if none may.",
+    ),
     "factory shape": (
         lambda s: (s, {"factory_matrix": np.eye(5)}),
         "'factory_matrix' must have shape (6, 6), got (5, 5).",
