@@ -58,8 +58,8 @@ _BENT = {"residual_tolerance": 0.5, "mass_tolerance": 0.3}
 """Tolerances of the linear fit that a polynomial may still mend."""
 
 _STAYS = (
-    "No polynomial predicted what took no part clearly better than the linear map, or made the sets agree, so "
-    "that the sensor counts as linear."
+    "No polynomial predicted what took no part clearly better than the linear map, or made the sets agree: "
+    "the sensor counts as linear."
 )
 _SCALE = (
     "Added masses do not show the scale of a sensor that is not linear, as its slope is another one under a "
@@ -72,8 +72,8 @@ def with_nonlinear(
 ) -> InSituFit:
     """Return the linear fit with a polynomial on top, where that predicts better; else the linear fit.
 
-    Whether the sets agree with each other is judged by readings from which the polynomial was taken off; where
-    they still do not, it does not count.
+    Whether the sets agree with each other is judged by readings from which the polynomial was taken off;
+    where they still do not, it does not count.
 
     Args:
         sets: The sets.

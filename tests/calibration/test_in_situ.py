@@ -93,7 +93,7 @@ def test_order_of_samples_and_sets_does_not_matter():
 
 @pytest.mark.parametrize("factory", [False, True])
 def test_units_and_mixture_of_the_channels_change_nothing(factory):
-    """Counts, a driver's newtons and any other mixture of them: one answer, within a hundredth of its sigma."""
+    """Counts, a driver's newtons and any other mixture of them: one answer to a hundredth of its sigma."""
     rng = np.random.default_rng(70)
     sets, _ = noisy_sets("leg", rng, n=1200)
     matrix = SENSORS["leg"][0]

@@ -210,7 +210,7 @@ def test_a_sensor_that_is_not_linear(short: Path, tmp_path: Path, undrawn: None)
     raw = np.column_stack([table.column(name).to_numpy() for name in names])
     wrench = raw @ factory.T
     wrench -= wrench.mean(axis=0)
-    off = 0.03 * wrench * (wrench / wrench.std(axis=0)) ** 2
+    off = 0.02 * wrench * (wrench / wrench.std(axis=0)) ** 2
     for name, column in zip(names, (raw + off @ np.linalg.inv(factory).T).T, strict=True):
         table = table.set_column(table.column_names.index(name), name, [column])
     pq.write_table(table, tmp_path / "bent.parquet")
