@@ -8,7 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Where Python keeps no bytecode, as in many containers, every worker compiles all tests anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow results check format wheel-test clean
+.PHONY: demo test slow results check style types pyright imports format wheel-test clean
 
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
@@ -42,11 +42,16 @@ results: $(VENV)/.dev
 slow: $(VENV)/.dev
 	$(BIN)/pytest -n auto --dist loadfile -m slow $(PYTEST)
 
-check: $(VENV)/.dev
+# Each by itself, so that `make -j 2 check` uses two cores.
+check: style types pyright imports
+style: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+types: $(VENV)/.dev
 	$(BIN)/mypy
+pyright: $(VENV)/.dev
 	$(BIN)/pyright
+imports: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 format: $(VENV)/.dev
