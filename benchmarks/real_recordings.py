@@ -48,9 +48,10 @@ from surefoot.calibration import METHODS as ONLINE_METHODS
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.score import score_run
-from surefoot.experiments.arena.streams import Stream, held
+from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.study.tables import Frame, Table, number, with_interval
+from surefoot.experiments.walks.score import held
 
 Floats = NDArray[np.float64]
 

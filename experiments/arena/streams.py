@@ -11,6 +11,7 @@ from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.score import held
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, LoadCells, apply_faults
 
@@ -43,14 +44,6 @@ class Stream:
     def start(self) -> Floats:
         """Forces in N by the map that methods start from, held where no reading arrived, shape (N, K)."""
         return starting_map(self.log).force(held(self.log.raw))  # type: ignore[no-any-return]
-
-
-def held(readings: Floats) -> Floats:
-    """Carry the last reading of each channel over samples that lack one, shape (N, K)."""
-    there = np.isfinite(readings)
-    last = np.maximum.accumulate(np.where(there, np.arange(len(readings))[:, None], 0), axis=0)
-    kept: Floats = np.take_along_axis(readings, last, axis=0)
-    return kept
 
 
 def streams_of(scenario: Scenario, options: ArenaOptions) -> tuple[list[Stream], int]:

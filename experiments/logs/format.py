@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
+from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
     columns_of,
@@ -42,55 +43,31 @@ MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's f
 
 @dataclass(frozen=True, eq=False)
 class LogTruth:
-    """What a simulator knows of N samples and a robot does not.
+    """What a simulator knows of N samples and a robot does not."""
 
-    Attributes:
-        force: Force of the ground through each channel in N, shape (N, K).
-        position_sole: Origins of the sole frames in the world in m, shape (N, 2, 3).
-        R_world_sole: Rotations from the sole frames to the world, shape (N, 2, 3, 3).
-        scale: Newtons per count of the map that would undo the channels' errors, shape (N, K).
-        offset: Offset in N of that map, shape (N, K).
-    """
-
-    force: NDArray[np.float64]
-    position_sole: NDArray[np.float64]
-    R_world_sole: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    force: Floats  # of the ground through each channel in N, shape (N, K)
+    position_sole: Floats  # origins of the sole frames in the world in m, shape (N, 2, 3)
+    R_world_sole: Floats  # rotations from the sole frames to the world, shape (N, 2, 3, 3)
+    scale: Floats  # newtons per count of the map that would undo the channels' errors, shape (N, K)
+    offset: Floats  # offset in N of that map, shape (N, K)
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """N samples of a walk and what is known of the robot.
+    """N samples of a walk and what is known of the robot."""
 
-    Attributes:
-        time: Times of the samples in s, increasing, shape (N,).
-        raw: Readings in counts, shape (N, K); NaN where no sample arrived.
-        reference: The robot's beliefs, every field with N rows. Row k describes the feet of row
-            k - ``lag``: telemetry arrives late.
-        layout: The feet.
-        mass: Mass in kg that the robot believes it has.
-        nominal: The map that is known of the sensors' type alone, F = c raw + d.
-        calibrated: The map that a calibration from weights gave before the session, or ``None``.
-        dt: Time between samples in s.
-        lag: Samples by which the reference is late.
-        seed: Seed of a simulated walk, or ``None``.
-        truth: What the simulator knew, or ``None``.
-        about: Further facts, such as speed, condition and versions; values JSON can hold.
-    """
-
-    time: NDArray[np.float64]
-    raw: NDArray[np.float64]
-    reference: Reference
+    time: Floats  # of the samples in s, increasing, shape (N,)
+    raw: Floats  # readings in counts, shape (N, K); NaN where no sample arrived
+    reference: Reference  # beliefs, N rows in every field; row k describes the feet of row k - ``lag``
     layout: FeetLayout
-    mass: float
-    nominal: Parameters
-    calibrated: Parameters | None
-    dt: float
-    lag: int
-    seed: int | None = None
-    truth: LogTruth | None = None
-    about: dict[str, Any] = field(default_factory=dict)
+    mass: float  # in kg, as the robot believes
+    nominal: Parameters  # the map that is known of the sensors' type alone, F = c raw + d
+    calibrated: Parameters | None  # that of a calibration from weights before the session
+    dt: float  # time between samples in s
+    lag: int  # samples by which the reference is late, as telemetry is
+    seed: int | None = None  # of a simulated walk
+    truth: LogTruth | None = None  # what the simulator knew
+    about: dict[str, Any] = field(default_factory=dict)  # such as speed and condition; JSON can hold it
 
     def __len__(self) -> int:
         """The number of samples, N."""
@@ -100,15 +77,7 @@ class Log:
 def write_log(log: Log, path: str | Path) -> Path:
     """Write a log as ``.parquet``, or as ``.csv`` with its description in ``.json`` beside it.
 
-    Args:
-        log: What to write.
-        path: Where; the ending chooses the form. The file appears only once it is whole.
-
-    Returns:
-        The path.
-
-    Raises:
-        LogError: If the ending is neither of the two.
+    Return the path. The file appears only once it is whole. Raises LogError if the path ends otherwise.
     """
     path = Path(path)
     columns = columns_of(log)
@@ -127,16 +96,11 @@ def write_log(log: Log, path: str | Path) -> Path:
 
 
 def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
-    """Read a log that does not mislead a calibrator.
+    """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
 
-    Args:
-        path: A ``.parquet`` file, or a ``.csv`` file with its ``.json`` beside it.
-        max_gap: Longest time in s allowed between two rows; with infinity gaps are left for a calibrator to
-            flag, which then keeps what it learnt and starts its filters again.
-
-    Raises:
-        LogError: If the file is not there or not a log, if a column is missing or holds what it must not,
-            or if time does not increase or leaps. The message names the file, the column and the cure.
+    Two rows may be ``max_gap`` s apart; with infinity gaps are left for a calibrator to flag, which then
+    keeps what it learnt and starts its filters again. Raises LogError, which names file, column and cure, if
+    the file is not there or no log, a column is missing or holds what it must not, or time leaps.
     """
     path = Path(path)
     table = read_table(path, "'surefoot demo' records logs under out/demo/logs.")

@@ -12,7 +12,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.tables import Table, number, with_deviation
 from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
-from surefoot.experiments.walks.score import score_forces
+from surefoot.experiments.walks.score import held, score_forces
 
 FLAG_WORDS = {
     "MISSING": "no reading arrived; the last one is held",
@@ -63,9 +63,7 @@ class Facts:
         """
         force: Floats = self.initial.force(self.log.raw)
         seen = np.abs(force) <= OnlineSetup.plausible_weights * self.log.mass * GRAVITY
-        last = np.maximum.accumulate(np.where(seen, np.arange(len(force))[:, None], -1), axis=0)
-        held = np.take_along_axis(force, np.maximum(last, 0), axis=0)
-        return np.where(last >= 0, held, 0.0)
+        return np.nan_to_num(held(force, seen))
 
     def sides(self) -> tuple[tuple[str, Floats], ...]:
         """Return forces after and before, with what tables call them."""

@@ -65,24 +65,15 @@ def record_walk(
     clock_error: float = 0.0,
     **env_options: Any,
 ) -> dict[str, Log]:
-    """Walk once, and log what the cells of each condition read.
+    """Walk once, and return what the cells of each condition read: a log by its name.
 
-    As in the CoP paper nobody pushes, unless ``push_impulse`` says so.
-
-    Args:
-        speed: Walking speed in m/s.
-        seed: Of the walk, the sensors, the beliefs and the weighing.
-        duration: Duration in s, standing included; a fall ends the walk earlier.
-        conditions: What cells to read it with. References are timed for each condition's own cells.
-        sensors: Further options of :class:`~surefoot.wrappers.FootSensors`: IMU, encoders and link.
-        beliefs: Further options of :class:`~surefoot.wrappers.SelfCalibration`: how wrong the robot is about
-            itself.
-        clock_error: By how many s telemetry is later than the robot believes: what it takes for the moment
-            of a reference is that much earlier in truth.
-        **env_options: Further options of :class:`~surefoot.envs.nao.walk.NaoWalkEnv`.
-
-    Returns:
-        A log by the condition's name.
+    The walk takes ``duration`` s, standing included, at a speed in m/s; a fall ends it earlier. As in the CoP
+    paper nobody pushes, unless ``push_impulse`` says so. The seed is that of the walk, the sensors, the
+    beliefs and the weighing; references are timed for each condition's own cells. Further options are those
+    of :class:`~surefoot.wrappers.FootSensors` (IMU, encoders and link), of
+    :class:`~surefoot.wrappers.SelfCalibration` (how wrong the robot is about itself) and of
+    :class:`~surefoot.envs.nao.walk.NaoWalkEnv`. Telemetry is ``clock_error`` s later than the robot believes:
+    what it takes for the moment of a reference is that much earlier in truth.
     """
     options: dict[str, Any] = {"push_impulse": (0.0, 0.0)} | env_options
     _, tap = make_walker("true", speed=speed, duration=duration, **options)

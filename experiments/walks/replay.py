@@ -68,9 +68,7 @@ def starting_map(log: Log, start: str | None = None) -> Parameters:
 def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Replayed]:
     """Run one method over logs of any lengths and robots, and return what it made of each.
 
-    Raises:
-        LogError: If a log has no such starting map.
-        ValueError: If there is no such method or option.
+    Raises LogError if a log has no such starting map, ValueError if there is no such method or option.
     """
     starts = [starting_map(log, start) for log in logs]
     results: dict[int, Replayed] = {}

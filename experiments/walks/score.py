@@ -16,7 +16,7 @@ that is the same formula with other forces in the truth's place.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
@@ -42,7 +42,8 @@ def cop_world(force: Floats, layout: FeetLayout, position_sole: Floats, R_world_
     Of forces in N, (N, K), and the sole frames' origins in m, (N, 2, 3), and rotations to the world, (N, 2,
     3, 3).
     """
-    return _hold(cop_of_feet(sole_wrenches(force, layout), position_sole, R_world_sole))
+    cop = cop_of_feet(sole_wrenches(force, layout), position_sole, R_world_sole)
+    return held(cop, np.isfinite(cop).all(axis=-1, keepdims=True))
 
 
 def score_forces(
@@ -55,20 +56,10 @@ def score_forces(
     time: Floats,
     settle: float = 0.0,
 ) -> Score:
-    """Score calibrated forces against other ones.
+    """Score calibrated forces in N, (N, K), against other ones, at times in s, (N,), from ``settle`` s on.
 
-    Args:
-        estimate: Calibrated forces of the channels in N, shape (N, K). Rows with a value that is not finite
-            (no sample had arrived) are left out.
-        truth: Forces to compare with in N, shape (N, K).
-        layout: How the channels make up wrenches.
-        position_sole: True origins of the sole frames in the world in m, shape (N, 2, 3).
-        R_world_sole: True rotations from the sole frames to the world, shape (N, 2, 3, 3).
-        time: Times of the samples in s, shape (N,).
-        settle: Samples before this time in s do not count.
-
-    Raises:
-        ValueError: If no sample is left to count.
+    Poses are the true ones, as in :func:`cop_world`. Rows with a value that is not finite (no sample had
+    arrived) are left out. Raises ValueError if no sample is left to count.
     """
     finite = np.isfinite(estimate).all(axis=-1) & np.isfinite(truth).all(axis=-1)
     counted = finite & (time >= settle)
@@ -111,9 +102,9 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(array**2))) if array.size else float("nan")
 
 
-def _hold(values: Floats) -> Floats:
-    """Carry the last finite row forward."""
-    finite = np.isfinite(values).all(axis=-1)
-    last = np.maximum.accumulate(np.where(finite, np.arange(len(values)), -1))
-    held: Floats = np.where(last[:, None] >= 0, values[np.maximum(last, 0)], np.nan)
-    return held
+def held(values: Floats, there: NDArray[np.bool_] | None = None) -> Floats:
+    """Carry the last values that are there (finite by default) over others, (N, K); NaN before the first."""
+    there = np.isfinite(values) if there is None else there
+    last = np.maximum.accumulate(np.where(there, np.arange(len(values))[:, None], -1), axis=0)
+    carried: Floats = np.take_along_axis(values, np.maximum(last, 0), axis=0)
+    return np.where(last >= 0, carried, np.nan)

@@ -8,9 +8,9 @@ import pytest
 from surefoot.calibration import Flag
 from surefoot.experiments.arena.replay import Consistency, Played, _normalised, play
 from surefoot.experiments.arena.score import running_rmse, score_run
-from surefoot.experiments.arena.streams import FALLING, Stream, cut_fall, held
+from surefoot.experiments.arena.streams import FALLING, Stream, cut_fall
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.walks.score import score_forces
+from surefoot.experiments.walks.score import held, score_forces
 from surefoot.sensors import Fault
 
 RNG = np.random.default_rng(11)
