@@ -22,6 +22,7 @@ RESULTS := out/results
 WALKS ?= 10
 RIGS ?= 20
 EPISODES ?= 20
+ROBOTS ?= 3
 results: $(VENV)/.dev
 	$(BIN)/surefoot compare walking --seeds $(WALKS) --out $(RESULTS)/walking
 	for task in balance walk; do for part in \
@@ -35,6 +36,7 @@ results: $(VENV)/.dev
 			--out $(RESULTS)/$$task || exit 1; \
 	done
 	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
+	$(BIN)/surefoot compare robots --seeds $(ROBOTS) --jobs 2 --out $(RESULTS)/robots
 	$(BIN)/surefoot compare walking --full --seeds $(WALKS) --out $(RESULTS)/full
 	$(BIN)/python -m surefoot.experiments.study.results docs/results.md docs/in-situ.md
 

@@ -104,7 +104,11 @@ def _make(
         boxes = alike and not differing_array(bare, measured)
         description = boxed if boxes else description
     if soles:
-        put_soles(description, bare, soles, feet, prefix)
+        # The description may have a keyframe to stand in that the environment's file lacks.
+        standing = description.copy().compile()
+        if not find_difference(bare, standing, prefix):
+            carry_over(bare, standing, prefix)
+        put_soles(description, standing, soles, feet, prefix)
     named = description.copy()
     measured = named.compile()
     for joint, compiled in zip(description.joints, named.joints, strict=True):

@@ -62,6 +62,22 @@ def in_situ(
 
 
 @app.command()
+def robots(
+    out: Out = Path("out/compare-robots"),
+    seeds: Annotated[int, Option(help="Of each robot, motion and kind of sensors.", min=1)] = 5,
+    jobs: Jobs = 2,
+    quick: Annotated[bool, Option("--quick", help="Two seeds, short runs.")] = False,
+) -> None:
+    """Compare calibrators on robots that others made: standing, moving, falling."""
+    from surefoot.experiments.robots.study import RobotOptions, compare_robots
+
+    with one_line_errors(out):
+        options = RobotOptions(out=out, seeds=seeds, jobs=jobs)
+        report = compare_robots(options.quickly() if quick else options)
+    show(report.tables, report.page)
+
+
+@app.command()
 def weights(
     seed: Annotated[int, Option(help="Of everything random.")] = 0,
     out: Annotated[Path | None, Option(help="Folder for the tables as CSV.")] = None,

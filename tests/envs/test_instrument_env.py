@@ -342,6 +342,9 @@ def test_the_way_out_of_a_robot_that_was_drawn_lying_is_open():
     for _ in range(10):
         action = env.action_space.sample()
         np.testing.assert_array_equal(env.step(action)[0], other.step(action)[0])
+    # Soles are put under feet as they stand there, and not as they lie.
+    soled = InstrumentedEnv(gym.make("HumanoidStandup-v5"), soles=True, spec=spec)
+    assert all(len(foot.polygon) == 4 for foot in soled.instrumentation.feet)
 
 
 @pytest.mark.parametrize(

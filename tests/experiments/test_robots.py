@@ -1,0 +1,89 @@
+"""Robots that others made: methods hear what their wrappers would tell them, and a study needs no package."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from surefoot.experiments.robots import study
+from surefoot.experiments.robots.cases import METHODS, SENSORS, Motion, run_robot
+from surefoot.experiments.robots.held import HeldRobot
+from surefoot.experiments.robots.study import RobotOptions, claims_of, compare_robots
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+FALLS = Motion("Walker2d-v5", "falling", 0.3)
+
+
+def test_every_method_hears_what_its_own_wrapper_would_tell_it() -> None:
+    rows = run_robot(FALLS, "load cells", seed=3, duration=1.6)["scores"]
+    assert [row["method"] for row in rows] == list(METHODS)
+    assert rows[0]["falls"] > 0
+    env = FootSensors(FALLS.env(), SENSORS["load cells"])
+    alone = SelfCalibration(env, "moment")
+    alone.reset(seed=3)
+    rng, off, ended = np.random.default_rng([0x20B07, 3]), [], False
+    for _ in range(200):
+        off.append((alone.estimate.vgrf - env.source.truth.vgrf()).sum())
+        if ended:
+            alone.reset()
+            ended = False
+        else:
+            ended = alone.step((0.3 * rng.uniform(-1.0, 1.0, 6)).astype(np.float32))[2]
+    assert rows[-1]["vgrf"] == pytest.approx(np.sqrt(np.mean(np.square(off[125:]))), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "nao",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("g1", "h1", "t1", "op3", "apollo", "berkeley")
+        ),
+    ],
+)
+def test_servos_hold_a_robot_in_its_pose_unless_its_targets_are_thrown_about(name: str) -> None:
+    try:
+        env = HeldRobot(name)
+    except ModuleNotFoundError as missing:
+        pytest.skip(str(missing))
+    still, rng = np.zeros(env.action_space.shape or ()), np.random.default_rng(0)
+    env.reset(seed=0)
+    assert not any(env.step(still)[2] for _ in range(400))
+    env.reset()
+    assert any(env.step(rng.uniform(-0.4, 0.4, still.shape))[2] for _ in range(400))
+
+
+def test_a_claim_counts_the_cases_in_which_the_difference_leaves_its_interval() -> None:
+    errors = {
+        "none": (1.0, 2.0, 3.0),
+        "tare": (1.0, 2.0, 3.0),
+        "window": (1.2, 2.2, 3.25),
+        "moment": (0.5, 3.9, 2.9),
+    }
+    about = {"name": "standing", "sensors": "cells", "vgrf": 1.0}
+    rows = [
+        {"robot": robot, "seed": seed, "method": method, "cop": of[seed], **about}
+        for robot in ("a", "b")
+        for method, of in errors.items()
+        for seed in range(3)
+    ]
+    tare, window, moment, *_ = claims = claims_of(pd.DataFrame(rows))
+    assert (tare.met, window.met, moment.met) == (True, False, True)
+    assert (window.measured, moment.measured) == ("2 of 2 (2 in the mean)", "0 of 2 (2 in the mean)")
+    assert all(claim.met for claim in claims[3:])
+
+
+def test_without_the_package_the_others_are_compared_and_the_page_says_so(tmp_path, monkeypatch) -> None:
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError("The package is not installed.")
+
+    monkeypatch.setattr(study, "load_robot_spec", missing)
+    motions = (FALLS, Motion("g1", "standing"))
+    options = RobotOptions(tmp_path, seeds=2, jobs=1, duration=1.2, motions=motions)
+    report = compare_robots(options, Console(quiet=True))
+    cells, ankles, claims = report.tables
+    assert [row[0] for row in (*cells.rows, *ankles.rows)] == ["Walker2d-v5"] * 2
+    assert len(claims.rows) == 2 * len(METHODS[1:])
+    assert "Robots of the package are left out: The package is not installed." in report.page.read_text()
+    assert (tmp_path / "tables" / "load_cells.csv").is_file()
