@@ -76,7 +76,7 @@ def test_it_turns():
 
 
 def test_rewards_are_the_sum_of_their_terms_and_highest_on_the_pattern():
-    env = NaoWalkEnv(duration=6.0, **QUIET)
+    env = NaoWalkEnv(speed=0.04, duration=6.0, **QUIET)
     env.reset(seed=0)
     rewards = []
     for _ in range(200):
@@ -93,7 +93,7 @@ def test_rewards_are_the_sum_of_their_terms_and_highest_on_the_pattern():
 
 
 def test_the_reward_does_not_depend_on_where_in_the_world_the_robot_walks():
-    env = NaoWalkEnv(duration=6.0, **QUIET)
+    env = NaoWalkEnv(speed=0.04, duration=6.0, **QUIET)
     action = np.zeros(11, dtype=np.float32)
     rewards = []
     for turn in (0.0, 2.0):

@@ -141,15 +141,15 @@ def test_a_partial_reset_leaves_the_others_alone(method, fresh, log):
 @pytest.mark.parametrize("method", ["moment", "window", "tare"])
 def test_who_is_frozen_learns_nothing(method, log):
     module = make(method)
-    before = run(module, log, 160)[-1]
+    before = run(module, log, 120)[-1]
     module.freeze()
-    for estimate in run(module, log, 48, 160):
+    for estimate in run(module, log, 24, 120):
         assert torch.equal(estimate.scale, before.scale)
         assert torch.equal(estimate.offset, before.offset)
     module.reset([0])
-    assert torch.equal(module(*row(log, 208), step=208).offset, before.offset)
+    assert torch.equal(module(*row(log, 144), step=144).offset, before.offset)
     module.freeze(False)
-    after = run(module, log, 130, 209)[-1]
+    after = run(module, log, 130, 145)[-1]
     assert not torch.equal(after.offset, before.offset)
 
 

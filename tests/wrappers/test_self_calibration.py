@@ -43,8 +43,8 @@ def walk(env: gym.Env, steps: int, seed: int = 0) -> list[tuple[dict[str, Any], 
 
 @pytest.mark.parametrize("method", ["moment", "window"])
 def test_truth_is_never_looked_at(method: str, make_bare) -> None:
-    seeing = walk(SelfCalibration(FootSensors(make_bare()), method), 120)
-    blind = walk(SelfCalibration(Blindfold(FootSensors(make_bare())), method), 120)
+    seeing = walk(SelfCalibration(FootSensors(make_bare()), method), 80)
+    blind = walk(SelfCalibration(Blindfold(FootSensors(make_bare())), method), 80)
     for (one, _), (other, _) in zip(seeing, blind, strict=True):
         for key in one:
             np.testing.assert_array_equal(one[key], other[key], err_msg=key)
