@@ -60,6 +60,7 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ.rest import rows_of_turning
 from surefoot.calibration.in_situ.solve import (
     Problem,
     Solution,
@@ -246,7 +247,7 @@ def _fit(
     with _slow_first(slow):
         warnings += check_masses(problem, solution, noise, options)
     noisy = with_disagreement(problem, solution)
-    covariance = fit_covariance(noisy, solution, noise)
+    covariance = fit_covariance(noisy, solution, noise, rows_of_turning(sets, problem, solution))
     of_data = data_share(noisy, solution, noise, options.axis_tolerance)
     if problem.prior_response is not None or len(problem.limb_root):
         warnings += of_data.warnings(FitColumns.of(len(noise)))
@@ -265,7 +266,7 @@ def _fit(
     if slow is not None:
         fit = replace(fit, warnings=(*fit.warnings, str(slow)))
     if known is not None:
-        alone = _limb_alone(problem, solution)
+        alone = _limb_alone(sets, problem, solution)
         return replace(fit, warnings=fit.warnings + limb_warnings(known, fit, alone))
     if factory is None:
         return fit
@@ -391,14 +392,17 @@ def _leaning(
     return replace(problem, prior_shares=shares), [start]
 
 
-def _limb_alone(problem: Problem, solution: Solution) -> tuple[float, float] | None:
+def _limb_alone(
+    sets: Sequence[InSituSet], problem: Problem, solution: Solution
+) -> tuple[float, float] | None:
     """Return the limb's mass and its deviation in kg by the readings; None if they do not determine it."""
     of_limb = len(problem.limb_root) - (problem.parameters - problem.of_loads.start)
     free = replace(problem, limb_root=problem.limb_root[of_limb:], prior_response=None)
     if data_rank(free, solution.limb).missing:
         return None
     alone = solve(free, [solution.outer])
-    covariance = fit_covariance(with_disagreement(free, alone), alone, pooled_noise(free.sets))
+    turning = rows_of_turning(sets, free, alone)
+    covariance = fit_covariance(with_disagreement(free, alone), alone, pooled_noise(free.sets), turning)
     mass = FitColumns.of(len(alone.A)).limb.start + MASS
     return float(alone.limb[MASS]), float(np.sqrt(covariance[mass, mass]))
 

@@ -48,6 +48,9 @@ where they show less noise, since to be too sure is worse than to be too unsure.
 UNUSED = 1e-9
 """Share of the largest variance of a set's rows below which a signal never varied."""
 
+_FEW = 10.0
+"""Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""
+
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
 
@@ -57,7 +60,8 @@ def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
     scatter = np.sum([part.rr.T @ part.rr for part in sets], axis=0)
     freedom = max(sum(part.freedom for part in sets), 1)
     S = scatter / freedom
-    share = (len(S) / (freedom + len(S))) ** 2
+    # It fades faster than the error of S: what is diagonal depends on how the channels mix.
+    share = len(S) / (freedom + len(S)) * _FEW / (freedom / len(S) + _FEW)
     spread = np.sum([part.ur.T @ part.ur for part in sets], axis=0) / sum(part.samples for part in sets)
     diagonal = np.diag(np.diag(S))
     return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(np.diag(spread)))
@@ -108,17 +112,20 @@ def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
     return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
 
 
-def fit_covariance(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:
+def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, beside: Matrix) -> Matrix:
     """Return the covariance of (C row by row, the last set's offset at its end, m, m c), (7 k + 4, 7 k + 4).
 
     Args:
         problem: The problem.
         solution: Its solution.
         noise: Covariance of a sample, shape (k, k).
+        beside: Errors of the rows of the sets that are no noise, each of which may be there, (rows, c).
     """
     channels, inputs = solution.response.shape
     columns = FitColumns.of(channels)
-    root = unknowns_root(problem, solution)
+    left, inverse = orthonormal(solution.jacobian)
+    root = np.concatenate([_noise_root(problem, left), left[: len(beside)].T @ beside], axis=1)
+    root = inverse @ root
     linear = channels * inputs
     # From W A to A, row by row.
     unwhiten = np.kron(np.linalg.inv(problem.whitening), np.eye(inputs))

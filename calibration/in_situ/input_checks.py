@@ -15,7 +15,16 @@ from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["BENT_CURE", "TOO_FAST", "Contradiction", "check_bending", "check_sets", "check_within", "turning"]
+__all__ = [
+    "BENT_CURE",
+    "TOO_FAST",
+    "Contradiction",
+    "check_bending",
+    "check_sets",
+    "check_within",
+    "felt_by_turning",
+    "turning",
+]
 
 _GRAVITY = (8.8, 10.8)
 """Between these the length of gravity must lie in m/s^2, with the bias that an accelerometer may have."""
@@ -178,7 +187,7 @@ def _check_accelerometer(sets: Sequence[InSituSet], rows: Sequence[NDArray[np.in
     for data, there in zip(sets, rows, strict=True):
         _check_unit(data, float(np.median(np.linalg.norm(data.gravity[there], axis=1))))
     felt = np.concatenate([data.gravity[there] for data, there in zip(sets, rows, strict=True)])
-    circling = np.concatenate([_circling(data, there) for data, there in zip(sets, rows, strict=True)])
+    circling = np.concatenate([felt_by_turning(data, there) for data, there in zip(sets, rows, strict=True)])
     plain, _, _ = _length_fit(felt, circling, bias=False)
     last = np.cumsum([len(there) for there in rows])
     for data, of_set in zip(sets, np.split(plain, last[:-1]), strict=True):
@@ -198,7 +207,7 @@ def _check_accelerometer(sets: Sequence[InSituSet], rows: Sequence[NDArray[np.in
         (_rms(of_bias), f"the accelerometer has a bias of about ({shown}) m/s^2; {cure}"),
     ]
     if not moves and all(data.time is not None for data in sets):
-        turns = [_circling(turning(data), there) for data, there in zip(sets, rows, strict=True)]
+        turns = [felt_by_turning(turning(data), there) for data, there in zip(sets, rows, strict=True)]
         causes.append((_rms(_length_fit(felt, np.concatenate(turns), bias=False)[0]), f"{TOO_FAST}."))
     left, words = min(causes)
     what = f"Gravity is {np.median(size):.2f} m/s^2 long and spreads by {np.std(size):.2f}"
@@ -253,7 +262,7 @@ def _length_fit(
     return np.asarray(size - GRAVITY), arm, offset
 
 
-def _circling(data: InSituSet, rows: NDArray[np.int_]) -> NDArray[np.float64]:
+def felt_by_turning(data: InSituSet, rows: NDArray[np.int_]) -> NDArray[np.float64]:
     """Return [dw]x + [w]x [w]x, shape (n, 3, 3): the acceleration at an arm from what a limb turns about."""
     if data.angular_velocity is None or data.angular_acceleration is None:
         return np.zeros((len(rows), 3, 3))
