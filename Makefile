@@ -78,11 +78,12 @@ $(BIN)/python:
 	$(BIN)/pip install --quiet --upgrade pip
 
 # An install with [dev] serves the demo as well.
-$(VENV)/.demo: pyproject.toml constraints.txt | $(BIN)/python
+NATIVE := setup.py $(addprefix calibration/native/,build.py library.c surefoot_calibration.h)
+$(VENV)/.demo: pyproject.toml constraints.txt $(NATIVE) | $(BIN)/python
 	test -e $(VENV)/.dev || $(BIN)/pip install --quiet -c constraints.txt -e '.[experiments]'
 	touch $@
 
-$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/.dev: pyproject.toml constraints.txt $(NATIVE) | $(BIN)/python
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev]'
 	touch $@ $(VENV)/.demo
 

@@ -4,11 +4,14 @@
 
 Methods take turns sample by sample in one process, so that what else the machine does hits all of them
 alike. The sliding window solves on every fourth sample (40 samples, 5 iterations, 16 parameters; the CoP
-paper: 2.5 ms), the moment filter on every sixteenth. No test asserts these figures.
+paper: 2.5 ms), the moment filter on every sixteenth. One robot's moment filter runs in C as well, called by
+``FootCalibrator``. No test asserts these figures.
 """
 
 import argparse
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +19,17 @@ from numpy.typing import NDArray
 from surefoot.calibration import (
     GRAVITY,
     METHODS,
+    FootCalibrator,
     OnlineSetup,
     Parameters,
     Reference,
     nao_shoe_layout,
     online_method,
 )
+from surefoot.calibration.native import NativeState
 
 DT = 1.0 / 80.0
-EVERY = {"moment": 16}
+EVERY = {"moment": 16, "moment, in C": 16}
 MASS = 5.305
 
 
@@ -60,14 +65,18 @@ def measure(samples: int, robots: int) -> None:
         reading, reference = reading[:, 0], Reference(*(part[:, 0] for part in reference))
     layout = nao_shoe_layout()
     setup = OnlineSetup(layout=layout, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
-    methods = {name: online_method(name, setup) for name in METHODS}
-    states = {name: method.init(reading[0]) for name, method in methods.items()}
-    seconds: dict[str, list[float]] = {name: [] for name in methods}
+    steps = {name: stepper(name, setup, reading[0]) for name in METHODS}
+    in_c = FootCalibrator(layout, mass=MASS)
+    in_c.update(reading[0], Reference(*(part[0] for part in reference)))
+    if isinstance(in_c._state, NativeState):
+        in_c.reset()
+        steps["moment, in C"] = in_c.update
+    seconds: dict[str, list[float]] = {name: [] for name in steps}
     for k in range(samples):
         row = Reference(*(part[k] for part in reference))
-        for name, method in methods.items():
+        for name, step in steps.items():
             start = time.perf_counter()
-            states[name], _ = method.update(states[name], reading[k], row, DT)
+            step(reading[k], row)
             seconds[name].append(time.perf_counter() - start)
     print(f"{robots} robot(s), {samples} samples, microseconds for each robot:")
     settled = np.arange(samples) >= samples // 2
@@ -75,8 +84,23 @@ def measure(samples: int, robots: int) -> None:
         spent = 1e6 * np.array(taken) / robots
         solving = (np.arange(samples) + 1) % EVERY.get(name, 4) == 0
         with_solve, without = (np.median(spent[settled & part]) for part in (solving, ~solving))
-        mean = spent[settled].mean()
-        print(f"  {name:14s} sample {without:8.2f}   with update {with_solve:8.2f}   mean {mean:8.2f}")
+        mean, (median, tail) = spent[settled].mean(), np.percentile(spent[settled], [50, 99])
+        print(
+            f"  {name:14s} sample {without:8.2f}   with update {with_solve:8.2f}   mean {mean:8.2f}"
+            f"   median {median:8.2f}   p99 {tail:8.2f}"
+        )
+
+
+def stepper(name: str, setup: OnlineSetup, raw: NDArray[np.float64]) -> Callable[[Any, Reference], None]:
+    """Return what takes in one sample after the other by a method's pure functions."""
+    method = online_method(name, setup)
+    state = method.init(raw)
+
+    def step(raw: Any, reference: Reference) -> None:
+        nonlocal state
+        state, _ = method.update(state, raw, reference, DT)
+
+    return step
 
 
 if __name__ == "__main__":

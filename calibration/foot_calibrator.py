@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.native import NativeFilter, NativeState, installed, native_filter
 from surefoot.calibration.online import method_name, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
@@ -22,7 +23,8 @@ class FootCalibrator:
     """Calibrate the feet of a robot while it moves.
 
     A thin object over the pure functions of :mod:`surefoot.calibration.online`: it makes a state that fits
-    the first reading and carries it along.
+    the first reading and carries it along. The moment filter of one robot runs in C where the library of
+    :mod:`surefoot.calibration.native` lies, with the same numbers to rounding.
 
     Args:
         layout: How the channels make up the feet's wrenches.
@@ -76,19 +78,29 @@ class FootCalibrator:
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
         self._options = options
-        self._pure = online_method(self.method, self.setup, **options)
         self._state: Any = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """Build what follows from the setup and the options."""
+        self._pure = online_method(self.method, self.setup, **self._options)
+        self._native: NativeFilter | None = None
+        if self.method == "moment":
+            self._native = native_filter(installed(), self.setup, self._options)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: part for name, part in vars(self).items() if name != "_pure"}
+        kept = {name: part for name, part in vars(self).items() if name not in ("_pure", "_native")}
+        return {**kept, "_state": self.state}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept)
-        self._pure = online_method(self.method, self.setup, **self._options)
+        self._begin()
 
     @property
     def state(self) -> Any:
         """The state, a value that can be kept and given back; ``None`` before the first sample."""
+        if isinstance(self._state, NativeState) and self._native is not None:
+            return self._native.unpack(self._state)
         return self._state
 
     @state.setter
@@ -109,10 +121,16 @@ class FootCalibrator:
         Raises:
             ValueError: If an array has a wrong shape, or another batch shape or dtype than the first one had.
         """
-        if not is_array_api_obj(raw) or (isinstance(raw, np.ndarray) and raw.dtype.kind in "iu"):
+        if raw.dtype.kind in "iu" if isinstance(raw, np.ndarray) else not is_array_api_obj(raw):
             raw = np.asarray(raw, dtype=np.float64)
-        state = self._pure.init(raw) if self._state is None else self._state
-        self._state, estimate = self._pure.update(state, raw, reference, self.setup.dt if dt is None else dt)
+        dt = self.setup.dt if dt is None else dt
+        if self._native is not None and self._native.takes(raw, reference, dt):
+            native = self._native.state(self._state)
+            if native is not None:
+                self._state = native
+                return self._native.update(native, raw, reference, dt)
+        state = self._pure.init(raw) if self._state is None else self.state
+        self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
 
     def retract(self, which: Array | bool = True) -> None:
@@ -124,9 +142,10 @@ class FootCalibrator:
         Args:
             which: Robots of a batch (bool), of the batch's shape; all by default.
         """
-        if self._state is not None:
-            everyone = getattr(self._state, "front", self._state).known | True
-            self._state = self._pure.retract(self._state, everyone & which)
+        state = self.state
+        if state is not None:
+            everyone = getattr(state, "front", state).known | True
+            self._state = self._pure.retract(state, everyone & which)
 
     def reset(self) -> None:
         """Drop all that was learnt: the next sample begins from the starting map."""
@@ -140,7 +159,7 @@ class FootCalibrator:
         """
         if self._state is None:
             raise RuntimeError("There is nothing to save before the first update().")
-        save_state(path, self._state, **self._notes())
+        save_state(path, self.state, **self._notes())
 
     def load(self, path: str | PathLike[str], like: Array | None = None) -> None:
         """Go on from a file that :meth:`save` wrote, bit for bit.
@@ -155,7 +174,8 @@ class FootCalibrator:
         """
         if like is None:
             # The state of a method that learns nothing is that of its front end alone.
-            front = getattr(self._state, "front", self._state)
+            state = self.state
+            front = getattr(state, "front", state)
             like = np.zeros(self.setup.layout.channels) if front is None else front.raw
         self._state = load_state(path, self._pure.init(like), **self._notes())
 

@@ -36,12 +36,14 @@ def test_the_object_is_the_stream_and_the_replay(log, method):
     calibrator = make(method)
     streamed = [calibrator.update(raw, row, DT) for raw, row in zip(log.raw, rows(log), strict=True)]
     replayed = replay(LAYOUT, method, log.raw, log.reference, DT, mass=believed_mass(FAULTS), initial=NOMINAL)
+    # The moment filter of one robot may run in C, which rounds elsewhere.
+    close = {"rtol": 1e-9, "atol": 1e-9} if method == "moment" else {"rtol": 0.0}
     for field in ("force", "cop", "cop_foot", "scale", "offset", "flags", "vgrf"):
         expected = np.stack([getattr(estimate, field) for estimate in streamed])
-        np.testing.assert_array_equal(getattr(replayed, field), expected)
+        np.testing.assert_allclose(getattr(replayed, field), expected, **close)
     if method == "moment":
-        np.testing.assert_array_equal(replayed.covariance, [estimate.covariance for estimate in streamed])
-        np.testing.assert_array_equal(replayed.force_std, [estimate.force_std for estimate in streamed])
+        np.testing.assert_allclose(replayed.covariance, [part.covariance for part in streamed], **close)
+        np.testing.assert_allclose(replayed.force_std, [part.force_std for part in streamed], **close)
     else:
         assert replayed.covariance is None
 

@@ -1,0 +1,234 @@
+"""The moment filter of one robot by the library: the same states, the same estimates, to rounding."""
+
+from collections.abc import Iterator
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.stream import MomentStream
+from surefoot.calibration.native.config import config_record
+from surefoot.calibration.native.library import Library
+from surefoot.calibration.reference import Reference
+from surefoot.calibration.setup import OnlineSetup
+
+_SHAPE, _DTYPE = attrgetter("shape"), attrgetter("dtype")
+_ARRAYS = (np.ndarray,) * len(Reference._fields)
+
+_OF_REFERENCE = (
+    "com",
+    "com_acceleration",
+    "angular_momentum_rate",
+    "position_sole",
+    "R_level_sole",
+    "stance",
+    "swing",
+)
+
+_OF_ESTIMATE = (
+    "force",
+    "wrench",
+    "vgrf",
+    "cop",
+    "cop_foot",
+    "scale",
+    "offset",
+    "force_std",
+    "cop_covariance",
+)
+"""Its numbers that are arrays."""
+
+
+class NativeState:
+    """A state of the moment filter as the library holds it.
+
+    Args:
+        record: All numbers.
+    """
+
+    def __init__(self, record: NDArray[Any]) -> None:
+        self.record, self.address = record, record.ctypes.data
+        self._covariance: NDArray[np.float64] | None = None
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """That of an estimate, the same array until the next block is learnt from."""
+        if self._covariance is None:
+            self._covariance = self.record["learnt"].copy()
+        return self._covariance
+
+    def changed(self) -> None:
+        """Forget what was handed out."""
+        self._covariance = None
+
+
+class NativeFilter:
+    """The library for one robot.
+
+    Args:
+        library: The library.
+        stream: What it stands in for.
+        config: The robot's constants; see :func:`~surefoot.calibration.native.config.config_record`.
+
+    Attributes:
+        config: The same.
+    """
+
+    def __init__(self, library: Library, stream: MomentStream, config: NDArray[Any]) -> None:
+        self._functions, self.config = library.functions, config
+        K, F = stream.setup.layout.channels, len(stream.setup.layout.feet)
+        self._real = library.real
+        self._template = stream.init(np.zeros(K, library.real))
+        tails = stream._front_end.motions.tails
+        self._shapes = tuple(tails[field] for field in Reference._fields)
+        contacts = np.dtype(np.bool_)
+        self._dtypes = tuple(
+            contacts if field in ("stance", "swing") else self._real for field in Reference._fields
+        )
+        self._raw = np.zeros(K, library.real)
+        shapes = {
+            "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_foot": (F, 2), "scale": (K,),
+            "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2), "nis": (), "nis_rows": (),
+            "flags": (K,), "cop_valid": (), "cop_foot_valid": (F,),
+        }  # fmt: skip
+        leaves = {name: np.shape(leaf) for name, leaf in leaves_of(self._template)}
+        state = library.record("state", leaves)
+        reference = library.record("reference", {field: tails[field] for field in _OF_REFERENCE})
+        estimate = library.record("estimate", shapes)
+        if state is None or reference is None or estimate is None:
+            raise ValueError("The robot's state is larger than those that the library was compiled for.")
+        self._dtype = state
+        self._reference, self._estimate = np.zeros((), reference), np.zeros((), estimate)
+        self._inputs = tuple(self._reference[field] for field in _OF_REFERENCE)
+        # The numbers of an estimate are copied together; each field is a part of that copy.
+        size, starts = self._real.itemsize, {name: self._field(estimate, name) for name in shapes}
+        numbers = max(
+            starts[name] + int(np.prod(shapes[name])) * size for name in (*_OF_ESTIMATE, "nis", "nis_rows")
+        )
+        whole = self._estimate.reshape(1).view(np.uint8)
+        self._numbers = whole[:numbers].view(self._real)
+        self._parts = [
+            (slice(starts[name] // size, starts[name] // size + int(np.prod(shapes[name]))), shapes[name])
+            for name in _OF_ESTIMATE
+        ]
+        self._nis, self._nis_rows = starts["nis"] // size, starts["nis_rows"] // size
+        self._flags, self._valid = self._estimate["flags"], self._estimate["cop_valid"]
+        self._foot_valid = self._estimate["cop_foot_valid"]
+        self._addresses = (
+            config.ctypes.data, self._raw.ctypes.data, self._reference.ctypes.data, self._estimate.ctypes.data
+        )  # fmt: skip
+
+    @staticmethod
+    def _field(dtype: np.dtype[Any], name: str) -> int:
+        assert dtype.fields is not None
+        return int(dtype.fields[name][1])
+
+    def init(self) -> NativeState:
+        """Return the state before any sample."""
+        record = np.zeros((), self._dtype)
+        self._functions.surefoot_init(self._addresses[0], record.ctypes.data)
+        return NativeState(record)
+
+    def state(self, state: Any) -> NativeState | None:
+        """Return any state as the library's, begun if it is ``None``; ``None`` if it is of another kind."""
+        if isinstance(state, NativeState):
+            return state
+        return self.init() if state is None else self.pack(state)
+
+    def pack(self, state: Any) -> NativeState | None:
+        """Return a Python state as the library's; ``None`` if it is of another robot or kind."""
+        record = np.zeros((), self._dtype)
+        try:
+            given, wanted = list(leaves_of(state)), list(leaves_of(self._template))
+        except (AttributeError, TypeError):
+            return None
+        if type(state) is not type(self._template) or len(given) != len(wanted):
+            return None
+        for (name, leaf), (_, like) in zip(given, wanted, strict=True):
+            if isinstance(like, int):
+                if not isinstance(leaf, int):
+                    return None
+            elif not isinstance(leaf, np.ndarray | np.generic) or (leaf.shape, leaf.dtype) != (
+                like.shape,
+                like.dtype,
+            ):
+                return None
+            record[name] = leaf
+        return NativeState(record)
+
+    def unpack(self, state: NativeState) -> Any:
+        """Return the library's state as a Python state, which shares nothing with it."""
+        return self._unpacked(self._template, state.record)
+
+    def _unpacked(self, like: Any, record: NDArray[Any]) -> Any:
+        parts = []
+        for name, part in zip(like._fields, like, strict=True):
+            if isinstance(part, tuple):
+                parts.append(self._unpacked(part, record))
+            elif isinstance(part, int):
+                parts.append(int(record[name]))
+            else:
+                parts.append(record[name].astype(part.dtype))
+        return type(like)(*parts)
+
+    def takes(self, raw: Array, reference: Reference, dt: Any) -> bool:
+        """Return whether arguments are as the library wants them; of others Python says what is wrong."""
+        return (
+            type(raw) is np.ndarray
+            and raw.dtype == self._real
+            and raw.shape == self._raw.shape
+            and type(reference) is Reference
+            and isinstance(dt, float)
+            and tuple(map(type, reference)) == _ARRAYS
+            and tuple(map(_DTYPE, reference)) == self._dtypes
+            and tuple(map(_SHAPE, reference)) == self._shapes
+        )
+
+    def update(self, state: NativeState, raw: Array, reference: Reference, dt: float) -> Estimate:
+        """Take in one sample that :meth:`takes` has looked at; the state goes on in place."""
+        self._raw[...] = raw
+        com, acceleration, rate, position, R, stance, swing = self._inputs
+        com[...], acceleration[...], rate[...] = reference[:3]
+        position[...], R[...], stance[...], swing[...] = reference[3:7]
+        config, reading, beliefs, out = self._addresses
+        self._functions.surefoot_step(config, state.address, reading, beliefs, dt, out)
+        numbers = self._numbers.copy()
+        nis = numbers[self._nis]
+        if nis == nis:
+            state.changed()
+        force, wrench, vgrf, cop, cop_foot, scale, offset, force_std, cop_covariance = (
+            numbers[part] if len(shape) == 1 else numbers[part].reshape(shape) for part, shape in self._parts
+        )
+        return Estimate(
+            force, wrench, vgrf, cop, cop_foot, self._valid.copy(), self._foot_valid.copy(), scale, offset,
+            state.covariance, self._flags.copy(), force_std, cop_covariance, nis, numbers[self._nis_rows],
+        )  # fmt: skip
+
+    def retract(self, state: NativeState) -> None:
+        """Take back what was learnt in the last seconds."""
+        self._functions.surefoot_retract(self._addresses[0], state.address)
+        state.changed()
+
+
+def native_filter(
+    library: Library | None, setup: OnlineSetup, options: dict[str, Any]
+) -> NativeFilter | None:
+    """Return the moment filter of one robot by a library; ``None`` if it cannot be."""
+    if library is None:
+        return None
+    stream = MomentStream(setup, MomentFilterConfig(**options))
+    config = config_record(library, stream)
+    return None if config is None else NativeFilter(library, stream, config)
+
+
+def leaves_of(state: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the parts of a state, by their own names alone: no two share one."""
+    for name, part in zip(state._fields, state, strict=True):
+        if isinstance(part, tuple):
+            yield from leaves_of(part)
+        else:
+            yield name, part

@@ -1,0 +1,80 @@
+/* surefoot_calibration.h as a shared library, with a table of where its records' fields lie: Python reads it
+   and keeps no second copy. */
+
+#include <stddef.h>
+
+#include "surefoot_calibration.h"
+
+#ifdef _WIN32
+#define EXPORTED __declspec(dllexport)
+#else
+#define EXPORTED __attribute__((visibility("default")))
+#endif
+#ifndef SF_SOURCE
+#define SF_SOURCE ""
+#endif
+
+typedef struct {
+    const char *record, *field, *kind; /* "real", "int", "whole" or "byte" */
+    size_t offset, size;
+} place;
+
+#define PLACE(record, field, kind)                                                                           \
+    {#record, #field, kind, offsetof(sf_##record, field), sizeof(((sf_##record *)0)->field)}
+#define WHOLE_OF(record) {#record, "", "", 0, sizeof(sf_##record)}
+#define C_INT(field) PLACE(config, field, "int")
+#define C_REAL(field) PLACE(config, field, "real")
+#define S_REAL(field) PLACE(state, field, "real")
+#define S_WHOLE(field) PLACE(state, field, "whole")
+#define R_REAL(field) PLACE(reference, field, "real")
+#define E_REAL(field) PLACE(estimate, field, "real")
+
+/* clang-format off */
+static const place places[] = {
+    WHOLE_OF(config), WHOLE_OF(state), WHOLE_OF(reference), WHOLE_OF(estimate),
+
+    C_INT(channels), C_INT(feet), C_INT(lag), C_INT(every), C_INT(average), C_INT(settle), C_INT(kinds),
+    C_INT(sensors), C_INT(parities), C_INT(pairs), C_INT(keep_every), C_INT(learn_mass),
+    C_INT(distal_matters), C_INT(foot_of_channel), C_INT(cells), C_INT(together), C_INT(first),
+    C_INT(second), C_INT(foot_of_sensor), C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(length),
+    C_REAL(reach), C_REAL(force_threshold), C_REAL(scale), C_REAL(offset), C_REAL(lowest),
+    C_REAL(highest), C_REAL(wrench_map), C_REAL(unit), C_REAL(start), C_REAL(first_variance),
+    C_REAL(walk), C_REAL(learnt), C_REAL(change), C_REAL(aged), C_REAL(stated), C_REAL(row_scale),
+    C_REAL(row_variance), C_REAL(timing_noise), C_REAL(gate), C_REAL(reject), C_REAL(still),
+    C_REAL(mass_std), C_REAL(mass_change), C_REAL(swing_noise), C_REAL(swing_load), C_REAL(parity_noise),
+    C_REAL(parity), C_REAL(leap), C_REAL(renewal), C_REAL(prior), C_REAL(load_largest),
+    C_REAL(load_loose), C_REAL(sensor_mass), C_REAL(sensor_com), C_REAL(sensor_share), C_REAL(felt),
+    C_REAL(curve_every), C_REAL(curve_span),
+
+    S_REAL(raw), S_REAL(history), S_REAL(motion), S_WHOLE(known), S_WHOLE(clean), S_WHOLE(step),
+    S_REAL(pending), S_REAL(mean), S_REAL(covariance), S_REAL(drift), S_REAL(given),
+    S_REAL(given_covariance), S_REAL(learnt), S_REAL(spread), S_REAL(kept_mean), S_REAL(kept_covariance),
+    S_REAL(noise), S_REAL(misfit), S_REAL(unproven), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
+    S_REAL(last), S_WHOLE(leaps), S_REAL(leapt), S_REAL(trust), S_REAL(doubt), S_REAL(scores),
+    S_REAL(size), S_REAL(load), S_REAL(moments), S_REAL(lost), S_WHOLE(kind), S_REAL(wiring),
+    S_REAL(spare), S_REAL(spare_std), S_REAL(agreed), S_WHOLE(altered),
+
+    R_REAL(com), R_REAL(com_acceleration), R_REAL(angular_momentum_rate), R_REAL(position_sole),
+    R_REAL(R_level_sole), PLACE(reference, stance, "byte"), PLACE(reference, swing, "byte"),
+
+    E_REAL(force), E_REAL(wrench), E_REAL(vgrf), E_REAL(cop), E_REAL(cop_foot), E_REAL(scale),
+    E_REAL(offset), E_REAL(force_std), E_REAL(cop_covariance), E_REAL(nis), E_REAL(nis_rows),
+    PLACE(estimate, flags, "whole"), PLACE(estimate, cop_valid, "byte"), PLACE(estimate, cop_foot_valid,
+    "byte"),
+};
+/* clang-format on */
+
+EXPORTED const char *surefoot_source(void) { return SF_SOURCE; }
+EXPORTED const place *surefoot_places(void) { return places; }
+EXPORTED size_t surefoot_places_count(void) { return sizeof places / sizeof *places; }
+EXPORTED size_t surefoot_real_size(void) { return sizeof(sf_real); }
+
+EXPORTED int surefoot_fits(const sf_config *config) { return sf_calibrator_fits(config); }
+EXPORTED void surefoot_init(const sf_config *config, sf_state *state) { sf_calibrator_init(config, state); }
+EXPORTED void surefoot_retract(const sf_config *config, sf_state *state) {
+    sf_calibrator_retract(config, state);
+}
+EXPORTED void surefoot_step(const sf_config *config, sf_state *state, const sf_real *raw,
+                            const sf_reference *reference, double dt, sf_estimate *estimate) {
+    sf_calibrator_step(config, state, raw, reference, (sf_real)dt, estimate);
+}

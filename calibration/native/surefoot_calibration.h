@@ -1,0 +1,1860 @@
+/* The calibrator of one robot's feet, one step a sample: surefoot's moment filter in C99.
+
+   The specification is the Python in calibration/front_end and calibration/moment; docs/estimator.md derives
+   it and docs/native.md tells how to use this file. A function here has the name of the Python function that
+   it is equal to, and tests hold the two together. Nothing is allocated, nothing is global, and nothing is
+   read or written but what is passed in.
+
+       sf_config config;         constants of the robot, written by surefoot.calibration.native.config
+       sf_state state;           all that is remembered, a plain record that may be copied
+       sf_calibrator_init(&config, &state);
+       sf_calibrator_step(&config, &state, raw, &reference, dt, &estimate);      once a sample
+
+   Matrices are stored by rows without gaps, as wide as the robot at hand needs: arrays below hold the largest
+   one.
+
+   Before it is included: SF_SINGLE makes numbers floats; SF_CHANNELS, SF_FEET, SF_LAG, SF_EVERY, SF_SETTLE,
+   SF_GROUPS, SF_SENSORS, SF_CELLS and SF_PARITIES are the largest sizes; SF_API is what stands before
+   functions. */
+
+#ifndef SUREFOOT_CALIBRATION_H
+#define SUREFOOT_CALIBRATION_H
+
+#include <math.h>
+#include <string.h>
+
+/* -------------------------------------------------------------------------------------- sizes and numbers */
+
+#ifdef SF_SINGLE
+typedef float sf_real;
+#define sf_sqrt sqrtf
+#define sf_fabs fabsf
+#define sf_exp expf
+#define sf_log logf
+#define SF_EPSILON 1.1920929e-07f
+#else
+typedef double sf_real;
+#define sf_sqrt sqrt
+#define sf_fabs fabs
+#define sf_exp exp
+#define sf_log log
+#define SF_EPSILON 2.220446049250313e-16
+#endif
+typedef long long sf_whole;
+
+#ifndef SF_API
+#define SF_API static inline
+#endif
+#ifndef SF_CHANNELS
+#define SF_CHANNELS 20 /* both instruments in both feet */
+#endif
+#ifndef SF_FEET
+#define SF_FEET 2
+#endif
+#ifndef SF_LAG
+#define SF_LAG 8
+#endif
+#ifndef SF_EVERY
+#define SF_EVERY 16 /* samples of a block */
+#endif
+#ifndef SF_SETTLE
+#define SF_SETTLE 4
+#endif
+#ifndef SF_GROUPS
+#define SF_GROUPS 8 /* `every` over `average` */
+#endif
+#ifndef SF_KINDS
+#define SF_KINDS 6 /* 3 is enough where no foot has six axes */
+#endif
+#ifndef SF_SENSORS
+#define SF_SENSORS 4 /* instruments of all feet */
+#endif
+#ifndef SF_CELLS
+#define SF_CELLS 8 /* channels that are cells under a plate */
+#endif
+#ifndef SF_PARITIES
+#define SF_PARITIES 6 /* axes that two instruments of a foot see, both feet */
+#endif
+
+#define SF_MAP (2 * SF_CHANNELS)
+#define SF_UNKNOWNS (SF_MAP + 7)
+#define SF_MOTION (15 + 12 * SF_FEET)
+#define SF_SPAN (SF_EVERY + 2 * SF_SETTLE)
+#define SF_PENDING (2 * SF_CHANNELS + SF_MOTION + SF_FEET + 2)
+#define SF_NEWTON (SF_GROUPS * SF_KINDS)
+#define SF_ROWS (SF_NEWTON + SF_CHANNELS + 2 * SF_PARITIES)
+#define SF_PAIRS (SF_CELLS * (SF_CELLS - 1) / 2 + 1)
+#define SF_HYPOTHESES (2 * SF_CHANNELS + 2 * SF_PAIRS)
+
+/* Bits of `flags`; see surefoot.calibration.estimate.Flag. */
+enum {
+    SF_MISSING = 1,
+    SF_OUT_OF_RANGE = 2,
+    SF_REFERENCE = 4,
+    SF_GAP = 8,
+    SF_SINGULAR = 32,
+    SF_REJECTED = 128,
+    SF_SPIKE = 256,
+    SF_STUCK = 512,
+    SF_DEAD = 1024,
+    SF_FLIPPED = 2048,
+    SF_SWAPPED = 4096,
+    SF_LOST = 8192,
+    SF_SATURATED = 16384
+};
+
+/* Places in a flat reference; behind them the soles' positions (3 each) and rotations (9 each). */
+enum { SF_COM = 0, SF_ACCELERATION = 3, SF_RATE = 6, SF_SOLES = 15 };
+
+/* Rows of a wrench. */
+enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
+
+/* Constants of the Python modules, by their names there. */
+#define SF_GRAVITY ((sf_real)9.81)
+#define SF_LONGEST_GAP 5.0
+#define SF_LARGEST_REFERENCE ((sf_real)1e6)
+#define SF_LARGEST_WEIGHTS ((sf_real)5.0)
+#define SF_REJECT_STD ((sf_real)8.0)
+#define SF_LEAP_STD ((sf_real)5.0)
+#define SF_LEAST_CHANGE_OF_MASS ((sf_real)0.5)
+#define SF_SETTLED ((sf_real)50.0)
+#define SF_LOAD_STD ((sf_real)4.0)
+#define SF_UNSURE ((sf_real)0.06)
+#define SF_LONGEST_PAUSE ((sf_real)3600.0)
+#define SF_UNSURE_MASS ((sf_real)2.0)
+#define SF_SHARED ((sf_real)8.0)
+#define SF_REACH ((sf_real)10.0)
+#define SF_LEAST_LOAD ((sf_real)0.1)
+#define SF_SWING_SAMPLES ((sf_real)16.0)
+#define SF_FIRST_NOISE ((sf_real)16.0)
+#define SF_LOUDEST ((sf_real)100.0)
+#define SF_LARGEST_SQUARE ((sf_real)9.0)
+#define SF_NOISE_MEMORY ((sf_real)0.1)
+#define SF_FIRST_MISFIT ((sf_real)4.0)
+#define SF_LARGEST_MISFIT ((sf_real)25.0)
+#define SF_MISFIT_MEMORY ((sf_real)0.06)
+#define SF_CLIP ((sf_real)30.0)
+#define SF_FIRST_WIDTH ((sf_real)2.0)
+#define SF_LEAST ((sf_real)8.0)
+#define SF_NEGLIGIBLE ((sf_real)1e-18) /* share of a mixture that changes no digit of it */
+#define SF_FLOOR ((sf_real)1e-5)
+#define SF_LONGEST_LEAP 3
+#define SF_ALONE ((sf_real)4.0)
+#define SF_BUMPY ((sf_real)1.5)
+#define SF_BUMP_MEMORY ((sf_real)0.993)
+#define SF_SUSPICION ((sf_real)4.0)
+#define SF_TRUST ((sf_real)10.0)
+#define SF_WELL ((sf_real)0.5 * SF_SUSPICION)
+#define SF_WAIT ((sf_real)6.0)
+#define SF_MOVING ((sf_real)0.02)
+#define SF_MOSTLY_MISSING ((sf_real)0.5)
+#define SF_ALL_READ ((sf_real)0.99)
+#define SF_NO_LOAD ((sf_real)0.1)
+#define SF_HEAVIEST ((sf_real)2.0)
+#define SF_RETURN_BLOCKS ((sf_real)15.0)
+#define SF_AGREE ((sf_real)0.03)
+#define SF_AGREE_SHARE ((sf_real)0.2)
+#define SF_CALM ((sf_real)0.4 * SF_SUSPICION)
+#define SF_PATIENCE ((sf_real)10.0)
+#define SF_RELIEF ((sf_real)0.4)
+#define SF_CONTRAST ((sf_real)0.6)
+#define SF_LOAD_CONTRAST ((sf_real)0.4)
+#define SF_NOISE ((sf_real)1.0)
+#define SF_LOAD_BLOCKS ((sf_real)3.0)
+#define SF_LEAST_ERROR ((sf_real)0.1)
+#define SF_LOSS ((sf_real)1.15)
+#define SF_LIGHTER ((sf_real)0.02)
+
+/* ------------------------------------------------------------------------------------------------ records */
+
+/* Constants of one robot: an OnlineSetup and a MomentFilterConfig, worked out. K channels, M = 2K scales and
+   offsets, N = M + 7 unknowns. Units as in Python. */
+typedef struct {
+    int channels, feet, lag, every, average, settle, kinds, sensors, parities, pairs, keep_every, learn_mass;
+    int distal_matters;
+    int foot_of_channel[SF_CHANNELS];
+    int cells[SF_CHANNELS]; /* 1 for a cell under a plate: others cannot be reconstructed */
+    int together[SF_CHANNELS * SF_CHANNELS]; /* 1 for two cells of one plate */
+    int first[SF_PAIRS], second[SF_PAIRS]; /* cells that may be exchanged */
+    int foot_of_sensor[SF_SENSORS];
+    sf_real dt, weight, mass, length, reach, force_threshold;
+    sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
+    sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
+    sf_real unit[SF_CHANNELS];
+    sf_real start[SF_UNKNOWNS], first_variance[SF_UNKNOWNS], walk[SF_UNKNOWNS], learnt[SF_UNKNOWNS];
+    sf_real change[SF_UNKNOWNS]; /* variances of what a load changes */
+    sf_real aged[SF_MAP], stated[SF_MAP];
+    sf_real row_scale[6], row_variance[6]; /* of the kinds of rows that are seen */
+    sf_real timing_noise, gate, reject, still, mass_std, mass_change;
+    sf_real swing_noise, swing_load, parity_noise;
+    sf_real parity[SF_PARITIES * SF_CHANNELS];
+    sf_real leap, renewal;
+    sf_real prior[SF_CHANNELS * SF_CHANNELS];
+    sf_real load_largest[3], load_loose[3];
+    sf_real sensor_mass[SF_SENSORS], sensor_com[SF_SENSORS * 3], sensor_share[SF_SENSORS * 6];
+    sf_real felt[SF_SENSORS * 6 * SF_CHANNELS];
+    sf_real curve_every[SF_EVERY], curve_span[SF_SPAN];
+} sf_config;
+
+/* What the robot believes of itself `lag` samples ago; see surefoot.calibration.reference.Reference. */
+typedef struct {
+    sf_real com[3], com_acceleration[3], angular_momentum_rate[3];
+    sf_real position_sole[SF_FEET * 3], R_level_sole[SF_FEET * 9];
+    unsigned char stance[SF_FEET], swing[SF_FEET];
+} sf_reference;
+
+/* All that is remembered: FrontState, MomentState and ChannelState side by side. */
+typedef struct {
+    sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 2 * SF_CHANNELS], motion[SF_MOTION];
+    sf_whole known, clean;
+
+    sf_whole step;
+    sf_real pending[SF_SPAN * SF_PENDING];
+    sf_real mean[SF_UNKNOWNS], covariance[SF_UNKNOWNS * SF_UNKNOWNS];
+    sf_real drift[SF_MAP], given[SF_UNKNOWNS], given_covariance[SF_MAP * SF_MAP];
+    sf_real learnt[SF_MAP * SF_MAP], spread[3 * SF_CHANNELS];
+    sf_real kept_mean[2 * SF_UNKNOWNS], kept_covariance[2 * SF_UNKNOWNS * SF_UNKNOWNS];
+    sf_real noise[SF_KINDS], misfit, unproven, quiet, anchor[SF_CHANNELS];
+    sf_whole status;
+
+    sf_real last[SF_CHANNELS];
+    sf_whole leaps[SF_CHANNELS];
+    sf_real leapt[SF_CHANNELS], trust, doubt, scores[1 + SF_HYPOTHESES + 1], size[SF_HYPOTHESES], load[12];
+    sf_real moments[SF_CHANNELS * SF_CHANNELS], lost[SF_CHANNELS];
+    sf_whole kind[SF_CHANNELS];
+    sf_real wiring[SF_CHANNELS * SF_CHANNELS], spare[SF_CHANNELS * SF_CHANNELS];
+    sf_real spare_std[SF_CHANNELS], agreed[SF_CHANNELS];
+    sf_whole altered;
+} sf_state;
+
+/* A calibrated sample; see surefoot.calibration.estimate.Estimate. The covariance is `learnt` of the state.
+ */
+typedef struct {
+    sf_real force[SF_CHANNELS], wrench[SF_FEET * 6], vgrf[SF_FEET], cop[2], cop_foot[SF_FEET * 2];
+    sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], force_std[SF_CHANNELS], cop_covariance[4], nis, nis_rows;
+    sf_whole flags[SF_CHANNELS];
+    unsigned char cop_valid, cop_foot_valid[SF_FEET];
+} sf_estimate;
+
+/* Some samples in a row, oldest first: those that wait, and which of them may be learnt from. */
+typedef struct {
+    const sf_real *pending;
+    int width;
+    sf_real use[SF_SPAN];
+} sf_block;
+
+/* Linear equations H x = y + e, e of these variances. */
+typedef struct {
+    int count;
+    sf_real H[SF_ROWS * SF_UNKNOWNS], y[SF_ROWS], variance[SF_ROWS];
+} sf_rows;
+
+/* The rows of Newton and Euler: all groups of samples, whether they may be learnt from or not. */
+typedef struct {
+    sf_real H[SF_NEWTON * SF_UNKNOWNS], y[SF_NEWTON], variance[SF_NEWTON], assumed[SF_NEWTON];
+    sf_real places[SF_NEWTON * SF_CHANNELS]; /* what a newton on each channel does, by its own place */
+    sf_real residual[SF_NEWTON],
+        spread[SF_NEWTON]; /* y - H x, and what it may be: the diagonal of H S H' + R */
+    int there[SF_NEWTON], kept[SF_NEWTON]; /* rows that hold anything; those of them that are plausible */
+    sf_real mean_square; /* mean squared normalised residual, each clipped */
+} sf_newton;
+
+/* Sizes of one robot that follow from others. */
+SF_API int sf_unknowns(const sf_config *c) { return 2 * c->channels + 7; }
+SF_API int sf_motion(const sf_config *c) { return 15 + 12 * c->feet; }
+SF_API int sf_span(const sf_config *c) { return c->every + 2 * c->settle; }
+SF_API int sf_width(const sf_config *c) { return 2 * c->channels + sf_motion(c) + c->feet + 2; }
+SF_API int sf_groups(const sf_config *c) { return c->every / c->average; }
+SF_API int sf_hypotheses(const sf_config *c) { return 2 * c->channels + 2 * c->pairs; }
+
+/* Return whether a robot fits into the arrays; call it once for a config that comes from elsewhere. */
+SF_API int sf_calibrator_fits(const sf_config *c) {
+    int fits = c->channels >= 1 && c->channels <= SF_CHANNELS && c->feet >= 1 && c->feet <= SF_FEET &&
+               c->lag >= 0 && c->lag <= SF_LAG && c->average >= 1 && c->every >= c->average &&
+               c->every <= SF_EVERY && c->every % c->average == 0 && sf_groups(c) <= SF_GROUPS &&
+               c->settle >= 1 && c->settle <= SF_SETTLE && (c->kinds == 3 || c->kinds == 6) &&
+               c->kinds <= SF_KINDS && c->sensors >= 0 && c->sensors <= SF_SENSORS && c->parities >= 0 &&
+               c->parities <= SF_PARITIES && c->pairs >= 0 && c->pairs <= SF_PAIRS && c->keep_every >= 1;
+    for (int i = 0; fits && i < c->channels; i++)
+        fits = c->foot_of_channel[i] >= 0 && c->foot_of_channel[i] < c->feet;
+    for (int p = 0; fits && p < c->sensors; p++)
+        fits = c->foot_of_sensor[p] >= 0 && c->foot_of_sensor[p] < c->feet;
+    for (int p = 0; fits && p < c->pairs; p++)
+        fits =
+            c->first[p] >= 0 && c->first[p] < c->channels && c->second[p] >= 0 && c->second[p] < c->channels;
+    return fits;
+}
+
+/* ----------------------------------------------------------------------------------------- linear algebra */
+
+SF_API sf_real sf_min(sf_real a, sf_real b) { return b < a ? b : a; }
+SF_API sf_real sf_max(sf_real a, sf_real b) { return b > a ? b : a; }
+SF_API sf_real sf_clip(sf_real value, sf_real low, sf_real high) { return sf_min(sf_max(value, low), high); }
+SF_API int sf_finite(sf_real value) { return value - value == 0; }
+
+SF_API void sf_copy(sf_real *to, const sf_real *from, int n) {
+    memcpy(to, from, (size_t)n * sizeof(sf_real));
+}
+
+SF_API int sf_all_finite(const sf_real *values, int n) {
+    int finite = 1;
+    for (int i = 0; i < n; i++) finite &= sf_finite(values[i]);
+    return finite;
+}
+
+/* Sums in four parts: one after the other would wait for every addition. */
+SF_API sf_real sf_dot(const sf_real *a, const sf_real *b, int n) {
+    sf_real s0 = 0, s1 = 0, s2 = 0, s3 = 0;
+    int i = 0;
+    for (; i + 4 <= n; i += 4) {
+        s0 += a[i] * b[i];
+        s1 += a[i + 1] * b[i + 1];
+        s2 += a[i + 2] * b[i + 2];
+        s3 += a[i + 3] * b[i + 3];
+    }
+    for (; i < n; i++) s0 += a[i] * b[i];
+    return (s0 + s1) + (s2 + s3);
+}
+
+/* to += factor * from */
+SF_API void sf_add(sf_real *restrict to, sf_real factor, const sf_real *restrict from, int n) {
+    for (int i = 0; i < n; i++) to[i] += factor * from[i];
+}
+
+/* out = A B, shapes (rows, inner) and (inner, columns); most rows are mostly zeros, which cost nothing. */
+SF_API void sf_multiply(sf_real *out, const sf_real *A, const sf_real *B, int rows, int inner, int columns) {
+    for (int i = 0; i < rows; i++) {
+        sf_real *row = out + i * columns;
+        memset(row, 0, (size_t)columns * sizeof(sf_real));
+        for (int k = 0; k < inner; k++)
+            if (A[i * inner + k] != 0) sf_add(row, A[i * inner + k], B + k * columns, columns);
+    }
+}
+
+/* Return r S r' for a symmetric S, shape (n, n). */
+SF_API sf_real sf_variance(const sf_real *r, const sf_real *S, int n) {
+    sf_real sum = 0;
+    for (int i = 0; i < n; i++)
+        if (r[i] != 0) sum += r[i] * sf_dot(S + i * n, r, n);
+    return sum;
+}
+
+/* Overwrite the lower half of a positive definite A with L, A = L L'; returns 0 if it is none. */
+SF_API int sf_cholesky(sf_real *A, int n) {
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < i; j++)
+            A[i * n + j] = (A[i * n + j] - sf_dot(A + i * n, A + j * n, j)) / A[j * n + j];
+        sf_real pivot = A[i * n + i] - sf_dot(A + i * n, A + i * n, i);
+        if (!(pivot > 0) || !sf_finite(pivot)) return 0;
+        A[i * n + i] = sf_sqrt(pivot);
+    }
+    return 1;
+}
+
+/* Overwrite B, shape (n, columns), with (L L')^-1 B. */
+SF_API void sf_solve(const sf_real *L, int n, sf_real *B, int columns) {
+    for (int i = 0; i < n; i++) {
+        sf_real *row = B + i * columns;
+        for (int k = 0; k < i; k++)
+            if (L[i * n + k] != 0) sf_add(row, -L[i * n + k], B + k * columns, columns);
+        for (int j = 0; j < columns; j++) row[j] /= L[i * n + i];
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        sf_real *row = B + i * columns;
+        for (int k = i + 1; k < n; k++)
+            if (L[k * n + i] != 0) sf_add(row, -L[k * n + i], B + k * columns, columns);
+        for (int j = 0; j < columns; j++) row[j] /= L[i * n + i];
+    }
+}
+
+/* Overwrite A's factor L (lower half) with the whole of A^-1. */
+SF_API void sf_inverse(sf_real *L, int n) {
+    /* L^-1 in place, then its square. */
+    for (int i = 0; i < n; i++) {
+        sf_real *row = L + i * n, own = 1 / row[i];
+        for (int j = 0; j < i; j++) {
+            sf_real sum = 0;
+            for (int k = j; k < i; k++) sum += row[k] * L[k * n + j];
+            row[j] = -own * sum; /* columns before j are not needed again */
+        }
+        row[i] = own;
+    }
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            sf_real sum = 0;
+            for (int k = i; k < n; k++) sum += L[k * n + i] * L[k * n + j];
+            L[i * n + j] = sum;
+        }
+    for (int i = 0; i < n; i++)
+        for (int j = i + 1; j < n; j++) L[i * n + j] = L[j * n + i];
+}
+
+/* Eigenvalues and eigenvectors (rows of `axes`) of a symmetric A, which is overwritten; returns 0 without an
+   answer. Householder's reflections make it tridiagonal, implicit steps with Wilkinson's shift diagonal
+   (Golub & Van Loan, Matrix Computations, sections 8.3.1 and 8.3.3). */
+SF_API int sf_eigen(sf_real *A, int n, sf_real *values, sf_real *axes) {
+    sf_real beside[SF_MAP + 1], v[SF_MAP], w[SF_MAP];
+    memset(axes, 0, (size_t)(n * n) * sizeof(sf_real));
+    for (int i = 0; i < n; i++) axes[i * n + i] = 1;
+    for (int k = 0; k + 1 < n; k++) {
+        sf_real below = 0;
+        for (int i = k + 2; i < n; i++) below += A[i * n + k] * A[i * n + k];
+        beside[k] = A[(k + 1) * n + k];
+        if (!(below > 0)) continue;
+        sf_real length = sf_sqrt(below + beside[k] * beside[k]), alpha = beside[k] > 0 ? -length : length;
+        for (int i = k + 1; i < n; i++) v[i] = A[i * n + k];
+        v[k + 1] -= alpha;
+        sf_real beta = 2 / (below + v[k + 1] * v[k + 1]), half = 0;
+        for (int i = k + 1; i < n; i++) {
+            w[i] = beta * sf_dot(A + i * n + k + 1, v + k + 1, n - k - 1);
+            half += v[i] * w[i];
+        }
+        half *= beta / 2;
+        for (int i = k + 1; i < n; i++) w[i] -= half * v[i];
+        for (int i = k + 1; i < n; i++) {
+            sf_add(A + i * n + k + 1, -v[i], w + k + 1, n - k - 1);
+            sf_add(A + i * n + k + 1, -w[i], v + k + 1, n - k - 1);
+        }
+        memset(w, 0, (size_t)n * sizeof(sf_real));
+        for (int i = k + 1; i < n; i++) sf_add(w, v[i], axes + i * n, n);
+        for (int i = k + 1; i < n; i++) sf_add(axes + i * n, -beta * v[i], w, n);
+        beside[k] = alpha;
+    }
+    for (int i = 0; i < n; i++) values[i] = A[i * n + i];
+
+    for (int last = n - 1, tries = 30 * n; last > 0;) {
+        int first = last;
+        while (first > 0 && sf_fabs(beside[first - 1]) >
+                                SF_EPSILON * (sf_fabs(values[first - 1]) + sf_fabs(values[first])))
+            first--;
+        if (first == last) {
+            last--;
+            continue;
+        }
+        if (tries-- == 0) return 0;
+        sf_real gap = (values[last - 1] - values[last]) / 2, square = beside[last - 1] * beside[last - 1];
+        sf_real root = sf_sqrt(gap * gap + square),
+                shift = values[last] - square / (gap + (gap < 0 ? -root : root));
+        sf_real x = values[first] - shift, z = beside[first];
+        for (int k = first; k < last; k++) {
+            sf_real r = sf_sqrt(x * x + z * z), cosine = r > 0 ? x / r : 1, sine = r > 0 ? z / r : 0;
+            sf_real a = values[k], b = beside[k], d = values[k + 1];
+            if (k > first) beside[k - 1] = r;
+            values[k] = cosine * cosine * a + 2 * cosine * sine * b + sine * sine * d;
+            values[k + 1] = sine * sine * a - 2 * cosine * sine * b + cosine * cosine * d;
+            beside[k] = cosine * sine * (d - a) + (cosine * cosine - sine * sine) * b;
+            if (k + 1 < last) {
+                x = beside[k];
+                z = sine * beside[k + 1];
+                beside[k + 1] *= cosine;
+            }
+            sf_real *one = axes + k * n, *two = one + n;
+            for (int i = 0; i < n; i++) {
+                sf_real before = one[i];
+                one[i] = cosine * before + sine * two[i];
+                two[i] = cosine * two[i] - sine * before;
+            }
+        }
+    }
+    return 1;
+}
+
+SF_API void sf_cross(sf_real *out, const sf_real *a, const sf_real *b) {
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* out = R v, and out = R' v */
+SF_API void sf_turn(sf_real *out, const sf_real *R, const sf_real *v) {
+    for (int i = 0; i < 3; i++) out[i] = R[3 * i] * v[0] + R[3 * i + 1] * v[1] + R[3 * i + 2] * v[2];
+}
+
+SF_API void sf_turn_back(sf_real *out, const sf_real *R, const sf_real *v) {
+    for (int i = 0; i < 3; i++) out[i] = R[i] * v[0] + R[3 + i] * v[1] + R[6 + i] * v[2];
+}
+
+/* ---------------------------------------------------------------------------- front_end: motion, readings */
+
+SF_API const sf_real *sf_position(const sf_real *motion, int foot) { return motion + SF_SOLES + 3 * foot; }
+
+SF_API const sf_real *sf_rotation(const sf_config *c, const sf_real *motion, int foot) {
+    return motion + SF_SOLES + 3 * c->feet + 9 * foot;
+}
+
+/* Motions.flatten; accelerometer and gyroscope are not used, and stay zero. */
+SF_API void sf_flatten(const sf_config *c, const sf_reference *reference, sf_real *motion) {
+    memset(motion, 0, SF_SOLES * sizeof(sf_real));
+    sf_copy(motion + SF_COM, reference->com, 3);
+    sf_copy(motion + SF_ACCELERATION, reference->com_acceleration, 3);
+    sf_copy(motion + SF_RATE, reference->angular_momentum_rate, 3);
+    sf_copy(motion + SF_SOLES, reference->position_sole, 3 * c->feet);
+    sf_copy(motion + SF_SOLES + 3 * c->feet, reference->R_level_sole, 9 * c->feet);
+}
+
+SF_API sf_real sf_ground_height(const sf_config *c, const sf_real *motion) {
+    sf_real height = sf_position(motion, 0)[2];
+    for (int foot = 1; foot < c->feet; foot++) height = sf_min(height, sf_position(motion, foot)[2]);
+    return height;
+}
+
+/* Motions.ground: whether a robot can do that at all (Eqs. 9-11). */
+SF_API int sf_physical(const sf_config *c, const sf_real *motion) {
+    const sf_real *com = motion + SF_COM, *acceleration = motion + SF_ACCELERATION, *rate = motion + SF_RATE;
+    sf_real vgrf = c->mass * (acceleration[2] + SF_GRAVITY),
+            safe = vgrf > c->force_threshold ? vgrf : c->weight;
+    sf_real height = c->mass * (com[2] - sf_ground_height(c, motion));
+    sf_real x = com[0] - (height * acceleration[0] + rate[1]) / safe;
+    sf_real y = com[1] - (height * acceleration[1] - rate[0]) / safe;
+    int near = 1;
+    for (int foot = 0; foot < c->feet; foot++) {
+        const sf_real *sole = sf_position(motion, foot);
+        near = near && sf_fabs(sole[0] - x) <= c->reach && sf_fabs(sole[1] - y) <= c->reach;
+    }
+    return near && vgrf > c->force_threshold && vgrf < SF_LARGEST_WEIGHTS * c->weight;
+}
+
+/* Motions.rows: what a newton on each channel adds to (Fz, Fz px, Fz py), shape (3, K); the other foot's are
+ * zero. */
+SF_API void sf_level_rows(const sf_config *c, const sf_real *motion, sf_real *rows) {
+    int K = c->channels;
+    for (int i = 0; i < K; i++) {
+        int foot = c->foot_of_channel[i];
+        const sf_real *R = sf_rotation(c, motion, foot), *at = sf_position(motion, foot);
+        const sf_real *map = c->wrench_map + foot * 6 * K + i;
+        sf_real force[3] = {map[0], map[K], map[2 * K]}, torque[3] = {map[3 * K], map[4 * K], map[5 * K]};
+        sf_real up = sf_dot(R + 6, force, 3);
+        rows[i] = up;
+        rows[K + i] = at[0] * up - sf_dot(R + 3, torque, 3);
+        rows[2 * K + i] = at[1] * up + sf_dot(R, torque, 3);
+    }
+}
+
+/* --------------------------------------------------------------------------------------- moment: unknowns */
+
+/* Unknowns.tared: F0 + o in N. */
+SF_API sf_real sf_tared(const sf_config *c, const sf_real *mean, sf_real force, int i) {
+    return force + mean[c->channels + i] * c->unit[i];
+}
+
+/* Unknowns.force: a (F0 + o) in N. */
+SF_API sf_real sf_force(const sf_config *c, const sf_real *mean, sf_real force, int i) {
+    return mean[i] * sf_tared(c, mean, force, i);
+}
+
+/* What waits: places in one sample. */
+SF_API const sf_real *sf_block_force(const sf_block *b, int t) { return b->pending + t * b->width; }
+SF_API const sf_real *sf_block_motion(const sf_config *c, const sf_block *b, int t) {
+    return b->pending + t * b->width + c->channels;
+}
+SF_API const sf_real *sf_block_read(const sf_config *c, const sf_block *b, int t) {
+    return sf_block_motion(c, b, t) + sf_motion(c);
+}
+SF_API const sf_real *sf_block_swing(const sf_config *c, const sf_block *b, int t) {
+    return sf_block_read(c, b, t) + c->channels;
+}
+SF_API sf_real sf_block_stand(const sf_config *c, const sf_block *b, int t) {
+    return sf_block_swing(c, b, t)[c->feet];
+}
+SF_API sf_real sf_block_sound(const sf_config *c, const sf_block *b, int t) {
+    return sf_block_swing(c, b, t)[c->feet + 1];
+}
+
+/* ----------------------------------------------------------------------------------------- moment: distal */
+
+/* DistalMasses._wrenches: the wrench of each sensor's mass at its sole's origin in level axes, over n samples
+   from `begin` on; `middle` is the sample whose rotations are taken. */
+SF_API void sf_distal_wrenches(const sf_config *c, const sf_block *b, int begin, int n, const sf_real *curve,
+                               sf_real *wrenches) {
+    const sf_real *middle = sf_block_motion(c, b, begin + n / 2);
+    sf_real mean[3] = {0, 0, 0};
+    for (int t = begin; t < begin + n; t++)
+        sf_add(mean, 1 / (sf_real)n, sf_block_motion(c, b, t) + SF_ACCELERATION, 3);
+    for (int p = 0; p < c->sensors; p++) {
+        int foot = c->foot_of_sensor[p];
+        const sf_real *R = sf_rotation(c, middle, foot);
+        sf_real *wrench = wrenches + 6 * p, sole[3] = {mean[0], mean[1], mean[2]}, arm[3];
+        for (int t = 0; t < n; t++) {
+            const sf_real *motion = sf_block_motion(c, b, begin + t), *at = sf_position(motion, foot);
+            /* A level frame may move from sample to sample; distances to the centre of mass do not care. */
+            for (int i = 0; i < 3; i++) sole[i] += (at[i] - motion[SF_COM + i]) * curve[t];
+        }
+        for (int i = 0; i < 3; i++)
+            wrench[i] = c->sensor_mass[p] * (sole[i] + SF_GRAVITY * ((sf_real)(i == 2) - R[3 * i + 2]));
+        sf_turn(arm, R, c->sensor_com + 3 * p);
+        sf_cross(wrench + 3, arm, wrench);
+    }
+}
+
+/* DistalMasses.total: what the feet's wrenches lack about the points below the centre of mass, over the
+ * middle. */
+SF_API void sf_distal_total(const sf_config *c, const sf_block *b, sf_real *total) {
+    sf_real wrenches[SF_SENSORS * 6];
+    int begin = c->settle, n = c->every;
+    sf_distal_wrenches(c, b, begin, n, c->curve_every, wrenches);
+    const sf_real *middle = sf_block_motion(c, b, begin + n / 2);
+    memset(total, 0, 6 * sizeof(sf_real));
+    for (int p = 0; p < c->sensors; p++) {
+        int foot = c->foot_of_sensor[p];
+        const sf_real *R = sf_rotation(c, middle, foot);
+        sf_real arm[3] = {0, 0, 0}, own[3], part[6], moment[3];
+        for (int t = begin; t < begin + n; t++) {
+            const sf_real *motion = sf_block_motion(c, b, t), *at = sf_position(motion, foot);
+            arm[0] += (at[0] - motion[SF_COM]) / n;
+            arm[1] += (at[1] - motion[SF_COM + 1]) / n;
+            arm[2] += (at[2] - sf_ground_height(c, motion)) / n;
+        }
+        /* A sensor lacks nothing along the axes of the sole that it does not measure. */
+        for (int half = 0; half < 2; half++) {
+            sf_turn_back(own, R, wrenches + 6 * p + 3 * half);
+            for (int i = 0; i < 3; i++) own[i] *= c->sensor_share[6 * p + 3 * half + i];
+            sf_turn(part + 3 * half, R, own);
+        }
+        sf_cross(moment, arm, part);
+        for (int i = 0; i < 3; i++) {
+            total[i] += part[i];
+            total[3 + i] += part[3 + i] + moment[i];
+        }
+    }
+}
+
+/* DistalMasses.felt: what each channel reads of it while nothing touches its foot. */
+SF_API void sf_distal_felt(const sf_config *c, const sf_block *b, sf_real *felt) {
+    sf_real wrenches[SF_SENSORS * 6], own[6];
+    int n = sf_span(c), K = c->channels;
+    sf_distal_wrenches(c, b, 0, n, c->curve_span, wrenches);
+    const sf_real *middle = sf_block_motion(c, b, n / 2);
+    memset(felt, 0, (size_t)K * sizeof(sf_real));
+    for (int p = 0; p < c->sensors; p++) {
+        const sf_real *R = sf_rotation(c, middle, c->foot_of_sensor[p]);
+        sf_turn_back(own, R, wrenches + 6 * p);
+        sf_turn_back(own + 3, R, wrenches + 6 * p + 3);
+        for (int i = 0; i < 6; i++) sf_add(felt, own[i], c->felt + (6 * p + i) * K, K);
+    }
+}
+
+/* ----------------------------------------------------------------------------------- moment: newton_euler */
+
+/* Add the level wrenches of both feet about the point below the centre of mass, by channel: the rows that are
+   seen, in body weights (times foot lengths), shape (kinds, K). */
+SF_API void sf_wrench_rows(const sf_config *c, const sf_real *motion, sf_real *rows) {
+    int K = c->channels, skip = c->kinds == 6 ? SF_FX : SF_FZ;
+    sf_real ground = sf_ground_height(c, motion);
+    for (int i = 0; i < K; i++) {
+        int foot = c->foot_of_channel[i];
+        const sf_real *R = sf_rotation(c, motion, foot), *at = sf_position(motion, foot);
+        const sf_real *map = c->wrench_map + foot * 6 * K + i;
+        sf_real force[3] = {map[0], map[K], map[2 * K]}, torque[3] = {map[3 * K], map[4 * K], map[5 * K]};
+        sf_real arm[3] = {at[0] - motion[SF_COM], at[1] - motion[SF_COM + 1], at[2] - ground};
+        sf_real wrench[6], own[3], moment[3];
+        sf_turn(wrench, R, force);
+        sf_turn(own, R, torque);
+        sf_cross(moment, arm, wrench);
+        for (int axis = 0; axis < 3; axis++) wrench[3 + axis] = own[axis] + moment[axis];
+        for (int kind = 0; kind < c->kinds; kind++)
+            rows[kind * K + i] = wrench[skip + kind] * c->row_scale[kind];
+    }
+}
+
+/* NewtonEuler._asked: the wrench that the motion asks for, below the centre of mass, shape (kinds,). */
+SF_API void sf_asked(const sf_config *c, const sf_real *motion, sf_real height, sf_real *asked) {
+    const sf_real *acceleration = motion + SF_ACCELERATION, *rate = motion + SF_RATE;
+    sf_real lever = c->weight * c->length, x = acceleration[0] / SF_GRAVITY, y = acceleration[1] / SF_GRAVITY;
+    int six = c->kinds == 6;
+    sf_real *three = asked + (six ? 2 : 0);
+    three[0] = acceleration[2] / SF_GRAVITY + 1;
+    three[1] = rate[0] / lever - height * y;
+    three[2] = rate[1] / lever + height * x;
+    if (six) {
+        asked[0] = x;
+        asked[1] = y;
+        asked[5] = rate[2] / lever;
+    }
+}
+
+/* NewtonEuler._to_cop: move the moments among some rows, shape (kinds, columns), to (x, y) ahead. */
+SF_API void sf_to_cop_rows(const sf_config *c, sf_real *rows, int columns, sf_real x, sf_real y) {
+    int six = c->kinds == 6;
+    const sf_real *fz = rows + (six ? SF_FZ : 0) * columns;
+    sf_real *mx = rows + (six ? SF_MX : 1) * columns, *my = rows + (six ? SF_MY : 2) * columns;
+    sf_add(mx, -y, fz, columns);
+    sf_add(my, x, fz, columns);
+    if (six) {
+        sf_add(rows + SF_MZ * columns, -x, rows + SF_FY * columns, columns);
+        sf_add(rows + SF_MZ * columns, y, rows + SF_FX * columns, columns);
+    }
+}
+
+/* NewtonEuler._error_columns: those of the reference's own errors into columns `at` and behind, of width N.
+ */
+SF_API void sf_error_columns(const sf_config *c, const sf_real *given, sf_real height, const sf_real *late,
+                             sf_real *H, int at, int N) {
+    int six = c->kinds == 6, fz = six ? SF_FZ : 0;
+    for (int kind = 0; kind < c->kinds; kind++) {
+        int axis = six ? kind : SF_FZ + kind;
+        sf_real *row = H + kind * N + at;
+        /* A point that is off by d sees the moment d x f besides. */
+        row[0] = axis == SF_MY ? -given[fz] : axis == SF_MZ ? given[SF_FY] : 0;
+        row[1] = axis == SF_MX ? given[fz] : axis == SF_MZ ? -given[SF_FX] : 0;
+        row[2] = given[kind];
+        row[3] = axis == SF_FX ? 1 : axis == SF_MY ? height : 0;
+        row[4] = axis == SF_FY ? 1 : axis == SF_MX ? -height : 0;
+        row[5] = axis == SF_FZ ? 1 : 0;
+        row[6] = late[kind];
+    }
+}
+
+/* NewtonEuler.rows: what the motion asks of the ground, about the estimated centre of pressure. */
+SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf_block *b, sf_newton *out) {
+    int K = c->channels, N = sf_unknowns(c), kinds = c->kinds, settle = c->settle,
+        first = kinds == 6 ? 0 : SF_FZ;
+    const sf_real *mean = s->mean;
+    sf_real lacking[6] = {0, 0, 0, 0, 0, 0};
+    if (c->distal_matters) sf_distal_total(c, b, lacking);
+    for (int group = 0; group < sf_groups(c); group++) {
+        sf_real *H = out->H + group * kinds * N, *y = out->y + group * kinds;
+        sf_real *variance = out->variance + group * kinds, *places = out->places + group * kinds * K;
+        sf_real use[SF_EVERY], count = 0, height = 0, rows[SF_KINDS * SF_CHANNELS],
+                               own[SF_KINDS * SF_CHANNELS];
+        sf_real of_rows[SF_KINDS * SF_CHANNELS], of_speed[SF_KINDS * SF_CHANNELS], late[SF_KINDS],
+            asked[SF_KINDS];
+        sf_real given[SF_KINDS], part[SF_KINDS], change[SF_CHANNELS], tared[SF_CHANNELS];
+        memset(H, 0, (size_t)(kinds * N) * sizeof(sf_real));
+        memset(y, 0, (size_t)kinds * sizeof(sf_real));
+        memset(places, 0, (size_t)(kinds * K) * sizeof(sf_real));
+        memset(of_rows, 0, sizeof of_rows);
+        memset(of_speed, 0, sizeof of_speed);
+        memset(late, 0, sizeof late);
+        memset(asked, 0, sizeof asked);
+        for (int kind = 0; kind < kinds; kind++) variance[kind] = c->row_variance[kind] * s->noise[kind];
+        for (int i = 0; i < c->average; i++) {
+            int t = settle + group * c->average + i;
+            const sf_real *motion = sf_block_motion(c, b, t);
+            use[i] = b->use[t] * sf_block_stand(c, b, t) * b->use[t - settle] * b->use[t - 1] *
+                     b->use[t + 1] * b->use[t + settle];
+            count += use[i];
+            height += (motion[SF_COM + 2] - sf_ground_height(c, motion)) / c->length / c->average;
+        }
+        if (!(count > (sf_real)0.5)) continue; /* rows of zeros */
+        for (int i = 0; i < c->average; i++) {
+            if (use[i] == 0) continue;
+            int t = settle + group * c->average + i;
+            const sf_real *motion = sf_block_motion(c, b, t), *force = sf_block_force(b, t);
+            const sf_real *ahead = sf_block_force(b, t + settle), *behind = sf_block_force(b, t - settle);
+            sf_real weight = use[i] / count;
+            sf_real *seen = s->altered ? own : rows;
+            sf_wrench_rows(c, motion, seen);
+            if (s->altered) sf_multiply(rows, own, s->spare, kinds, K, K);
+            /* How fast the forces change in N/s, without what no reference could follow. */
+            for (int k = 0; k < K; k++) {
+                tared[k] = sf_tared(c, mean, force[k], k);
+                change[k] =
+                    (sf_force(c, mean, ahead[k], k) - sf_force(c, mean, behind[k], k)) / (2 * settle * c->dt);
+            }
+            sf_asked(c, motion, (motion[SF_COM + 2] - sf_ground_height(c, motion)) / c->length, part);
+            for (int kind = 0; kind < kinds; kind++) {
+                const sf_real *row = rows + kind * K;
+                asked[kind] += weight * part[kind];
+                for (int k = 0; k < K; k++) {
+                    sf_real speed = row[k] * change[k];
+                    H[kind * N + k] += weight * (row[k] * tared[k]);
+                    of_rows[kind * K + k] += weight * row[k];
+                    of_speed[kind * K + k] += weight * speed;
+                    late[kind] += weight * speed;
+                }
+            }
+            if (s->altered) sf_add(places, weight, own, kinds * K);
+        }
+        if (!s->altered) sf_copy(places, of_rows, kinds * K);
+        for (int kind = 0; kind < kinds; kind++) {
+            sf_real *row = H + kind * N;
+            for (int k = 0; k < K; k++) row[K + k] = of_rows[kind * K + k] * (mean[k] * c->unit[k]);
+            given[kind] = sf_dot(row, mean, K);
+            /* The forces are products of scales and tared readings: H x counts what the offsets do twice. */
+            y[kind] = asked[kind] - lacking[first + kind] * c->row_scale[kind] + sf_dot(row + K, mean + K, K);
+        }
+        sf_error_columns(c, given, height, late, H, 2 * K, N);
+        int fz = kinds == 6 ? SF_FZ : 0;
+        sf_real load = given[fz] > SF_LEAST_LOAD ? given[fz] : SF_LEAST_LOAD;
+        sf_real x = -given[fz + 2] / load, ahead_y = given[fz + 1] / load;
+        sf_to_cop_rows(c, H, N, x, ahead_y);
+        sf_to_cop_rows(c, y, 1, x, ahead_y);
+        sf_to_cop_rows(c, of_speed, K, x, ahead_y);
+        sf_to_cop_rows(c, places, K, x, ahead_y);
+        for (int kind = 0; kind < kinds; kind++) {
+            const sf_real *jitter = of_speed + kind * K;
+            variance[kind] += c->timing_noise * c->timing_noise / c->average * sf_dot(jitter, jitter, K);
+            for (int k = 0; s->altered && k < K; k++) {
+                sf_real unsure = places[kind * K + k] * s->spare_std[k];
+                variance[kind] += unsure * unsure;
+            }
+        }
+    }
+}
+
+/* NewtonEuler.readings: the mean forces by the starting map that belong to each group, shape (groups, K). */
+SF_API void sf_readings(const sf_config *c, const sf_block *b, sf_real *reading) {
+    int K = c->channels;
+    memset(reading, 0, (size_t)(sf_groups(c) * K) * sizeof(sf_real));
+    for (int i = 0; i < c->every; i++)
+        sf_add(reading + i / c->average * K, 1, sf_block_force(b, c->settle + i), K);
+    for (int i = 0; i < sf_groups(c) * K; i++) reading[i] /= (sf_real)c->average;
+}
+
+/* ----------------------------------------------------------------------------------- moment: tare, parity */
+
+/* Tare.hanging: mean readings while feet surely hang, and how many samples of each foot count. */
+SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf_real *reading) {
+    int K = c->channels;
+    memset(count, 0, (size_t)c->feet * sizeof(sf_real));
+    memset(reading, 0, (size_t)K * sizeof(sf_real));
+    for (int i = 0; i < c->every; i++)
+        for (int foot = 0; foot < c->feet; foot++) {
+            sf_real sure = b->use[c->settle + i];
+            for (int shift = 0; shift <= 2 * c->settle; shift++)
+                sure *= sf_block_swing(c, b, i + shift)[foot];
+            count[foot] += sure;
+            for (int k = 0; sure != 0 && k < K; k++)
+                if (c->foot_of_channel[k] == foot) reading[k] += sf_block_force(b, c->settle + i)[k];
+        }
+    for (int k = 0; k < K; k++) {
+        sf_real number = count[c->foot_of_channel[k]];
+        reading[k] /= number > (sf_real)0.5 ? number : 1;
+    }
+}
+
+/* MomentStream._tare: append the tare of feet that hang, unless they carry weight; returns whether any does.
+ */
+SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covariance, const sf_block *b,
+                   sf_rows *rows) {
+    int K = c->channels, M = 2 * K, N = sf_unknowns(c), any = 0, all = 1;
+    sf_real count[SF_FEET], reading[SF_CHANNELS], felt[SF_CHANNELS], row[SF_MAP], up[SF_CHANNELS];
+    sf_hanging(c, b, count, reading);
+    for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
+    for (int foot = 0; foot < c->feet; foot++) {
+        const sf_real *vertical = c->wrench_map + (foot * 6 + SF_FZ) * K;
+        if (s->altered) sf_multiply(up, vertical, s->spare, 1, K, K);
+        else sf_copy(up, vertical, K);
+        sf_real stated = 0, known = 0, load = 0;
+        for (int k = 0; k < K; k++) {
+            up[k] /= c->weight;
+            row[k] = up[k] * sf_tared(c, s->mean, reading[k], k);
+            row[K + k] = up[k] * (s->mean[k] * c->unit[k]);
+            load += row[k] * s->mean[k];
+        }
+        /* As it is known to, and before anything was learnt to what is stated. */
+        for (int k = 0; k < M; k++) {
+            stated += row[k] * row[k] * (c->stated[k] + s->drift[k]);
+            known += row[k] * sf_dot(covariance + k * N, row, M);
+        }
+        sf_real limit = c->swing_load + SF_LOAD_STD * sf_sqrt(sf_max(known < stated ? known : stated, 0));
+        /* Not all feet of a robot that stands are in the air. */
+        if ((count[foot] > (sf_real)0.5 && sf_fabs(load) > limit) || all) {
+            any = 1;
+            count[foot] = 0;
+        }
+    }
+    if (c->distal_matters) sf_distal_felt(c, b, felt);
+    for (int k = 0; k < K; k++) {
+        sf_real number = count[c->foot_of_channel[k]];
+        if (!(number > (sf_real)0.5) || (s->altered && s->lost[k] != 0)) continue;
+        int at = rows->count++;
+        memset(rows->H + at * N, 0, (size_t)N * sizeof(sf_real));
+        rows->H[at * N + K + k] = 1;
+        rows->y[at] = -reading[k] / c->unit[k];
+        if (c->distal_matters) rows->y[at] += felt[k] / (c->unit[k] * s->mean[k]);
+        rows->variance[at] = c->swing_noise * c->swing_noise * SF_SWING_SAMPLES / sf_max(number, 1);
+    }
+    return any;
+}
+
+/* Parity.rows: append that the instruments of one foot measure the same wrench, for each half of the block.
+ */
+SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block *b, sf_rows *rows) {
+    int K = c->channels, N = sf_unknowns(c), half = c->every / 2;
+    sf_real felt[SF_CHANNELS], reading[SF_CHANNELS];
+    memset(felt, 0, sizeof felt);
+    if (c->distal_matters) sf_distal_felt(c, b, felt);
+    for (int part = 0; part < 2; part++) {
+        int begin = c->settle + part * half, known = 1;
+        memset(reading, 0, sizeof reading);
+        for (int t = begin; t < begin + half; t++) {
+            known = known && b->use[t] > (sf_real)0.5;
+            sf_add(reading, 1 / (sf_real)half, sf_block_force(b, t), K);
+        }
+        for (int p = 0; known && p < c->parities; p++) {
+            const sf_real *parity = c->parity + p * K;
+            int at = rows->count++;
+            sf_real *H = rows->H + at * N;
+            memset(H, 0, (size_t)N * sizeof(sf_real));
+            rows->y[at] = sf_dot(felt, parity, K);
+            for (int k = 0; k < K; k++) {
+                H[k] = parity[k] * sf_tared(c, s->mean, reading[k], k);
+                H[K + k] = parity[k] * (s->mean[k] * c->unit[k]);
+                rows->y[at] += H[K + k] * s->mean[K + k];
+            }
+            rows->variance[at] = c->parity_noise * c->parity_noise;
+        }
+    }
+}
+
+/* ----------------------------------------------------------------------------------------- moment: kalman */
+
+/* kalman_step: take in all rows at once, in place; returns whether the result is finite.
+
+   K = S H' (H S H' + R)^-1,    x <- x + K (y - H x),    S <- (1 - K H) S (1 - K H)' + K R K'
+
+   Joseph's form holds for any gain, also with zeros for unknowns that are only considered (Schmidt), and
+   stays positive in single precision. A row whose innovation is beyond the gate has its variance raised until
+   it is not. */
+SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_real *learnt, int N,
+                          sf_real gate, sf_real *nis, sf_real *nis_rows) {
+    int m = rows->count, wide = N + 1;
+    sf_real HS[SF_ROWS * (SF_UNKNOWNS + 1)], V[SF_ROWS * SF_ROWS], e[SF_ROWS], gain[SF_UNKNOWNS * SF_ROWS];
+    sf_real keep[SF_UNKNOWNS * SF_UNKNOWNS], kept[SF_UNKNOWNS * SF_UNKNOWNS];
+    *nis = *nis_rows = 0;
+    if (m == 0) return 1;
+    for (int i = 0; i < m; i++) {
+        const sf_real *H = rows->H + i * N;
+        sf_real *row = HS + i * wide;
+        memset(row, 0, (size_t)wide * sizeof(sf_real));
+        for (int k = 0; k < N; k++)
+            if (H[k] != 0) sf_add(row, H[k], S + k * N, N);
+        row[N] = e[i] = rows->y[i] - sf_dot(H, mean, N);
+        for (int j = 0; j <= i; j++) V[i * m + j] = sf_dot(row, rows->H + j * N, N);
+        sf_real predicted = V[i * m + i], needed = e[i] * e[i] / (gate * gate) - predicted;
+        *nis_rows += predicted > 0;
+        if (needed > rows->variance[i]) rows->variance[i] = needed;
+        V[i * m + i] += rows->variance[i];
+    }
+    if (!sf_cholesky(V, m)) return 0;
+    sf_solve(V, m, HS, wide);
+    for (int i = 0; i < m; i++) *nis += e[i] * HS[i * wide + N];
+    memset(keep, 0, (size_t)(N * N) * sizeof(sf_real));
+    for (int i = 0; i < N; i++) {
+        keep[i * N + i] = 1;
+        for (int j = 0; j < m; j++) {
+            sf_real by = gain[i * m + j] = HS[j * wide + i] * learnt[i];
+            if (by != 0) sf_add(keep + i * N, -by, rows->H + j * N, N);
+        }
+        mean[i] += sf_dot(gain + i * m, e, m);
+    }
+    sf_multiply(kept, keep, S, N, N, N);
+    for (int i = 0; i < N; i++) {
+        sf_real weighted[SF_ROWS];
+        for (int j = 0; j < m; j++) weighted[j] = gain[i * m + j] * rows->variance[j];
+        for (int j = 0; j <= i; j++)
+            S[i * N + j] = S[j * N + i] =
+                sf_dot(kept + i * N, keep + j * N, N) + sf_dot(weighted, gain + j * m, m);
+    }
+    return sf_all_finite(mean, N) && sf_all_finite(S, N * N);
+}
+
+/* -------------------------------------------------------------------------- moment: severity, uncertainty */
+
+/* LearntSeverity.reweighted: scales and offsets under all severities together, and their covariance, shape
+   (M, M); returns 0 if there is no answer. */
+SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, sf_real *covariance) {
+    static const sf_real severities[4] = {(sf_real)0.04, (sf_real)0.2, 1, 5};
+    static const sf_real likely[4] = {(sf_real)0.1, (sf_real)0.1, (sf_real)0.7, (sf_real)0.1};
+    int K = c->channels, M = 2 * K, N = sf_unknowns(c);
+    sf_real std[SF_MAP], ratio[SF_MAP], share[SF_MAP], off[SF_MAP], pull[SF_MAP], apart[SF_MAP];
+    sf_real axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP], precision[SF_MAP * SF_MAP];
+    sf_real found[16 * SF_MAP], evidence[16], best = 0, total = 0, constant = 0;
+    for (int i = 0; i < M; i++) {
+        sf_real stated = c->stated[i] + s->drift[i],
+                prior = SF_FIRST_WIDTH * SF_FIRST_WIDTH * c->stated[i] + s->drift[i];
+        std[i] = sf_sqrt(prior);
+        ratio[i] = stated / prior;
+        constant += sf_log(ratio[i]);
+        off[i] = (s->mean[i] - c->start[i]) / std[i];
+        pull[i] = 0;
+    }
+    for (int i = 0; i < M; i++)
+        for (int j = 0; j < M; j++) precision[i * M + j] = s->covariance[i * N + j] / (std[i] * std[j]);
+    if (!sf_eigen(precision, M, share, axes)) return 0;
+
+    /* The information of the data alone, P^-1 - P0^-1, in units of the prior that the filter began with. */
+    sf_real worth = 1 / sf_max(s->misfit, 1);
+    memset(seen, 0, (size_t)(M * M) * sizeof(sf_real));
+    for (int k = 0; k < M; k++) {
+        const sf_real *axis = axes + k * M;
+        sf_real known = sf_clip(share[k], SF_LEAST * SF_EPSILON, 1), weight = worth * (1 / known - 1);
+        for (int i = 0; i < M; i++) sf_add(seen + i * M, weight * axis[i], axis, i + 1);
+        sf_add(pull, sf_dot(axis, off, M) * (worth / known), axis, M);
+    }
+    for (int which = 0; which < 16; which++) {
+        sf_real of_scales = severities[which / 4] * severities[which / 4];
+        sf_real of_offsets = severities[which % 4] * severities[which % 4];
+        sf_real size = 0, product = 1, *answer = found + which * M;
+        sf_copy(precision, seen, M * M);
+        for (int i = 0; i < M; i++) precision[i * M + i] += 1 / ((i < K ? of_scales : of_offsets) * ratio[i]);
+        sf_copy(answer, pull, M);
+        evidence[which] = -HUGE_VAL;
+        if (!sf_cholesky(precision, M)) continue;
+        sf_solve(precision, M, answer, 1);
+        for (int i = 0; i < M; i++) {
+            product *= precision[i * M + i];
+            if (i % 4 == 3 || i == M - 1) size += 2 * sf_log(product), product = 1;
+        }
+        evidence[which] = sf_dot(answer, pull, M) - size - constant -
+                          (sf_real)K * sf_log(of_scales * of_offsets) +
+                          2 * sf_log(likely[which / 4] * likely[which % 4]);
+    }
+    best = evidence[0];
+    for (int which = 1; which < 16; which++) best = sf_max(best, evidence[which]);
+    if (!sf_finite(best)) return 0;
+    for (int which = 0; which < 16; which++) total += evidence[which] = sf_exp((evidence[which] - best) / 2);
+
+    memset(mean, 0, (size_t)M * sizeof(sf_real));
+    memset(covariance, 0, (size_t)(M * M) * sizeof(sf_real));
+    for (int which = 0; which < 16; which++) {
+        evidence[which] /= total;
+        if (evidence[which] > SF_NEGLIGIBLE) sf_add(mean, evidence[which], found + which * M, M);
+    }
+    for (int which = 0; which < 16; which++) {
+        if (!(evidence[which] > SF_NEGLIGIBLE)) continue;
+        sf_real of_scales = severities[which / 4] * severities[which / 4];
+        sf_real of_offsets = severities[which % 4] * severities[which % 4];
+        sf_copy(precision, seen, M * M);
+        for (int i = 0; i < M; i++) {
+            precision[i * M + i] += 1 / ((i < K ? of_scales : of_offsets) * ratio[i]);
+            apart[i] = found[which * M + i] - mean[i];
+        }
+        sf_cholesky(precision, M);
+        sf_inverse(precision, M);
+        sf_add(covariance, evidence[which], precision, M * M);
+        for (int i = 0; i < M; i++) sf_add(covariance + i * M, evidence[which] * apart[i], apart, M);
+    }
+    for (int i = 0; i < M; i++) {
+        mean[i] = c->start[i] + std[i] * mean[i];
+        for (int j = 0; j < M; j++) covariance[i * M + j] *= std[i] * std[j];
+    }
+    return sf_all_finite(mean, M) && sf_all_finite(covariance, M * M);
+}
+
+/* Uncertainty.of_parameters and of_channels: the covariance of (a, b) of each channel, b = a o in N. */
+SF_API void sf_of_parameters(const sf_config *c, sf_state *s) {
+    int K = c->channels, M = 2 * K;
+    const sf_real *C = s->given_covariance;
+    sf_real by_scale[SF_CHANNELS], by_offset[SF_CHANNELS];
+    for (int i = 0; i < K; i++) {
+        by_scale[i] = s->given[K + i] * c->unit[i];
+        by_offset[i] = s->given[i] * c->unit[i];
+    }
+    for (int i = 0; i < K; i++)
+        for (int j = 0; j < K; j++) {
+            int own = i == j;
+            sf_real aa = C[i * M + j] + own * c->aged[i], ao = C[i * M + K + j], oa = C[(K + i) * M + j];
+            sf_real oo = C[(K + i) * M + K + j] + own * c->aged[K + i];
+            sf_real ab = aa * by_scale[j] + ao * by_offset[j], ob = oa * by_scale[j] + oo * by_offset[j];
+            s->learnt[i * M + j] = aa;
+            s->learnt[i * M + K + j] = ab;
+            s->learnt[(K + j) * M + i] = ab;
+            s->learnt[(K + i) * M + K + j] = by_scale[i] * ab + by_offset[i] * ob;
+        }
+    for (int i = 0; i < K; i++) {
+        s->spread[i] = s->learnt[i * M + i];
+        s->spread[K + i] = 2 * s->learnt[i * M + K + i];
+        s->spread[2 * K + i] = s->learnt[(K + i) * M + K + i];
+    }
+}
+
+/* ----------------------------------------------------------------------------------------- moment: faults */
+
+/* StandIn.others: how each channel follows from those that are not lost, and how well in N. */
+SF_API void sf_others(const sf_config *c, const sf_state *s, sf_real *others, sf_real *spread) {
+    int K = c->channels;
+    sf_real precision[SF_CHANNELS * SF_CHANNELS], row[SF_CHANNELS], cut[SF_CHANNELS];
+    for (int i = 0; i < K; i++)
+        for (int j = 0; j < K; j++) {
+            sf_real moment = s->moments[i * K + j] + (i == j) * SF_FLOOR;
+            /* Lost channels are cut off from the others, so that the inverse is that of those that are there.
+             */
+            precision[i * K + j] = moment * (1 - s->lost[i]) * (1 - s->lost[j]) + (i == j) * s->lost[i];
+        }
+    if (!sf_cholesky(precision, K)) { /* never while the floor holds; nothing then follows from nothing */
+        memset(others, 0, (size_t)(K * K) * sizeof(sf_real));
+        for (int i = 0; i < K; i++) spread[i] = c->weight;
+        return;
+    }
+    sf_inverse(precision, K);
+    for (int i = 0; i < K; i++) {
+        sf_real own = precision[i * K + i], variance = 1 / own, there = 1 - s->lost[i];
+        for (int j = 0; j < K; j++)
+            others[i * K + j] = ((sf_real)(i == j) - precision[i * K + j] / own) * there * (1 - s->lost[j]);
+        if (s->lost[i] > (sf_real)0.5) {
+            for (int j = 0; j < K; j++)
+                cut[j] = (s->moments[i * K + j] + (i == j) * SF_FLOOR) * (1 - s->lost[j]);
+            sf_multiply(row, cut, precision, 1, K, K);
+            variance = s->moments[i * K + i] + SF_FLOOR;
+            for (int j = 0; j < K; j++) {
+                sf_real of_lost = row[j] * (1 - s->lost[j]) * s->lost[i];
+                others[i * K + j] += of_lost;
+                variance -= of_lost * (s->moments[i * K + j] + (i == j) * SF_FLOOR);
+            }
+        }
+        spread[i] = sf_sqrt(sf_max(variance, 0)) * c->weight;
+    }
+}
+
+/* ChannelFaults._rebuild: work out how to do without what is lost. */
+SF_API void sf_rebuild(const sf_config *c, sf_state *s) {
+    int K = c->channels;
+    sf_real others[SF_CHANNELS * SF_CHANNELS], spread[SF_CHANNELS];
+    sf_others(c, s, others, spread);
+    for (int i = 0; i < K; i++) {
+        s->spare_std[i] = spread[i] * s->lost[i];
+        for (int j = 0; j < K; j++)
+            s->spare[i * K + j] = (i == j) * (1 - s->lost[i]) + others[i * K + j] * s->lost[i];
+    }
+    s->altered = 1;
+}
+
+/* ChannelFaults._return: take channels in again. */
+SF_API void sf_return(const sf_config *c, sf_state *s, const int *back) {
+    int any = 0;
+    for (int i = 0; i < c->channels; i++) {
+        if (!back[i]) continue;
+        any = 1;
+        s->lost[i] = 0;
+        s->kind[i] &= ~(sf_whole)(SF_LOST | SF_DEAD | SF_STUCK | SF_SATURATED | SF_MISSING);
+    }
+    if (any) sf_rebuild(c, s);
+}
+
+/* ChannelFaults._lose: take channels out. */
+SF_API void sf_lose(const sf_config *c, sf_state *s, const int *fresh, const int *kind) {
+    int any = 0;
+    for (int i = 0; i < c->channels; i++) {
+        if (!fresh[i]) continue;
+        any = 1;
+        s->lost[i] = 1;
+        s->kind[i] |= kind[i] | SF_LOST;
+    }
+    if (any) sf_rebuild(c, s);
+}
+
+/* ChannelFaults.sample: put channels right and hold leaps; forces, whether they were read, and flags, in
+ * place. */
+SF_API void sf_fault_sample(const sf_config *c, sf_state *s, sf_real *force, int *read, sf_whole *kinds) {
+    int K = c->channels, any = 0, leaping[SF_CHANNELS];
+    sf_real step[SF_CHANNELS], before[SF_CHANNELS], leapt[SF_CHANNELS], total = 0;
+    if (s->altered) {
+        int was[SF_CHANNELS];
+        sf_copy(before, force, K);
+        memcpy(was, read, (size_t)K * sizeof(int));
+        for (int i = 0; i < K; i++) {
+            sf_real sum = 0;
+            force[i] = 0;
+            for (int j = 0; j < K; j++) {
+                force[i] += s->wiring[i * K + j] * before[j];
+                sum += sf_fabs(s->wiring[i * K + j]) * (sf_real)was[j];
+            }
+            read[i] = sum > (sf_real)0.5;
+        }
+    }
+    for (int i = 0; i < K; i++) {
+        step[i] = sf_fabs(force[i] - s->last[i]);
+        s->leapt[i] *= SF_BUMP_MEMORY;
+        leaping[i] = step[i] > c->leap;
+        any = any || leaping[i];
+        kinds[i] = s->kind[i];
+    }
+    if (!any) {
+        sf_copy(s->last, force, K);
+        memset(s->leaps, 0, (size_t)K * sizeof(sf_whole));
+        return;
+    }
+    for (int i = 0; i < K; i++) {
+        /* A foot that lands moves several of its cells. */
+        sf_real others = 0;
+        for (int j = 0; j < K; j++)
+            if (j != i && c->foot_of_channel[j] == c->foot_of_channel[i]) others = sf_max(others, step[j]);
+        leaping[i] = leaping[i] && read[i] && s->leaps[i] < SF_LONGEST_LEAP && step[i] > SF_ALONE * others;
+        leapt[i] = s->leapt[i] + (sf_real)(leaping[i] && s->leaps[i] == 0);
+        total += leapt[i];
+    }
+    for (int i = 0; i < K; i++) {
+        leaping[i] = leaping[i] && total - leapt[i] < SF_BUMPY;
+        s->leapt[i] = leapt[i];
+        s->leaps[i] = leaping[i] ? s->leaps[i] + 1 : read[i] ? 0 : s->leaps[i];
+        if (leaping[i]) {
+            force[i] = s->last[i];
+            read[i] = 0;
+            kinds[i] |= SF_SPIKE;
+        }
+        s->last[i] = force[i];
+    }
+}
+
+/* ChannelFaults.silent: find channels that are silent, or always read the same. */
+SF_API void sf_silent(const sf_config *c, sf_state *s, const sf_block *b) {
+    int K = c->channels, n = sf_span(c), flat[SF_CHANNELS], moves[SF_CHANNELS], again[SF_CHANNELS];
+    int fresh[SF_CHANNELS], kind[SF_CHANNELS], stuck[SF_CHANNELS];
+    sf_real high[SF_CHANNELS], share[SF_CHANNELS], most = 0;
+    for (int i = 0; i < K; i++) {
+        sf_real low = high[i] = sf_block_force(b, 0)[i];
+        share[i] = 0;
+        for (int t = 0; t < n; t++) {
+            high[i] = sf_max(high[i], sf_block_force(b, t)[i]);
+            low = sf_min(low, sf_block_force(b, t)[i]);
+            share[i] += sf_block_read(c, b, t)[i];
+        }
+        share[i] /= (sf_real)n;
+        most = sf_max(most, share[i]);
+        flat[i] = high[i] - low == 0;
+        moves[i] = high[i] - low > SF_MOVING * c->weight;
+        again[i] =
+            share[i] > SF_ALL_READ && !flat[i] && (s->kind[i] & SF_MISSING) && s->lost[i] > (sf_real)0.5;
+    }
+    sf_return(c, s, again);
+    for (int i = 0; i < K; i++) {
+        int moving = 0, missing = share[i] < SF_MOSTLY_MISSING && most >= SF_MOSTLY_MISSING;
+        for (int j = 0; j < K; j++)
+            moving = moving || (j != i && moves[j] && c->foot_of_channel[j] == c->foot_of_channel[i]);
+        stuck[i] = flat[i] && moving && share[i] > SF_ALL_READ;
+        int dead = stuck[i] && sf_fabs(high[i]) <= SF_NO_LOAD * c->weight;
+        int rail = stuck[i] && !dead && sf_fabs(high[i]) > SF_HEAVIEST * c->weight;
+        kind[i] = (dead ? SF_DEAD : 0) | (rail ? SF_SATURATED : 0) |
+                  (stuck[i] && !dead && !rail ? SF_STUCK : 0) | (missing ? SF_MISSING : 0);
+        fresh[i] = (stuck[i] || missing) && s->lost[i] < (sf_real)0.5 && c->cells[i];
+    }
+    sf_lose(c, s, fresh, kind);
+}
+
+/* ChannelFaults.learn: how cells share loads while nothing is wrong; let channels come back. */
+SF_API void sf_fault_learn(const sf_config *c, sf_state *s, const sf_real *force, int good) {
+    int K = c->channels, groups = sf_groups(c), back[SF_CHANNELS], any = 0;
+    int well = good && s->doubt < (sf_real)0.5;
+    for (int i = 0; i < K; i++) well = well && s->lost[i] < (sf_real)0.5;
+    for (int i = 0; well && i < K; i++)
+        for (int j = 0; j < K; j++) {
+            sf_real seen = 0;
+            for (int g = 0; c->together[i * K + j] && g < groups; g++)
+                seen += force[g * K + i] / c->weight * (force[g * K + j] / c->weight);
+            s->moments[i * K + j] += c->renewal * (seen / (sf_real)groups - s->moments[i * K + j]);
+        }
+    if (!s->altered) return;
+    for (int i = 0; i < K; i++) {
+        sf_real error = 0, load = 0, high = 0, low = 0;
+        for (int g = 0; g < groups; g++) {
+            sf_real expected = sf_dot(s->spare + i * K, force + g * K, K);
+            error = sf_max(error, sf_fabs(expected - force[g * K + i]));
+            load = sf_max(load, sf_fabs(expected));
+            high = g ? sf_max(high, expected) : expected;
+            low = g ? sf_min(low, expected) : expected;
+        }
+        int moved = high - low > SF_AGREE * c->weight;
+        int near = error < SF_AGREE * c->weight + SF_AGREE_SHARE * load;
+        s->agreed[i] = (near ? s->agreed[i] + (sf_real)moved : 0) * s->lost[i];
+        back[i] = s->agreed[i] >= SF_RETURN_BLOCKS && s->lost[i] > (sf_real)0.5;
+        any = any || back[i];
+    }
+    for (int i = 0; any && i < K; i++)
+        if (back[i]) s->agreed[i] = 0;
+    if (any) sf_return(c, s, back);
+}
+
+/* ------------------------------------------------------------------------------------- moment: hypotheses */
+
+/* Hypotheses: `out` and `flipped` are each channel's own, then two are exchanged, `straight` or `crossed`. */
+SF_API int sf_about(const sf_config *c, int hypothesis, int channel) {
+    int K = c->channels, pair = hypothesis - 2 * K;
+    if (pair < 0) return hypothesis % K == channel;
+    pair %= c->pairs;
+    return c->first[pair] == channel || c->second[pair] == channel;
+}
+
+SF_API int sf_related(const sf_config *c, int one, int other) {
+    for (int i = 0; i < c->channels; i++)
+        if (sf_about(c, one, i) && sf_about(c, other, i)) return 1;
+    return 0;
+}
+
+/* Residuals.mean_with for one hypothesis. */
+SF_API sf_real sf_mean_with(const sf_config *c, const sf_newton *newton, const sf_real *change,
+                            sf_real largest) {
+    sf_real sum = 0, count = 0;
+    for (int r = 0; r < sf_groups(c) * c->kinds; r++) {
+        if (!newton->there[r]) continue;
+        sf_real e = newton->residual[r] + (change ? change[r] : 0);
+        sum += sf_clip(e * e / newton->spread[r], 0, largest);
+        count++;
+    }
+    return sum / (count > (sf_real)0.5 ? count : 1);
+}
+
+/* Hypotheses.changes for one of them: the error of a force in N in row r, and what it does to the residual.
+ */
+SF_API sf_real sf_change(const sf_config *c, const sf_newton *newton, const sf_real *reading,
+                         const sf_real *force, const sf_real *others, const sf_real *mean, int h, int r,
+                         sf_real *error) {
+    int K = c->channels, i = h % K, group = r / c->kinds;
+    const sf_real *places = newton->places + r * K, *F0 = reading + group * K, *F = force + group * K;
+    if (h < K) {
+        *error = F[i] - sf_dot(F, others + i * K, K);
+        return places[i] * *error;
+    }
+    if (h < 2 * K) {
+        *error = 2 * F0[i];
+        return places[i] * mean[i] * *error;
+    }
+    int pair = (h - 2 * K) % c->pairs, one = c->first[pair], two = c->second[pair];
+    sf_real sign = h - 2 * K < c->pairs ? -1 : 1;
+    *error = F0[one] + sign * F0[two];
+    return (places[one] * mean[one] + sign * (places[two] * mean[two])) * *error;
+}
+
+/* Hypotheses._with_load: fit a load to all blocks since something seemed wrong; returns whether there can be
+ * one. */
+SF_API int sf_with_load(const sf_config *c, sf_state *s, const sf_newton *newton, const sf_real *mean,
+                        sf_real *change) {
+    int N = sf_unknowns(c), M = 2 * c->channels, possible = 1, rows = sf_groups(c) * c->kinds;
+    sf_real normal[9], fit[3];
+    for (int r = 0; r < rows; r++) {
+        const sf_real *column = newton->H + r * N + M;
+        for (int i = 0; newton->there[r] && i < 3; i++) {
+            sf_real weighted = column[i] / newton->spread[r];
+            for (int j = 0; j < 3; j++) s->load[4 * i + j] += weighted * column[j];
+            s->load[4 * i + 3] += weighted * newton->residual[r];
+        }
+    }
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++) normal[3 * i + j] = s->load[4 * i + j] + (i == j) * c->load_loose[i];
+        fit[i] = s->load[4 * i + 3];
+    }
+    memset(change, 0, (size_t)rows * sizeof(sf_real));
+    if (!sf_cholesky(normal, 3)) return 0;
+    sf_solve(normal, 3, fit, 1);
+    for (int i = 0; i < 3; i++) possible = possible && sf_fabs(fit[i]) <= c->load_largest[i];
+    for (int r = 0; r < rows; r++) change[r] = -sf_dot(newton->H + r * N + M, fit, 3);
+    return possible && mean[M + 2] + fit[2] < SF_LIGHTER;
+}
+
+/* Hypotheses.repair: put flipped and exchanged channels right. */
+SF_API void sf_repair(const sf_config *c, sf_state *s, int accepted) {
+    int K = c->channels, pair = accepted - 2 * K;
+    if (accepted < K) return;
+    if (pair < 0) {
+        int i = accepted - K;
+        for (int j = 0; j < K; j++) s->wiring[i * K + j] = -s->wiring[i * K + j];
+        s->kind[i] ^= SF_FLIPPED;
+        return;
+    }
+    sf_real sign = pair < c->pairs ? 1 : -1;
+    sf_real *one = s->wiring + c->first[pair % c->pairs] * K,
+            *two = s->wiring + c->second[pair % c->pairs] * K;
+    for (int j = 0; j < K; j++) {
+        sf_real before = one[j];
+        one[j] = sign * two[j];
+        two[j] = sign * before;
+    }
+    s->kind[c->first[pair % c->pairs]] ^= SF_SWAPPED;
+    s->kind[c->second[pair % c->pairs]] ^= SF_SWAPPED;
+}
+
+/* ChannelFaults.contradicted, Hypotheses.evidence and decide: hold hypotheses against the robot's motion.
+   `mean` is that before the block, `reading` and `force` are those of its groups. Sets whether a fault was
+   found, or a load. */
+SF_API void sf_contradicted(const sf_config *c, sf_state *s, const sf_newton *newton, const sf_real *mean,
+                            const sf_real *reading, const sf_real *force, int *fault, int *loaded) {
+    int K = c->channels, count = sf_hypotheses(c), rows = sf_groups(c) * c->kinds, possible = 0;
+    sf_real others[SF_CHANNELS * SF_CHANNELS], spread[SF_CHANNELS], latest[SF_HYPOTHESES], change[SF_NEWTON];
+    sf_real trust = s->trust += (sf_real)(newton->mean_square < SF_WELL);
+    *fault = *loaded = 0;
+    /* Most of the time nothing is wrong, and no hypothesis needs to be tried. */
+    if (!(newton->mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5)) return;
+    sf_others(c, s, others, spread);
+
+    /* The block in which a fault begins is half right: what counts are those behind it. */
+    sf_real doubt = s->doubt + (sf_real)(s->doubt > (sf_real)0.5),
+            whole = doubt > (sf_real)1.5 ? doubt - 1 : 1;
+    int goes_on = doubt > (sf_real)1.5;
+    if (!(doubt > (sf_real)2.5)) memset(s->load, 0, sizeof s->load);
+    for (int h = 0; h < count + 2; h++) {
+        sf_real mean_square = newton->mean_square;
+        if (h == count + 1) {
+            possible = sf_with_load(c, s, newton, mean, change);
+            mean_square = sf_mean_with(c, newton, change, SF_CLIP);
+        } else if (h > 0) {
+            latest[h - 1] = 0;
+            for (int r = 0; r < rows; r++) {
+                sf_real error;
+                change[r] = sf_change(c, newton, reading, force, others, mean, h - 1, r, &error);
+                if (newton->there[r]) latest[h - 1] = sf_max(latest[h - 1], sf_fabs(error));
+            }
+            s->size[h - 1] = sf_max(goes_on ? s->size[h - 1] : 0, latest[h - 1]);
+            mean_square = sf_mean_with(c, newton, change, SF_CLIP);
+        }
+        s->scores[h] = goes_on ? s->scores[h] + (mean_square - s->scores[h]) / whole : 0;
+    }
+    sf_real nothing = s->scores[0], by_load = possible ? s->scores[count + 1] : HUGE_VAL;
+    if (doubt < (sf_real)0.5 && newton->mean_square > SF_SUSPICION) doubt = 1;
+    if (doubt > SF_PATIENCE || (doubt > (sf_real)1.5 && nothing < SF_CALM)) doubt = 0;
+
+    sf_real left[SF_HYPOTHESES], any_channel = HUGE_VAL, least = HUGE_VAL, rival = HUGE_VAL;
+    int chosen = 0;
+    for (int h = 0; h < count; h++) {
+        int touched = 0, usable = h >= 2 * K || c->cells[h % K];
+        for (int i = 0; i < K; i++) touched = touched || (s->lost[i] > (sf_real)0.5 && sf_about(c, h, i));
+        left[h] = usable && !touched ? s->scores[1 + h] * (h < K ? SF_LOSS : 1) : HUGE_VAL;
+        /* Between its turns a broken cell carries little, and still explains what was wrong in them. */
+        if (s->size[h] > SF_LEAST_ERROR * c->weight) any_channel = sf_min(any_channel, left[h]);
+        /* What small errors of the reference could be as well is not put down to a channel. */
+        if (!(latest[h] > SF_LEAST_ERROR * c->weight)) left[h] = HUGE_VAL;
+        if (left[h] < least) {
+            least = left[h];
+            chosen = h;
+        }
+    }
+    for (int h = 0; h < count; h++)
+        if (!sf_related(c, chosen, h)) rival = sf_min(rival, left[h]);
+    int ready = doubt > (sf_real)1.5 && trust >= SF_TRUST && nothing > SF_SUSPICION;
+    *fault = ready && least < SF_RELIEF * nothing && least < SF_CONTRAST * rival &&
+             least + SF_NOISE < SF_CONTRAST * (by_load + SF_NOISE);
+    *loaded = ready && !*fault && doubt >= SF_LOAD_BLOCKS && by_load < SF_RELIEF * nothing &&
+              by_load + SF_NOISE < SF_LOAD_CONTRAST * (any_channel + SF_NOISE);
+
+    s->doubt = *fault || *loaded ? 0 : doubt;
+    if (*loaded) s->trust = SF_TRUST;
+    if (!*fault) return;
+    if (chosen < K) {
+        int out[SF_CHANNELS] = {0}, kind[SF_CHANNELS] = {0};
+        out[chosen] = 1;
+        kind[chosen] = SF_DEAD;
+        sf_lose(c, s, out, kind);
+    }
+    sf_repair(c, s, chosen);
+    s->altered = 1;
+}
+
+/* ----------------------------------------------------------------------------------------- moment: stream */
+
+/* Residuals.of the rows of Newton and Euler. */
+SF_API void sf_residuals(const sf_config *c, const sf_real *mean, const sf_real *covariance,
+                         sf_newton *newton) {
+    int N = sf_unknowns(c);
+    for (int r = 0; r < sf_groups(c) * c->kinds; r++) {
+        const sf_real *H = newton->H + r * N;
+        newton->there[r] = 0;
+        for (int k = 0; k < N; k++) newton->there[r] |= H[k] != 0;
+        newton->residual[r] = newton->y[r] - sf_dot(H, mean, N);
+        newton->spread[r] = sf_variance(H, covariance, N) + newton->variance[r];
+    }
+    newton->mean_square = sf_mean_with(c, newton, 0, SF_CLIP);
+}
+
+/* MomentStream._plausible: leave out groups of rows that no error of calibration explains, such as of a
+   lifted robot; returns whether there are any. Noise that is learnt, or expected at first, is no reason to
+   learn from them. */
+SF_API int sf_plausible(const sf_config *c, const sf_real *covariance, sf_newton *newton) {
+    int N = sf_unknowns(c), M = 2 * c->channels, rejected = 0;
+    for (int group = 0; group < sf_groups(c); group++) {
+        int wrong = 0;
+        for (int r = group * c->kinds; r < (group + 1) * c->kinds; r++) {
+            sf_real e = newton->residual[r], H[SF_UNKNOWNS];
+            if (!(sf_fabs(e) > c->reject)) continue;
+            for (int k = 0; k < N; k++) H[k] = newton->H[r * N + k] / (k < M ? SF_FIRST_WIDTH : 1);
+            wrong = wrong || e * e > SF_REJECT_STD * SF_REJECT_STD *
+                                         (sf_variance(H, covariance, N) + newton->assumed[r]);
+        }
+        for (int r = group * c->kinds; r < (group + 1) * c->kinds; r++)
+            newton->kept[r] = newton->there[r] && !wrong;
+        rejected = rejected || wrong;
+    }
+    return rejected;
+}
+
+/* MomentStream._changed: whether the force of a whole block leaps away from what the motion asks for. */
+SF_API int sf_changed(const sf_config *c, const sf_real *mean, const sf_real *covariance,
+                      const sf_newton *newton) {
+    int N = sf_unknowns(c);
+    sf_real row[SF_UNKNOWNS], count = 0, e = 0, variance = 0;
+    memset(row, 0, sizeof row);
+    for (int r = c->kinds == 6 ? SF_FZ : 0; r < sf_groups(c) * c->kinds; r += c->kinds) {
+        if (!newton->kept[r]) continue;
+        count++;
+        sf_add(row, 1, newton->H + r * N, N);
+        e += newton->y[r];
+        variance += newton->variance[r];
+    }
+    if (!(count > (sf_real)0.5)) return 0;
+    for (int k = 0; k < N; k++) row[k] /= count;
+    e = e / count - sf_dot(row, mean, N);
+    sf_real spread = sf_variance(row, covariance, N) + variance / (count * count);
+    return e * e > SF_LEAP_STD * SF_LEAP_STD * spread &&
+           sf_fabs(e) > SF_LEAST_CHANGE_OF_MASS * c->mass_change;
+}
+
+/* MomentStream._quiet: blocks in which a robot has not moved are one measurement, however long it stands;
+   returns by how much the variances of the rows grow. */
+SF_API sf_real sf_quiet(const sf_config *c, sf_state *s, const sf_block *b) {
+    int moved = 0, n = sf_span(c);
+    sf_real middle[SF_CHANNELS];
+    for (int i = 0; i < c->channels; i++) {
+        sf_real high = sf_block_force(b, 0)[i], low = high, limit = c->still * c->unit[i];
+        for (int t = 1; t < n; t++) {
+            high = sf_max(high, sf_block_force(b, t)[i]);
+            low = sf_min(low, sf_block_force(b, t)[i]);
+        }
+        middle[i] = (sf_real)0.5 * (high + low);
+        moved = moved || high - low >= 2 * limit || sf_fabs(middle[i] - s->anchor[i]) > limit;
+    }
+    s->quiet = moved ? 0 : s->quiet + 1;
+    if (moved) sf_copy(s->anchor, middle, c->channels);
+    return (1 + s->quiet) * (1 + s->quiet);
+}
+
+/* MomentStream._walked: the time of some blocks, in which the unknowns have drifted. */
+SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real blocks) {
+    int M = 2 * c->channels, N = sf_unknowns(c);
+    for (int i = 0; i < N; i++) s->covariance[i * N + i] += blocks * c->walk[i];
+    for (int i = 0; i < M; i++) {
+        s->drift[i] += blocks * c->walk[i];
+        s->given_covariance[i * M + i] += blocks * c->walk[i];
+    }
+}
+
+/* MomentStream._back: what the robot knew some seconds ago. */
+SF_API void sf_back(const sf_config *c, sf_state *s) {
+    int N = sf_unknowns(c);
+    sf_copy(s->mean, s->kept_mean, N);
+    sf_copy(s->covariance, s->kept_covariance, N * N);
+    memset(s->pending, 0, (size_t)(sf_span(c) * sf_width(c)) * sizeof(sf_real));
+}
+
+/* MomentStream._given: what is handed out. It moves only where the unknowns did, as without new rows only the
+   uncertainty changes, and not while they are unproven: a fall shows some moments after it has begun. */
+SF_API void sf_given(const sf_config *c, sf_state *s, int moved) {
+    int M = 2 * c->channels, N = sf_unknowns(c);
+    if (s->unproven < (sf_real)0.5) {
+        sf_real mean[SF_MAP], covariance[SF_MAP * SF_MAP];
+        if (sf_reweighted(c, s, mean, covariance)) {
+            if (moved) {
+                sf_copy(s->given, mean, M);
+                sf_copy(s->given + M, s->mean + M, N - M);
+            }
+            sf_copy(s->given_covariance, covariance, M * M);
+        }
+    }
+    sf_of_parameters(c, s);
+}
+
+/* MomentStream._doubted: hand out what is known now for a while. */
+SF_API void sf_doubted(const sf_config *c, sf_state *s) {
+    s->unproven = 0;
+    sf_given(c, s, 1);
+    s->unproven = (sf_real)c->keep_every;
+}
+
+/* MomentStream._watch: look for faults in what the block left unexplained; and go back to before one that is
+   found. `before` is the mean before the block, `lost` what was lost before it, `use_all` whether all samples
+   were used. */
+SF_API void sf_watch(const sf_config *c, sf_state *s, const sf_newton *newton, const sf_block *b,
+                     const sf_real *before, const sf_real *lost, int use_all) {
+    int K = c->channels, N = sf_unknowns(c), groups = sf_groups(c), fault, loaded, found, moved = 0;
+    sf_real reading[SF_GROUPS * SF_CHANNELS], force[SF_GROUPS * SF_CHANNELS];
+    sf_readings(c, b, reading);
+    for (int i = 0; i < groups * K; i++) force[i] = sf_force(c, before, reading[i], i % K);
+    found = memcmp(lost, s->lost, (size_t)K * sizeof(sf_real)) != 0;
+    sf_contradicted(c, s, newton, before, reading, force, &fault, &loaded);
+    found = found || fault;
+    for (int i = 0; i < groups * K; i++) force[i] = sf_force(c, s->given, reading[i], i % K);
+    sf_fault_learn(c, s, force, use_all && !found);
+    for (int i = 0; loaded && i < N; i++) s->covariance[i * N + i] += c->change[i];
+    if (found) sf_back(c, s);
+    for (int i = 0; i < N; i++) moved = moved || s->mean[i] != before[i];
+    sf_given(c, s, moved);
+    if (s->step / c->every % c->keep_every == 0) {
+        sf_copy(s->kept_mean, s->kept_mean + N, N);
+        sf_copy(s->kept_mean + N, s->mean, N);
+        sf_copy(s->kept_covariance, s->kept_covariance + N * N, N * N);
+        sf_copy(s->kept_covariance + N * N, s->covariance, N * N);
+    }
+}
+
+/* MomentStream._learn: update the unknowns by the block that is full. */
+SF_API void sf_learn(const sf_config *c, sf_state *s, sf_real *nis, sf_real *nis_rows) {
+    int K = c->channels, M = 2 * K, N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
+    int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected, waiting, changed;
+    sf_block b = {s->pending, sf_width(c), {0}};
+    sf_newton newton;
+    sf_rows rows;
+    sf_real before[SF_UNKNOWNS], lost[SF_CHANNELS], covariance[SF_UNKNOWNS * SF_UNKNOWNS],
+        learnt[SF_UNKNOWNS];
+    sf_copy(before, s->mean, N);
+    sf_copy(lost, s->lost, K);
+
+    sf_silent(c, s, &b);
+    /* MomentStream._complete: which samples have all readings that they need. */
+    for (int t = 0; t < n; t++) {
+        int complete = sf_block_sound(c, &b, t) != 0 && sf_physical(c, sf_block_motion(c, &b, t));
+        for (int i = 0; i < K; i++) {
+            int replaced = s->lost[i] > (sf_real)0.5 && s->spare_std[i] < SF_UNSURE * c->weight;
+            complete = complete &&
+                       (replaced || (s->lost[i] < (sf_real)0.5 && sf_block_read(c, &b, t)[i] > (sf_real)0.5));
+        }
+        b.use[t] = (sf_real)complete;
+        use_all = use_all && complete;
+        for (int foot = 0; foot < c->feet; foot++)
+            swinging = swinging || sf_block_swing(c, &b, t)[foot] > (sf_real)0.5;
+    }
+    for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
+
+    sf_walked(c, s, 1);
+    sf_newton_euler_rows(c, s, &b, &newton);
+    for (int r = 0; r < m; r++) {
+        newton.assumed[r] = newton.variance[r] / s->noise[r % c->kinds];
+        /* _bilinear: the product of the errors of scales and offsets, which columns leave out. Hardly any
+           sensor is as far off in both as the filter begins with. */
+        sf_real more = 0;
+        for (int k = 0; k < K; k++) {
+            sf_real lever = newton.places[r * K + k] * c->unit[k];
+            more += lever * lever * (s->covariance[k * N + k] * s->covariance[(K + k) * N + K + k]);
+        }
+        newton.variance[r] += SF_SHARED * more / (SF_FIRST_WIDTH * SF_FIRST_WIDTH);
+    }
+    sf_residuals(c, s->mean, s->covariance, &newton);
+    rejected = sf_plausible(c, s->covariance, &newton);
+
+    /* ChannelFaults.suspects and unexplained: wait with learning as something seems wrong since short; what
+       still does when no channel was found to be is the robot itself. */
+    waiting = (newton.mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5) && s->doubt < SF_WAIT &&
+              s->trust >= SF_TRUST;
+    changed = sf_changed(c, s->mean, s->covariance, &newton) ||
+              (s->doubt >= SF_WAIT && s->scores[0] > SF_SUSPICION);
+    changed = changed && s->trust >= SF_SETTLED && !waiting;
+    if (changed) s->trust = SF_TRUST;
+    /* Kept aside until the result is known to be finite, without the drift of this block. */
+    sf_copy(covariance, s->covariance, N * N);
+    for (int i = 0; changed && i < N; i++) covariance[i * N + i] += c->change[i];
+
+    sf_real quieter = sf_quiet(c, s, &b);
+    rows.count = 0;
+    for (int r = 0; r < m; r++) {
+        unused = unused && !newton.kept[r];
+        if (!newton.kept[r]) continue;
+        sf_copy(rows.H + rows.count * N, newton.H + r * N, N);
+        rows.y[rows.count] = newton.y[r];
+        rows.variance[rows.count++] = newton.variance[r] * quieter;
+    }
+    unused = unused || waiting;
+    if (swinging && sf_tare(c, s, covariance, &b, &rows)) rejected = 1;
+    if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, &rows);
+    if (waiting) rows.count = 0;
+
+    /* _learnt: the mass only while it is much less sure than it began. */
+    sf_copy(learnt, c->learnt, N);
+    sf_real unsure = SF_UNSURE_MASS * c->mass_std;
+    if (c->learn_mass && !(covariance[(M + 2) * N + M + 2] > unsure * unsure)) learnt[M + 2] = 0;
+    int finite = sf_kalman_step(s->mean, covariance, &rows, learnt, N, c->gate, nis, nis_rows);
+    if (finite) {
+        for (int i = 0; i < M;
+             i++) { /* _limits: what a sensor can be, by where it began and how far it can drift */
+            sf_real reach = SF_REACH * sf_sqrt(SF_FIRST_WIDTH * SF_FIRST_WIDTH * c->stated[i] + s->drift[i]);
+            sf_real within = sf_clip(s->mean[i], c->start[i] - reach, c->start[i] + reach);
+            rejected = rejected || within != s->mean[i];
+            s->mean[i] = within;
+        }
+        sf_copy(s->covariance, covariance, N * N);
+    } else {
+        rejected = 1;
+        sf_copy(s->mean, before, N);
+        for (int i = 0; i < N; i++) s->covariance[i * N + i] -= c->walk[i];
+    }
+    if (!unused) {
+        s->unproven = sf_max(s->unproven - 1, 0);
+        s->misfit += SF_MISFIT_MEMORY * (sf_mean_with(c, &newton, 0, SF_LARGEST_MISFIT) - s->misfit);
+    }
+    s->status = (rejected ? SF_REJECTED : 0) | (finite ? 0 : SF_SINGULAR);
+    sf_watch(c, s, &newton, &b, before, lost, use_all);
+
+    /* followed_noise; what no fault and no load explains is noise, and a robot that stands shows little of
+     * it. */
+    sf_real least = s->scores[1];
+    for (int h = 2; h < sf_hypotheses(c) + 2; h++) least = sf_min(least, s->scores[h]);
+    int explicable = s->doubt > (sf_real)0.5 && least < SF_CONTRAST * s->scores[0];
+    for (int kind = 0; !unused && !(s->quiet > (sf_real)0.5) && !explicable && kind < c->kinds; kind++) {
+        sf_real surplus = 0;
+        for (int r = kind; r < m; r += c->kinds)
+            if (newton.there[r])
+                surplus += sf_clip(newton.residual[r] * newton.residual[r] / newton.spread[r], 0,
+                                   SF_LARGEST_SQUARE) -
+                           1;
+        surplus /= (sf_real)sf_groups(c);
+        s->noise[kind] = sf_clip(s->noise[kind] * (1 + SF_NOISE_MEMORY * surplus), 1, SF_LOUDEST);
+    }
+}
+
+/* MomentStream._estimate with FrontEnd.report and Uncertainty.of_estimate: apply the map to the newest
+ * sample. */
+SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_real *F0, const sf_whole *flags,
+                           sf_estimate *out) {
+    int K = c->channels, M = 2 * K;
+    sf_real rows[3 * SF_CHANNELS], own[3 * SF_CHANNELS], force[SF_CHANNELS], moments[3] = {0, 0, 0};
+    sf_real turned[2 * SF_MAP], by[SF_MAP], to_force[SF_MAP];
+    sf_level_rows(c, s->motion, rows);
+    for (int i = 0; i < K; i++) {
+        force[i] = sf_force(c, s->given, F0[i], i);
+        out->scale[i] = s->given[i] * c->scale[i];
+        out->offset[i] = s->given[i] * c->offset[i] + s->given[i] * (s->given[K + i] * c->unit[i]);
+        out->flags[i] = flags[i] | s->status;
+    }
+    for (int i = 0; i < K; i++) out->force[i] = s->altered ? sf_dot(s->spare + i * K, force, K) : force[i];
+
+    for (int foot = 0; foot < c->feet; foot++) {
+        sf_real *wrench = out->wrench + 6 * foot, *cop = out->cop_foot + 2 * foot;
+        for (int axis = 0; axis < 6; axis++)
+            wrench[axis] = sf_dot(c->wrench_map + (foot * 6 + axis) * K, out->force, K);
+        out->vgrf[foot] = 0;
+        for (int i = 0; i < K; i++)
+            if (c->foot_of_channel[i] == foot) out->vgrf[foot] += rows[i] * out->force[i];
+        moments[0] += out->vgrf[foot];
+        out->cop_foot_valid[foot] = wrench[SF_FZ] > c->force_threshold;
+        cop[0] = out->cop_foot_valid[foot] ? -wrench[SF_MY] / wrench[SF_FZ] + 0 : (sf_real)NAN;
+        cop[1] = out->cop_foot_valid[foot] ? wrench[SF_MX] / wrench[SF_FZ] + 0 : (sf_real)NAN;
+    }
+    moments[1] = sf_dot(rows + K, out->force, K);
+    moments[2] = sf_dot(rows + 2 * K, out->force, K);
+    out->cop_valid = moments[0] > c->force_threshold && s->known;
+    out->cop[0] = out->cop_valid ? moments[1] / moments[0] + 0 : (sf_real)NAN;
+    out->cop[1] = out->cop_valid ? moments[2] / moments[0] + 0 : (sf_real)NAN;
+
+    /* The variance of a force is that of its row (F0, 1); that of the centre of pressure p = n / Fz, to first
+       order, of (p_i - p) / Fz times the same row. */
+    for (int i = 0; i < K; i++) {
+        sf_real variance = (F0[i] * s->spread[i] + s->spread[K + i]) * F0[i] + s->spread[2 * K + i];
+        if (s->altered) {
+            for (int j = 0; j < K; j++) {
+                to_force[j] = s->spare[i * K + j] * F0[j];
+                to_force[K + j] = s->spare[i * K + j];
+            }
+            variance = sf_variance(to_force, s->learnt, M) + s->spare_std[i] * s->spare_std[i];
+        }
+        out->force_std[i] = sf_sqrt(variance > 0 ? variance : 0);
+    }
+    const sf_real *seen = rows;
+    if (s->altered) {
+        sf_multiply(own, rows, s->spare, 3, K, K);
+        seen = own;
+    }
+    sf_real load = out->cop_valid ? moments[0] : 1;
+    for (int axis = 0; axis < 2; axis++)
+        for (int i = 0; i < K; i++) {
+            sf_real arm = (seen[(1 + axis) * K + i] - out->cop[axis] * seen[i]) / load;
+            turned[axis * M + i] = arm * F0[i];
+            turned[axis * M + K + i] = arm;
+        }
+    for (int axis = 0; axis < 2; axis++) {
+        for (int i = 0; i < M; i++) by[i] = sf_dot(s->learnt + i * M, turned + axis * M, M);
+        for (int other = 0; other < 2; other++)
+            out->cop_covariance[2 * other + axis] = sf_dot(turned + other * M, by, M);
+    }
+}
+
+/* ----------------------------------------------------------------------------------------- the calibrator */
+
+/* MomentStream.init: the state before any sample. */
+SF_API void sf_calibrator_init(const sf_config *c, sf_state *s) {
+    int K = c->channels, N = sf_unknowns(c), M = 2 * K;
+    memset(s, 0, sizeof *s);
+    for (int foot = 0; foot < c->feet; foot++)
+        for (int i = 0; i < 3; i++) s->motion[SF_SOLES + 3 * c->feet + 9 * foot + 4 * i] = 1;
+    for (int i = 0; i < K; i++) {
+        s->raw[i] = 0 - c->offset[i] / c->scale[i];
+        s->last[i] = c->scale[i] * s->raw[i] + c->offset[i];
+        s->leaps[i] = SF_LONGEST_LEAP;
+        s->wiring[i * K + i] = s->spare[i * K + i] = 1;
+    }
+    sf_copy(s->moments, c->prior, K * K);
+    for (int i = 0; i < N; i++) {
+        s->covariance[i * N + i] = c->first_variance[i];
+        if (i < M) s->given_covariance[i * M + i] = c->first_variance[i];
+    }
+    sf_copy(s->mean, c->start, N);
+    sf_copy(s->given, c->start, N);
+    for (int kept = 0; kept < 2; kept++) {
+        sf_copy(s->kept_mean + kept * N, s->mean, N);
+        sf_copy(s->kept_covariance + kept * N * N, s->covariance, N * N);
+    }
+    for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
+    s->misfit = SF_FIRST_MISFIT;
+    sf_doubted(c, s);
+}
+
+/* MomentStream.retract: take back what was learnt in the last seconds, for a robot that has fallen or was
+ * seized. */
+SF_API void sf_calibrator_retract(const sf_config *c, sf_state *s) {
+    int N = sf_unknowns(c);
+    sf_back(c, s);
+    sf_copy(s->kept_mean + N, s->kept_mean, N);
+    sf_copy(s->kept_covariance + N * N, s->kept_covariance, N * N);
+    sf_doubted(c, s);
+}
+
+/* MomentStream.update with FrontEnd.observe: take in one sample.
+
+   raw: K readings, NaN where none arrived. reference: the robot's beliefs `lag` samples ago. dt: time since
+   the last sample in s. Values never stop it: what is not finite or not possible is held and flagged. */
+SF_API void sf_calibrator_step(const sf_config *c, sf_state *s, const sf_real *raw,
+                               const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
+    int K = c->channels, R = sf_motion(c), width = sf_width(c), read[SF_CHANNELS], good, sound = 1,
+        standing = 0;
+    int gap = !(dt > 0 && dt <= SF_LONGEST_GAP * c->dt);
+    sf_real force[SF_CHANNELS], motion[SF_MOTION], *newest;
+    sf_whole flags[SF_CHANNELS], kinds[SF_CHANNELS];
+
+    sf_flatten(c, reference, motion);
+    for (int i = 0; i < R; i++) sound = sound && sf_fabs(motion[i]) <= SF_LARGEST_REFERENCE;
+    for (int i = 0; i < K; i++) {
+        read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
+        flags[i] = (read[i]            ? 0
+                    : raw[i] == raw[i] ? SF_OUT_OF_RANGE
+                                       : SF_MISSING) |
+                   (sound ? 0 : SF_REFERENCE) | (gap ? SF_GAP : 0);
+        if (read[i]) s->raw[i] = raw[i];
+        force[i] = c->scale[i] * s->raw[i] + c->offset[i];
+    }
+    if (sound) sf_copy(s->motion, motion, R);
+    s->known = s->known || sound;
+    sf_fault_sample(c, s, force, read, kinds);
+
+    memmove(s->history, s->history + 2 * K, (size_t)(c->lag * 2 * K) * sizeof(sf_real));
+    newest = s->history + c->lag * 2 * K;
+    for (int i = 0; i < K; i++) {
+        newest[i] = force[i];
+        newest[K + i] = (sf_real)read[i];
+    }
+    good = sound && !gap;
+    for (int i = 0; i < K; i++) good = good && s->history[K + i] > (sf_real)0.5;
+    s->clean = good ? s->clean + 1 : 0;
+
+    /* The sample that the reference describes waits until its block is full. */
+    if (gap) memset(s->pending, 0, (size_t)(sf_span(c) * width) * sizeof(sf_real));
+    else memmove(s->pending, s->pending + width, (size_t)((sf_span(c) - 1) * width) * sizeof(sf_real));
+    newest = s->pending + (sf_span(c) - 1) * width;
+    sf_copy(newest, s->history, K);
+    sf_copy(newest + K, s->motion, R);
+    newest += K + R;
+    for (int i = 0; i < K; i++) newest[i] = (sf_real)(s->history[K + i] > (sf_real)0.5);
+    for (int foot = 0; foot < c->feet; foot++) {
+        newest[K + foot] = (sf_real)(reference->swing[foot] && sound);
+        standing = standing || (reference->stance[foot] && sound);
+    }
+    newest[K + c->feet] = (sf_real)standing;
+    newest[K + c->feet + 1] = (sf_real)(sound && !gap);
+
+    s->step++;
+    if (gap && dt > 0 && sf_finite(dt)) sf_walked(c, s, sf_min(dt, SF_LONGEST_PAUSE) / (c->every * c->dt));
+    estimate->nis = (sf_real)NAN;
+    estimate->nis_rows = 0;
+    if (s->step % c->every == 0) {
+        sf_learn(c, s, &estimate->nis, &estimate->nis_rows);
+        for (int i = 0; i < K; i++) kinds[i] |= s->kind[i];
+    }
+    for (int i = 0; i < K; i++) flags[i] |= kinds[i];
+    sf_estimate_of(c, s, force, flags, estimate);
+}
+
+#endif

@@ -1,0 +1,550 @@
+"""The filter in C against the Python that specifies it: the same estimates and states, sample by sample."""
+
+import copy
+import pickle
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from _matched import ANKLES, on_ankles
+from _robots import BAD
+from _synthetic import DT, LAYOUT, MASS, NOMINAL, walk
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.stream import MomentStream
+from surefoot.calibration.native import NativeState, build, installed, native_filter
+from surefoot.calibration.native.filter import leaves_of
+from surefoot.calibration.native.library import load
+
+DOCS = Path(__file__).parents[2] / "docs"
+SAMPLES, AT = 2000, 800
+CLOSE = 1e-9
+
+pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+
+
+def heavy(foot, kind):
+    """The same foot with something that hangs below its sensor."""
+    below = {"mass_below": 0.2, "com_below_sole": (0.01, 0.002, 0.02)}
+    if kind == "cells":
+        return FootLayout.load_cells(foot.name, foot.position_cell_sole, **below)
+    return FootLayout.force_torque(foot.name, position_sensor_sole=(0.01, -0.005, 0.06), **below)
+
+
+HEAVY = [heavy(foot, "cells") for foot in LAYOUT.feet], [heavy(foot, "ankle") for foot in ANKLES.feet]
+LAYOUTS = {
+    "cells": LAYOUT,
+    "ankles": ANKLES,
+    "both": FeetLayout(
+        tuple(FootLayout.combined(f.name, f, a) for f, a in zip(LAYOUT.feet, ANKLES.feet, strict=True))
+    ),
+    "heavy cells": FeetLayout(tuple(HEAVY[0])),
+    "heavy ankles": FeetLayout(tuple(HEAVY[1])),
+    "heavy both": FeetLayout(tuple(FootLayout.combined(f.name, f, a) for f, a in zip(*HEAVY, strict=True))),
+}
+
+
+class Log:
+    """Two thousand samples of one robot, to be spoilt: readings, beliefs, times, and when it is retracted."""
+
+    def __init__(self, layout, seed=1, noise=0.05):
+        rng = self.rng = np.random.default_rng([61, seed])
+        own = walk(seed, 0.1, SAMPLES * DT - 3.0, 3.0, BAD)
+        cells, ankles = NOMINAL.force(own.raw), None
+        if "cells" not in layout:
+            ankles = on_ankles(seed, 0.1, SAMPLES * DT - 1.0).force[:SAMPLES]
+            ankles = ankles * (1.0 + 0.05 * rng.normal(size=12)) + 0.5 * rng.normal(size=12)
+            ankles = ankles + noise * rng.normal(size=ankles.shape)
+        if "both" in layout:
+            self.force = np.concatenate([cells[:, :4], ankles[:, :6], cells[:, 4:], ankles[:, 6:]], axis=1)
+        else:
+            self.force = cells if ankles is None else ankles
+        self.reference = Reference(*(part.copy() for part in own.reference))
+        self.times = np.full(SAMPLES, DT)
+        self.retracted = set()
+
+    def row(self, k):
+        return Reference(*(part[k] for part in self.reference))
+
+
+def dead(log):
+    log.force[AT:, 2] = 0.3
+
+
+def dead_with_noise(log):
+    log.force[AT:, 5] = 0.05 * log.rng.normal(size=SAMPLES - AT)
+
+
+def stuck(log):
+    log.force[AT:, 1] = log.force[AT, 1]
+
+
+def dropped(log):
+    log.force[AT:, 3] = np.nan
+
+
+def dropped_for_a_while(log):
+    log.force[AT : AT + 200, 3] = np.nan
+
+
+def at_its_rail(log):
+    log.force[AT:, 0] = 150.0
+
+
+def spikes(log):
+    log.force += np.where(
+        log.rng.random(log.force.shape) < 0.02, log.rng.choice([-60.0, 60.0], log.force.shape), 0.0
+    )
+
+
+def flipped(log):
+    log.force[AT:, 4] *= -1.0
+
+
+def swapped(log):
+    log.force[AT:, [1, 2]] = log.force[AT:, [2, 1]]
+
+
+def crossed(log):
+    log.force[AT:, [0, 6]] = -log.force[AT:, [6, 0]]
+
+
+def loaded(log):
+    log.force[AT:] *= 1.15
+
+
+def comes_back(log):
+    log.force[AT : AT + 300, 2] = 0.3
+
+
+def gaps(log):
+    for k, dt in (
+        (300, 10.0),
+        (301, 0.0),
+        (700, -1.0),
+        (900, np.nan),
+        (1100, np.inf),
+        (1300, 1e9),
+        (1500, 0.05),
+    ):
+        log.times[k] = dt
+
+
+def missing_and_impossible(log):
+    hit = log.rng.random(log.force.shape) < 0.01
+    log.force[hit] = log.rng.choice([np.nan, np.inf, -np.inf, 1e300, 1e5], int(hit.sum()))
+
+
+def bad_references(log):
+    for field, at, value in (
+        ("com", 200, np.nan),
+        ("R_level_sole", 500, np.inf),
+        ("com_acceleration", 800, 1e30),
+    ):
+        getattr(log.reference, field)[at : at + 3] = value
+    log.reference.com_acceleration[1200:1240, 2] = -9.0
+    log.reference.com[1500:1520, 0] += 30.0
+    log.reference.gyroscope[100] = np.nan
+
+
+def lies(log):
+    for field in ("stance", "swing"):
+        part = getattr(log.reference, field)
+        part[...] ^= log.rng.random(part.shape) < 0.1
+
+
+def retracted(log):
+    log.reference.com[AT : AT + 80, 0] += 0.03
+    log.retracted = {3, 500, AT + 80, AT + 82}
+
+
+def stands_for_long(log):
+    for part in (log.force, *log.reference):
+        part[200:1600] = part[200]
+
+
+def lifted(log):
+    log.force[AT : AT + 160] = 0.0
+
+
+def clean(log):
+    pass
+
+
+FAULTS = [
+    dead, dead_with_noise, stuck, dropped, dropped_for_a_while, at_its_rail, spikes, flipped, swapped,
+    crossed, loaded, comes_back,
+]  # fmt: skip
+EVENTS = [
+    clean, gaps, missing_and_impossible, bad_references, lies, retracted, stands_for_long, lifted,
+]  # fmt: skip
+TABLE = [
+    *[("cells", 2, event, {}) for event in (*FAULTS, *EVENTS)],
+    *[("cells", 0, event, {}) for event in (clean, gaps, dropped_for_a_while)],
+    *[("ankles", 2, event, {}) for event in (clean, missing_and_impossible, spikes)],
+    *[("ankles", 0, event, {}) for event in (clean, retracted)],
+    *[("both", 0, event, {}) for event in (clean, dead, bad_references, stands_for_long)],
+    *[(f"heavy {kind}", lag, clean, {}) for kind, lag in (("cells", 2), ("ankles", 0), ("both", 0))],
+    ("cells", 0, gaps, {"every": 12, "average": 3, "settle": 2, "learn_mass": False, "still": 0.0}),
+    ("cells", 2, loaded, {"every": 8, "average": 1, "scale_drift": 0.0, "offset_std": 0.2}),
+    ("ankles", 1, lies, {"every": 8, "average": 4, "timing_noise": 0.0, "com_std": 0.0}),
+]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    path = tmp_path_factory.mktemp("native") / "double.so"
+    assert build.compile_library(path) is None
+    return load(path, build.fingerprint())
+
+
+def robot(library, layout="cells", lag=2, **options):
+    """The filter of one robot, by Python and by the library."""
+    feet = LAYOUTS[layout]
+    initial = Parameters(np.ones(feet.channels), np.zeros(feet.channels))
+    setup = OnlineSetup(layout=feet, mass=MASS, initial=initial, lag=lag, foot_length=0.17)
+    filter_ = native_filter(library, setup, options)
+    assert filter_ is not None
+    return MomentStream(setup, MomentFilterConfig(**options)), filter_
+
+
+def same(name, expected, found, close=CLOSE):
+    """Assert that two arrays are the same: discrete ones exactly, covariances by their own deviations."""
+    expected, found = np.asarray(expected), np.asarray(found)
+    assert (expected.shape, expected.dtype) == (found.shape, found.dtype), name
+    if expected.dtype.kind != "f":
+        np.testing.assert_array_equal(found, expected, err_msg=name)
+        return
+    size = np.abs(expected).max(initial=0.0, where=np.isfinite(expected)) + np.zeros(expected.shape)
+    if name == "nis":
+        size = np.maximum(size, 1.0)  # a sum of squares, each of order one
+    if "covariance" in name or name == "learnt":
+        std = np.sqrt(np.abs(np.diagonal(expected, axis1=-2, axis2=-1)))
+        size = std[..., :, None] * std[..., None, :]
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected), err_msg=name)
+    there = ~np.isnan(expected)
+    off = np.abs(found - expected)[there] - close * size[there]
+    assert (off <= 0.0).all(), f"{name}: {np.max(off)} too far"
+
+
+def same_state(stream, native, expected, state, close=CLOSE):
+    found = native.unpack(state)
+    assert type(found) is type(expected)
+    for (name, a), (_, b) in zip(leaves_of(expected), leaves_of(found), strict=True):
+        same(name, a, b, close)
+
+
+def same_estimate(expected, found, close=CLOSE):
+    for name, a, b in zip(expected._fields, expected, found, strict=True):
+        if a is None:
+            assert b is None, name
+        else:
+            same(name, a, b, close)
+
+
+def play(stream, native, log, exchange=None):
+    """Play a log to both; at one sample each goes on with the other's state."""
+    expected, found = stream.init(log.force[0]), native.init()
+    same_state(stream, native, expected, found)
+    for k in range(len(log.force)):
+        row, dt = log.row(k), float(log.times[k])
+        assert native.takes(log.force[k], row, dt)
+        expected, one = stream.update(expected, log.force[k], row, dt)
+        two = native.update(found, log.force[k], row, dt)
+        if k in log.retracted:
+            expected = stream.retract(expected, np.asarray(True))
+            native.retract(found)
+        same_estimate(one, two)
+        if k % 48 == 47 or k == exchange or k in log.retracted:
+            same_state(stream, native, expected, found)
+        if k == exchange:
+            other = native.unpack(found)
+            found, expected = native.pack(expected), other
+            assert found is not None
+    return expected, one
+
+
+QUICK = [
+    ("cells", 2, dead), ("cells", 2, crossed), ("cells", 2, loaded), ("cells", 2, gaps),
+    ("cells", 2, retracted),
+    ("ankles", 2, missing_and_impossible), ("both", 0, dead), ("heavy both", 0, clean),
+]  # fmt: skip
+
+
+def named(value):
+    return value.__name__ if callable(value) else None
+
+
+@pytest.mark.parametrize(
+    ("layout", "lag", "event", "options"),
+    [row if row[:3] in QUICK else pytest.param(*row, marks=pytest.mark.slow) for row in TABLE],
+    ids=named,
+)
+def test_the_library_is_the_python(library, layout, lag, event, options):
+    log = Log(layout)
+    event(log)
+    state, _ = play(*robot(library, layout, lag, **options), log, exchange=1234)
+    assert np.isfinite(state.covariance).all()
+    if event in (dead, flipped, crossed):
+        assert state.faults.altered, "the fault was not found: nothing was tested"
+
+
+@pytest.mark.slow
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    layout=st.sampled_from(sorted(LAYOUTS)),
+    lag=st.integers(0, 4),
+    seed=st.integers(0, 100),
+    events=st.sets(st.sampled_from([*FAULTS, *EVENTS]), max_size=3),
+    shape=st.sampled_from([(16, 2, 4), (16, 4, 4), (8, 1, 2), (12, 2, 3)]),
+    scale_std=st.floats(0.01, 0.5),
+    offset_std=st.floats(0.003, 0.2),
+    learn_mass=st.booleans(),
+    still=st.sampled_from([0.0, 0.02]),
+    gate=st.floats(1.5, 6.0),
+    exchange=st.integers(0, SAMPLES - 1),
+)
+def test_random_robots_are_the_same(
+    library, layout, lag, seed, events, shape, scale_std, offset_std, learn_mass, still, gate, exchange
+):
+    every, average, settle = shape
+    options = {
+        "every": every, "average": average, "settle": settle, "scale_std": scale_std,
+        "offset_std": offset_std, "learn_mass": learn_mass, "still": still, "gate": gate,
+    }  # fmt: skip
+    log = Log(layout, seed)
+    for event in sorted(events, key=named):
+        event(log)
+    play(*robot(library, layout, lag, **options), log, exchange)
+
+
+@pytest.mark.parametrize("layout", ["cells", "both"])
+def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path):
+    """As the Python does in float32: maps within 5 % of their deviations, forces within 0.02 N."""
+    path = tmp_path / "single.so"
+    assert build.compile_library(path, [*build.FLAGS, "-DSF_SINGLE"]) is None
+    _, narrow = robot(load(path), layout, 0)
+    log = Log(layout)
+    stream, _ = robot(load(path), layout, 0)
+    wide, state = stream.init(log.force[0]), narrow.init()
+    for k in range(SAMPLES // 2):
+        row = log.row(k)
+        single = Reference(*(part.astype(np.float32) if part.dtype.kind == "f" else part for part in row))
+        raw = log.force[k].astype(np.float32)
+        assert narrow.takes(raw, single, DT)
+        wide, expected = stream.update(wide, log.force[k], row, DT)
+        found = narrow.update(state, raw, single, DT)
+    assert found.force.dtype == np.float32
+    np.testing.assert_array_equal(found.flags, expected.flags)
+    spread = np.sqrt(np.diagonal(expected.covariance))
+    K = len(raw)
+    assert (np.abs(found.scale - expected.scale) < 0.05 * spread[:K]).all()
+    assert (np.abs(found.offset - expected.offset) < 0.05 * spread[K:]).all()
+    np.testing.assert_allclose(found.force, expected.force, atol=0.02)
+
+
+STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
+
+
+def compile_program(source, target, *flags):
+    """Compile one program beside the header, with all warnings as errors."""
+    command = [build.compiler(), *STRICT, *flags, f"-I{build.FOLDER}", "-o", str(target), str(source), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def play_garbage(library, tmp_path, layout, samples, *flags):
+    """Feed garbage to a program with sanitizers; return what it says."""
+    compile_program(
+        Path(__file__).parent / "fuzz_native.c", tmp_path / "fuzz", "-O1", "-g", *flags,
+        "-fsanitize=address,undefined", "-fno-sanitize-recover=all",
+    )  # fmt: skip
+    _, native = robot(library, layout)
+    (tmp_path / "config").write_bytes(native.config.tobytes())
+    done = subprocess.run(
+        [tmp_path / "fuzz", tmp_path / "config", str(samples)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path):
+    play_garbage(library, tmp_path, "cells", 2000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["cells", "ankles", "heavy both"])
+def test_much_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, layout):
+    play_garbage(library, tmp_path, layout, 100_000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["cells", "heavy both"])
+def test_much_garbage_does_no_harm_in_single_precision(tmp_path, layout):
+    assert build.compile_library(tmp_path / "single.so", [*build.FLAGS, "-DSF_SINGLE"]) is None
+    play_garbage(load(tmp_path / "single.so"), tmp_path, layout, 100_000, "-DSF_SINGLE")
+
+
+def test_the_state_of_a_robot_on_eight_cells_is_small(tmp_path):
+    """What docs/native.md says of sizes."""
+    (tmp_path / "size.c").write_text(
+        '#include <stdio.h>\n#include "surefoot_calibration.h"\n'
+        'int main(void) { printf("%lu", (unsigned long)sizeof(sf_state)); return 0; }\n'
+    )
+    small = [f"-DSF_{name}={size}" for name, size in {"CHANNELS": 8, "KINDS": 3, "LAG": 2}.items()]
+    sizes = {}
+    for name, flags in {"double": small, "single": [*small, "-DSF_SINGLE"], "largest": []}.items():
+        compile_program(tmp_path / "size.c", tmp_path / name, *flags)
+        sizes[name] = int(subprocess.run([tmp_path / name], capture_output=True, check=True).stdout)
+    assert sizes["double"] < 34_000
+    assert sizes["single"] < 17_000
+    page = (Path(__file__).parents[2] / "docs" / "native.md").read_text() if DOCS.exists() else ""
+    for size in sizes.values() if page else ():
+        assert f"{size:,} bytes" in page
+
+
+def test_every_field_of_a_record_is_in_the_table(library):
+    for fields in library.places.values():
+        end = 0
+        for _, offset, size in sorted(
+            (place for name, place in fields.items() if name), key=lambda place: place[1]
+        ):
+            assert end <= offset < end + 8
+            end = offset + size
+        assert end <= fields[""][2] < end + 8
+
+
+def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library):
+    initial = Parameters(np.ones(12), np.zeros(12))
+    setup = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17)
+    assert native_filter(library, setup, {"cross_talk": 0.01}) is None
+    assert native_filter(library, setup, {"every": 32}) is None
+    late = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17, lag=9)
+    assert native_filter(library, late, {}) is None
+    assert native_filter(None, setup, {}) is None
+
+
+@pytest.fixture
+def calibrators(library, monkeypatch):
+    """The same calibrator by the library and by Python."""
+    made = []
+    for found in (library, None):
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=found: found)
+        made.append(FootCalibrator(LAYOUT, mass=MASS, lag=1))
+    monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda: library)
+    return made
+
+
+def test_a_calibrator_keeps_copies_and_files_of_its_state(calibrators, tmp_path):
+    log = Log("cells")
+    by_library, by_python = calibrators
+    for k in range(400):
+        for calibrator in calibrators:
+            calibrator.update(log.force[k], log.row(k))
+    assert isinstance(by_library._state, NativeState)
+    kept = by_library.state
+    by_library.save(tmp_path / "feet.npz")
+    others = [copy.deepcopy(by_library), pickle.loads(pickle.dumps(by_library)), *calibrators]
+    others.append(FootCalibrator(LAYOUT, mass=MASS, lag=1))
+    others[-1].load(tmp_path / "feet.npz")
+    others.append(FootCalibrator(LAYOUT, mass=MASS, lag=1))
+    others[-1].state = kept
+    by_python.state = kept
+    for k in range(400, 500):
+        estimates = [
+            other.update(log.force[k].tolist() if k % 2 else log.force[k], log.row(k)) for other in others
+        ]
+        if k == 450:
+            for other in others:
+                other.retract(False)
+                other.retract()
+    for estimate in estimates:
+        same_estimate(estimates[3], estimate)
+    assert kept.step == 400
+    by_library.reset()
+    assert by_library.state is None
+
+
+def test_a_calibrator_goes_on_in_python_where_it_must(calibrators):
+    log = Log("cells")
+    by_library, _ = calibrators
+    by_library.update(log.force[0], log.row(0))
+    by_library.update(log.force[1], log.row(1), 1)  # a whole number of seconds
+    assert not isinstance(by_library._state, NativeState)
+    by_library.update(log.force[2], log.row(2))
+    assert isinstance(by_library._state, NativeState)
+    assert by_library.state.step == 3
+    batch = Reference(*(part[None] for part in log.row(0)))
+    by_library.reset()
+    assert by_library.update(log.force[:1], batch).force.shape == (1, 8)
+    by_library.reset()
+    assert by_library.update(log.force[0].astype(np.float32), log.row(0)).force.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda raw, row: (raw[:5], row),
+        lambda raw, row: (raw[None], row),
+        lambda raw, row: (raw.astype(np.float32), row),
+        lambda raw, row: (raw.astype(complex), row),
+        lambda raw, row: (raw, None),
+        lambda raw, row: (raw, row._replace(com=row.com[:2])),
+        lambda raw, row: (raw, row._replace(com=[0.0, 0.0, 0.3])),
+        lambda raw, row: (raw, row._replace(R_level_sole=row.R_level_sole[0])),
+        lambda raw, row: (raw, row._replace(stance=row.stance.astype(float))),
+        lambda raw, row: (raw, row._replace(swing=row.swing[:1])),
+    ],
+)
+def test_what_is_no_sample_is_refused_in_the_same_words(calibrators, spoil):
+    log, said = Log("cells"), []
+    for calibrator in calibrators:
+        calibrator.update(log.force[0], log.row(0))
+        with pytest.raises((ValueError, TypeError)) as caught:
+            calibrator.update(*spoil(log.force[1], log.row(1)))
+        said.append((caught.type, str(caught.value)))
+        calibrator.update(log.force[1], log.row(1))
+    assert said[0] == said[1]
+
+
+def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatch, tmp_path):
+    monkeypatch.delenv("SUREFOOT_NATIVE", raising=False)
+    other = tmp_path / "other.c"
+    other.write_text("int surefoot_other(void) { return 0; }\n")
+    wrong, text, old = tmp_path / "wrong.so", tmp_path / "text.so", tmp_path / "old.so"
+    subprocess.run([build.compiler(), "-shared", "-fPIC", "-o", wrong, other], check=True)
+    text.write_text("no library")
+    monkeypatch.setattr(build, "fingerprint", lambda: "of yesterday")
+    assert build.compile_library(old, ["-std=c99", "-O0"]) is None
+    for path, problem in (
+        (tmp_path / "missing.so", "there is no missing.so"),
+        (wrong, "wrong.so cannot be used, it is another library"),
+        (text, "text.so cannot be used"),
+        (old, "old.so cannot be used, it was compiled from other sources"),
+    ):
+        monkeypatch.setattr("surefoot.calibration.native.library.LIBRARY", path)
+        caplog.clear()
+        assert installed.__wrapped__() is None
+        (line,) = caplog.messages
+        assert line.startswith(f"surefoot calibrates in Python, slower: {problem}")
+        assert line.endswith("compile it with: python -m surefoot.calibration.native")
+        assert "\n" not in line
+    caplog.clear()
+    monkeypatch.setenv("SUREFOOT_NATIVE", "0")
+    assert installed.__wrapped__() is None
+    assert not caplog.messages
+
+
+def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    assert (
+        build.compile_library(tmp_path / "x.so") == "there is no C compiler (cc, gcc, clang or what CC says)"
+    )
+    monkeypatch.undo()
+    assert "refused: " in str(build.compile_library(tmp_path / "x.so", ["-no-such-option"]))
+    assert list(tmp_path.iterdir()) == []
