@@ -269,9 +269,8 @@ def play(stream, native, log, exchange=None):
 
 
 QUICK = [
-    ("cells", 2, dead), ("cells", 2, crossed), ("cells", 2, loaded), ("cells", 2, gaps),
-    ("cells", 2, retracted),
-    ("ankles", 2, missing_and_impossible), ("both", 0, dead), ("heavy both", 0, clean),
+    ("cells", 2, dead), ("cells", 2, crossed), ("cells", 2, gaps), ("ankles", 2, missing_and_impossible),
+    ("heavy both", 0, clean),
 ]  # fmt: skip
 
 
@@ -322,7 +321,7 @@ def test_random_robots_are_the_same(
     play(*robot(library, layout, lag, **options), log, exchange)
 
 
-@pytest.mark.parametrize("layout", ["cells", "both"])
+@pytest.mark.parametrize("layout", ["cells", pytest.param("both", marks=pytest.mark.slow)])
 def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path):
     """As the Python does in float32: maps within 5 % of their deviations, forces within 0.02 N."""
     path = tmp_path / "single.so"
@@ -372,19 +371,15 @@ def play_garbage(library, tmp_path, layout, samples, *flags):
     return done.stdout
 
 
-def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path):
-    play_garbage(library, tmp_path, "cells", 2000)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["cells", "ankles", "heavy both"])
-def test_much_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, layout):
+def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, layout):
     play_garbage(library, tmp_path, layout, 100_000)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["cells", "heavy both"])
-def test_much_garbage_does_no_harm_in_single_precision(tmp_path, layout):
+def test_garbage_does_no_harm_in_single_precision(tmp_path, layout):
     assert build.compile_library(tmp_path / "single.so", [*build.FLAGS, "-DSF_SINGLE"]) is None
     play_garbage(load(tmp_path / "single.so"), tmp_path, layout, 100_000, "-DSF_SINGLE")
 
