@@ -9,11 +9,12 @@ with a coefficient :math:`\tau` of each channel's offset (Andrade Chavez et al.,
 that acts on the readings directly; the gain's is one that follows from the load, :math:`\theta w`. The mean
 temperature is that at which matrix and offsets hold.
 
-A temperature that hardly varies within sets, or that went with gravity, shows no effect and is left out. The
+A temperature that hardly varies within sets, or that went with gravity, shows no effect and is left out. One
+that rose with time throughout takes in what drifted as well: a warning says so. The
 gain's takes part if it is worth its six parameters (Schwarz, 1978).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,7 +62,7 @@ def about_one_temperature(
             f"({_LEAST_WARMING} K): it was left out."
         )
         return without, None, (warning,)
-    left = _beside_gravity(sets)
+    left = _left_by(sets, lambda data: data.gravity)
     if left < _LEAST_LEFT:
         warning = (
             f"The temperature went with gravity: what gravity explains leaves {left:.0%} of its spread. It "
@@ -70,20 +71,41 @@ def about_one_temperature(
         return without, None, (warning,)
     mean = float(np.nanmean(np.concatenate(given)))
     centred = [replace(data, temperature=one - mean) for data, one in zip(sets, given, strict=True)]
-    return tuple(centred), mean, ()
+    return tuple(centred), mean, _with_time(sets)
 
 
-def _beside_gravity(sets: Sequence[InSituSet]) -> float:
-    """Return the share of the temperature's spread within sets that is not linear in gravity."""
-    left = spread = 0.0
+def _with_time(sets: Sequence[InSituSet]) -> tuple[str, ...]:
+    """Return a warning if the temperature rose, or fell, with time in all sets alike."""
+    if any(data.time is None for data in sets):
+        return ()
+    left = _left_by(sets, lambda data: np.asarray(data.time)[:, None], common=True)
+    if left >= _LEAST_LEFT:
+        return ()
+    return (
+        f"The temperature went with time: one slope leaves {left:.0%} of its spread, so that its coefficient "
+        "may be that of a drift (matrix and limb do not lean on which it is). Let the sensor warm in one set "
+        "and cool in another.",
+    )
+
+
+def _left_by(
+    sets: Sequence[InSituSet], columns: Callable[[InSituSet], Matrix], common: bool = False
+) -> float:
+    """Return the share of the temperature's spread within sets that is not linear in columns.
+
+    ``common`` is for one slope in all sets rather than one in each.
+    """
+    parts = []
     for data in sets:
         assert data.temperature is not None
-        whole = np.isfinite(data.temperature) & np.isfinite(data.gravity).all(axis=1)
-        warmth = data.temperature[whole] - np.mean(data.temperature[whole])
-        gravity = data.gravity[whole] - data.gravity[whole].mean(axis=0)
-        left += float(np.sum((warmth - gravity @ np.linalg.lstsq(gravity, warmth, rcond=None)[0]) ** 2))
-        spread += float(np.sum(warmth**2))
-    return float(np.sqrt(left / spread))
+        together = np.column_stack([data.temperature, columns(data)])
+        together = together[np.isfinite(together).all(axis=1)]
+        parts.append(together - together.mean(axis=0))
+    left = 0.0
+    for part in [np.concatenate(parts)] if common else parts:
+        warmth, of = part[:, 0], part[:, 1:]
+        left += float(np.sum((warmth - of @ np.linalg.lstsq(of, warmth, rcond=None)[0]) ** 2))
+    return float(np.sqrt(left / sum(float(np.sum(part[:, 0] ** 2)) for part in parts)))
 
 
 def with_gains(

@@ -239,6 +239,24 @@ def test_a_temperature_that_goes_with_gravity_is_left_out():
     assert any("went with gravity" in warning for warning in fit.warnings)
 
 
+@pytest.mark.parametrize("cooling", [False, True])
+def test_a_temperature_that_goes_with_time_is_not_told_from_a_drift(cooling):
+    """Where it only rises the coefficient takes the drift in, and that is said."""
+    rng = np.random.default_rng(81)
+    sets, _ = noisy_sets("leg", rng, n=1500)
+    ramp, per_kelvin, drift = np.linspace(-7.5, 7.5, 1500), *(2.0 * rng.standard_normal((2, 6)))
+    warmed = []
+    for j, one in enumerate(sets):
+        warmth = -ramp if cooling and j % 2 else ramp
+        raw = one.raw + np.outer(warmth, per_kelvin) + np.outer(ramp, drift)
+        warmed.append(replace(one, raw=raw, temperature=25.0 + warmth))
+    fit = calibrate_in_situ(warmed)
+    assert any("The temperature went with time" in warning for warning in fit.warnings) != cooling
+    taken = fit.temperature_coefficient - per_kelvin
+    np.testing.assert_allclose(taken, 0.0 if cooling else drift, atol=0.3)
+    assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
+
+
 def test_the_temperature_of_a_leaning_fit_is_its_own():
     matrix, mass, com, _ = SENSORS["foot"]
     sets, _ = noisy_sets("foot", np.random.default_rng(23), n=1000, count=1)
