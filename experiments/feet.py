@@ -31,21 +31,11 @@ EDGE, AXIS, CELL = (0.1, 0.4, 1.0, 1.0), (1.0, 0.2, 0.1, 1.0), (1.0, 0.8, 0.1, 1
 class FeetDrawing:
     """A robot whose feet are looked at in the pose in which they are measured.
 
-    Args:
-        name: A robot that :func:`~surefoot.envs.load_robot_spec` knows, an MJCF file, or an environment.
-        feet: Names of the feet's bodies, the left one first; None to guess.
-        soles: Whether feet without area get flat soles.
-
-    Attributes:
-        model: The robot.
-        layout: What was measured of it.
-        cells: Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area.
-
-    Raises:
-        ModuleNotFoundError: If a named robot's package is missing.
-        TypeError: If an environment does not run on MuJoCo.
-        ValueError: If the feet cannot be found.
-        gymnasium.error.Error: If there is no such environment.
+    ``name`` is a robot that :func:`~surefoot.envs.load_robot_spec` knows, an MJCF file, or an environment;
+    ``feet`` names their bodies, the left one first, which are guessed by default; ``soles`` gives flat soles
+    to feet without area. ``cells`` are places in each sole's frame in m, (4, 2), ``None`` without area.
+    Raises ModuleNotFoundError if a robot's package is missing, TypeError if an environment does not run on
+    MuJoCo, ValueError if the feet cannot be found, gymnasium.error.Error if there is no such environment.
     """
 
     def __init__(self, name: str, feet: Sequence[str] | None = None, *, soles: bool = False) -> None:
@@ -75,10 +65,8 @@ class FeetDrawing:
     def draw(self, path: Path) -> None:
         """Write a picture: the whole robot, and its feet from near.
 
-        Edges of soles are blue, their x axes, to the toes, red, and cells yellow.
-
-        Raises:
-            RuntimeError: If nothing here can draw.
+        Edges of soles are blue, their x axes, to the toes, red, and cells yellow. Raises RuntimeError if
+        nothing here can draw.
         """
         width, height = SIZE
         try:
