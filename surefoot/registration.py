@@ -9,6 +9,27 @@ from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
+from typing import Any
+
+HARD: dict[str, dict[str, Any]] = {
+    "surefoot/NaoBalance": {
+        "duration": 30.0,
+        "sway": (0.065, 0.045),
+        "sway_share": (0.8, 1.0),
+        "payload_mass": (1.0, 1.4),
+        "payload_boxes": (((-0.2, -0.15, 0.0), (0.2, 0.15, 0.1)),),
+        "push_impulse": (0.1, 0.6),
+    },
+    "surefoot/NaoCarry": {
+        "payload_mass": (0.75, 0.8),
+        "payload_boxes": (
+            ((-0.245, -0.02, 0.0), (-0.22, 0.02, 0.1)),
+            ((0.38, -0.02, 0.0), (0.41, 0.02, 0.1)),
+        ),
+        "push_impulse": (0.1, 0.6),
+    },
+}
+"""Options of tasks in which a robot falls if nobody acts; their names end in ``Hard-v0``."""
 
 
 def register_environments() -> None:
@@ -23,8 +44,11 @@ def register_environments() -> None:
         "surefoot/NaoStand-v0": ("surefoot.envs.nao.stand:NaoStandEnv", None),
         "surefoot/NaoWalk-v0": ("surefoot.envs.nao.walk:NaoWalkEnv", None),
     }.items():
+        task, _, version = name.rpartition("-")
         if name not in registry:
             register(id=name, entry_point=entry_point, max_episode_steps=max_episode_steps)
+        if task in HARD and f"{task}Hard-{version}" not in registry:
+            register(id=f"{task}Hard-{version}", entry_point=entry_point, kwargs={**HARD[task]})
 
 
 def register_with_gymnasium() -> None:

@@ -11,11 +11,12 @@ from surefoot.envs.command import Command, turned
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
+from surefoot.envs.options import checked_range
 
 COP_SCALE = 0.015
 """Error of the centre of pressure in m at which its reward is down to 1/e."""
 
-PAYLOAD_BOX = ((-0.08, -0.12, 0.0), (0.10, 0.12, 0.10))
+PAYLOAD_BOXES = (((-0.08, -0.12, 0.0), (0.10, 0.12, 0.10)),)
 """Corners of the box in the torso's frame within which a payload's centre of mass lies, in m."""
 
 
@@ -45,13 +46,22 @@ class NaoBalanceEnv(NaoStandEnv):
     mass, its place in a box of 0.18 x 0.24 x 0.10 m about the chest, when it comes, pushes, friction and the
     starting state.
 
+    ## The hard version
+
+    ``surefoot/NaoBalanceHard-v0`` has 1 to 1.4 kg within 0.2 m before or behind and 0.15 m beside the torso,
+    sways of up to 65 mm, which bring it to within two centimetres of the heels, weak pushes, and lasts 30 s.
+    A load that nobody corrects, at up to 40 mm, makes the robot fall.
+
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
         stand_time: Length of the quiet stand in s, with which an episode begins.
         sway: Bounds (forward, left) of the sway of the centre of mass in m; zero to stand still.
+        sway_share: Lowest and highest share of a bound that the amplitudes of an axis add up to.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
         payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
             before a calibrator can tell a load from a broken sensor.
+        payload_boxes: Boxes in the torso's frame, of which an episode draws the one in which its centre of
+            mass lies: two corners each, in m, shape (boxes, 2, 3).
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         push_interval: Mean time between pushes in s. None comes during the quiet stand.
         **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
@@ -70,8 +80,10 @@ class NaoBalanceEnv(NaoStandEnv):
         duration: float | None = 21.5,
         stand_time: float = 3.5,
         sway: Sequence[float] = (0.025, 0.03),
+        sway_share: Sequence[float] = (0.5, 1.0),
         payload_mass: Sequence[float] = (0.5, 1.0),
         payload_time: Sequence[float] = (10.5, 12.5),
+        payload_boxes: Sequence[Sequence[Sequence[float]]] = PAYLOAD_BOXES,
         push_impulse: Sequence[float] = (0.3, 2.4),
         push_interval: float = 4.0,
         **options: Any,
@@ -83,16 +95,17 @@ class NaoBalanceEnv(NaoStandEnv):
                 f"'sway' must be bounds (forward, left) between 0 and {LARGEST_SWAY} m, which keep the robot "
                 f"over its feet; got {list(sway)}."
             )
-        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX, CONTROL_STEP)
+        self._surprise = Surprise(stand_time, payload_mass, payload_time, payload_boxes, CONTROL_STEP)
         self.stand_time = self._surprise.stand_time
         self._bounds = (bounds[0], bounds[1])
+        self._share = checked_range("sway_share", sway_share)
         super().__init__(duration=duration, push_impulse=push_impulse, push_interval=push_interval, **options)
         self._pushes.quiet_time = self.stand_time
         self._quiet_ticks = self._surprise.stand_ticks
         self._gravity = -float(self.model.opt.gravity[2])
 
     def _start(self, options: dict[str, Any]) -> None:
-        self._random_sway = RandomSway(self._bounds, self.stand_time, self.np_random)
+        self._random_sway = RandomSway(self._bounds, self._share, self.stand_time, self.np_random)
         self._surprise.draw(self._payload, self.np_random)
 
     def _command(self, tick: int) -> Command:
@@ -158,15 +171,16 @@ class RandomSway:
 
     Args:
         amplitude: Bounds (forward, left) in m.
+        share: Lowest and highest share of a bound that the amplitudes of an axis add up to.
         stand_time: How long it is still first, in s.
         rng: Draws everything.
     """
 
-    def __init__(self, amplitude: tuple[float, float], stand_time: float, rng: np.random.Generator) -> None:
-        share = rng.dirichlet(np.ones(WAVES), 2) * rng.uniform(0.5, 1.0, (2, 1))
+    def __init__(self, amplitude: Pair, share: Pair, stand_time: float, rng: np.random.Generator) -> None:
+        shares = rng.dirichlet(np.ones(WAVES), 2) * rng.uniform(*share, (2, 1))
         self._rate = 2.0 * pi / rng.uniform(SHORTEST_PERIOD, LONGEST_PERIOD, (2, WAVES))
         self._phase = rng.uniform(-pi, pi, (2, WAVES))
-        self._waves = np.stack([share * np.array(amplitude)[:, None], self._rate], axis=-1).tolist()
+        self._waves = np.stack([shares * np.array(amplitude)[:, None], self._rate], axis=-1).tolist()
         self._stand_time = stand_time
 
     def at(self, time: float) -> tuple[Pair, Pair, Pair]:

@@ -13,7 +13,7 @@ from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.walk import NaoPatternEnv
 from surefoot.envs.options import numbers_of, positive
 
-PAYLOAD_BOX = ((-0.18, -0.02, 0.0), (0.22, 0.02, 0.10))
+PAYLOAD_BOXES = (((-0.18, -0.02, 0.0), (0.22, 0.02, 0.10)),)
 """Corners of the box in the torso's frame within which a payload's centre of mass lies, in m.
 
 It reaches far before and behind, and not to the side: where one leg carries, its hip takes 2.8 of the 3.35
@@ -56,6 +56,12 @@ class NaoCarryEnv(NaoPatternEnv):
     All from the environment's generator: the speed, the payload's mass, its place in a box of
     0.40 x 0.04 x 0.10 m, when it comes, pushes, friction and the starting state.
 
+    ## The hard version
+
+    ``surefoot/NaoCarryHard-v0`` has 0.75 to 0.8 kg, 0.38 to 0.41 m before or 0.22 to 0.245 m behind the
+    torso, and weak pushes. Such a load moves the centre of pressure by 50 or 30 mm, nearly as far as the
+    motor of one ankle holds: if nobody leans against it, the robot falls within seconds.
+
     Args:
         speeds: Forward speeds in m/s, of which an episode draws one; each is planned once in a process.
         duration: Length of an episode in s.
@@ -63,6 +69,8 @@ class NaoCarryEnv(NaoPatternEnv):
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
         payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
             before a calibrator can tell a load from a broken sensor.
+        payload_boxes: Boxes in the torso's frame, of which an episode draws the one in which its centre of
+            mass lies: two corners each, in m, shape (boxes, 2, 3).
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
         push_interval: Mean time between pushes in s. None comes during the quiet stand.
         **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
@@ -86,6 +94,7 @@ class NaoCarryEnv(NaoPatternEnv):
         stand_time: float = 3.5,
         payload_mass: Sequence[float] = (0.5, 0.7),
         payload_time: Sequence[float] = (10.5, 12.5),
+        payload_boxes: Sequence[Sequence[Sequence[float]]] = PAYLOAD_BOXES,
         push_impulse: Sequence[float] = (0.4, 2.0),
         push_interval: float = 5.0,
         **options: Any,
@@ -94,7 +103,7 @@ class NaoCarryEnv(NaoPatternEnv):
         self._speeds = numbers_of(speeds)
         if not self._speeds:
             raise ValueError("'speeds' must hold at least one speed in m/s, got none.")
-        self._surprise = Surprise(stand_time, payload_mass, payload_time, PAYLOAD_BOX, CONTROL_STEP)
+        self._surprise = Surprise(stand_time, payload_mass, payload_time, payload_boxes, CONTROL_STEP)
         self.stand_time = self._surprise.stand_time
         self._timing = GaitTiming(stand_time=self.stand_time)
         for speed in self._speeds:

@@ -190,8 +190,8 @@ class Surprise:
             start.
         payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
         payload_time: Earliest and latest moment at which it comes, in s after the quiet stand.
-        payload_box: Two corners of the box in the torso's frame within which its centre of mass lies, in m,
-            shape (2, 3).
+        payload_boxes: Boxes in the torso's frame, of which an episode draws the one in which its centre of
+            mass lies: two corners each, in m, shape (boxes, 2, 3).
         dt: Control step in s.
 
     Raises:
@@ -203,20 +203,25 @@ class Surprise:
         stand_time: float,
         payload_mass: Sequence[float],
         payload_time: Sequence[float],
-        payload_box: Sequence[Sequence[float]],
+        payload_boxes: Sequence[Sequence[Sequence[float]]],
         dt: float,
     ) -> None:
         self.stand_time = positive("stand_time", stand_time, or_zero=True)
         self.stand_ticks = round(self.stand_time / dt)
         self._mass = checked_range("payload_mass", payload_mass)
         self._time = checked_range("payload_time", payload_time)
-        self._box = np.array(payload_box, dtype=np.float64)
+        self._boxes = np.array(payload_boxes, dtype=np.float64)
+        if self._boxes.shape[1:] != (2, 3) or not np.isfinite(self._boxes).all() or not len(self._boxes):
+            raise ValueError(
+                "'payload_boxes' must be boxes of a lowest and a highest corner in m, shape (boxes, 2, 3), "
+                f"at least one and all finite; got {payload_boxes!r}."
+            )
 
     def draw(self, payload: Payload, rng: np.random.Generator) -> None:
-        """Plan the payload of an episode: its mass, when it comes, and where within the box it lies."""
+        """Plan the payload of an episode: its mass, when it comes, and where it lies."""
         mass = rng.uniform(*self._mass)
         time = self.stand_time + rng.uniform(*self._time)
-        low, high = self._box
+        low, high = self._boxes[rng.integers(len(self._boxes))]
         payload.plan(mass, time, rng.uniform(low, high).tolist())
 
 

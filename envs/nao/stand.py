@@ -16,7 +16,7 @@ from surefoot.envs.robots.nao import FEET, place_on_ground
 LEG_LENGTH = 0.2029
 """Thigh and tibia in m."""
 
-LARGEST_SWAY = 0.04
+LARGEST_SWAY = 0.065
 """Largest sway in m that keeps the robot over its feet."""
 
 

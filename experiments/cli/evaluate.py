@@ -22,7 +22,7 @@ from surefoot.experiments.cli.console import (
 def evaluate(
     ctx: typer.Context,
     controllers: Annotated[Names, Argument(help=f"{CONTROLLERS}; the shipped policy by default.")] = None,
-    task: Annotated[str, Option(help="balance or walk.")] = "balance",
+    task: Annotated[str, Option(help="balance, walk, balance-hard or walk-hard.")] = "balance",
     feed: Feeds = None,
     severity: Annotated[
         Numbers, Option(help="How bad the sensors are; again for more. 1 by default.")

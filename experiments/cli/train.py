@@ -11,7 +11,7 @@ from surefoot.experiments.cli.console import console, fail, one_line_errors
 
 def train(
     out: Annotated[Path, Option(help="Folder; one that was stopped there goes on.")] = Path("out/policy"),
-    task: Annotated[str, Option(help="balance, or walk.")] = "balance",
+    task: Annotated[str, Option(help="balance, walk, balance-hard or walk-hard.")] = "balance",
     sensors: Annotated[str, Option(help="CoP trained on: true, or randomised (drifting).")] = "true",
     seed: Annotated[int, Option(help="Of everything random.", min=0, max=999)] = 0,
     steps: Annotated[int | None, Option(help="Decisions in all; 160 000 by default.", min=1)] = None,

@@ -63,9 +63,7 @@ class LoopScenario:
 def scenario_of_task(name: str) -> LoopScenario:
     """Return the scenario in which policies for a task are evaluated."""
     task = task_named(name)
-    return LoopScenario(
-        task.name, task.name, task.env_id, methods={"moment": dict(EXPECTED_LOADS)}, of_task=True
-    )
+    return LoopScenario(task.name, task.name, task.env_id, methods={"moment": dict(task.loads)}, of_task=True)
 
 
 def _from_arena(scenario: scenarios.Scenario, walk: Walk) -> LoopScenario:

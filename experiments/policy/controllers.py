@@ -74,8 +74,9 @@ def check_fits(policy: Any, env: gym.Env[Any, Any], name: str = "", *, same_task
     notes = getattr(policy, "notes", None)
     made_for = notes.get("task") if isinstance(notes, Mapping) else None
     given = _id_of(env)
-    if same_task and isinstance(made_for, str) and given and made_for != given:
-        task = task_in(made_for)
+    task, here = task_in(made_for), task_in(given)
+    let_in = made_for == given or (task is not None and here is not None and here.easier == task.name)
+    if same_task and isinstance(made_for, str) and given and not let_in:
         way_out = "" if task is None else f"; evaluate it there, with --task {task.name}"
         who = f"Policy '{name}'" if name else "The policy"
         raise ValueError(f"{who} was made for '{made_for}', and this is '{given}'{way_out}.")

@@ -1,7 +1,7 @@
 """The tasks that a policy can be trained for, what differs between them, and the shipped policies."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib.abc import Traversable
 from importlib.resources import as_file, files
 from types import MappingProxyType
@@ -15,6 +15,9 @@ SENSORS = ("true", "randomised")
 
 EXPECTED_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.08, "com_change": 0.015})
 """Options of a calibration: which loads the robot is to expect, but not which one an episode has."""
+
+HEAVY_LOADS: Mapping[str, float] = MappingProxyType({"mass_change": 0.15, "com_change": 0.03})
+"""The same where loads are heavy."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Task:
     speed: float = 1.5  # change of a posture per second at a full command
     memory: float = 1.0  # time constant in s with which a posture returns
     hold: int = 4  # steps for which an action holds: 20 Hz, about as fast as a body can follow
+    loads: Mapping[str, float] = field(default_factory=lambda: EXPECTED_LOADS)  # options of the moment filter
+    easier: str = ""  # whose policies are let in too, and serve where none is shipped for this one
 
 
 _SEEN = {"tilt": 0.1, "gyroscope": 0.5, "cop_reference": 0.03, "com_reference_velocity": 0.05}
@@ -61,7 +66,22 @@ _WALK = Task(
     "  else. Its feet go where the pattern puts them: a push that needs another step is a fall.",
 )
 
-TASKS: Mapping[str, Task] = MappingProxyType({task.name: task for task in (_BALANCE, _WALK)})
+_BALANCE_HARD = replace(
+    _BALANCE,
+    name="balance-hard",
+    env_id="surefoot/NaoBalanceHard-v0",
+    training=MappingProxyType({**_BALANCE.training, "payload_time": (0.1, 4.0)}),
+    loads=HEAVY_LOADS,
+    easier="balance",
+)
+
+_WALK_HARD = replace(
+    _WALK, name="walk-hard", env_id="surefoot/NaoCarryHard-v0", loads=HEAVY_LOADS, easier="walk"
+)
+
+TASKS: Mapping[str, Task] = MappingProxyType(
+    {task.name: task for task in (_BALANCE, _WALK, _BALANCE_HARD, _WALK_HARD)}
+)
 """All tasks by name; the first is the default."""
 
 
@@ -77,17 +97,20 @@ def task_in(env_id: Any) -> Task | None:
     return next((task for task in TASKS.values() if task.env_id == env_id), None)
 
 
-def calibration_of(feed: str) -> dict[str, Any] | None:
+def calibration_of(feed: str, task: str = "balance") -> dict[str, Any] | None:
     """Return the options of a feed's calibration in a task; ``None`` for the true centre of pressure."""
     options = FEEDS[feed]
     if options is None:
         return None
-    return {**options, **(EXPECTED_LOADS if feed == "moment" else {})}
+    return {**options, **(task_named(task).loads if feed == "moment" else {})}
 
 
 def shipped_file(task: str, sensors: str) -> Traversable:
-    """Return the file of a policy that comes with the package."""
-    return files("surefoot.experiments.policy").joinpath("files", f"{task}-{sensors}", "policy.npz")
+    """Return the file of a policy that comes with the package: for the task, or for the easier one."""
+    folder = files("surefoot.experiments.policy").joinpath("files")
+    own = folder.joinpath(f"{task}-{sensors}", "policy.npz")
+    easier = task_named(task).easier
+    return own if own.is_file() or not easier else shipped_file(easier, sensors)
 
 
 def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwork:

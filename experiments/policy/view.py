@@ -27,7 +27,7 @@ def make_task(
     feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
     """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath."""
-    calibration = calibration_of(feed_named(feed))
+    calibration = calibration_of(feed_named(feed), task)
     bare = gym.make(task_named(task).env_id, disable_env_checker=True, **env_options)
     return on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
 

@@ -40,7 +40,7 @@ def test_an_episode_is_its_seed():
 
 
 def test_a_sway_is_still_first_and_its_derivatives_are_its_derivatives():
-    sway = RandomSway((0.02, 0.03), 1.0, np.random.default_rng(0))
+    sway = RandomSway((0.02, 0.03), (0.5, 1.0), 1.0, np.random.default_rng(0))
     for part in sway.at(1.0):
         np.testing.assert_array_equal(part, 0.0)
     step = 1e-4
@@ -51,6 +51,20 @@ def test_a_sway_is_still_first_and_its_derivatives_are_its_derivatives():
     places = np.array([sway.at(time)[0] for time in np.arange(0.0, 60.0, 0.05)])
     assert (np.abs(places) <= (0.02, 0.03)).all()
     assert (np.abs(places).max(axis=0) > (0.005, 0.007)).all()
+
+
+def test_the_hard_version_draws_heavier_loads_in_wider_places():
+    env = gym.make("surefoot/NaoBalanceHard-v0").unwrapped
+    masses, places, sways = [], [], []
+    for seed in range(12):
+        env.reset(seed=seed)
+        masses.append(env._payload.mass)
+        places.append(env._payload.position)
+        sways.append(np.sum(env._random_sway._waves, axis=1)[:, 0])
+    assert 1.0 <= min(masses) < max(masses) <= 1.4
+    assert 0.15 < np.abs(places).max() <= 0.2
+    assert (0.8 * np.array((0.065, 0.045)) <= sways).all()
+    assert (sways <= np.array((0.065, 0.045))).all()
 
 
 def test_without_load_and_pushes_the_pattern_alone_follows_the_command():
@@ -123,6 +137,13 @@ def test_ten_millimetres_clearly_cost():
         ({"payload_mass": (0.5, 0.1)}, ValueError, "'payload_mass'"),
         ({"payload_time": (-1.0, 0.1)}, ValueError, "'payload_time'"),
         ({"stand_time": -1.0}, ValueError, "'stand_time'"),
+        ({"sway_share": (1.0, 0.5)}, ValueError, "'sway_share'"),
+        (
+            {"payload_boxes": ((0.0, 0.0, 0.1),)},
+            ValueError,
+            "'payload_boxes' must be boxes of a lowest and a",
+        ),
+        ({"payload_boxes": ()}, ValueError, r"shape \(boxes, 2, 3\), at least one"),
     ],
 )
 def test_it_refuses(options, error, text):

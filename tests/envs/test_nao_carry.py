@@ -6,7 +6,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surefoot  # noqa: F401
-from surefoot.envs.nao.carry import COP_SCALE, COP_WEIGHT, PAYLOAD_BOX, NaoCarryEnv
+from surefoot.envs.nao.carry import COP_SCALE, COP_WEIGHT, PAYLOAD_BOXES, NaoCarryEnv
 from surefoot.envs.nao.walk import NaoWalkEnv
 
 ZERO = np.zeros(11, dtype=np.float32)
@@ -45,13 +45,31 @@ def test_speed_and_load_are_drawn():
         masses.append(env._payload.mass)
         places.append(env._payload.position)
         lengths.add(float(np.ptp(env.pattern.com[:, 0]).round(6)))
-    low, high = PAYLOAD_BOX
+    low, high = PAYLOAD_BOXES[0]
     assert 0.5 <= min(masses) < 0.56
     assert 0.64 < max(masses) <= 0.7
     assert (np.array(places) >= low).all()
     assert (np.array(places) <= high).all()
     assert (np.ptp(places, axis=0) > 0.5 * np.subtract(high, low)).all()
     assert len(lengths) == 2
+
+
+@pytest.mark.parametrize("behind", [True, False])
+def test_a_load_of_the_hard_version_fells_who_does_nothing(behind):
+    falls = {}
+    for name in ("surefoot/NaoCarry-v0", "surefoot/NaoCarryHard-v0"):
+        options = CALM | {"speeds": (0.04,), "stand_time": 0.5, "duration": 10.0, "payload_time": (1.0, 1.1)}
+        env = gym.make(name, **options).unwrapped
+        for seed in range(20):
+            env.reset(seed=seed)
+            if (env._payload.position[0] < 0.0) == behind:
+                break
+        steps = [env.step(ZERO) for _ in range(800)]
+        falls[name] = (
+            [fell for _, _, fell, *_ in steps].index(True) / 80 if any(s[2] for s in steps) else None
+        )
+    assert falls["surefoot/NaoCarry-v0"] is None
+    assert 2.0 < falls["surefoot/NaoCarryHard-v0"] < 10.0
 
 
 def test_it_walks_from_the_end_of_the_stand_to_the_end_of_the_episode():

@@ -226,7 +226,8 @@ def test_a_shipped_policy_is_that_of_its_task_and_fits_it():
     assert balance != walk
     assert controller_hash("shipped") not in (balance, walk)
     assert evaluation_plan(feeds=("true",)).files == {"shipped": balance}
-    for task, options in (("balance", SHORT), ("walk", WALK)):
+    tasks = {"balance": SHORT, "walk": WALK, "balance-hard": SHORT, "walk-hard": WALK}
+    for task, options in tasks.items():
         for sensors in SENSORS:
             policy = shipped_policy(sensors, task)
             assert policy.notes["options"]["sensors"] == sensors
@@ -235,6 +236,12 @@ def test_a_shipped_policy_is_that_of_its_task_and_fits_it():
             assert not row["fell"]
     with pytest.raises(ValueError, match="no shipped policy 'best' for the task 'balance'"):
         shipped_policy("best")
+    # A harder task lets policies of the easier one in, which lets none of the harder one in.
+    hard, harder = shipped_policy("true", "balance-hard"), TASKS["walk-hard"].env_id
+    assert controller_hash("shipped", harder) == walk
+    assert hard.notes["task"] == TASKS["balance-hard"].env_id
+    with pytest.raises(ValueError, match=r"made for 'surefoot/NaoBalanceHard-v0'.* --task balance-hard"):
+        run_episode(hard, "true", 4, **SHORT)
 
 
 def test_a_policy_of_another_task_is_refused_though_it_fits(tmp_path):
@@ -362,14 +369,17 @@ def test_a_card_takes_the_scores_of_its_own_policy_alone(mine, invented, undrawn
 
 
 def test_what_is_shipped_has_the_scores_of_its_own_episodes():
-    for task in TASKS:
-        for sensors in SENSORS:
-            folder = Path(str(files("surefoot.experiments.policy") / "files" / f"{task}-{sensors}"))
-            own = own_scores(folder)
-            assert own is not None
-            assert set(own["task"]) == {task}
-            table = score_table(read_episodes(folder)).to_frame()
-            pd.testing.assert_frame_equal(own[table.columns].astype(object), table.astype(object))
+    shipped = sorted(Path(str(files("surefoot.experiments.policy") / "files")).iterdir())
+    assert {folder.name for folder in shipped} == {
+        *(f"{task}-{sensors}" for task in ("balance", "walk") for sensors in SENSORS), "balance-hard-true",
+    }  # fmt: skip
+    for folder in shipped:
+        task = folder.name.rpartition("-")[0]
+        own = own_scores(folder)
+        assert own is not None
+        assert set(own["task"]) == {task}
+        table = score_table(read_episodes(folder)).to_frame()
+        pd.testing.assert_frame_equal(own[table.columns].astype(object), table.astype(object))
 
 
 def test_a_page_says_what_a_policy_was_when_it_was_run(tmp_path, mine, invented, undrawn):
