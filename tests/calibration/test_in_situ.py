@@ -512,6 +512,7 @@ def test_one_thread_solves_and_the_others_come_back(monkeypatch):
     assert set(after) == {2}
 
 
+@pytest.mark.slow
 def test_many_samples_take_less_memory_than_they_have():
     sets = 4 * noisy_sets("leg", np.random.default_rng(28), n=60_000)[0]
     held = sum(one.raw.nbytes + one.gravity.nbytes for one in sets)

@@ -18,11 +18,10 @@ def walk() -> dict[str, Log]:
 
 
 def test_the_same_seed_is_the_same_walk(walk: dict[str, Log]) -> None:
-    again, other = record_walk(0.1, 3, 4.6), record_walk(0.1, 4, 4.6)
+    again = record_walk(0.1, 3, 4.6)
     for name, log in walk.items():
         np.testing.assert_array_equal(again[name].raw, log.raw)
         np.testing.assert_array_equal(again[name].reference.com, log.reference.com)
-        assert (other[name].raw != log.raw).any()
 
 
 def test_a_method_cannot_see_the_truth(walk: dict[str, Log]) -> None:
