@@ -13,6 +13,7 @@ by a vector, and the sum of these vectors' squares is added.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,9 @@ _REACH = 2.0
 """Distance of the accelerometer over that of the limb's centre of mass, along any axis: its deviation."""
 
 
+_THIN = 0.1
+"""Time in s over which gravity is averaged first."""
+
 _STEP, _ALIKE = 0.3, 0.5
 """Time in s between two looks at gravity, and the correlation of its changes from which on it turns
 steadily."""
@@ -56,8 +60,9 @@ def rows_of_turning(sets: Sequence[InSituSet], problem: Problem, solution: Solut
     bare = inertial_parameters(float(limb[MASS]), com, True)
     found = []
     for data, part in zip(sets, problem.sets, strict=True):
-        moved = turning(data)
-        if data.moves or not moved.moves or not _smooth(data):
+        thin, places = _thinned(replace(data, gravity=data.gravity @ solution.rotation.T))
+        moved = turning(thin)
+        if data.moves or not moved.moves or not _smooth(moved):
             found.append(np.zeros((part.uu.shape[0], len(problem.whitening), 1 + 3)))
             continue
         body = bare + inertial_parameters(data.added_mass, data.added_com, True)
@@ -66,10 +71,23 @@ def rows_of_turning(sets: Sequence[InSituSet], problem: Problem, solution: Solut
         own = u @ np.einsum("p,pws->ws", body, transform_basis(True)).T
         felt = np.moveaxis(reach * felt_by_turning(moved, np.arange(len(u))), 2, 0)
         of_place = [np.concatenate([body[MASS] * a, np.cross(body[MOMENT], a)], axis=1) for a in felt]
-        rows = part.at_rows(np.concatenate([own, *of_place], axis=1)) * part.source.weight[:, None]
+        added = np.concatenate([own, *of_place], axis=1)
+        rows = np.stack([np.interp(part.index, places, one) for one in added.T], axis=1)
+        rows *= part.source.weight[:, None]
         seen = (part.score.T @ part.colour.weigh(rows, part.spacing)).reshape(len(part.uu), -1, AXES)
         found.append(np.moveaxis(seen @ (problem.whitening @ solution.A).T, 1, 2))
     return np.concatenate(found).reshape(-1, 1 + 3)
+
+
+def _thinned(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
+    """Return means of gravity over a fraction of a second, and their places in the set."""
+    if data.moves or data.time is None or len(data.time) < 2:
+        return data, np.arange(float(len(data.raw)))
+    width = max(round(_THIN / float(np.median(np.diff(data.time)))), 1)
+    columns = np.column_stack([np.arange(len(data.time)), data.time, data.gravity])
+    columns = columns[: len(columns) // width * width].reshape(-1, width, 5).mean(axis=1)
+    raw = np.zeros((len(columns), data.channels))
+    return replace(data, raw=raw, time=columns[:, 1], gravity=columns[:, 2:], temperature=None), columns[:, 0]
 
 
 def _smooth(data: InSituSet) -> bool:
