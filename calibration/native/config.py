@@ -28,7 +28,7 @@ def config_record(library: Library, stream: MomentStream) -> NDArray[Any] | None
 
 
 def c_source(setup: OnlineSetup, **options: Any) -> str:
-    """Return the constants of one robot as C, to be compiled into its controller: ``sf_config robot``.
+    """Return a header with the sizes and constants of one robot, as ``sf_config robot``, for its controller.
 
     Args:
         setup: The robot.
@@ -43,16 +43,24 @@ def c_source(setup: OnlineSetup, **options: Any) -> str:
         raise RuntimeError("The library is missing: run 'python -m surefoot.calibration.native' first.")
     record = config_record(library, MomentStream(setup, MomentFilterConfig(**options)))
     if record is None:
-        raise ValueError("The library is not made for such a robot; see docs/native.md for its limits.")
+        raise ValueError("The library is not made for such a robot; docs/native.md has its limits.")
     assert record.dtype.names is not None
-    lines = []
+    sizes = {
+        name.upper(): int(record[name]) for name in ("channels", "feet", "lag", "every", "settle", "kinds")
+    }
+    sizes["GROUPS"] = sizes["EVERY"] // int(record["average"])
+    sizes["CELLS"] = int(record["cells"].sum())
+    # An array without an element is none in C.
+    sizes |= {name.upper(): max(1, int(record[name])) for name in ("sensors", "parities")}
+    lines = [f"#define SF_{name} {size}" for name, size in sizes.items()]
+    lines += ['#include "surefoot_calibration.h"', "", "static const sf_config robot = {"]
     for name in record.dtype.names:
         numbers = ", ".join(repr(value) for value in record[name].ravel().tolist())
         if numbers:
             lines.append(
                 f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"
             )
-    return "\n".join(["static const sf_config robot = {", *lines, "};", ""])
+    return "\n".join([*lines, "};", ""])
 
 
 def _values(stream: MomentStream) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import runpy
 import subprocess
 from pathlib import Path
 
@@ -16,11 +17,11 @@ from hypothesis import strategies as st
 from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
-from surefoot.calibration.native import NativeState, build, installed, native_filter
+from surefoot.calibration.native import NativeState, build, c_source, installed, native_filter
 from surefoot.calibration.native.filter import leaves_of
 from surefoot.calibration.native.library import load
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
 SAMPLES, AT = 2000, 800
 CLOSE = 1e-9
 
@@ -202,11 +203,15 @@ def library(tmp_path_factory):
     return load(path, build.fingerprint())
 
 
-def robot(library, layout="cells", lag=2, **options):
-    """The filter of one robot, by Python and by the library."""
+def setup_of(layout, lag=2):
     feet = LAYOUTS[layout]
     initial = Parameters(np.ones(feet.channels), np.zeros(feet.channels))
-    setup = OnlineSetup(layout=feet, mass=MASS, initial=initial, lag=lag, foot_length=0.17)
+    return OnlineSetup(layout=feet, mass=MASS, initial=initial, lag=lag, foot_length=0.17)
+
+
+def robot(library, layout="cells", lag=2, **options):
+    """The filter of one robot, by Python and by the library."""
+    setup = setup_of(layout, lag)
     filter_ = native_filter(library, setup, options)
     assert filter_ is not None
     return MomentStream(setup, MomentFilterConfig(**options)), filter_
@@ -384,22 +389,45 @@ def test_garbage_does_no_harm_in_single_precision(tmp_path, layout):
     play_garbage(load(tmp_path / "single.so"), tmp_path, layout, 100_000, "-DSF_SINGLE")
 
 
-def test_the_state_of_a_robot_on_eight_cells_is_small(tmp_path):
-    """What docs/native.md says of sizes."""
+@pytest.mark.parametrize("layout", ["cells", "ankles", "both"])
+def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, layout):
+    monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
+    (tmp_path / "robot.h").write_text(c_source(setup_of(layout)))
     (tmp_path / "size.c").write_text(
-        '#include <stdio.h>\n#include "surefoot_calibration.h"\n'
-        'int main(void) { printf("%lu", (unsigned long)sizeof(sf_state)); return 0; }\n'
+        '#include <stdio.h>\n#include "robot.h"\n'
+        "int main(void) { static sf_state state; sf_calibrator_init(&robot, &state);\n"
+        'printf("%lu", (unsigned long)sizeof state); return !sf_calibrator_fits(&robot); }\n'
     )
-    small = [f"-DSF_{name}={size}" for name, size in {"CHANNELS": 8, "KINDS": 3, "LAG": 2}.items()]
-    sizes = {}
-    for name, flags in {"double": small, "single": [*small, "-DSF_SINGLE"], "largest": []}.items():
-        compile_program(tmp_path / "size.c", tmp_path / name, *flags)
-        sizes[name] = int(subprocess.run([tmp_path / name], capture_output=True, check=True).stdout)
-    assert sizes["double"] < 34_000
-    assert sizes["single"] < 17_000
-    page = (Path(__file__).parents[2] / "docs" / "native.md").read_text() if DOCS.exists() else ""
-    for size in sizes.values() if page else ():
-        assert f"{size:,} bytes" in page
+    sizes = []
+    for flags in ([], ["-DSF_SINGLE"]):
+        compile_program(tmp_path / "size.c", tmp_path / "size", "-O0", *flags)
+        done = subprocess.run([tmp_path / "size"], capture_output=True, check=True)
+        sizes.append(f"{int(done.stdout):,} bytes")
+    page = ROOT / "docs" / "native.md"
+    assert not page.exists() or " | ".join(sizes) in page.read_text()
+
+
+def test_a_robots_own_program_prints_what_python_replays(library, tmp_path, monkeypatch):
+    path = ROOT / "examples" / "robot" / "build.py"
+    if not path.is_file():
+        pytest.skip("the examples are not part of the wheel")
+    monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
+    program = runpy.run_path(str(path))["build_robot"](setup_of("cells"), tmp_path)
+    stream, log, lines, expected = MomentStream(setup_of("cells"), MomentFilterConfig()), Log("cells"), [], []
+    missing_and_impossible(log)
+    state = stream.init(log.force[0])
+    for k in range(1000):
+        row = log.row(k)
+        numbers = [log.force[k], *row[:3], row.position_sole, row.R_level_sole, row.stance, row.swing, DT]
+        lines.append(" ".join(repr(float(value)) for part in numbers for value in np.ravel(part)))
+        state, estimate = stream.update(state, log.force[k], row, DT)
+        cop_std = np.sqrt(np.diagonal(estimate.cop_covariance))
+        answer = np.concatenate([estimate.force, estimate.cop, estimate.force_std, cop_std])
+        expected.append("".join(f"{value:.6f} " for value in answer).replace("-nan", "nan"))
+    done = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True)
+    assert done.stdout.replace("-nan", "nan").splitlines() == expected
+    done = subprocess.run([program], input="1 2 3\n", capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "A line needs 46 numbers, got: 1 2 3\n")
 
 
 def test_every_field_of_a_record_is_in_the_table(library):
