@@ -29,7 +29,7 @@ HARD: dict[str, dict[str, Any]] = {
         "push_impulse": (0.1, 0.6),
     },
 }
-"""Options of tasks in which a robot falls if nobody acts; their names end in ``Hard-v0``."""
+"""Options of tasks in which many robots fall if nobody acts; their names end in ``Hard-v0``."""
 
 
 def register_environments() -> None:

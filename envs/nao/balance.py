@@ -50,7 +50,7 @@ class NaoBalanceEnv(NaoStandEnv):
 
     ``surefoot/NaoBalanceHard-v0`` has 1 to 1.4 kg within 0.2 m before or behind and 0.15 m beside the torso,
     sways of up to 65 mm, which bring it to within two centimetres of the heels, weak pushes, and lasts 30 s.
-    A load that nobody corrects, at up to 40 mm, makes the robot fall.
+    The load moves the centre of pressure by up to 40 mm; if nobody corrects it, one robot in three falls.
 
     Args:
         duration: Length of an episode in s, or ``None`` for no end.
