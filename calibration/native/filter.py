@@ -124,8 +124,8 @@ class NativeFilter:
 
     @staticmethod
     def _field(dtype: np.dtype[Any], name: str) -> int:
-        assert dtype.fields is not None
-        return int(dtype.fields[name][1])
+        fields: Any = dtype.fields
+        return int(fields[name][1])
 
     def init(self) -> NativeState:
         """Return the state before any sample."""
