@@ -16,8 +16,14 @@ def garbage(rng, values, share, dtype):
     values[hit] = rng.choice(poison, hit.sum())
 
 
-def fuzz(robots, samples, dtype, sweep):
-    """Feed garbage to many robots, then a clean walk; nothing may be lost, and all must converge."""
+def chosen(state, which):
+    if isinstance(state, tuple):
+        return type(state)(*(chosen(part, which) for part in state))
+    return state if isinstance(state, int) else state[which]
+
+
+def fuzz(robots, samples, dtype, sweep, every=1):
+    """Feed garbage to many robots, then a clean walk to every so many; nothing may be lost, all converge."""
     rng = np.random.default_rng(41)
     logs, raw, reference = fleet(range(4), speeds=(0.1,), duration=samples * DT + 12.0, stand=0.5)
     identity = Parameters(np.ones(8), np.zeros(8))
@@ -56,6 +62,8 @@ def fuzz(robots, samples, dtype, sweep):
             std[std == 0.0] = 1.0
             scaled = S / (std[..., :, None] * std[..., None, :])
             assert np.linalg.eigvalsh(scaled).min() > -1e-5
+    # Of each of the four walks alike.
+    state, robots = chosen(state, np.arange(robots).reshape(-1, 4)[::every].ravel()), robots // every
     wrong = []
     for k in range(samples, samples + round(12.0 / DT)):
         row = Reference(*(tiled(part, k) for part in reference))
@@ -84,9 +92,8 @@ def test_channels_come_back_when_the_garbage_stops(fuzzed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_a_hundred_thousand_fuzzed_samples_lose_nothing(dtype):
-    wrong, lost = fuzz(500, 200, dtype, sweep=20)
+def test_a_hundred_thousand_fuzzed_samples_lose_nothing_in_single_precision():
+    wrong, lost = fuzz(500, 200, np.float32, sweep=20)
     # One robot of 500 still has 12 mm after 10 s: rubbish that fits a start that is much worse than stated.
     assert np.mean(wrong[~lost] < 6.0) > 0.99
     assert lost.mean() < 0.25
@@ -94,7 +101,7 @@ def test_a_hundred_thousand_fuzzed_samples_lose_nothing(dtype):
 
 @pytest.mark.slow
 def test_a_million_fuzzed_samples_lose_nothing():
-    wrong, lost = fuzz(4000, 250, np.float64, sweep=125)
+    wrong, lost = fuzz(4000, 250, np.float64, sweep=125, every=8)
     assert np.isfinite(wrong).mean() > 0.999
     # The clock's jumps stand for hours of drift, which widen every prior: 86 %, where the stated one alone
     # has more than 95 %.
