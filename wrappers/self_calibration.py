@@ -158,7 +158,8 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         drawing = sensors.source.drawing
         if len(drawing.feet) != 2:
             raise ValueError(
-                f"SelfCalibration needs a robot on two feet, got the feet {drawing.feet}; name two of them."
+                f"SelfCalibration needs a robot on two feet, got the feet {drawing.feet}: name two, or use "
+                "FootSensors alone."
             )
         self._model = NominalModel.of_drawing(drawing, errors)
         self.layout = sensors.instruments.layout

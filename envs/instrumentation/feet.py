@@ -144,6 +144,8 @@ def _doubt(
 ) -> str:
     """Return why the lowest leaves are not the two feet of a robot that stands, and what to do."""
     name_them = "If they are its feet, name them: feet=(left, right)."
+    if not pair:
+        return "they are whole robots, or lie about: a foot hangs on another body."
     if len(pair) == 1:
         foot = _names(model, pair)[0]
         return (

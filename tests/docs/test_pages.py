@@ -2,9 +2,11 @@
 
 import contextlib
 import io
+import os
 import pkgutil
 import re
 import shlex
+import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import resources
@@ -17,6 +19,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+import surefoot
 from surefoot.calibration import GRAVITY, Reference, calibrate_in_situ, nao_shoe_layout
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.experiments.cli.app import app
@@ -133,7 +136,9 @@ GIVEN = {
 """What the reader of a page brings along: names that its code uses and does not make."""
 
 
-@every_page
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page.stem != "simulators"], ids=lambda page: page.stem
+)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": page.stem}
@@ -143,6 +148,24 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         with contextlib.redirect_stdout(io.StringIO()) as printed:
             exec(compile(code, str(page), "exec"), names)
         assert shown is None or printed.getvalue() == shown
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", ["dm_control", "mujoco_playground", "mjlab"])
+def test_recipes_run_where_the_simulator_is_installed(module: str, tmp_path: Path) -> None:
+    name = f"SUREFOOT_{module.upper()}"
+    python = os.environ.get(name, sys.executable)
+    if subprocess.run([python, "-c", f"import {module}"], capture_output=True).returncode:
+        pytest.skip(f"'{module}' cannot be imported; name the Python of an environment that has it by {name}")
+    recipes = [code for code, _ in blocks(ROOT / "docs" / "simulators.md", "python") if module in code]
+    script = (
+        [str(ROOT / "examples" / "mjlab_g1.py"), "--steps", "100"] if module == "mjlab" else ["-c", *recipes]
+    )
+    path = str(Path(surefoot.__file__).parents[1])
+    done = subprocess.run(
+        [python, *script], cwd=tmp_path, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
 
 
 @every_page

@@ -189,7 +189,7 @@ for seed in range(64):
     env.step(np.zeros(env.action_space.shape, dtype=np.float32))
     robots.append(env)
 pages = int(open("/proc/self/statm").read().split()[1])
-print(pages * 4096 / 2**30, np.median(spent[1:]))
+print(pages * 4096 / 2**30, min(spent[1:]))
 """
 
 

@@ -11,8 +11,8 @@ Each function makes a class for a manager to build, over a base class that the c
 | mjlab | the same | none is needed | :func:`observation_term_class` |
 
 Written against Isaac Lab 2 and 3 (``ModifierBase``, ``NoiseModel``, ``ManagerTermBase`` and
-``ObservationManager`` of the extension ``isaaclab``, last read at 3.5.3) and mjlab 0.1.0. Their observation
-managers call term, modifiers and noise model in this order, then clip and scale *in place*, for each group;
+``ObservationManager`` of the extension ``isaaclab``, last read at 3.5.3), and run in mjlab 1.6.0
+(``examples/mjlab_g1.py``). Their observation managers call term, modifiers and noise model in this order, then clip and scale *in place*, for each group;
 Isaac Lab's environment does so twice within a step while it records, before and after the resets.
 
 Neither a modifier nor a noise model is given the environment, and so not the step: give the module a
