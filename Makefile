@@ -7,6 +7,10 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # Where Python keeps no bytecode, as in many containers, every worker compiles all tests anew.
 unexport PYTHONDONTWRITEBYTECODE
+# MuJoCo draws by EGL where there is no screen.
+ifeq ($(shell uname -s)$(DISPLAY),Linux)
+export MUJOCO_GL ?= egl
+endif
 
 .PHONY: demo test slow results check style types pyright imports format wheel-test clean
 

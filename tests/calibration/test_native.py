@@ -298,7 +298,7 @@ def test_the_library_is_the_python(library, layout, lag, event, options):
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(
     layout=st.sampled_from(sorted(LAYOUTS)),
     lag=st.integers(0, 4),
