@@ -142,6 +142,9 @@ class FootCalibrator:
         Args:
             which: Robots of a batch (bool), of the batch's shape; all by default.
         """
+        if which is True and isinstance(self._state, NativeState) and self._native is not None:
+            self._native.retract(self._state)
+            return
         state = self.state
         if state is not None:
             everyone = getattr(state, "front", state).known | True

@@ -53,7 +53,6 @@ _GAIN = 0.9
 _SURE = 2.0
 """... if it is by so many standard errors less than one."""
 
-
 _BENT = {"residual_tolerance": 0.5, "mass_tolerance": 0.3}
 """Tolerances of the linear fit that a polynomial may still mend."""
 

@@ -10,8 +10,8 @@ that acts on the readings directly; the gain's is one that follows from the load
 temperature is that at which matrix and offsets hold.
 
 A temperature that hardly varies within sets, or that went with gravity, shows no effect and is left out. One
-that rose with time throughout takes in what drifted as well: a warning says so. The
-gain's takes part if it is worth its six parameters (Schwarz, 1978).
+that rose with time throughout takes in what drifted as well: a warning says so. The gain's takes part if it
+is worth its six parameters (Schwarz, 1978).
 """
 
 from collections.abc import Callable, Sequence
