@@ -82,7 +82,7 @@ $(BIN)/python:
 	$(BIN)/pip install --quiet --upgrade pip
 
 # An install with [dev] serves the demo as well.
-NATIVE := setup.py $(addprefix calibration/native/,build.py library.c surefoot_calibration.h)
+NATIVE := setup.py surefoot/native/build.py $(wildcard */native/*.[ch])
 $(VENV)/.demo: pyproject.toml constraints.txt $(NATIVE) | $(BIN)/python
 	test -e $(VENV)/.dev || $(BIN)/pip install --quiet -c constraints.txt -e '.[experiments]'
 	touch $@

@@ -1,4 +1,4 @@
-"""Compile calibration/native where there is a C compiler, and say in the wheel's name what is inside."""
+"""Compile the libraries in C where there is a C compiler, and say in the wheel's name what is inside."""
 
 import runpy
 from pathlib import Path
@@ -7,33 +7,36 @@ from setuptools import setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 
-NATIVE = runpy.run_path(str(Path(__file__).parent / "calibration" / "native" / "build.py"))
-LIBRARY, compile_library = NATIVE["LIBRARY"], NATIVE["compile_library"]
-PLACE = Path("surefoot", "calibration", "native", LIBRARY.name)
+ROOT = Path(__file__).parent
+LIBRARIES = list(runpy.run_path(str(ROOT / "surefoot" / "native" / "build.py"))["sources_below"](ROOT))
 
 
-class BuildWithLibrary(build_py):
-    """Copies the package and compiles its library beside it; into the checkout for an editable install."""
+class BuildWithLibraries(build_py):
+    """Copies the package and compiles its libraries beside it; into the checkout for an editable install."""
 
     def run(self) -> None:
-        """Build the package, and the library if that can be."""
+        """Build the package, and the libraries if that can be."""
         super().run()
-        target = LIBRARY if self.editable_mode else Path(self.build_lib) / PLACE
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.unlink(missing_ok=True)
-        problem = compile_library(target)
-        print(f"surefoot calibrates in Python alone: {problem}." if problem else f"compiled {target}")
+        for sources in LIBRARIES:
+            target = sources.library
+            if not self.editable_mode:
+                target = Path(self.build_lib, "surefoot", target.relative_to(ROOT))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.unlink(missing_ok=True)
+            problem = sources.compile(target)
+            print(f"{sources.name} runs in Python alone: {problem}." if problem else f"compiled {target}")
 
 
 class WheelOfOnePlatform(bdist_wheel):
-    """A wheel with the library serves every Python 3 of one platform; one without serves all platforms."""
+    """A wheel with libraries serves every Python 3 of one platform; one without serves all platforms."""
 
     def get_tag(self) -> tuple[str, str, str]:
         """Return what Python, ABI and platform the wheel is for."""
-        if not (Path(self.bdist_dir) / PLACE).exists():
+        places = (Path("surefoot", sources.library.relative_to(ROOT)) for sources in LIBRARIES)
+        if not any((Path(self.bdist_dir) / place).exists() for place in places):
             return super().get_tag()
         self.root_is_pure = False
         return "py3", "none", super().get_tag()[2]
 
 
-setup(cmdclass={"build_py": BuildWithLibrary, "bdist_wheel": WheelOfOnePlatform})
+setup(cmdclass={"build_py": BuildWithLibraries, "bdist_wheel": WheelOfOnePlatform})

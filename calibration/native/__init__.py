@@ -5,6 +5,6 @@ The Python in :mod:`surefoot.calibration.moment` is the specification, and what 
 
 from surefoot.calibration.native.config import c_source
 from surefoot.calibration.native.filter import NativeFilter, NativeState, native_filter
-from surefoot.calibration.native.library import installed
+from surefoot.calibration.native.library import NATIVE, installed
 
-__all__ = ["NativeFilter", "NativeState", "c_source", "installed", "native_filter"]
+__all__ = ["NATIVE", "NativeFilter", "NativeState", "c_source", "installed", "native_filter"]

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
-from surefoot.calibration.native.library import Library, installed
+from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
+from surefoot.native import Library
 
 _LIKE = np.zeros(1)
 
@@ -40,7 +41,7 @@ def c_source(setup: OnlineSetup, **options: Any) -> str:
     """
     library = installed()
     if library is None:
-        raise RuntimeError("The library is missing: run 'python -m surefoot.calibration.native' first.")
+        raise RuntimeError("The library is missing: run 'python -m surefoot.native' first.")
     record = config_record(library, MomentStream(setup, MomentFilterConfig(**options)))
     if record is None:
         raise ValueError("The library is not made for such a robot; docs/native.md has its limits.")

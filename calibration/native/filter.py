@@ -12,9 +12,9 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
 from surefoot.calibration.native.config import config_record
-from surefoot.calibration.native.library import Library
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup
+from surefoot.native import Library
 
 _SHAPE, _DTYPE = attrgetter("shape"), attrgetter("dtype")
 _ARRAYS = (np.ndarray,) * len(Reference._fields)

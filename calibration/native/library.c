@@ -1,27 +1,9 @@
-/* surefoot_calibration.h as a shared library, with a table of where its records' fields lie: Python reads it
-   and keeps no second copy. */
-
-#include <stddef.h>
+/* surefoot_calibration.h as a shared library, with a table of where its records' fields lie. */
 
 #include "surefoot_calibration.h"
 
-#ifdef _WIN32
-#define EXPORTED __declspec(dllexport)
-#else
-#define EXPORTED __attribute__((visibility("default")))
-#endif
-#ifndef SF_SOURCE
-#define SF_SOURCE ""
-#endif
+#include "library.h"
 
-typedef struct {
-    const char *record, *field, *kind; /* "real", "int", "whole" or "byte" */
-    size_t offset, size;
-} place;
-
-#define PLACE(record, field, kind)                                                                           \
-    {#record, #field, kind, offsetof(sf_##record, field), sizeof(((sf_##record *)0)->field)}
-#define WHOLE_OF(record) {#record, "", "", 0, sizeof(sf_##record)}
 #define C_INT(field) PLACE(config, field, "int")
 #define C_REAL(field) PLACE(config, field, "real")
 #define S_REAL(field) PLACE(state, field, "real")
@@ -64,10 +46,7 @@ static const place places[] = {
 };
 /* clang-format on */
 
-EXPORTED const char *surefoot_source(void) { return SF_SOURCE; }
-EXPORTED const place *surefoot_places(void) { return places; }
-EXPORTED size_t surefoot_places_count(void) { return sizeof places / sizeof *places; }
-EXPORTED size_t surefoot_real_size(void) { return sizeof(sf_real); }
+LIBRARY_OF(places)
 
 EXPORTED int surefoot_fits(const sf_config *config) { return sf_calibrator_fits(config); }
 EXPORTED void surefoot_init(const sf_config *config, sf_state *state) { sf_calibrator_init(config, state); }

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.calibration import OnlineSetup, Parameters, nao_shoe_layout
-from surefoot.calibration.native import build, c_source
+from surefoot.calibration.native import NATIVE, c_source
+from surefoot.native import compiler
 
 STRICT = ("-std=c99", "-pedantic", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
 
@@ -27,8 +28,8 @@ def build_robot(setup: OnlineSetup, folder: Path, **options: float) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.h").write_text(c_source(setup, **options))
     program, main = folder / "robot", Path(__file__).parent / "main.c"
-    includes = (f"-I{folder}", f"-I{build.FOLDER}")
-    subprocess.run([build.compiler() or "cc", *STRICT, *includes, "-o", program, main, "-lm"], check=True)
+    includes = (f"-I{folder}", f"-I{NATIVE.sources.folder}")
+    subprocess.run([compiler() or "cc", *STRICT, *includes, "-o", program, main, "-lm"], check=True)
     return program
 
 

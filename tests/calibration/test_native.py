@@ -17,15 +17,16 @@ from hypothesis import strategies as st
 from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
-from surefoot.calibration.native import NativeState, build, c_source, installed, native_filter
+from surefoot.calibration.native import NATIVE, NativeState, c_source, native_filter
 from surefoot.calibration.native.filter import leaves_of
-from surefoot.calibration.native.library import load
+from surefoot.native import compiler
+from surefoot.native.build import FLAGS
 
 ROOT = Path(__file__).parents[2]
 SAMPLES, AT = 2000, 800
 CLOSE = 1e-9
 
-pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
 
 def heavy(foot, kind):
@@ -199,8 +200,8 @@ TABLE = [
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
     path = tmp_path_factory.mktemp("native") / "double.so"
-    assert build.compile_library(path) is None
-    return load(path, build.fingerprint())
+    assert NATIVE.sources.compile(path) is None
+    return NATIVE.load(path, NATIVE.sources.fingerprint())
 
 
 def setup_of(layout, lag=2):
@@ -331,10 +332,10 @@ def test_random_robots_are_the_same(
 def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path):
     """As the Python does in float32: maps within 5 % of their deviations, forces within 0.02 N."""
     path = tmp_path / "single.so"
-    assert build.compile_library(path, [*build.FLAGS, "-DSF_SINGLE"]) is None
-    _, narrow = robot(load(path), layout, 0)
+    assert NATIVE.sources.compile(path, [*FLAGS, "-DSF_SINGLE"]) is None
+    _, narrow = robot(NATIVE.load(path), layout, 0)
     log = Log(layout)
-    stream, _ = robot(load(path), layout, 0)
+    stream, _ = robot(NATIVE.load(path), layout, 0)
     wide, state = stream.init(log.force[0]), narrow.init()
     for k in range(SAMPLES // 2):
         row = log.row(k)
@@ -357,7 +358,16 @@ STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract
 
 def compile_program(source, target, *flags):
     """Compile one program beside the header, with all warnings as errors."""
-    command = [build.compiler(), *STRICT, *flags, f"-I{build.FOLDER}", "-o", str(target), str(source), "-lm"]
+    command = [
+        compiler(),
+        *STRICT,
+        *flags,
+        f"-I{NATIVE.sources.folder}",
+        "-o",
+        str(target),
+        str(source),
+        "-lm",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
@@ -386,8 +396,8 @@ def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, lay
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["cells", "heavy both"])
 def test_garbage_does_no_harm_in_single_precision(tmp_path, layout):
-    assert build.compile_library(tmp_path / "single.so", [*build.FLAGS, "-DSF_SINGLE"]) is None
-    play_garbage(load(tmp_path / "single.so"), tmp_path, layout, 100_000, "-DSF_SINGLE")
+    assert NATIVE.sources.compile(tmp_path / "single.so", [*FLAGS, "-DSF_SINGLE"]) is None
+    play_garbage(NATIVE.load(tmp_path / "single.so"), tmp_path, layout, 100_000, "-DSF_SINGLE")
 
 
 @pytest.mark.parametrize("layout", ["cells", "ankles", "both"])
@@ -533,42 +543,3 @@ def test_what_is_no_sample_is_refused_in_the_same_words(calibrators, spoil):
         said.append((caught.type, str(caught.value)))
         calibrator.update(log.force[1], log.row(1))
     assert said[0] == said[1]
-
-
-def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatch, tmp_path):
-    monkeypatch.delenv("SUREFOOT_NATIVE", raising=False)
-    other = tmp_path / "other.c"
-    other.write_text("int surefoot_other(void) { return 0; }\n")
-    wrong, text, old = tmp_path / "wrong.so", tmp_path / "text.so", tmp_path / "old.so"
-    subprocess.run([build.compiler(), "-shared", "-fPIC", "-o", wrong, other], check=True)
-    text.write_text("no library")
-    monkeypatch.setattr(build, "fingerprint", lambda: "of yesterday")
-    assert build.compile_library(old, ["-std=c99", "-O0"]) is None
-    for path, problem in (
-        (tmp_path / "missing.so", "there is no missing.so"),
-        (wrong, "wrong.so cannot be used, it is another library"),
-        (text, "text.so cannot be used"),
-        (old, "old.so cannot be used, it was compiled from other sources"),
-    ):
-        monkeypatch.setattr("surefoot.calibration.native.library.LIBRARY", path)
-        caplog.clear()
-        assert installed.__wrapped__() is None
-        (line,) = caplog.messages
-        assert line.startswith(f"surefoot calibrates in Python, slower: {problem}")
-        assert line.endswith("compile it with: python -m surefoot.calibration.native")
-        assert "\n" not in line
-    caplog.clear()
-    monkeypatch.setenv("SUREFOOT_NATIVE", "0")
-    assert installed.__wrapped__() is None
-    assert not caplog.messages
-
-
-def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
-    assert (
-        build.compile_library(tmp_path / "x.so") == "there is no C compiler (cc, gcc, clang or what CC says)"
-    )
-    monkeypatch.undo()
-    assert "refused: " in str(build.compile_library(tmp_path / "x.so", ["-no-such-option"]))
-    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,10 @@
+"""What runs in C: how a library is compiled, found and loaded, whatever is in it; see docs/native.md.
+
+A package with C has a folder ``native`` with its headers and a ``library.c`` that includes them. Nothing here
+knows which packages have one.
+"""
+
+from surefoot.native.build import Sources, compiler
+from surefoot.native.library import ADDRESS, Library, Native
+
+__all__ = ["ADDRESS", "Library", "Native", "Sources", "compiler"]

@@ -1,0 +1,139 @@
+"""Compiled libraries: where they are found, and how their records are laid out."""
+
+import ctypes
+import logging
+import os
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surefoot.native.build import Sources
+
+SWITCH = "SUREFOOT_NATIVE"
+"""Environment variable that turns the libraries off if it is 0."""
+
+ADDRESS = ctypes.c_void_p
+"""Type of an argument of a library's function that points to a record or an array."""
+
+_BY_HAND = "python -m surefoot.native"
+
+
+class _Place(ctypes.Structure):
+    _fields_ = (
+        ("record", ctypes.c_char_p),
+        ("field", ctypes.c_char_p),
+        ("kind", ctypes.c_char_p),
+        ("offset", ctypes.c_size_t),
+        ("size", ctypes.c_size_t),
+    )
+
+
+class Library(NamedTuple):
+    """A library that was loaded.
+
+    Attributes:
+        functions: Its functions.
+        real: The dtype of its numbers.
+        places: Kind, offset and size in bytes of each field, by record and field; of a whole record under "".
+    """
+
+    functions: Any
+    real: np.dtype[Any]
+    places: dict[str, dict[str, tuple[str, int, int]]]
+
+    def record(self, name: str, shapes: Mapping[str, tuple[int, ...]]) -> np.dtype[Any] | None:
+        """Return the dtype of a record whose fields are as large as here; ``None`` if one has no room.
+
+        Args:
+            name: One of the records in its ``library.c``, such as ``config`` or ``state``.
+            shapes: The shape of each field.
+        """
+        kinds: dict[str, np.dtype[Any]] = {
+            "int": np.dtype(np.int32),
+            "whole": np.dtype(np.int64),
+            "word": np.dtype(np.uint64),
+            "byte": np.dtype(np.bool_),
+        }
+        places, formats = self.places[name], []
+        for field, shape in shapes.items():
+            kind, _, size = places[field]
+            dtype = kinds.get(kind, self.real)
+            if int(np.prod(shape)) * dtype.itemsize > size:
+                return None
+            formats.append((dtype, shape))
+        offsets = [places[field][1] for field in shapes]
+        return np.dtype(
+            {"names": list(shapes), "formats": formats, "offsets": offsets, "itemsize": places[""][2]}
+        )
+
+
+class Native:
+    """The library of one package.
+
+    Args:
+        sources: What it is compiled from.
+        signatures: Result (``None`` for none) and arguments of each of its functions, as types of ctypes.
+    """
+
+    def __init__(self, sources: Sources, signatures: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
+        self.sources, self._signatures = sources, signatures
+        self._found: tuple[Library | None] | None = None
+
+    def load(self, path: Path, source: str | None = None) -> Library:
+        """Load a library.
+
+        Args:
+            path: The file.
+            source: The fingerprint that it must have; any by default.
+
+        Raises:
+            OSError: If there is no such file, or it is none of this package.
+        """
+        functions = ctypes.CDLL(str(path))
+        try:
+            functions.surefoot_source.restype = ctypes.c_char_p
+            functions.surefoot_places.restype = ctypes.POINTER(_Place)
+            functions.surefoot_places_count.restype = ctypes.c_size_t
+            functions.surefoot_real_size.restype = ctypes.c_size_t
+            if source is not None and functions.surefoot_source().decode() != source:
+                raise OSError("it was compiled from other sources than those at hand")
+            for name, (result, arguments) in self._signatures.items():
+                function = getattr(functions, name)
+                function.restype, function.argtypes = result, arguments
+        except AttributeError as error:
+            raise OSError(f"it is another library: {error}") from None
+        places: dict[str, dict[str, tuple[str, int, int]]] = {}
+        for place in functions.surefoot_places()[: functions.surefoot_places_count()]:
+            fields = places.setdefault(place.record.decode(), {})
+            fields[place.field.decode()] = place.kind.decode(), place.offset, place.size
+        return Library(functions, np.dtype(f"f{functions.surefoot_real_size()}"), places)
+
+    def installed(self) -> Library | None:
+        """Return the library of this package; ``None``, with one line in the log, if it cannot be used."""
+        if self._found is None:
+            self._found = (self.look(self.sources.library),)
+        return self._found[0]
+
+    def look(self, path: Path) -> Library | None:
+        """Return the library of this package in a file, as :meth:`installed` does."""
+        if os.environ.get(SWITCH) == "0":
+            return None
+        problem = f"there is no {path.name}"
+        if path.exists():
+            try:
+                return self.load(path, self.sources.fingerprint())
+            except OSError as error:
+                problem = f"{path.name} cannot be used, {error}"
+        say_once(problem)
+        return None
+
+
+@cache
+def say_once(problem: str) -> None:
+    """Say in one line of the log what is slower than it could be, and the way out."""
+    logging.getLogger("surefoot").warning(
+        "surefoot runs in Python, slower: %s; compile it with: %s", problem, _BY_HAND
+    )

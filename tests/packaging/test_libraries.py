@@ -1,0 +1,54 @@
+"""Libraries in C: what is said of one that is missing or wrong."""
+
+import subprocess
+
+import pytest
+
+from surefoot.calibration.native import NATIVE
+from surefoot.native import Sources, compiler
+from surefoot.native.__main__ import main
+from surefoot.native.library import say_once
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatch, tmp_path):
+    monkeypatch.delenv("SUREFOOT_NATIVE", raising=False)
+    other = tmp_path / "other.c"
+    other.write_text("int surefoot_other(void) { return 0; }\n")
+    wrong, text, old = tmp_path / "wrong.so", tmp_path / "text.so", tmp_path / "old.so"
+    subprocess.run([compiler(), "-shared", "-fPIC", "-o", wrong, other], check=True)
+    text.write_text("no library")
+    with monkeypatch.context() as yesterday:
+        yesterday.setattr(Sources, "fingerprint", lambda self: "of yesterday")
+        assert NATIVE.sources.compile(old, ["-std=c99", "-O0"]) is None
+    for path, problem in (
+        (tmp_path / "missing.so", "there is no missing.so"),
+        (wrong, "wrong.so cannot be used, it is another library"),
+        (text, "text.so cannot be used"),
+        (old, "old.so cannot be used, it was compiled from other sources"),
+    ):
+        caplog.clear()
+        say_once.cache_clear()
+        assert NATIVE.look(path) is None
+        assert NATIVE.look(path) is None
+        (line,) = caplog.messages
+        assert line.startswith(f"surefoot runs in Python, slower: {problem}")
+        assert line.endswith("compile it with: python -m surefoot.native")
+        assert "\n" not in line
+    caplog.clear()
+    monkeypatch.setenv("SUREFOOT_NATIVE", "0")
+    assert NATIVE.look(tmp_path / "another.so") is None
+    assert not caplog.messages
+
+
+def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    sources = NATIVE.sources
+    missing = "there is no C compiler (cc, gcc, clang or what CC says)"
+    assert sources.compile(tmp_path / "x.so") == missing
+    assert main() == f"Not compiled, surefoot_calibration: {missing}."
+    monkeypatch.undo()
+    if compiler() is not None:
+        assert "refused: " in str(sources.compile(tmp_path / "x.so", ["-no-such-option"]))
+    assert list(tmp_path.iterdir()) == []
