@@ -27,6 +27,7 @@ from surefoot.calibration.in_situ.answer_checks import (
     limb_warnings,
     with_factory_scale,
 )
+from surefoot.calibration.in_situ.causes import Evidence
 from surefoot.calibration.in_situ.compress import CompressedSet, compress
 from surefoot.calibration.in_situ.covariance import (
     fit_covariance,
@@ -41,7 +42,7 @@ from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.factory import choose_shares, leaning_matrix, likely_shares
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
 from surefoot.calibration.in_situ.held_out import with_nonlinear
-from surefoot.calibration.in_situ.hypotheses import Evidence, explained
+from surefoot.calibration.in_situ.hypotheses import explained
 from surefoot.calibration.in_situ.hysteresis import with_hysteresis
 from surefoot.calibration.in_situ.information import data_share, slow_turn
 from surefoot.calibration.in_situ.input_checks import (
