@@ -1,0 +1,524 @@
+"""A robot on feet that are read in three ways at once, and changed while it walks; nothing is drawn here."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+import surefoot
+from surefoot.calibration import METHODS, FootCalibrator, Parameters, Reference
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.setup import method_name
+from surefoot.controllers import Stabiliser
+from surefoot.envs.gait.footsteps import GaitTiming
+from surefoot.envs.gait.pattern import plan_walk
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.experiments.policy.controllers import load_controller
+from surefoot.experiments.view.errors import LiveErrors
+from surefoot.experiments.view.world import LiveWorld
+from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
+from surefoot.wrappers.foot_sensors import FootSensors
+from surefoot.wrappers.foot_view import DEFAULT, FootView
+from surefoot.wrappers.instruments import layout_options, usual_cells
+from surefoot.wrappers.raw_view import TRUE_KEYS
+from surefoot.wrappers.self_calibration import SelfCalibration
+from surefoot.wrappers.source import find_source, with_source
+
+WALK = "surefoot/NaoWalk-v0"
+"""The environment that is shown unless another is named."""
+
+WALK_TIME = 60.0
+"""How long a plan of a walk is in s, standing included."""
+
+WAYS = ("true", "raw", "calibrated")
+"""Ways in which the feet are read, side by side; each can be a controller's feed."""
+
+ERROR_STREAM = 0x5F02
+"""Number of the random stream that live errors draw from."""
+
+LONGEST_RECORDING = 600.0
+"""Time in s after which a recording ends by itself."""
+
+START: Mapping[str, Any] = {
+    "severity": 1.0,
+    "drift": 1.0,
+    "feed": "calibrated",
+    "method": "moment",
+    "payload": 0.0,
+    "slope": 0.0,
+    "speed": 0.04,
+}
+"""What can be chosen before the power-up, and what it is unless somebody chooses."""
+
+
+class Change(NamedTuple):
+    """One thing that was changed: before which step since the power-up, what, and to what."""
+
+    step: int
+    what: str
+    value: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One way to read the feet at one sample.
+
+    Attributes:
+        force: Channels in N, shape (K,).
+        vgrf: Vertical force on each foot in N, shape (2,).
+        cop_world: Centre of pressure in the world in m, placed under the true soles, shape (2,); NaN where
+            there is none.
+        cop_covariance: Its covariance in the world's axes in m^2, shape (2, 2), or ``None``.
+    """
+
+    force: Floats
+    vgrf: Floats
+    cop_world: Floats
+    cop_covariance: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What there is to draw of one sample.
+
+    Attributes:
+        time: Since the episode start in s.
+        position_sole: Origins of the soles in the world in m, shape (2, 3).
+        R_world_sole: Their axes, shape (2, 3, 3).
+        readings: By :data:`WAYS`; the truth may be missing.
+        flags: :class:`~surefoot.calibration.estimate.Flag` bits of each channel, shape (K,).
+    """
+
+    time: float
+    position_sole: Floats
+    R_world_sole: Floats
+    readings: Mapping[str, Reading]
+    flags: Any
+
+    @property
+    def heading(self) -> Floats:
+        """Mean forward direction of the soles on the ground, a unit vector, shape (2,)."""
+        ahead = self.R_world_sole[:, :2, 0].sum(axis=0)
+        return np.asarray(ahead / np.linalg.norm(ahead))
+
+    def cop_error(self, way: str) -> float:
+        """Distance between a centre of pressure and the true one in m; NaN where there is none."""
+        if "true" not in self.readings:
+            return float("nan")
+        apart = self.readings[way].cop_world - self.readings["true"].cop_world
+        return float(np.linalg.norm(apart))
+
+
+class _Line:
+    """One calibrator that is fed with the readings, and what a controller would see of it."""
+
+    def __init__(self, env: SelfCalibration, sensors: FootSensors, method: str) -> None:
+        setup, drawing = env.calibrator.setup, sensors.source.drawing
+        self.calibrator = FootCalibrator(
+            env.layout,
+            method,
+            mass=setup.mass,
+            initial=sensors.instruments.nominal,
+            dt=setup.dt,
+            lag=setup.lag,
+            **layout_options(env.layout, drawing, method),
+        )
+        self.view = FootView(DEFAULT, env.layout, setup.mass, drawing.flaw)
+        self.estimate: Estimate
+        self.seen: Mapping[str, Any] = {}
+
+    def update(self, raw: Floats, reference: Reference, soles: Any) -> None:
+        self.estimate = self.calibrator.update(raw, reference)
+        self.seen = self.view.show(self.estimate, soles)
+
+
+class Session:
+    """Steps an environment, reads its feet in three ways, and takes changes between two steps.
+
+    The true readings are the simulator's, the raw ones are those of the sensors by their data sheet, and the
+    calibrated ones those of a method that learns from the same counts. A method learns from when it is first
+    chosen, and goes on if another is chosen. The same seed and changes give the same session.
+
+    Args:
+        env_id: An environment on two feet.
+        seed: Of the environment, the sensors and the robot's beliefs.
+        start: What of :data:`START` is otherwise.
+        controller: Who controls, as :func:`~surefoot.experiments.policy.controllers.load_controller`; by
+            default the stabiliser where there is a pattern to follow, and otherwise zeros.
+        feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
+        soles: Whether feet without area get flat soles.
+
+    Attributes:
+        changes: All that was changed since the power-up, what was chosen before it included.
+        steps: Number of steps since the power-up.
+        fell: Whether the episode ended with a fall.
+        over: Whether the episode has ended; the next step needs a reset.
+        feeds: What a controller can be given, among :data:`WAYS`.
+
+    Raises:
+        TypeError: If the environment is not built on MuJoCo.
+        ValueError: If it has no two feet with room for load cells, or a choice does not exist.
+    """
+
+    def __init__(
+        self,
+        env_id: str = WALK,
+        *,
+        seed: int = 0,
+        start: Mapping[str, Any] | None = None,
+        controller: str | None = None,
+        feet: Sequence[str] | None = None,
+        soles: bool = False,
+    ) -> None:
+        self.env_id, self._walks = env_id, env_id == WALK
+        self._made = {"controller": controller, "feet": feet, "soles": soles}
+        self._settings = dict(START) | dict(start or {})
+        self._planned = float(self._settings["speed"])
+        options: dict[str, Any] = {}
+        if self._walks:
+            options = {"speed": self._planned, "duration": WALK_TIME, "stand_time": STAND_TIME}
+            options["push_impulse"] = (0.0, 0.0)
+        self._tap = TruthTap(gym.make(env_id, disable_env_checker=True, **options))
+        env = with_source(self._tap, feet=feet, soles=soles or None)
+        source: Any = find_source(env)
+        if source.drawing.position_cell_sole is None:
+            raise ValueError(f"{source.drawing.flaw} Or give flat soles to feet without area, with --soles.")
+        cells = usual_cells(source.drawing)
+        self._walk_densities = cells.scale_drift, cells.offset_drift
+        # Drift is that of LiveErrors, which can be changed.
+        self._sensors = FootSensors(env, replace(cells, scale_drift=0.0, offset_drift=0.0))
+        self._env = SelfCalibration(self._sensors, "none")
+        self.source, self.drawing, self.layout = source, source.drawing, self._env.layout
+        self.dt = float(source.dt)
+        self.world = LiveWorld(source)
+        self.feeds = WAYS if set(TRUE_KEYS) <= set(_keys(self._tap)) else WAYS[1:]
+        if self._settings["feed"] not in self.feeds:
+            raise ValueError(f"There is no feed '{self._settings['feed']}'. Available: {self.feeds}.")
+        self._controller = self._load_controller(controller)
+        self._actions: Mapping[str, Callable[[Any], None]] = {
+            "severity": self._set_severity,
+            "drift": self._set_drift,
+            "scale": self._set_scale,
+            "offset": self._set_offset,
+            "fault": lambda words: self.errors.break_channel(str(words)),
+            "repair": lambda _: self.errors.repair(),
+            "push": self.world.push,
+            "payload": lambda mass: self.world.load(float(mass)),
+            "slope": lambda degrees: self.world.tilt(float(degrees)),
+            "speed": self._check_speed,
+            "feed": self._check_feed,
+            "method": self._choose,
+            "reset": lambda _: self._reset(None),
+        }
+        self.errors: LiveErrors
+        self.changes: list[Change] = []
+        self.fell = self.over = False
+        self.steps = self._episode_steps = 0
+        self._rows: list[Any] | None = None
+        self.power_up(seed)
+
+    def power_up(self, seed: int) -> None:
+        """Begin again with the sensors, the robot and the chances of a seed, and nothing broken."""
+        self.seed, self.steps = int(seed), 0
+        self.changes = [Change(0, what, value) for what, value in self._settings.items()]
+        rng = np.random.default_rng([ERROR_STREAM, self.seed])
+        self.errors = LiveErrors(
+            self._sensors.instruments, self._walk_densities, self.drawing.feet, self.dt, rng
+        )
+        self._lines: dict[str, _Line] = {}
+        for what in ("severity", "drift", "payload", "slope"):
+            # A robot without a torso carries nothing, which is no reason to refuse it.
+            if what != "payload" or self.world.carries:
+                self._actions[what](self._settings[what])
+        self._reset(self.seed)
+
+    def change(self, what: str, value: Any = None) -> None:
+        """Change something before the next step.
+
+        | What | Value |
+        |------|-------|
+        | ``"severity"`` | factor of the sensors' errors |
+        | ``"drift"`` | factor of the speed of their drift |
+        | ``"scale"``, ``"offset"`` | (channel, its own relative error, or its own error in N) |
+        | ``"fault"`` | words, such as ``"left/2 dies"`` |
+        | ``"repair"`` | nothing is broken any more |
+        | ``"push"`` | impulse (forward, left) in N s |
+        | ``"payload"``, ``"slope"`` | in kg, in degrees |
+        | ``"speed"`` | in m/s, from the next reset on |
+        | ``"feed"``, ``"method"`` | what the controller gets, and which calibrator |
+        | ``"reset"`` | a new episode on the same feet, with what was learnt |
+
+        Raises:
+            ValueError: If it is refused; nothing has changed then.
+        """
+        if what not in self._actions:
+            raise ValueError(f"There is no change '{what}'. Available: {', '.join(self._actions)}.")
+        self._actions[what](value)
+        if what in self._settings:
+            self._settings[what] = value
+        self.changes.append(Change(self.steps, what, value))
+
+    def step(self) -> None:
+        """Step the robot once, by what the controller makes of its feed.
+
+        Raises:
+            RuntimeError: If the episode has ended.
+        """
+        if self.over:
+            raise RuntimeError("The episode has ended; change('reset') or power_up(seed) begins another.")
+        action = self._controller(self._fed)
+        observation, _, self.fell, truncated, _ = self._env.step(action)
+        self.world.advance()
+        self.steps += 1
+        self._episode_steps += 1
+        self._take_in(observation)
+        if self.fell:
+            for line in self._lines.values():
+                line.calibrator.retract()
+        self.over = bool(self.fell or truncated)
+        if self._rows is not None:
+            self._record()
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """What of :data:`START` is chosen now."""
+        return dict(self._settings)
+
+    @property
+    def time(self) -> float:
+        """Time since the episode start in s."""
+        return self._episode_steps * self.dt
+
+    @property
+    def standing(self) -> bool:
+        """Whether the robot still stands, so that calibrators can begin, before it walks."""
+        return self._walks and self.time < STAND_TIME
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the channels for words, such as ``"left/front-left"``."""
+        return tuple(self.layout.channel_names)
+
+    @property
+    def recording(self) -> bool:
+        """Whether what happens is recorded."""
+        return self._rows is not None
+
+    def shown(self) -> Shown:
+        """Return what there is to draw now."""
+        truth = self.source.truth
+        position, R = truth.position_sole[-1].copy(), truth.R_world_sole[-1].copy()
+        force = np.asarray(truth.force_cell[-1], dtype=np.float64).copy()
+        readings = {"true": Reading(force, np.asarray(truth.vgrf()), np.asarray(truth.cop_world()))}
+        calibrated = self._lines[self._settings["method"]]
+        now = Shown(self.time, position, R, readings, np.asarray(calibrated.estimate.flags).copy())
+        for way, line in (("raw", self._lines["none"]), ("calibrated", calibrated)):
+            readings[way] = placed(now, line.estimate, line.seen["cop"])
+        return now
+
+    def record(self) -> None:
+        """Record from now on, to the end of the episode at the latest."""
+        self._rows = []
+
+    def recorded(self) -> Log:
+        """Stop recording and return what was recorded.
+
+        Raises:
+            ValueError: If there is nothing recorded yet.
+        """
+        rows, self._rows = self._rows, None
+        if not rows or len(rows) < 2:
+            raise ValueError("Nothing was recorded yet: record, and let the robot go on for a while.")
+        time, raw, reference, force, position, R, scale, offset = zip(*rows, strict=True)
+        setup = self._env.calibrator.setup
+        about: dict[str, Any] = {"surefoot": surefoot.__version__, "start": "nominal", "fell": self.fell}
+        about["view"] = {"env": self.env_id, "seed": self.seed, **self._made, "changes": self.changes}
+        return Log(
+            time=np.array(time),
+            raw=np.array(raw),
+            reference=Reference(*(np.array(parts) for parts in zip(*reference, strict=True))),
+            layout=self.layout,
+            mass=float(setup.mass),
+            nominal=self._sensors.instruments.nominal,
+            calibrated=None,
+            dt=self.dt,
+            lag=int(setup.lag),
+            seed=self.seed,
+            truth=LogTruth(*(np.array(part) for part in (force, position, R, scale, offset))),
+            about=about,
+        )
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._env.close()
+
+    def _record(self) -> None:
+        """Keep one sample."""
+        assert self._rows is not None
+        truth, undone = self.source.truth, self.errors.parameters
+        if np.isfinite(self._env.reference.com).all():
+            self._rows.append(
+                (
+                    self.time,
+                    self._raw.copy(),
+                    Reference(*(np.array(part) for part in self._env.reference)),
+                    np.array(truth.force_cell[-1]),
+                    truth.position_sole[-1].copy(),
+                    truth.R_world_sole[-1].copy(),
+                    *undone,
+                )
+            )
+
+    @property
+    def record_is_full(self) -> bool:
+        """Whether a recording must be taken now: its episode has ended, or it is as long as it may be."""
+        rows = self._rows
+        return rows is not None and (self.over or len(rows) * self.dt >= LONGEST_RECORDING)
+
+    def _reset(self, seed: int | None) -> None:
+        """Begin an episode: with a seed everything is fresh, without one feet and what was learnt stay."""
+        speed = float(self._settings["speed"])
+        if self._walks and speed != self._planned:
+            self.source.pattern, self._planned = _plan(speed, WALK_TIME), speed
+        self._rows = None
+        self.world.put_down()
+        observation, _ = self._env.reset(seed=seed)
+        self.world.pick_up()
+        if hasattr(self._controller, "reset"):
+            self._controller.reset()
+        self.fell = self.over = False
+        self._episode_steps = 0
+        if seed is not None:
+            for method in dict.fromkeys(("none", self._settings["method"])):
+                self._lines[method] = _Line(self._env, self._sensors, method)
+        for line in self._lines.values():
+            line.view.begin_episode()
+        self._take_in(observation)
+
+    def _take_in(self, observation: Mapping[str, Any]) -> None:
+        """Read the feet in all ways, and keep what the controller gets of it."""
+        sensors = self._sensors
+        self._raw = self.errors.read(sensors.raw, Parameters(*sensors.true_parameters()))
+        soles = self._env.beliefs.soles(sensors.time)
+        for line in self._lines.values():
+            line.update(self._raw, self._env.reference, soles)
+        self._observation = observation
+        self._feed()
+
+    def _feed(self) -> None:
+        """Give the controller what its feed sees of the last sample."""
+        feed = self._settings["feed"]
+        if feed == "true":
+            seen: Mapping[str, Any] = {key: self._tap.seen[key] for key in TRUE_KEYS}
+        else:
+            seen = self._lines["none" if feed == "raw" else self._settings["method"]].seen
+        self._fed = {**self._observation, **seen}
+
+    def _load_controller(self, name: str | None) -> Any:
+        layout = getattr(self.source, "state_layout", None)
+        if name is None and layout is not None and "cop_reference" in layout:
+            return Stabiliser(layout, engage_after=STAND_TIME if self._walks else 0.0)
+        if name in (None, "zero"):
+            space: Any = self._env.action_space
+            still = np.zeros(space.shape, dtype=space.dtype)
+            return lambda observation: still
+        return load_controller(name, self._env)
+
+    def _set_severity(self, value: Any) -> None:
+        self.errors.severity = _within("severity", value, 0.0, 10.0)
+
+    def _set_drift(self, value: Any) -> None:
+        self.errors.drift = _within("drift", value, 0.0, 100.0)
+
+    def _set_scale(self, value: Any) -> None:
+        channel, error = self._of_channel(value)
+        self.errors.scale[channel] = _within("scale", error, -0.9, 2.0)
+
+    def _set_offset(self, value: Any) -> None:
+        channel, error = self._of_channel(value)
+        weight = self.drawing.weight
+        self.errors.offset[channel] = _within("offset", error, -weight, weight)
+
+    def _of_channel(self, value: Any) -> tuple[int, float]:
+        channel, error = int(value[0]), float(value[1])
+        if not 0 <= channel < self.layout.channels:
+            raise ValueError(f"There is no channel {channel}; they are 0 to {self.layout.channels - 1}.")
+        return channel, error
+
+    def _check_speed(self, value: Any) -> None:
+        if not self._walks:
+            raise ValueError(f"Only '{WALK}' is planned afresh at another speed.")
+        _plan(float(value), 3.0 * STAND_TIME)
+
+    def _check_feed(self, feed: Any) -> None:
+        if feed not in self.feeds:
+            raise ValueError(f"There is no feed '{feed}'. Available: {', '.join(self.feeds)}.")
+        self._settings["feed"] = feed
+        self._feed()
+
+    def _choose(self, method: Any) -> None:
+        method = method_name(str(method))
+        if method not in self._lines:
+            line = self._lines[method] = _Line(self._env, self._sensors, method)
+            line.update(self._raw, self._env.reference, self._env.beliefs.soles(self._sensors.time))
+        self._settings["method"] = method
+        self._feed()
+
+
+def placed(now: Shown, estimate: Estimate, cop: Any) -> Reading:
+    """Return an estimate with its centre of pressure, in m in the level frame, put under the true soles."""
+    x, y = now.heading
+    R_world_level = np.array([[x, -y], [y, x]])
+    middle = now.position_sole[:, :2].mean(axis=0)
+    where = middle + R_world_level @ np.asarray(cop, dtype=np.float64)
+    covariance = estimate.cop_covariance
+    return Reading(
+        np.array(estimate.force, dtype=np.float64),
+        np.array(estimate.vgrf, dtype=np.float64),
+        where if estimate.cop_valid else np.full(2, np.nan),
+        None if covariance is None else R_world_level @ np.asarray(covariance) @ R_world_level.T,
+    )
+
+
+def repeated(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
+    """Return the session that a recording describes, powered up, and the changes that are still to come.
+
+    Args:
+        about: What a log says of itself.
+
+    Raises:
+        ValueError: If it was not recorded by a session.
+    """
+    view = about.get("view")
+    if not isinstance(view, Mapping):
+        raise ValueError("This log was not recorded by 'surefoot view', so that there is nothing to repeat.")
+    changes = [Change(int(step), str(what), value) for step, what, value in view["changes"]]
+    first = dict(START)
+    chosen = {what: value for step, what, value in changes[: len(first)]}
+    made = {name: view[name] for name in ("controller", "feet", "soles")}
+    session = Session(view["env"], seed=int(view["seed"]), start=chosen, **made)
+    return session, changes[len(first) :]
+
+
+def methods() -> tuple[str, ...]:
+    """Return the calibrators that can be chosen."""
+    return tuple(METHODS)
+
+
+def _plan(speed: float, duration: float) -> Any:
+    return plan_walk(speed, 0.0, duration, timing=GaitTiming(stand_time=STAND_TIME))
+
+
+def _within(name: str, value: Any, low: float, high: float) -> float:
+    number = float(value)
+    if not low <= number <= high:
+        raise ValueError(f"'{name}' lies from {low:g} to {high:g}, got {number:g}.")
+    return number
+
+
+def _keys(env: gym.Env[Any, Any]) -> Sequence[str]:
+    space = env.observation_space
+    return list(space.spaces) if isinstance(space, gym.spaces.Dict) else []
