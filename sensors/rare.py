@@ -2,8 +2,9 @@
 
 Where events come with the probability p to each reading on its own, the number of readings that are spared
 between two of them is geometric, :math:`P(n) = p (1 - p)^n`, so that one draw an event finds them, instead of
-one a reading. Only a batch on the host is searched like that: for one robot it is not worth it, and on
-another device looking at values means waiting.
+one a reading. Only a batch on the host that draws from one generator is searched like that: for one robot it
+is not worth it, on another device looking at values means waiting, and a robot with a stream of its own must
+draw the same whatever happens to others.
 """
 
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from surefoot.sensors.arrays import namespace, on_host
 from surefoot.sensors.corruption import Array, Rng
-from surefoot.sensors.randomness import uniform
+from surefoot.sensors.randomness import Stream, uniform
 
 FEW = 64
 """Readings up to which all are looked at: a robot's, not a batch's."""
@@ -36,32 +37,33 @@ def change_at_random(reading: Array, probability: float, change: Change, rng: Rn
         rng: Where chance comes from.
         *tables: Values that go with the channels, numbers or shapes (K,), for ``change``.
     """
-    if probability > RARE or not _searched(reading):
+    if probability > RARE or not _searched(reading, rng):
         hit = uniform(rng, 0.0, 1.0, tuple(reading.shape), reading.dtype) < probability
-        return change_where(reading, hit, change, *tables)
+        return change_where(reading, hit, change, rng, *tables)
     if probability == 0.0:
         return reading + 0.0
     return _change_at(reading, _found(rng, probability, _count(reading)), change, tables)
 
 
-def change_where(reading: Array, hit: Array, change: Change, *tables: Array) -> Array:
+def change_where(reading: Array, hit: Array, change: Change, rng: Rng, *tables: Array) -> Array:
     """Change the readings that were hit; arguments as for :func:`change_at_random`."""
     xp = namespace(reading)
-    if not _searched(reading):
+    if not _searched(reading, rng):
         return xp.where(hit, change(reading, *tables), reading)
     return _change_at(reading, xp.nonzero(xp.reshape(hit, (-1,)))[0], change, tables)
 
 
-def change_rows(reading: Array, hit: Array, change: Callable[[Array], Array]) -> Array:
+def change_rows(reading: Array, hit: Array, change: Callable[[Array], Array], rng: Rng) -> Array:
     """Change whole groups of channels.
 
     Args:
         reading: Shape (..., G C), G groups of C channels; it is not changed.
         hit: Which groups, shape (..., G).
         change: What happens to groups; takes some, shape (..., C), and returns them changed.
+        rng: Where it draws from.
     """
     xp, size = namespace(reading), reading.shape[-1] // hit.shape[-1]
-    if not _searched(hit):
+    if not _searched(hit, rng):
         groups = xp.reshape(reading, (*hit.shape, size))
         return xp.reshape(xp.where(hit[..., None], change(groups), groups), reading.shape)
     changed = xp.reshape(reading + 0.0, (-1, size))
@@ -81,7 +83,7 @@ def replace_where(reading: Array, other: Array, hit: Array, rare: bool) -> Array
         rare: Whether few are.
     """
     xp = namespace(reading)
-    if not (rare and _searched(reading)):
+    if not (rare and _searched(reading, None)):
         return xp.where(hit & ~xp.isnan(other), other, reading)
     rows = (-1, reading.shape[-1] // hit.shape[-1])
     where = xp.nonzero(xp.reshape(hit, (-1,)))[0]
@@ -91,8 +93,9 @@ def replace_where(reading: Array, other: Array, hit: Array, rare: bool) -> Array
     return xp.reshape(replaced, reading.shape)
 
 
-def _searched(reading: Array) -> bool:
-    return on_host(reading) and _count(reading) > FEW
+def _searched(reading: Array, rng: Rng) -> bool:
+    # What a robot draws from a stream of its own must not depend on what happens to the others.
+    return on_host(reading) and _count(reading) > FEW and not isinstance(rng, Stream)
 
 
 def _count(reading: Array) -> int:

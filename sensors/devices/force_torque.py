@@ -231,7 +231,7 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     def apply(wrench: Array, state: ForceTorqueState, rng: Rng, dt: float) -> tuple[Array, ForceTorqueState]:
         xp = namespace(wrench)
         error, offset = cast_like(state.error, wrench), cast_like(state.offset, wrench)
-        of_scale, of_offset, of_noise = normal(rng, (3, *offset.shape), wrench.dtype)
+        of_scale, of_offset, of_noise = normal(rng, (3, *offset.shape), wrench.dtype, before=1)
         error = error + (scale_walk * dt**0.5) * of_scale[..., None] * diagonal.like(wrench)
         offset = offset + dt**0.5 * offset_walk.like(wrench) * of_offset
         true = xp.reshape(wrench, offset.shape)

@@ -160,7 +160,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
             window = init_window(settling, shape, rng, dtype)
         felt = element.init(shape, rng, dtype) if element else ()
         # In the order of the single stages: scale, offset, each with its coefficient in cells that warm up.
-        drawn = normal(rng, (4 if warms else 2, *shape), dtype)
+        drawn = normal(rng, (4 if warms else 2, *shape), dtype, before=1)
         error = drawn[:: 2 if warms else 1] * initial_std.like(drawn, len(shape))
         thermal = filled(rng, 0.0, (0,), dtype)
         if warms:
@@ -191,7 +191,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         if element:
             load, felt = element.apply(load, felt, rng, dt)
         if drawn_per_step:
-            drawn = normal(rng, (drawn_per_step, *load.shape), load.dtype)
+            drawn = normal(rng, (drawn_per_step, *load.shape), load.dtype, before=1)
         if all(walks):
             error = error + drawn[:2] * (dt**0.5 * both_walks.like(load, load.ndim))
         elif any(walks):

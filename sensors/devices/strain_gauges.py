@@ -119,7 +119,7 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         for _ in range(DOUBLINGS):
             grown = grown @ grown
         offset = uniform(rng, -1.0, 1.0, shape, dtype) @ offset_map.like(drawn)
-        heat = normal(rng, (2, *shape), dtype)
+        heat = normal(rng, (2, *shape), dtype, before=1)
         tempco = namespace(drawn).stack([config.scale_tempco * heat[0], heat[1] @ tempco_map.like(drawn)])
         return StrainGaugeState(
             response.like(drawn) @ grown,

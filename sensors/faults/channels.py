@@ -159,7 +159,8 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
         time = state.time + dt
         now, counts = time[..., 0], reading + 0.0
         held, lost = cast_like(state.held, reading), cast_like(state.lost, reading)
-        drawn = uniform(rng, 0.0, 1.0, (len(chance), 2, *counts.shape[:-1]), reading.dtype) if chance else ()
+        shape = (len(chance), 2, *counts.shape[:-1])
+        drawn = uniform(rng, 0.0, 1.0, shape, reading.dtype, before=2) if chance else ()
         draws = dict(zip(chance, drawn, strict=True))
         held_next, lost_next = [], []
         for index, fault in enumerate(faults):

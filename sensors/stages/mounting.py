@@ -91,7 +91,7 @@ def mounting(
             return few + sum(others, one)
 
         if moving:
-            offset = change_rows(offset, start, jump)
+            offset = change_rows(offset, start, jump, rng)
         load, hit = xp.where(lost, before, load), cast_like(hit, reading)
         return reading + offset, MountingState(offset, load, hit)
 

@@ -129,7 +129,7 @@ def send(
     """
     delay = config.delay
     if config.jitter:
-        delay = max(0.0, delay + config.jitter * float(rng.standard_normal()))
+        delay = max(0.0, delay + config.jitter * float(normal(rng, ())))
     arrival = time + delay
     if under_way:
         arrival = max(arrival, under_way[-1].arrival)

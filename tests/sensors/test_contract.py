@@ -37,6 +37,7 @@ from surefoot.sensors import (
     white_noise,
 )
 from surefoot.sensors.devices.load_cells import load_cell_chain
+from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.clock import sample_and_hold
 from surefoot.sensors.stages.converter import noise_density
 from surefoot.sensors.stages.creep import creep
@@ -291,6 +292,23 @@ def test_robots_of_a_batch_do_not_touch_each_other(name: str) -> None:
         reading[0] += 1.0
     one, other = (as_numpy(run(name, values)) for values in (inputs, changed))
     np.testing.assert_array_equal(one[:, 1:], other[:, 1:])
+
+
+@stages
+def test_a_robot_with_a_stream_reads_the_same_alone_and_in_any_batch(name: str, monkeypatch: Any) -> None:
+    """To rounding, as a batch interpolates and multiplies matrices in another order; with C and without."""
+    make, channels, _ = STAGES[name]
+    stage, keys = make(), [(4, 7), (0x5F00, 2), (3,)]
+    for in_python in (False, True):
+        if in_python:
+            monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda: None)
+        many, alone = Stream.of_each(keys), Stream.of(*keys[1])
+        batch, single = stage.init((3, channels), many), stage.init((channels,), alone)
+        for reading in readings(name, "numpy", batch=(3,)):
+            output, batch = stage.apply(reading, batch, many, DT)
+            own, single = stage.apply(reading[1], single, alone, DT)
+            np.testing.assert_allclose(output[1], own, rtol=1e-12, atol=1e-12)
+        assert many.record[1] == alone.record
 
 
 class Still(np.random.Generator):

@@ -1,0 +1,21 @@
+"""The compiled sensors: their functions."""
+
+import ctypes
+from pathlib import Path
+
+from surefoot.native import ADDRESS, Library, Native, Sources
+
+_SIZE = ctypes.c_size_t
+
+NATIVE = Native(
+    Sources(Path(__file__).parent),
+    {
+        "surefoot_philox": (None, (ADDRESS, ADDRESS, ADDRESS)),
+        "surefoot_draw": (None, (ADDRESS, ADDRESS, _SIZE, _SIZE, _SIZE, ctypes.c_int, ADDRESS)),
+    },
+)
+
+
+def installed() -> Library | None:
+    """Return the library of this package; ``None``, with one line in the log, if it cannot be used."""
+    return NATIVE.installed()

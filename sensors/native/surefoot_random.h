@@ -1,0 +1,82 @@
+/* Random numbers that belong to a robot's device: Philox4x32-10 in C99.
+
+   The specification is sensors/randomness.py. A stream is a key and a count of blocks; the block n is a function of
+   both and of nothing else, and gives two numbers. A draw of n numbers takes (n + 1) / 2 blocks.
+
+   Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011; tested against the
+   vectors that its authors publish. */
+
+#ifndef SUREFOOT_RANDOM_H
+#define SUREFOOT_RANDOM_H
+
+#include <math.h>
+#include <stdint.h>
+
+#ifdef SF_SINGLE
+typedef float sf_real;
+#else
+typedef double sf_real;
+#endif
+#ifndef SF_API
+#define SF_API static inline
+#endif
+
+typedef struct {
+    uint64_t key, count;
+} sf_random;
+
+SF_API void sf_philox(const uint32_t counter[4], const uint32_t key[2], uint32_t word[4]) {
+    uint32_t a = counter[0], b = counter[1], c = counter[2], d = counter[3], k = key[0], l = key[1];
+    for (int turn = 0; turn < 10; turn++) {
+        uint64_t first = (uint64_t)0xD2511F53u * a, second = (uint64_t)0xCD9E8D57u * c;
+        a = (uint32_t)(second >> 32) ^ b ^ k;
+        b = (uint32_t)second;
+        c = (uint32_t)(first >> 32) ^ d ^ l;
+        d = (uint32_t)first;
+        k += 0x9E3779B9u;
+        l += 0xBB67AE85u;
+    }
+    word[0] = a, word[1] = b, word[2] = c, word[3] = d;
+}
+
+SF_API double sf_from_words(uint32_t high, uint32_t low) {
+    return ((double)(high >> 5) * 67108864.0 + (double)(low >> 6)) / 9007199254740992.0;
+}
+
+/* The next block: two numbers from [0, 1). */
+SF_API void sf_random_pair(sf_random *stream, double pair[2]) {
+    uint32_t counter[4] = {(uint32_t)stream->count, (uint32_t)(stream->count >> 32), 0, 0};
+    uint32_t key[2] = {(uint32_t)stream->key, (uint32_t)(stream->key >> 32)}, word[4];
+    sf_philox(counter, key, word);
+    stream->count++;
+    pair[0] = sf_from_words(word[0], word[1]);
+    pair[1] = sf_from_words(word[2], word[3]);
+}
+
+/* The next block: two standard normal numbers, by Box and Muller. */
+SF_API void sf_random_normal_pair(sf_random *stream, double pair[2]) {
+    sf_random_pair(stream, pair);
+    double radius = sqrt(-2.0 * log(1.0 - pair[0])), angle = 6.283185307179586 * pair[1];
+    pair[0] = radius * cos(angle);
+    pair[1] = radius * sin(angle);
+}
+
+SF_API void sf_random_uniforms(sf_random *stream, int n, sf_real *out) {
+    double pair[2];
+    for (int i = 0; i < n; i += 2) {
+        sf_random_pair(stream, pair);
+        out[i] = (sf_real)pair[0];
+        if (i + 1 < n) out[i + 1] = (sf_real)pair[1];
+    }
+}
+
+SF_API void sf_random_normals(sf_random *stream, int n, sf_real *out) {
+    double pair[2];
+    for (int i = 0; i < n; i += 2) {
+        sf_random_normal_pair(stream, pair);
+        out[i] = (sf_real)pair[0];
+        if (i + 1 < n) out[i + 1] = (sf_real)pair[1];
+    }
+}
+
+#endif

@@ -1,0 +1,130 @@
+"""Streams of a robot's own: the published numbers, the same in C and in Python, whoever else draws."""
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.native import Library, compiler
+from surefoot.sensors.native import NATIVE
+from surefoot.sensors.randomness import AHEAD, Stream, normal, philox, uniform
+
+# Random123, its file kat_vectors: philox4x32 of ten rounds; counter, key, block.
+VECTORS = [
+    ("00000000 00000000 00000000 00000000", "00000000 00000000", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
+    ("ffffffff ffffffff ffffffff ffffffff", "ffffffff ffffffff", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
+    ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
+]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    if compiler() is None:
+        pytest.skip("there is no C compiler")
+    path = tmp_path_factory.mktemp("native") / "double.so"
+    assert NATIVE.sources.compile(path) is None
+    return NATIVE.load(path, NATIVE.sources.fingerprint())
+
+
+@pytest.fixture(params=["C", "Python"])
+def way(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
+    found = request.getfixturevalue("library") if request.param == "C" else None
+    monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda: found)
+    return str(request.param)
+
+
+def words(text: str) -> Any:
+    return np.array([int(word, 16) for word in text.split()], dtype=np.uint32)
+
+
+@pytest.mark.parametrize(("counter", "key", "block"), VECTORS)
+def test_blocks_are_those_that_its_authors_publish(
+    library: Library, counter: str, key: str, block: str
+) -> None:
+    assert philox(words(counter), words(key)).tolist() == words(block).tolist()
+    found = np.zeros(4, dtype=np.uint32)
+    given = words(counter), words(key)
+    library.functions.surefoot_philox(*(part.ctypes.data for part in given), found.ctypes.data)
+    assert found.tolist() == words(block).tolist()
+
+
+def test_numbers_are_made_of_blocks_as_the_page_says(way: str) -> None:
+    stream = Stream(0x0123456789ABCDEF)
+    stream.record["count"] = 2**32 + 5
+    block = philox(words("00000005 00000001 00000000 00000000"), words("89abcdef 01234567")).tolist()
+    first, second = (((a >> 5) * 2**26 + (b >> 6)) / 2**53 for a, b in (block[:2], block[2:]))
+    again = copy.deepcopy(stream)
+    assert stream.random((2,)).tolist() == [first, second]
+    length, angle = np.sqrt(-2.0 * np.log(1.0 - first)), 2.0 * np.pi * second
+    expected = [length * np.cos(angle), length * np.sin(angle)]
+    np.testing.assert_allclose(again.standard_normal((2,)), expected, rtol=1e-15, atol=1e-15)
+    assert int(again.record["count"]) == 2**32 + 6
+
+
+def test_c_and_python_draw_the_same(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = []
+    for found in (library, None):
+        monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda found=found: found)
+        one, many = Stream.of(3, 1), Stream.of_each([(seed, 1) for seed in range(40)])
+        parts = [one.standard_normal((3, 8)), one.random((5,)), one.standard_normal((2 * AHEAD + 3,))]
+        parts += [one.standard_normal(()), one.random((0,)), one.random((2,))]
+        parts += [many.standard_normal((3, 40, 7), before=1), many.random((40, 3))]
+        parts += [many.only(np.arange(40) % 3 == 0).random((2, 2, 40), before=2), many.random((40, 1))]
+        drawn.append([*parts, one.record["count"].copy(), many.record["count"].copy()])
+    for by_c, by_python in zip(*drawn, strict=True):
+        assert by_c.shape == by_python.shape
+        np.testing.assert_allclose(by_python, by_c, rtol=1e-14, atol=1e-15)
+
+
+def test_a_robot_draws_what_it_draws_alone(way: str) -> None:
+    keys = [(9, 2), (5, 0), (2**80, 3)]
+    many, alone = Stream.of_each(keys), [Stream.of(*key) for key in keys]
+    for shape, before in (((3, 8), 0), ((2, 3, 5), 1), ((4, 2, 3), 2), ((3, 1), 0)):
+        drawn = np.moveaxis(many.standard_normal(shape, before), before, 0)
+        own = (*shape[:before], *shape[before + 1 :])
+        np.testing.assert_array_equal(drawn, [stream.standard_normal(own) for stream in alone])
+
+
+def test_who_is_left_out_draws_no_further(way: str) -> None:
+    many, kept = (Stream.of_each([(seed,) for seed in range(3)]) for _ in range(2))
+    hit = np.array([True, False, True])
+    first = many.only(hit).random((3, 3))
+    again = many.random((3, 3))
+    assert (again[1] == first[1]).all()
+    assert (again[hit] != first[hit]).all()
+    assert many.record["count"].tolist() == [4, 2, 4]
+    many.take(kept, hit)
+    assert many.record["count"].tolist() == [0, 2, 0]
+
+
+def test_draws_go_on_after_a_copy_and_a_file(way: str) -> None:
+    stream = Stream.of(11, 4)
+    stream.standard_normal((7,))
+    others = [copy.deepcopy(stream), pickle.loads(pickle.dumps(stream))]
+    expected = stream.standard_normal((9,))
+    for other in others:
+        np.testing.assert_array_equal(other.standard_normal((9,)), expected)
+
+
+def test_draws_have_the_right_spread_and_do_not_depend_on_each_other(way: str) -> None:
+    drawn = Stream.of_each([(seed,) for seed in range(200)]).standard_normal((200, 500))
+    assert abs(drawn.mean()) < 4.0 / np.sqrt(drawn.size)
+    assert abs(drawn.var() - 1.0) < 4.0 * np.sqrt(2.0 / drawn.size)
+    assert abs(np.corrcoef(drawn[:, ::2].ravel(), drawn[:, 1::2].ravel())[0, 1]) < 4.0 / np.sqrt(
+        drawn.size / 2
+    )
+    assert abs(np.corrcoef(drawn[0], drawn[1])[0, 1]) < 4.0 / np.sqrt(500)
+    even = Stream.of(0).random((4096,))
+    assert (even >= 0.0).all()
+    assert (even < 1.0).all()
+    assert abs(even.mean() - 0.5) < 4.0 / np.sqrt(12.0 * even.size)
+
+
+def test_streams_keep_the_dtype_and_refuse_what_is_not_theirs(way: str) -> None:
+    assert normal(Stream.of(1), (2,), np.float32).dtype == np.float32
+    assert (uniform(Stream.of(1), 2.0, 3.0, (100,)) >= 2.0).all()
+    with pytest.raises(ValueError, match=r"^A stream of 2 robots draws shapes whose axis 1 is theirs, got"):
+        Stream.of_each([(0,), (1,)]).random((2, 3), before=1)
+    assert Stream.of().record["key"] != Stream.of().record["key"]
