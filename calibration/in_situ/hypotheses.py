@@ -1,8 +1,8 @@
 r"""What is wrong with sets that contradict each other: every cause that is known, by how much it explains.
 
 Causes (:mod:`~surefoot.calibration.in_situ.causes`) are compared by Schwarz's criterion (1978), -2 log L +
-d log n. Samples whose residuals hang together count as fewer than they are, n (1 - rho) / (1 + rho) by their
-correlation from one to the next.
+d log n, each with the colour of the noise that it leaves. Rows that still hang together count as fewer than
+they are, n (1 - rho) / (1 + rho) by the correlation of whitened residuals from one to the next.
 """
 
 from collections.abc import Sequence
@@ -10,14 +10,19 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct, idct
 
 from surefoot.calibration.in_situ.added_causes import OF_ADDED
 from surefoot.calibration.in_situ.causes import ON_READINGS, SLOWLY, Cause, Evidence
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.input_checks import TOO_FAST
+from surefoot.calibration.in_situ.solve import Problem, Solution
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["Likely", "explained", "likeliest"]
+__all__ = ["Likely", "deviance", "explained", "likeliest", "whitened"]
+
+Matrix = NDArray[np.float64]
 
 
 class Likely(NamedTuple):
@@ -35,10 +40,10 @@ def likeliest(evidence: Evidence) -> list[Likely]:
         # What is garbage with one cause left out may have no answer with another.
         with suppress(np.linalg.LinAlgError):
             tried += look(evidence)
-    values = [_deviance(cause) for cause in tried]
-    best = tried[int(np.argmin(values))]
+    left = [whitened(cause.problem, cause.solution) for cause in tried]
+    values = [deviance(cause.problem.sets, one) for cause, one in zip(tried, left, strict=True)]
+    share = _independent(left[int(np.argmin(values))])
     rows = sum(part.rows for part in evidence.problem.sets)
-    share = _independent(best.problem.sets)
     # Twice the logarithm of the number of alternatives is what the best of them gains by chance.
     scores = np.array(
         [
@@ -52,17 +57,35 @@ def likeliest(evidence: Evidence) -> list[Likely]:
     return [Likely(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
 
 
-def _deviance(cause: Cause) -> float:
-    """Return minus twice the log-likelihood at the noise's likeliest covariance; infinite for no answer."""
-    parts = cause.problem.sets
-    rows = sum(part.rows for part in parts)
-    left = (cause.solution.residual @ np.linalg.inv(cause.problem.whitening).T).reshape(-1, len(parts[0].rr))
-    scatter = left.T @ left + sum(part.rr.T @ part.rr for part in parts)
+def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:
+    """Return minus twice the log-likelihood of sets' rows at the channels' likeliest covariance.
+
+    In the modes of their cosine transform rows are independent, with the power of the sets' colour, and
+    channels have one covariance S in all of them: -2 log L = n (k (1 + log 2 pi) + log |S|) + k log |colour|.
+
+    Args:
+        parts: The sets, with n rows of k channels in all.
+        left: What a fit leaves of them, as :func:`whitened` returns it.
+    """
+    rows, channels = sum(map(len, left)), left[0].shape[1]
+    scatter = sum(one.T @ one for one in left)
     size = np.sqrt(np.maximum(np.diag(scatter), np.finfo(float).tiny))
     _, logdet = np.linalg.slogdet(scatter / np.outer(size, size))
-    of_colour = len(size) * sum(part.log_colour for part in parts)
-    value = float(rows * (logdet + 2.0 * np.sum(np.log(size))) + of_colour)
+    logdet += 2.0 * np.sum(np.log(size)) - channels * np.log(rows)
+    of_colour = channels * sum(part.log_colour for part in parts)
+    value = float(rows * (channels * (1.0 + np.log(2.0 * np.pi)) + logdet) + of_colour)
     return value if np.isfinite(value) else np.inf
+
+
+def whitened(problem: Problem, solution: Solution) -> list[Matrix]:
+    """Return what a solution leaves of each set's rows, in the order of time, by its colour, shape (m, k)."""
+    found = []
+    between = solution.residual @ np.linalg.inv(problem.whitening).T
+    for part, one in zip(problem.sets, between, strict=True):
+        root = np.sqrt(part.colour.left(part.rows, part.spacing))[:, None]
+        modes = dct(part.residual - part.score @ one, norm="ortho", axis=0) / root
+        found.append(np.asarray(idct(modes, norm="ortho", axis=0)))
+    return found
 
 
 def explained(symptom: CalibrationRefused, evidence: Evidence, warnings: Sequence[str]) -> CalibrationRefused:
@@ -84,10 +107,9 @@ def _percent(share: float) -> str:
     return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
 
 
-def _independent(parts: Sequence[CompressedSet]) -> float:
+def _independent(left: Sequence[Matrix]) -> float:
     """Return the share of rows that are worth an independent one, by the correlation of neighbours."""
-    before = np.concatenate([part.residual[:-1] for part in parts])
-    after = np.concatenate([part.residual[1:] for part in parts])
+    before, after = (np.concatenate([one[cut] for one in left]) for cut in (slice(-1), slice(1, None)))
     size = float(np.sqrt(np.sum(before**2) * np.sum(after**2)))
     rho = float(np.sum(before * after)) / size if size > 0.0 else 0.0
     return float(np.clip((1.0 - rho) / (1.0 + rho), 1e-3, 1.0))

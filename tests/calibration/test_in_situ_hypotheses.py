@@ -1,0 +1,58 @@
+"""How causes of a spoilt in-situ log are compared: the likelihood of coloured rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from _in_situ import ADDED_COM_LEG, ADDED_MASS, noisy_sets
+from scipy.fft import idct
+from scipy.linalg import solve_triangular
+from scipy.stats import multivariate_normal
+
+from surefoot.calibration.in_situ.calibrate import _evidence
+from surefoot.calibration.in_situ.colour import Colour, Part
+from surefoot.calibration.in_situ.compress import _triangularise
+from surefoot.calibration.in_situ.covariance import whitening
+from surefoot.calibration.in_situ.hypotheses import deviance, whitened
+from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ.solve import solve, transforms
+
+COLOURS = {
+    "white": Colour(),
+    "drift": Colour(drift=Part(0.3, 2.0)),
+    "hysteresis": Colour(hysteresis=Part(1.5, 2.0, 0.4)),
+    "both": Colour(Part(0.3, 2.0), Part(1.5, 1.0, 0.4)),
+}
+
+
+def coloured_fit(colour, n=80):
+    """Four short sets whose second mass is 20 % too heavy, with rows of a colour: problem, solution."""
+    rng = np.random.default_rng(3)
+    sets = noisy_sets("leg", rng, n=n)[0]
+    sets[1] = replace(sets[1], added_mass=1.2 * ADDED_MASS[1], added_com=ADDED_COM_LEG[1])
+    evidence = _evidence(tuple(sets), None, None, InSituOptions(robust=False))
+    parts = tuple(_triangularise(part.source, colour) for part in evidence.problem.sets)
+    problem = replace(evidence.problem, sets=parts, whitening=whitening(parts))
+    return problem, solve(problem, [evidence.solution.outer])
+
+
+@pytest.mark.parametrize("colour", COLOURS.values(), ids=COLOURS)
+def test_deviance_is_that_of_a_dense_normal_distribution(colour):
+    problem, solution = coloured_fit(colour)
+    predicted = solution.response @ transforms(problem, solution)
+    left, dense = [], []
+    for part, response in zip(problem.sets, predicted, strict=True):
+        source = part.source
+        b, u, r = np.split(source.columns, [source.terms, source.terms + source.inputs], axis=1)
+        offset = solve_triangular(part.bb, part.br - part.bu @ response.T)
+        left.append(r - b @ offset - u @ response.T)
+        power = colour.left(part.rows, part.spacing) / colour.weights(part.rows, part.spacing)
+        waves = idct(np.eye(part.rows), norm="ortho", axis=0)
+        dense.append(waves @ np.diag(power) @ waves.T)
+    rows = sum(map(len, left))
+    scatter = sum(one.T @ np.linalg.solve(cov, one) for one, cov in zip(left, dense, strict=True)) / rows
+    expected = sum(
+        -2.0 * multivariate_normal.logpdf(one.ravel(), cov=np.kron(cov, scatter))
+        for one, cov in zip(left, dense, strict=True)
+    )
+    assert deviance(problem.sets, whitened(problem, solution)) == pytest.approx(expected, rel=1e-9)
