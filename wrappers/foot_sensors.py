@@ -18,6 +18,7 @@ from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_device
 from surefoot.wrappers.instruments import Instruments, InstrumentsState, usual_cells
+from surefoot.wrappers.native_telemetry import telemetry_of
 from surefoot.wrappers.raw_view import RawView
 from surefoot.wrappers.source import (
     Source,
@@ -29,7 +30,7 @@ from surefoot.wrappers.source import (
     wants_fresh,
     with_source,
 )
-from surefoot.wrappers.telemetry import Hardware, Telemetry, TelemetryState, timely_link
+from surefoot.wrappers.telemetry import Telemetry, timely_link
 
 SENSOR_STREAM = 0x5F00
 """Number of the random stream that sensors draw from unless another is given."""
@@ -175,7 +176,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.time = 0.0
         self._telemetry: Telemetry | None = None
         self._raw: NDArray[np.float64] | None = None
-        self._telemetry_state: TelemetryState | None = None
+        self._telemetry_state: Any = None
         self._clock: float | None = None
 
     def reset(
@@ -269,8 +270,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         """
         self._hardware = load_state(path, self._now(), **self._notes())
         if self._telemetry_state is not None:
-            computer = self._telemetry_state.computer._replace(**self._hardware.telemetry._asdict())
-            self._telemetry_state = self._telemetry_state._replace(computer=computer)
+            self._telemetry_state = self.telemetry.with_hardware(
+                self._telemetry_state, self._hardware.telemetry
+            )
 
     @property
     def _devices(self) -> HardwareState:
@@ -283,8 +285,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         hardware = self._devices
         if self._telemetry_state is None:
             return hardware
-        computer = self._telemetry_state.computer
-        return hardware._replace(telemetry=Hardware(computer.imu, computer.encoders))
+        return hardware._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
 
     def _notes(self) -> dict[str, str]:
         return {
@@ -331,7 +332,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         imu, encoders, link = self._configs
         if self._link_by_name and link.rate is not None:
             link = replace(link, rate=min(link.rate, substeps / dt))
-        telemetry = Telemetry(len(self.source.joint_names), imu, encoders, link, dt, substeps)
+        telemetry = telemetry_of(len(self.source.joint_names), imu, encoders, link, dt, substeps)
         self._view.listen(telemetry.layout)
         return telemetry
 

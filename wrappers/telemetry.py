@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surefoot.sensors import Corruption, Encoders, Imu, Link, encoders, imu
 from surefoot.sensors.configuration import require
+from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.imu import ImuState
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.transport.link import Packets, receive, send
@@ -166,7 +167,7 @@ class Telemetry:
         self,
         position: NDArray[np.float64],
         inertial: NDArray[np.float64],
-        rng: np.random.Generator,
+        rng: Rng,
         hardware: Hardware | None = None,
     ) -> tuple[Packets, TelemetryState]:
         """Switch the robot on at rest, some packets before time 0.
@@ -199,7 +200,7 @@ class Telemetry:
         inertial: NDArray[np.float64],
         time: float,
         state: TelemetryState,
-        rng: np.random.Generator,
+        rng: Rng,
     ) -> tuple[Packets, TelemetryState]:
         """Measure a control step.
 
@@ -232,12 +233,20 @@ class Telemetry:
         arrived, under_way = receive(under_way, time)
         return arrived, TelemetryState(computer, total, count, due - self.dt, number, under_way)
 
+    def hardware(self, state: TelemetryState) -> Hardware:
+        """Return what the IMU and the encoders are now."""
+        return Hardware(state.computer.imu, state.computer.encoders)
+
+    def with_hardware(self, state: TelemetryState, hardware: Hardware) -> TelemetryState:
+        """Return a state that goes on with another IMU and other encoders."""
+        return state._replace(computer=state.computer._replace(**hardware._asdict()))
+
     def _measure(
         self,
         position: NDArray[np.float64],
         inertial: NDArray[np.float64],
         computer: Computer,
-        rng: np.random.Generator,
+        rng: Rng,
     ) -> tuple[NDArray[np.float64], Computer]:
         """Read the sensors once and fill a packet."""
         imu_state, encoder_state, attitude, before, velocity = computer

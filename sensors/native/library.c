@@ -1,12 +1,31 @@
 /* The sensors' headers as a shared library, with a table of where their records' fields lie. */
 
 #include "surefoot_random.h"
+#include "surefoot_telemetry.h"
 
 #include "library.h"
+
+#define T_INT(field) PLACE(telemetry_config, field, "int")
+#define T_DOUBLE(field) PLACE(telemetry_config, field, "double")
+#define T_REAL(field) PLACE(telemetry_config, field, "real")
+#define U_DOUBLE(field) PLACE(telemetry, field, "double")
+#define U_WHOLE(field) PLACE(telemetry, field, "whole")
+#define U_REAL(field) PLACE(telemetry, field, "real")
 
 /* clang-format off */
 static const place places[] = {
     WHOLE_OF(random), PLACE(random, key, "word"), PLACE(random, count, "word"),
+
+    WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),
+
+    T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
+    T_DOUBLE(substep), T_DOUBLE(period), T_DOUBLE(delay), T_DOUBLE(jitter), T_REAL(interval),
+    T_REAL(smoothing), T_REAL(encoder_bias), T_REAL(encoder_noise), T_REAL(encoder_step), T_REAL(bias_std),
+    T_REAL(spread), T_REAL(walk), T_REAL(noise), T_REAL(step), T_REAL(most),
+
+    U_DOUBLE(due), U_WHOLE(number), U_WHOLE(substeps), U_WHOLE(first), U_WHOLE(waiting), U_REAL(bias),
+    U_REAL(matrix), U_REAL(error), U_REAL(up), U_REAL(gyroscope_bias), U_REAL(position), U_REAL(velocity),
+    U_REAL(inertial), U_DOUBLE(arrival), U_REAL(ring),
 };
 /* clang-format on */
 
@@ -32,4 +51,24 @@ EXPORTED void surefoot_draw(sf_random *streams, const unsigned char *marks, size
         }
         if (!marks || marks[robot]) streams[robot] = stream;
     }
+}
+
+EXPORTED int surefoot_telemetry_fits(const sf_telemetry_config *config) { return sf_telemetry_fits(config); }
+EXPORTED int surefoot_telemetry_draws(const sf_telemetry_config *config) {
+    return sf_telemetry_draws(config);
+}
+EXPORTED int surefoot_telemetry_coming(const sf_telemetry_config *config, const sf_telemetry *state) {
+    return sf_telemetry_coming(config, state);
+}
+EXPORTED int surefoot_telemetry_init(const sf_telemetry_config *config, sf_telemetry *state,
+                                     const sf_real *position, const sf_real *inertial, int fresh,
+                                     sf_random *stream, const sf_real *drawn, sf_real *arrived) {
+    sf_normals normals = {stream, drawn};
+    return sf_telemetry_init(config, state, position, inertial, fresh, &normals, arrived);
+}
+EXPORTED int surefoot_telemetry_advance(const sf_telemetry_config *config, sf_telemetry *state,
+                                        const sf_real *position, const sf_real *inertial, double time,
+                                        sf_random *stream, const sf_real *drawn, sf_real *arrived) {
+    sf_normals normals = {stream, drawn};
+    return sf_telemetry_advance(config, state, position, inertial, time, &normals, arrived);
 }

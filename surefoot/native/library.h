@@ -16,7 +16,7 @@
 #endif
 
 typedef struct {
-    const char *record, *field, *kind; /* "real", "int", "whole", "word" or "byte" */
+    const char *record, *field, *kind; /* "real", "double", "int", "whole", "word" or "byte" */
     size_t offset, size;
 } place;
 

@@ -56,6 +56,7 @@ class Library(NamedTuple):
             "whole": np.dtype(np.int64),
             "word": np.dtype(np.uint64),
             "byte": np.dtype(np.bool_),
+            "double": np.dtype(np.float64),
         }
         places, formats = self.places[name], []
         for field, shape in shapes.items():

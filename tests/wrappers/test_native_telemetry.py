@@ -1,0 +1,221 @@
+"""Telemetry in C against the Python that specifies it: the same packets and states, step by step."""
+
+import copy
+import pickle
+import subprocess
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from surefoot.native import compiler
+from surefoot.sensors import Encoders, Imu, Link, preset
+from surefoot.sensors.native import NATIVE
+from surefoot.sensors.randomness import Stream
+from surefoot.wrappers import FootSensors
+from surefoot.wrappers.native_telemetry import NativeTelemetry, NativeTelemetryState, telemetry_of
+from surefoot.wrappers.telemetry import Hardware, Telemetry
+
+STEPS, EXCHANGE, CLOSE = 2000, 1234, 1e-9
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+COARSE = Imu(accelerometer_scale_std=0.02, gyroscope_scale_std=0.01, misalignment_std=0.01)
+ONE_AXIS = Imu(accelerometer_resolution=0.0, gyroscope_range=0.0, averaged=False)
+PERFECT = preset("perfect", Imu), preset("perfect", Encoders), preset("perfect", Link)
+
+TABLE = {
+    "usual": (24, Imu(), Encoders(), Link(), 1 / 80, 10),
+    "an odd number of joints": (17, Imu(), Encoders(), Link(), 0.015, 5),
+    "no joints": (0, Imu(), Encoders(), Link(), 1 / 80, 10),
+    "one row a step": (12, Imu(), Encoders(), Link(rate=50.0), 0.02, 1),
+    "perfect": (24, *PERFECT, 1 / 80, 10),
+    "perfect but averaged": (3, Imu(**{**vars(PERFECT[0]), "averaged": True}), *PERFECT[1:], 0.01, 4),
+    "axes that are off": (6, COARSE, Encoders(bits=0), Link(jitter=0.0), 1 / 80, 10),
+    "no mean": (6, ONE_AXIS, Encoders(noise_std=0.0), Link(), 1 / 80, 10),
+    "a packet each substep": (4, Imu(), Encoders(), Link(rate=800.0, delay=0.004), 1 / 80, 10),
+    "slow packets": (4, Imu(), Encoders(), Link(rate=13.0, delay=0.3, jitter=0.05), 1 / 80, 10),
+    "jitter that holds packets up": (4, Imu(), Encoders(), Link(delay=0.02, jitter=0.04), 0.01, 2),
+    "late": (40, Imu(), Encoders(), Link(rate=150.0, delay=0.2, jitter=0.01), 1 / 80, 10),
+}
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    path = tmp_path_factory.mktemp("native") / "sensors.so"
+    assert NATIVE.sources.compile(path) is None
+    return NATIVE.load(path, NATIVE.sources.fingerprint())
+
+
+class Motion:
+    """What a robot does: it sways, turns, falls freely for a while, and lands hard."""
+
+    def __init__(self, joints: int, dt: float, substeps: int, seed: int = 0) -> None:
+        rng = np.random.default_rng([7, seed])
+        self.dt, self.substeps = dt, substeps
+        self.rate = rng.uniform(1.0, 9.0, joints + 6)
+        self.phase = rng.uniform(0.0, 6.0, joints + 6)
+        self.size = np.concatenate([rng.uniform(0.1, 1.0, joints), [2.0, 2.0, 3.0, 1.0, 1.0, 12.0]])
+
+    def step(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        times = self.dt * (k + np.arange(1, self.substeps + 1)[:, None] / self.substeps)
+        rows = self.size * np.sin(self.rate * times + self.phase)
+        position, inertial = rows[:, :-6], rows[:, -6:].copy()
+        if k % 500 > 400:
+            inertial[:, :3] = 0.0
+        elif k % 500 == 400:
+            inertial[:, :3] = (30.0, -40.0, 90.0)
+        else:
+            inertial[:, 2] += 9.81
+        return position, inertial
+
+
+def same_packets(expected, found) -> None:
+    assert len(found) == len(expected)
+    for one, two in zip(expected, found, strict=True):
+        assert (two.number, two.arrival) == (one.number, pytest.approx(one.arrival, rel=CLOSE))
+        np.testing.assert_allclose(two.values, one.values, rtol=CLOSE, atol=1e-12)
+
+
+def leaves(state) -> list:
+    return [leaf for part in state for leaf in (leaves(part) if isinstance(part, tuple) else [part])]
+
+
+def same_state(native: NativeTelemetry, expected, found) -> None:
+    assert type(found) is NativeTelemetryState
+    expected, found = leaves(expected), leaves(native.unpack(found))
+    assert len(found) == len(expected)
+    for one, two in zip(expected, found, strict=True):
+        assert type(two) is type(one)
+        np.testing.assert_allclose(two, one, rtol=CLOSE, atol=1e-12)
+
+
+RNGS = {"generator": np.random.default_rng, "stream": Stream.of}
+
+
+@pytest.mark.parametrize("rng", RNGS)
+@pytest.mark.parametrize("name", TABLE)
+def test_the_library_is_the_python(library, name: str, rng: str) -> None:
+    arguments = TABLE[name]
+    joints, _, _, _, dt, substeps = arguments
+    python, native = Telemetry(*arguments), NativeTelemetry(library, *arguments)
+    motion, rngs = Motion(joints, dt, substeps), [RNGS[rng](3), RNGS[rng](3)]
+    rest = np.array([0.1, 0.0, 9.8, 0.0, 0.0, 0.01])
+    packets, expected = python.init(np.full(joints, 0.2), rest, rngs[0])
+    others, found = native.init(np.full(joints, 0.2), rest, rngs[1])
+    came = 0
+    for k in range(STEPS):
+        same_packets(packets, others)
+        came += len(packets)
+        if k % 97 == 0:
+            same_state(native, expected, found)
+        if k == EXCHANGE:
+            found, expected = native.pack(expected), native.unpack(found)
+        truth, time = motion.step(k), (k + 1) * dt
+        packets, expected = python.advance(*truth, time, expected, rngs[0])
+        others, found = native.advance(*truth, time, found, rngs[1])
+    same_state(native, expected, found)
+    assert rngs[1].standard_normal() == pytest.approx(float(rngs[0].standard_normal()), rel=CLOSE)
+    assert came > 0.9 * STEPS * dt / python.period
+
+
+@pytest.mark.parametrize("name", ["usual", "axes that are off"])
+def test_hardware_is_kept_and_exchanged(library, name: str) -> None:
+    arguments = TABLE[name]
+    joints = arguments[0]
+    python, native = Telemetry(*arguments), NativeTelemetry(library, *arguments)
+    rng, rest = np.random.default_rng(5), np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
+    _, first = python.init(np.zeros(joints), rest, rng)
+    hardware = python.hardware(first)
+    rngs = [np.random.default_rng(6), np.random.default_rng(6)]
+    _, expected = python.init(np.zeros(joints), rest, rngs[0], hardware)
+    _, found = native.init(np.zeros(joints), rest, rngs[1], hardware)
+    same_state(native, expected, found)
+    other = Hardware(*native.hardware(native.init(np.zeros(joints), rest, rng)[1]))
+    changed = native.with_hardware(found, other)
+    same_state(native, python.with_hardware(expected, other), changed)
+    same_state(native, expected, found)
+
+
+def test_a_crowded_link_goes_on_in_python_and_comes_back(library) -> None:
+    arguments = TABLE["usual"]
+    python, native = Telemetry(*arguments), NativeTelemetry(library, *arguments)
+    motion, rngs = Motion(24, 1 / 80, 10), [np.random.default_rng(3), np.random.default_rng(3)]
+    rest = np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
+    _, expected = python.init(np.zeros(24), rest, rngs[0])
+    _, found = native.init(np.zeros(24), rest, rngs[1])
+    held_up = tuple(packet._replace(arrival=1.0) for packet in expected.under_way)
+    expected = expected._replace(under_way=held_up)
+    found = native.pack(native.unpack(found)._replace(under_way=held_up))
+    kinds = []
+    for k in range(120):
+        packets, expected = python.advance(*motion.step(k), (k + 1) / 80, expected, rngs[0])
+        others, found = native.advance(*motion.step(k), (k + 1) / 80, found, rngs[1])
+        same_packets(packets, others)
+        kinds.append(type(found) is NativeTelemetryState)
+    assert kinds[0]
+    assert not all(kinds)
+    assert kinds[-1]
+
+
+def test_what_does_not_fit_is_python(library, monkeypatch) -> None:
+    monkeypatch.setattr("surefoot.wrappers.native_telemetry.installed", lambda: library)
+    assert type(telemetry_of(*TABLE["usual"])) is NativeTelemetry
+    for joints, link in ((65, Link()), (6, Link(jitter=0.5)), (6, Link(jitter=1e12))):
+        assert type(telemetry_of(joints, Imu(), Encoders(), link, 1 / 80, 10)) is Telemetry
+    with pytest.raises(ValueError, match=r"Link\.rate must be at most 800 per second"):
+        telemetry_of(6, Imu(), Encoders(), Link(rate=900.0), 1 / 80, 10)
+    monkeypatch.setattr("surefoot.wrappers.native_telemetry.installed", lambda: None)
+    assert type(telemetry_of(*TABLE["usual"])) is Telemetry
+
+
+def test_a_step_of_other_rows_goes_the_python_way(library) -> None:
+    python, native = Telemetry(*TABLE["usual"]), NativeTelemetry(library, *TABLE["usual"])
+    rngs = [np.random.default_rng(3), np.random.default_rng(3)]
+    expected, found = (
+        telemetry.init(np.zeros(24), np.zeros(6), rng)[1]
+        for telemetry, rng in zip((python, native), rngs, strict=True)
+    )
+    position, inertial = Motion(24, 1 / 80, 10).step(0)
+    packets, _ = python.advance(position[:5], inertial[:5], 1 / 80, expected, rngs[0])
+    others, _ = native.advance(position[:5], inertial[:5], 1 / 80, found, rngs[1])
+    same_packets(packets, others)
+
+
+def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
+    """Copied and pickled on the way, as vector environments and checkpoints do."""
+    seen = []
+    for found in (None, library):
+        monkeypatch.setattr("surefoot.wrappers.native_telemetry.installed", lambda found=found: found)
+        env = FootSensors(gym.make("surefoot/NaoStand-v0"))
+        observation, _ = env.reset(seed=4)
+        states = [observation["state"]]
+        for _ in range(30):
+            observation, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
+            states.append(observation["state"])
+        kind = type(env._telemetry_state)
+        seen.append(np.array(states))
+        for twin in (copy.deepcopy, lambda part: pickle.loads(pickle.dumps(part))):
+            telemetry, state, rng = twin((env.telemetry, env._telemetry_state, env._telemetry_rng))
+            assert type(state) is kind
+            packets, _ = telemetry.advance(*Motion(24, 1 / 80, 10).step(0), 31 / 80, state, rng)
+            seen.append([packet.values for packet in packets])
+    assert kind is NativeTelemetryState
+    for one, two in zip(seen[:3], seen[3:], strict=True):
+        np.testing.assert_allclose(two, one, rtol=1e-6 if one is seen[0] else CLOSE, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["usual", "a packet each substep", "jitter that holds packets up"])
+def test_garbage_stays_within_the_arrays(library, tmp_path, name: str) -> None:
+    source = Path(__file__).parent / "fuzz_telemetry.c"
+    (tmp_path / "config").write_bytes(NativeTelemetry(library, *TABLE[name]).config.tobytes())
+    strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1"]
+    clean = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    command = [compiler(), *strict, *clean, f"-I{NATIVE.sources.folder}", "-o", "fuzz", source, "-lm"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    done = subprocess.run(
+        [tmp_path / "fuzz", tmp_path / "config"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,252 @@
+"""Telemetry of one robot by the library: the packets and states of the Python, several times faster."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.native import Library
+from surefoot.sensors import Encoders, Imu, Link
+from surefoot.sensors.corruption import Rng
+from surefoot.sensors.devices.imu import ImuState
+from surefoot.sensors.native import installed
+from surefoot.sensors.randomness import Stream
+from surefoot.sensors.stages.affine import WalkState
+from surefoot.sensors.transport.link import Arrived, Packet, Packets
+from surefoot.wrappers.attitude import Attitude
+from surefoot.wrappers.telemetry import Computer, Hardware, Telemetry, TelemetryState
+
+Floats = NDArray[np.float64]
+
+
+class NativeTelemetryState:
+    """The robot's side of the link as the library holds it; it goes on in place.
+
+    Args:
+        record: All numbers, shape ().
+    """
+
+    def __init__(self, record: NDArray[Any]) -> None:
+        self.record, self.address = record, record.ctypes.data
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return NativeTelemetryState, (self.record.copy(),)
+
+
+class NativeTelemetry(Telemetry):
+    """Telemetry by the library: states go on in place, and either's can be handed to the other.
+
+    Args:
+        library: The library.
+        joints: As of :class:`~surefoot.wrappers.telemetry.Telemetry`, like all that follow.
+        imu_config: The IMU.
+        encoder_config: The encoders.
+        link: The link to the host.
+        dt: Duration of a control step in s.
+        substeps: Rows of truth in a control step.
+
+    Raises:
+        ValueError: If the robot does not fit into the library's arrays.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        joints: int,
+        imu_config: Imu,
+        encoder_config: Encoders,
+        link: Link,
+        dt: float,
+        substeps: int,
+    ) -> None:
+        super().__init__(joints, imu_config, encoder_config, link, dt, substeps)
+        self._arguments = joints, imu_config, encoder_config, link, dt, substeps
+        values = self._constants(joints, imu_config, encoder_config, substeps)
+        config = library.record("telemetry_config", {name: np.shape(value) for name, value in values.items()})
+        assert config is not None
+        self.config = np.zeros((), config)
+        for name, value in values.items():
+            self.config[name] = value
+        room = library.places["telemetry"]["arrival"][2] // 8
+        shapes = dict.fromkeys(("due", "number", "substeps", "first", "waiting"), ())
+        state = library.record("telemetry", shapes | {
+            "bias": (6,), "matrix": (2, 3, 3), "error": (joints,), "up": (3,), "gyroscope_bias": (3,),
+            "position": (joints,), "velocity": (joints,), "inertial": (6,), "arrival": (room,),
+            "ring": (room, 2 + self.layout.size),
+        })  # fmt: skip
+        functions, at = library.functions, self.config.ctypes.data
+        if state is None or not functions.surefoot_telemetry_fits(at):
+            raise ValueError("The robot is larger than those that the library was compiled for.")
+        self._state, self._room = state, room
+        self._skewed = bool(self.config["skewed"])
+        self._draws = functions.surefoot_telemetry_draws(at)
+        self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
+        self._coming = functions.surefoot_telemetry_coming
+        self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
+        self._arrived = np.zeros((room, 2 + self.layout.size))
+        normals = np.zeros((room + 1) * self._draws)
+        self._normals = [normals[: count * self._draws] for count in range(room + 1)]
+        self._shape = self._position.shape
+        self._at, self._at_arrived, self._at_normals = at, self._arrived.ctypes.data, normals.ctypes.data
+        self._drawn_from: tuple[Any, int] = None, 0
+        self._at_truth = self._position.ctypes.data, self._inertial.ctypes.data
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return telemetry_of, self._arguments
+
+    def init(
+        self, position: Floats, inertial: Floats, rng: Rng, hardware: Hardware | None = None
+    ) -> tuple[Packets, Any]:
+        """Switch the robot on; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
+        state = NativeTelemetryState(np.zeros((), self._state))
+        fresh, joints, stream = hardware is None, len(position), self._stream(rng)
+        normals = self._normals[0]
+        if hardware is not None:
+            self._put(state, hardware)
+        if stream is None:
+            drawn = 6 + 18 * self._skewed + joints if fresh else 0
+            noisy = joints if self.config["encoder_noise"] else 0
+            normals = rng.standard_normal(drawn + noisy + self.before_start * self._draws)
+        self._position[0], self._inertial[0] = position, inertial
+        arrived = self._init(
+            self._at, state.address, *self._at_truth, fresh, stream, normals.ctypes.data, self._at_arrived
+        )
+        return Arrived(self._arrived[:arrived].copy()), state
+
+    def advance(
+        self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
+    ) -> tuple[Packets, Any]:
+        """Measure a control step; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
+        native = state if type(state) is NativeTelemetryState else self.pack(state)
+        if native is None or position.shape != self._shape:
+            return super().advance(position, inertial, time, self.unpack(state), rng)
+        stream, arrived = self._stream(rng), -1
+        coming = 0 if stream is not None else self._coming(self._at, native.address)
+        if coming >= 0:
+            if stream is None:
+                rng.standard_normal(out=self._normals[coming])
+            self._position[...], self._inertial[...] = position, inertial
+            arrived = self._advance(
+                self._at, native.address, *self._at_truth, time, stream, self._at_normals, self._at_arrived
+            )
+        if arrived < 0:
+            # More packets are under way than the library has room for.
+            return super().advance(position, inertial, time, self.unpack(native), rng)
+        return Arrived(self._arrived[:arrived].copy()), native
+
+    def _stream(self, rng: Any) -> int | None:
+        """Return where the stream of one robot lies, from which C draws; ``None`` for NumPy's generator."""
+        if type(rng) is not Stream:
+            return None
+        if rng.record is not self._drawn_from[0]:
+            self._drawn_from = rng.record, rng.record.ctypes.data
+        return self._drawn_from[1]
+
+    def hardware(self, state: Any) -> Hardware:
+        """Return what the IMU and the encoders are now."""
+        if type(state) is not NativeTelemetryState:
+            return super().hardware(state)
+        record = state.record
+        matrix = record["matrix"].copy() if self._skewed else ()
+        return Hardware(ImuState(record["bias"].copy(), matrix), (WalkState(record["error"].copy()), (), ()))
+
+    def with_hardware(self, state: Any, hardware: Hardware) -> Any:
+        """Return a state that goes on with another IMU and other encoders."""
+        if type(state) is not NativeTelemetryState:
+            return super().with_hardware(state, hardware)
+        after = NativeTelemetryState(state.record.copy())
+        self._put(after, hardware)
+        return after
+
+    def _put(self, state: NativeTelemetryState, hardware: Hardware) -> None:
+        state.record["bias"], matrix = hardware.imu
+        if self._skewed:
+            state.record["matrix"] = matrix
+        state.record["error"] = hardware.encoders[0].error
+
+    def pack(self, state: TelemetryState) -> NativeTelemetryState | None:
+        """Return a Python state as the library's; ``None`` if there is no room for its packets."""
+        computer, inertial, substeps, due, number, under_way = state
+        if len(under_way) > self._room:
+            return None
+        native = NativeTelemetryState(np.zeros((), self._state))
+        self._put(native, Hardware(computer.imu, computer.encoders))
+        record = native.record
+        record["up"], record["gyroscope_bias"] = computer.attitude
+        record["position"], record["velocity"] = computer.position, computer.velocity
+        record["inertial"], record["substeps"] = inertial, substeps
+        record["due"], record["number"], record["waiting"] = due, number, len(under_way)
+        for place, packet in enumerate(under_way):
+            record["arrival"][place] = packet.arrival
+            record["ring"][place] = (packet.number, packet.arrival, *packet.values)
+        return native
+
+    def unpack(self, state: TelemetryState | NativeTelemetryState) -> TelemetryState:
+        """Return the library's state as a Python state, which shares nothing with it; another as it is."""
+        if not isinstance(state, NativeTelemetryState):
+            return state
+        record = state.record
+        up, bias = (tuple(record[name].tolist()) for name in ("up", "gyroscope_bias"))
+        places = (int(record["first"]) + np.arange(int(record["waiting"]))) % self._room
+        rows, arrival = record["ring"][places], record["arrival"][places].tolist()
+        return TelemetryState(
+            Computer(
+                *self.hardware(state),
+                Attitude(up, bias),
+                record["position"].copy(),
+                record["velocity"].copy(),
+            ),
+            record["inertial"].copy(),
+            int(record["substeps"]),
+            float(record["due"]),
+            int(record["number"]),
+            tuple(Packet(int(row[0]), late, row[2:]) for row, late in zip(rows, arrival, strict=True)),
+        )
+
+    def _constants(self, joints: int, chip: Imu, coders: Encoders, substeps: int) -> dict[str, Any]:
+        """Return the constants by their names in ``sf_telemetry_config``."""
+        axes, period = np.eye(3), self.period
+        scales = np.array([chip.accelerometer_scale_std, chip.gyroscope_scale_std])[:, None, None]
+        spread = scales * axes + chip.misalignment_std * (1.0 - axes)
+
+        def both(name: str) -> Floats:
+            return np.repeat(
+                [getattr(chip, f"{sensor}_{name}") for sensor in ("accelerometer", "gyroscope")], 3
+            )
+
+        return {
+            "joints": joints,
+            "substeps": substeps,
+            "before_start": min(self.before_start, 2**30),
+            "averaged": self.averaged,
+            "skewed": bool(spread.any()),
+            "dt": self.dt,
+            "substep": self.substep,
+            "period": period,
+            "delay": self.link.delay,
+            "jitter": self.link.jitter,
+            "interval": period,
+            "smoothing": self._smoothing,
+            "encoder_bias": coders.bias_std,
+            "encoder_noise": coders.noise_std,
+            "encoder_step": coders.resolution,
+            "bias_std": both("bias_std"),
+            "spread": spread.ravel(),
+            "walk": both("walk") * period**0.5,
+            "noise": both("noise") * period**-0.5,
+            "step": both("resolution"),
+            "most": both("range"),
+        }
+
+
+def telemetry_of(
+    joints: int, imu_config: Imu, encoder_config: Encoders, link: Link, dt: float, substeps: int
+) -> Telemetry:
+    """Build telemetry: by the library where there is one and the robot fits into its arrays."""
+    library, arguments = installed(), (joints, imu_config, encoder_config, link, dt, substeps)
+    if library is not None:
+        try:
+            return NativeTelemetry(library, *arguments)
+        except ValueError:
+            pass  # of what is refused Python says why
+    return Telemetry(*arguments)
