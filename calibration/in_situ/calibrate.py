@@ -72,7 +72,7 @@ from surefoot.calibration.in_situ.solve import (
     starts,
     transforms,
 )
-from surefoot.calibration.in_situ.temperature import about_one_temperature, with_gains
+from surefoot.calibration.in_situ.temperature import about_one_temperature, drifting, with_gains
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats, accepting
 
 __all__ = ["calibrate_in_situ"]
@@ -245,7 +245,8 @@ def _fit(
     check_bending(sets, problem.sets, options, loops=not loops)
     noise = pooled_noise(problem.sets)
     slow = slow_turn(sets, problem.sets)
-    with _slow_first(slow):
+    behind = slow if slow is not None or reference is None else drifting(parts)
+    with _drift_first(behind):
         warnings += check_masses(problem, solution, noise, options)
     noisy = with_disagreement(problem, solution)
     covariance = fit_covariance(noisy, solution, noise, rows_of_turning(sets, problem, solution))
@@ -260,7 +261,7 @@ def _fit(
     fit = replace(fit, data_share=of_data.share)
     if reference is not None:
         fit = replace(fit, temperature_reference=reference)
-    with _slow_first(slow):
+    with _drift_first(behind):
         check_scale(fit, options)
         if not rank.missing:
             check_axes(fit, problem, solution, options)
@@ -276,15 +277,15 @@ def _fit(
 
 
 @contextmanager
-def _slow_first(slow: CalibrationRefused | None) -> Iterator[None]:
+def _drift_first(drift: CalibrationRefused | None) -> Iterator[None]:
     """Where a drift may be behind a refusal, say so before it."""
     try:
         yield
     except CalibrationRefused as refusal:
-        if slow is None:
+        if drift is None:
             raise
-        cure = f"{slow.cure} If that is not it: {refusal.cure}"
-        raise CalibrationRefused(f"{slow.reason} {refusal.reason}", cure) from refusal
+        cure = f"{drift.cure} If that is not it: {refusal.cure}"
+        raise CalibrationRefused(f"{drift.reason} {refusal.reason}", cure) from refusal
 
 
 def _from_factory(problem: Problem, solution: Solution) -> float:

@@ -21,13 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.in_situ.compress import CompressedSet
+from surefoot.calibration.in_situ.covariance import UNUSED, whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.hysteresis import beside_loads, criterion
 from surefoot.calibration.in_situ.model import AXES
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, transforms
+from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["about_one_temperature", "with_gains"]
+__all__ = ["about_one_temperature", "drifting", "with_gains"]
 
 Matrix = NDArray[np.float64]
 
@@ -36,6 +38,9 @@ _LEAST_WARMING = 0.3
 
 _LEAST_LEFT = 0.1
 """Share of its spread that what gravity explains must leave of a temperature."""
+
+_DISAGREE = 3.0
+"""Deviations by which coefficients of sets may differ."""
 
 _GAIN_STD = 0.005
 """Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
@@ -106,6 +111,33 @@ def _left_by(
         warmth, of = part[:, 0], part[:, 1:]
         left += float(np.sum((warmth - of @ np.linalg.lstsq(of, warmth, rcond=None)[0]) ** 2))
     return float(np.sqrt(left / sum(float(np.sum(part[:, 0] ** 2)) for part in parts)))
+
+
+def drifting(parts: Sequence[CompressedSet]) -> CalibrationRefused | None:
+    """Return that an offset drifted as the temperature changed, and the cure; None if nothing shows it.
+
+    A drift that went with the temperature of a set hides in that set's own coefficient: no residual shows it,
+    but the coefficients of sets disagree. The temperature is the last signal of the sets.
+    """
+    root = whitening(parts)
+    own = np.array([part.response[:, -1] for part in parts])
+    gram = np.array([part.gram[-1, -1] for part in parts])
+    square = np.array([part.uu[-1, -1] ** 2 for part in parts])
+    worth = np.where(gram > UNUSED, square / np.maximum(gram, UNUSED), 0.0)
+    freedom = (np.count_nonzero(worth) - 1) * len(root)
+    if freedom <= 0:
+        return None
+    off = (own - worth @ own / np.sum(worth)) @ root.T
+    if worth @ np.sum(off**2, axis=1) < _DISAGREE**2 * freedom:
+        return None
+    channel = int(np.argmax(np.ptp(own, axis=0)))
+    low, high = np.min(own[:, channel]), np.max(own[:, channel])
+    return CalibrationRefused(
+        "The offset drifted as the temperature changed: single sets show coefficients of channel "
+        f"{channel} from {low:.3g} to {high:.3g} counts/K.",
+        "Let the sensor warm and cool within each set, or leave the temperature out: a drift is followed "
+        "without it.",
+    )
 
 
 def with_gains(

@@ -239,22 +239,43 @@ def test_a_temperature_that_goes_with_gravity_is_left_out():
     assert any("went with gravity" in warning for warning in fit.warnings)
 
 
+def warmed(ramps, drift):
+    """Sets of the leg whose temperature follows a path in K each while the offset drifts, and both rates."""
+    rng = np.random.default_rng(81)
+    sets, _ = noisy_sets("leg", rng, n=1500)
+    per_kelvin, rate = 2.0 * rng.standard_normal(6), drift * rng.standard_normal(6)
+    path = np.linspace(-7.5, 7.5, 1500)
+    found = []
+    for one, warmth in zip(sets, ramps(path), strict=True):
+        raw = one.raw + np.outer(warmth, per_kelvin) + np.outer(path, rate)
+        found.append(replace(one, raw=raw, temperature=25.0 + warmth))
+    return found, per_kelvin, rate
+
+
+def both_ways(path):
+    return path, -path, path, -path
+
+
 @pytest.mark.parametrize("cooling", [False, True])
 def test_a_temperature_that_goes_with_time_is_not_told_from_a_drift(cooling):
     """Where it only rises the coefficient takes the drift in, and that is said."""
-    rng = np.random.default_rng(81)
-    sets, _ = noisy_sets("leg", rng, n=1500)
-    ramp, per_kelvin, drift = np.linspace(-7.5, 7.5, 1500), *(2.0 * rng.standard_normal((2, 6)))
-    warmed = []
-    for j, one in enumerate(sets):
-        warmth = -ramp if cooling and j % 2 else ramp
-        raw = one.raw + np.outer(warmth, per_kelvin) + np.outer(ramp, drift)
-        warmed.append(replace(one, raw=raw, temperature=25.0 + warmth))
-    fit = calibrate_in_situ(warmed)
+    sets, per_kelvin, drift = warmed(both_ways if cooling else lambda path: [path] * 4, drift=2.0)
+    fit = calibrate_in_situ(sets)
     assert any("The temperature went with time" in warning for warning in fit.warnings) != cooling
     taken = fit.temperature_coefficient - per_kelvin
     np.testing.assert_allclose(taken, 0.0 if cooling else drift, atol=0.3)
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
+
+
+def test_a_drift_that_hides_in_the_coefficients_of_single_sets_is_named_and_cured():
+    sets, _, _ = warmed(both_ways, drift=10.0)
+    with pytest.raises(CalibrationRefused, match="The offset drifted as the temperature changed") as refused:
+        calibrate_in_situ(sets)
+    assert "Let the sensor warm and cool within each set" in refused.value.cure
+    swinging, _, _ = warmed(lambda path: [7.5 * np.sin(path + j) for j in range(4)], drift=10.0)
+    for cured in (swinging, [replace(one, temperature=None) for one in sets]):
+        fit = calibrate_in_situ(cured)
+        assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
 
 
 def test_the_temperature_of_a_leaning_fit_is_its_own():
