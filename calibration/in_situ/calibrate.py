@@ -33,14 +33,13 @@ from surefoot.calibration.in_situ.covariance import (
     fit_covariance,
     noise_level,
     pooled_noise,
-    weighted_inverse,
     whitening,
     with_disagreement,
     with_rows,
 )
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.factory import choose_shares, leaning_matrix, likely_shares
-from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
+from surefoot.calibration.in_situ.fit import FitColumns, InSituFit
 from surefoot.calibration.in_situ.held_out import with_nonlinear
 from surefoot.calibration.in_situ.hypotheses import explained
 from surefoot.calibration.in_situ.hysteresis import with_hysteresis
@@ -56,24 +55,21 @@ from surefoot.calibration.in_situ.model import (
     MASS,
     MOMENT,
     STATIC,
-    inertia_matrix,
     inertial_parameters,
     transform_basis,
 )
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
+from surefoot.calibration.in_situ.outcome import outcome, refused
 from surefoot.calibration.in_situ.rest import rows_of_turning
 from surefoot.calibration.in_situ.solve import (
     Problem,
     Solution,
-    loop_shares,
     minima,
-    of_unit_length,
     solve,
     starts,
-    transforms,
 )
 from surefoot.calibration.in_situ.temperature import about_one_temperature, drifting, with_gains
-from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats, accepting
+from surefoot.calibration.results import CalibrationRefused, FitResult, accepting
 
 __all__ = ["calibrate_in_situ"]
 
@@ -169,7 +165,7 @@ def _answer(given: _Given, refuse: bool, accept: str) -> InSituFit:
         )
     if refuse:
         raise refusal
-    return _refused(given[0], refusal)
+    return refused(given[0], refusal)
 
 
 def _past(refusal: CalibrationRefused, given: _Given, accept: str) -> InSituFit | None:
@@ -257,7 +253,7 @@ def _fit(
     if factory is not None and rank.missing:
         matrix, of_rows = leaning_matrix(problem, solution, factory)
         covariance = with_rows(covariance, of_rows)
-    fit = _outcome(problem, solution, noise, covariance, rank, matrix, warnings)
+    fit = outcome(problem, solution, noise, covariance, rank, matrix, warnings)
     fit = replace(fit, data_share=of_data.share)
     if reference is not None:
         fit = replace(fit, temperature_reference=reference)
@@ -407,107 +403,3 @@ def _limb_alone(
     covariance = fit_covariance(with_disagreement(free, alone), alone, pooled_noise(free.sets), turning)
     mass = FitColumns.of(len(alone.A)).limb.start + MASS
     return float(alone.limb[MASS]), float(np.sqrt(covariance[mass, mass]))
-
-
-def _outcome(
-    problem: Problem,
-    solution: Solution,
-    noise: Matrix,
-    covariance: Matrix,
-    rank: DataRank,
-    matrix: Matrix | None,
-    warnings: tuple[str, ...],
-) -> InSituFit:
-    """Return the fit; ``matrix`` is C where it leans on a factory matrix, else the response's inverse."""
-    if matrix is None:
-        matrix = weighted_inverse(solution.A, noise)
-    else:
-        response = np.concatenate([np.linalg.pinv(matrix), solution.direct], axis=1)
-        solution = replace(solution, response=response)
-    parts, limb = problem.sets, solution.limb
-    predicted = solution.response @ transforms(problem, solution)
-    offsets = [part.offset(B, part.middle) for part, B in zip(parts, predicted, strict=True)]
-    stats, set_stats = _stats(problem, solution, rank)
-    return InSituFit(
-        matrix=matrix,
-        offset=parts[-1].offset(predicted[-1], parts[-1].end),
-        offsets=np.array(offsets),
-        response=solution.A,
-        limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
-        covariance=covariance,
-        noise=noise,
-        temperature_coefficient=solution.direct[:, 0] if problem.temperature else None,
-        rotation=solution.rotation,
-        result=FitResult.PARTLY_DETERMINED if rank.missing else FitResult.DETERMINED,
-        refusals=(),
-        warnings=warnings,
-        stats=stats,
-        set_stats=set_stats,
-        affine_residual=np.array([part.affine_residual for part in parts]),
-        set_names=tuple(part.name for part in parts),
-        temperature_gain=solution.limb[problem.of_loads][: problem.gains] if problem.gains else None,
-        hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
-        channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
-    )
-
-
-def _stats(problem: Problem, solution: Solution, rank: DataRank) -> tuple[FitStats, tuple[FitStats, ...]]:
-    """Return the statistics of all sets together and of each."""
-    singular = np.linalg.svd(of_unit_length(solution.jacobian)[0], compute_uv=False)
-    whole = FitStats(
-        samples=sum(part.samples for part in problem.sets),
-        dropped=0,
-        gated=0,
-        residual_rms=0.0,
-        rank=rank.found,
-        unknowns=rank.found + rank.missing,
-        condition=float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
-    )
-    # What each set's response leaves of the common one, by its orthonormal signals, in counts.
-    left = np.asarray(solution.residual @ np.linalg.inv(problem.whitening).T)
-    each = tuple(
-        replace(
-            whole,
-            samples=part.samples,
-            dropped=int(np.sum(~part.used & ~part.rejected)),
-            gated=int(np.sum(part.rejected)),
-            residual_rms=float(np.sqrt(np.mean((part.residual - part.score @ one) ** 2))),
-        )
-        for part, one in zip(problem.sets, left, strict=True)
-    )
-    whole = replace(
-        whole,
-        dropped=sum(stats.dropped for stats in each),
-        gated=sum(stats.gated for stats in each),
-        residual_rms=float(np.sqrt(sum(s.samples * s.residual_rms**2 for s in each) / whole.samples)),
-    )
-    return whole, each
-
-
-def _refused(sets: Sequence[InSituSet], refusal: CalibrationRefused) -> InSituFit:
-    """Return a fit whose values are NaN, with the reason."""
-
-    def unknown(*shape: int) -> Matrix:
-        return np.full(shape, np.nan)
-
-    k, count = sets[0].channels, len(sets)
-    size = FitColumns.of(k).limb.stop
-    nothing = FitStats(0, 0, 0, np.nan, 0, AXES * k + STATIC, np.inf)
-    return InSituFit(
-        matrix=unknown(AXES, k),
-        offset=unknown(k),
-        offsets=unknown(count, k),
-        response=unknown(k, AXES),
-        limb=Limb(np.nan, unknown(3)),
-        covariance=unknown(size, size),
-        noise=unknown(k, k),
-        temperature_coefficient=None,
-        rotation=np.eye(3),
-        result=FitResult.REFUSED,
-        refusals=(refusal,),
-        warnings=(),
-        stats=nothing,
-        set_stats=(nothing,) * count,
-        affine_residual=unknown(count),
-        set_names=tuple(data.name for data in sets),
-    )

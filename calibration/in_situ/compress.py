@@ -23,43 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.linalg import solve_triangular
-from scipy.special import chdtri
 
 from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.model import DIRECT, signals
 from surefoot.calibration.in_situ.options import InSituOptions
+from surefoot.calibration.in_situ.rows import FLOOR, SetRows, disagreeing, means, rows_of
 
-__all__ = ["CompressedSet", "SetRows", "compress", "triangle", "with_signals"]
+__all__ = ["CompressedSet", "compress", "triangle", "with_signals"]
 
 Matrix = NDArray[np.float64]
 
-_GATE = 1e-9
-"""Probability that a sample of nothing but noise is left out."""
-
-_FLOOR = 1e-9
-"""Deviations below this share of a channel's spread are rounding, not noise."""
-
-_ROUNDS = 12
-"""Times that the weights are computed at most ..."""
-
-_SETTLED = 1e-3
-"""... until they change by less than this."""
-
-_MAD_TO_STD = 1.4826
-"""Standard deviations in a median absolute deviation of normal noise."""
-
 _RANK = 1e-12
 """Singular values at or below this share of the largest, for columns of unit length, are rounding."""
-
-_ROWS = 2000
-"""Windows to whose means a set is reduced, if its limb turns slowly enough."""
-
-_WITHIN = 1e-3
-"""Share of the signals' spread that may be lost within windows."""
-
-_LEAST_DURATION = 8.0
-"""Time in s that a set must last for each cosine of its offset."""
 
 
 class OffsetAt(NamedTuple):
@@ -126,7 +102,7 @@ class CompressedSet:
     index: NDArray[np.float64]
     width: int
     colour: Colour
-    source: "SetRows"
+    source: SetRows
 
     @property
     def spacing(self) -> float:
@@ -173,7 +149,7 @@ class CompressedSet:
 
     def at_rows(self, columns: Matrix) -> Matrix:
         """Return the means over rows, shape (m, q), of columns of the set, shape (n, q)."""
-        return _means(columns[self.used], self.width)
+        return means(columns[self.used], self.width)
 
     def level(self, columns: Matrix) -> float:
         """Return the mean variance of noise along orthonormal columns, shape (m, c), over that of a row."""
@@ -213,8 +189,8 @@ def compress(
         if temperature and data.temperature is not None:
             u = np.concatenate([u, data.temperature[:, None]], axis=1)
         whole = np.asarray(np.isfinite(u).all(axis=1) & np.isfinite(data.raw).all(axis=1))
-        out = _rejected(u, data.raw, whole) if options.robust else np.zeros_like(whole)
-        rows.append(_rows(data, u, whole & ~out, out, options.drift or 0, timed))
+        out = disagreeing(u, data.raw, whole) if options.robust else np.zeros_like(whole)
+        rows.append(rows_of(data, u, whole & ~out, out, options.drift or 0, timed))
     return _compressed(rows, options)
 
 
@@ -242,58 +218,9 @@ def with_signals(
     return _compressed(rows, options)
 
 
-def _compressed(rows: Sequence["SetRows"], options: InSituOptions) -> tuple[CompressedSet, ...]:
+def _compressed(rows: Sequence[SetRows], options: InSituOptions) -> tuple[CompressedSet, ...]:
     colour = _colour(rows) if options.drift is None else Colour()
     return tuple(_triangularise(one, colour) for one in rows)
-
-
-class SetRows(NamedTuple):
-    """A set in rows of nearly equal weight, in the order of time."""
-
-    name: str
-    used: NDArray[np.bool_]
-    rejected: NDArray[np.bool_]
-    columns: Matrix
-    """(b, u, r), weighted, shape (m, d + s + k)."""
-    terms: int
-    """d."""
-    inputs: int
-    """s."""
-    ends: Matrix
-    """b at the middle and at the end, shape (2, d)."""
-    weight: NDArray[np.float64]
-    place: NDArray[np.float64]
-    width: int
-    spacing: float
-
-
-def _rows(
-    data: InSituSet,
-    u: Matrix,
-    used: NDArray[np.bool_],
-    rejected: NDArray[np.bool_],
-    drift: int,
-    timed: bool,
-) -> SetRows:
-    mean = _averages(u, data.raw, used)
-    basis, ends = _offset_basis(data, mean.place, drift)
-    spacing = float(mean.width)
-    if timed and data.time is not None and len(data.time) > 1:
-        spacing *= float(data.time[-1] - data.time[0]) / (len(data.time) - 1)
-    columns = mean.weight[:, None] * np.concatenate([basis, mean.signals, mean.raw], axis=1)
-    return SetRows(
-        data.name,
-        used,
-        rejected,
-        columns,
-        basis.shape[1],
-        u.shape[1],
-        ends,
-        mean.weight,
-        mean.place,
-        mean.width,
-        spacing,
-    )
 
 
 def _colour(rows: Sequence[SetRows]) -> Colour:
@@ -309,7 +236,7 @@ def _colour(rows: Sequence[SetRows]) -> Colour:
         spread += float(np.sum((readings - readings.mean(axis=0)) ** 2))
     scatter = sum(residual.T @ residual for residual, _, _ in found)
     size, turn = np.linalg.eigh(scatter)
-    independent = turn[:, size > _FLOOR**2 * spread]
+    independent = turn[:, size > FLOOR**2 * spread]
     if independent.shape[1] == 0:
         return Colour()
     motions = [motion_frequency(one.columns[:, one.terms :][:, DIRECT], one.spacing) for one in rows]
@@ -381,115 +308,9 @@ def _offsets(rows: SetRows, colour: Colour) -> tuple[OffsetAt, OffsetAt]:
     return found[0], found[1]
 
 
-def _rejected(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which samples are off a linear response and an offset that may bend a little, shape (n,)."""
-    rejected = np.zeros_like(whole)
-    if not whole.any():
-        return rejected
-    varies = np.ptp(u[whole], axis=0) > 0.0
-    span = np.linspace(-1.0, 1.0, len(u))
-    u = u[:, varies]
-    standard = (u - u[whole].mean(axis=0)) / u[whole].std(axis=0)
-    columns = np.column_stack([np.ones(len(u)), span, span**2, standard])[whole]
-    if len(columns) > 2 * columns.shape[1]:
-        rejected[whole] = _outliers(columns, raw[whole])
-    return rejected
-
-
 def triangle(columns: Matrix) -> Matrix:
     """Return R of a QR decomposition with as many rows as columns, also of fewer samples."""
     width = columns.shape[1]
     if len(columns) < width:
         columns = np.concatenate([columns, np.zeros((width - len(columns), width))])
     return np.asarray(np.linalg.qr(columns, mode="r"))
-
-
-class _Averages(NamedTuple):
-    """Means over windows of the samples that take part, m of them."""
-
-    signals: Matrix
-    raw: Matrix
-    weight: NDArray[np.float64]
-    """Square roots of the numbers of samples, shape (m,)."""
-    place: NDArray[np.float64]
-    """Mean place of the samples in the set, shape (m,)."""
-    width: int
-    """Samples of a window."""
-
-
-def _averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_]) -> _Averages:
-    """Return means over windows, as wide as the signals hardly change; the model is linear and follows."""
-    place = np.flatnonzero(used)
-    columns = np.concatenate([signals, raw], axis=1)
-    columns = columns if len(place) == len(columns) else columns[place]
-    inputs = signals.shape[1]
-    width = _window(columns[:, :inputs])
-    mean = _means(columns, width)
-    count = np.full(len(mean), width)
-    count[-1] = len(place) - width * (len(mean) - 1)
-    return _Averages(
-        signals=mean[:, :inputs],
-        raw=mean[:, inputs:],
-        weight=np.sqrt(count),
-        place=_means(place[:, None].astype(np.float64), width)[:, 0],
-        width=width,
-    )
-
-
-def _window(signals: Matrix) -> int:
-    """Return the longest window within which the signals hardly change."""
-    width = max(len(signals) // _ROWS, 1)
-    total = np.var(signals, axis=0)
-    moving = total > 0.0
-    while (
-        width > 1 and np.max(1.0 - np.var(_means(signals, width), axis=0)[moving] / total[moving]) > _WITHIN
-    ):
-        width //= 2
-    return width
-
-
-def _means(columns: Matrix, width: int) -> Matrix:
-    """Return means of windows of rows; the last window takes what is left over."""
-    windows = max(len(columns) // width, 1)
-    whole = columns[: (windows - 1) * width].reshape(windows - 1, width, columns.shape[1])
-    rest = columns[(windows - 1) * width :]
-    return np.concatenate([whole.mean(axis=1), rest.mean(axis=0, keepdims=True)])
-
-
-def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
-    """Return which samples disagree with all others, shape (n,).
-
-    Least squares with Cauchy's weights finds what most samples agree on; what is left is held against its own
-    median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the readings.
-    """
-    floor = _FLOOR * np.std(raw, axis=0) + np.finfo(float).tiny
-    weight = np.ones(len(columns))
-    limit = float(chdtri(raw.shape[1], _GATE))
-    distance = np.zeros(len(columns))
-    for i in range(_ROUNDS):
-        root = weight[:, None]
-        residual = raw - columns @ np.linalg.solve(columns.T @ (root * columns), columns.T @ (root * raw))
-        deviation = np.maximum(_MAD_TO_STD * np.median(np.abs(residual), axis=0), floor)
-        distance = np.sum((residual / deviation) ** 2, axis=1)
-        if i == 0 and not (distance > limit).any():
-            break
-        before, weight = weight, 1.0 / (1.0 + distance / raw.shape[1])
-        if np.max(np.abs(weight - before)) < _SETTLED:
-            break
-    return np.asarray(distance > limit)
-
-
-def _offset_basis(data: InSituSet, index: NDArray[np.float64], drift: int) -> tuple[Matrix, Matrix]:
-    """Return b at places in the set, shape (m, d), and at the middle and the end of it, shape (2, d).
-
-    There are ``drift`` cosines at most, fewer in a short set and none without times.
-    """
-    share = np.zeros(len(index))
-    modes = 0
-    if data.time is not None and len(data.time) > 1:
-        duration = data.time[-1] - data.time[0]
-        modes = min(drift, int(duration / _LEAST_DURATION))
-        share = (np.interp(index, np.arange(len(data.time)), data.time) - data.time[0]) / duration
-    places = np.concatenate([share, [0.5, 1.0]])
-    basis = np.cos(np.pi * places[:, None] * np.arange(modes + 1))
-    return basis[:-2], basis[-2:]

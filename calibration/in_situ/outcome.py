@@ -1,0 +1,139 @@
+"""What a fit comes out with: the calibration and its statistics, or nothing but the reason of a refusal."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.in_situ.answer_checks import (
+    DataRank,
+)
+from surefoot.calibration.in_situ.covariance import (
+    weighted_inverse,
+)
+from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    MASS,
+    MOMENT,
+    STATIC,
+    inertia_matrix,
+)
+from surefoot.calibration.in_situ.solve import (
+    Problem,
+    Solution,
+    loop_shares,
+    of_unit_length,
+    transforms,
+)
+from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+
+__all__ = ["outcome", "refused"]
+
+Matrix = NDArray[np.float64]
+
+
+def outcome(
+    problem: Problem,
+    solution: Solution,
+    noise: Matrix,
+    covariance: Matrix,
+    rank: DataRank,
+    matrix: Matrix | None,
+    warnings: tuple[str, ...],
+) -> InSituFit:
+    """Return the fit; ``matrix`` is C where it leans on a factory matrix, else the response's inverse."""
+    if matrix is None:
+        matrix = weighted_inverse(solution.A, noise)
+    else:
+        response = np.concatenate([np.linalg.pinv(matrix), solution.direct], axis=1)
+        solution = replace(solution, response=response)
+    parts, limb = problem.sets, solution.limb
+    predicted = solution.response @ transforms(problem, solution)
+    offsets = [part.offset(B, part.middle) for part, B in zip(parts, predicted, strict=True)]
+    stats, set_stats = _stats(problem, solution, rank)
+    return InSituFit(
+        matrix=matrix,
+        offset=parts[-1].offset(predicted[-1], parts[-1].end),
+        offsets=np.array(offsets),
+        response=solution.A,
+        limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
+        covariance=covariance,
+        noise=noise,
+        temperature_coefficient=solution.direct[:, 0] if problem.temperature else None,
+        rotation=solution.rotation,
+        result=FitResult.PARTLY_DETERMINED if rank.missing else FitResult.DETERMINED,
+        refusals=(),
+        warnings=warnings,
+        stats=stats,
+        set_stats=set_stats,
+        affine_residual=np.array([part.affine_residual for part in parts]),
+        set_names=tuple(part.name for part in parts),
+        temperature_gain=solution.limb[problem.of_loads][: problem.gains] if problem.gains else None,
+        hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
+        channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
+    )
+
+
+def _stats(problem: Problem, solution: Solution, rank: DataRank) -> tuple[FitStats, tuple[FitStats, ...]]:
+    """Return the statistics of all sets together and of each."""
+    singular = np.linalg.svd(of_unit_length(solution.jacobian)[0], compute_uv=False)
+    whole = FitStats(
+        samples=sum(part.samples for part in problem.sets),
+        dropped=0,
+        gated=0,
+        residual_rms=0.0,
+        rank=rank.found,
+        unknowns=rank.found + rank.missing,
+        condition=float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf,
+    )
+    # What each set's response leaves of the common one, by its orthonormal signals, in counts.
+    left = np.asarray(solution.residual @ np.linalg.inv(problem.whitening).T)
+    each = tuple(
+        replace(
+            whole,
+            samples=part.samples,
+            dropped=int(np.sum(~part.used & ~part.rejected)),
+            gated=int(np.sum(part.rejected)),
+            residual_rms=float(np.sqrt(np.mean((part.residual - part.score @ one) ** 2))),
+        )
+        for part, one in zip(problem.sets, left, strict=True)
+    )
+    whole = replace(
+        whole,
+        dropped=sum(stats.dropped for stats in each),
+        gated=sum(stats.gated for stats in each),
+        residual_rms=float(np.sqrt(sum(s.samples * s.residual_rms**2 for s in each) / whole.samples)),
+    )
+    return whole, each
+
+
+def refused(sets: Sequence[InSituSet], refusal: CalibrationRefused) -> InSituFit:
+    """Return a fit whose values are NaN, with the reason."""
+
+    def unknown(*shape: int) -> Matrix:
+        return np.full(shape, np.nan)
+
+    k, count = sets[0].channels, len(sets)
+    size = FitColumns.of(k).limb.stop
+    nothing = FitStats(0, 0, 0, np.nan, 0, AXES * k + STATIC, np.inf)
+    return InSituFit(
+        matrix=unknown(AXES, k),
+        offset=unknown(k),
+        offsets=unknown(count, k),
+        response=unknown(k, AXES),
+        limb=Limb(np.nan, unknown(3)),
+        covariance=unknown(size, size),
+        noise=unknown(k, k),
+        temperature_coefficient=None,
+        rotation=np.eye(3),
+        result=FitResult.REFUSED,
+        refusals=(refusal,),
+        warnings=(),
+        stats=nothing,
+        set_stats=(nothing,) * count,
+        affine_residual=unknown(count),
+        set_names=tuple(data.name for data in sets),
+    )
