@@ -1,37 +1,47 @@
 """``surefoot calibrate``: from the logs of a robot."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer import Argument, Option
 
 from surefoot.experiments.cli.console import Paths, console, fail, one_line_errors, show
 
+Topics = Annotated[Path | None, Option(help="Mapping file of ROS bags; by default the one beside the log.")]
+Guess = Annotated[bool, Option("--guess", help="Print a mapping file that suits the bag, and end.")]
+
 app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
 
 
 @app.command()
 def walk(
-    log: Annotated[Path, Argument(help="A log, .parquet or .csv; see docs/log-format.md.")],
+    log: Annotated[Path, Argument(help="A log, .parquet, .csv or a ROS bag; docs/log-format.md.")],
     method: Annotated[str, Option(help="moment, window, quasi-static, tare or none.")] = "moment",
     start: Annotated[str | None, Option(help="Start from the nominal or the calibrated map.")] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,
     zero_phase: Annotated[bool, Option("--zero-phase", help="Filter with hindsight, as the paper.")] = False,
     split_gaps: Annotated[bool, Option("--split-gaps", help="Go on after gaps in time.")] = False,
+    topics: Topics = None,
+    guess: Guess = False,
+    ros2: Annotated[bool, Option("--ros2", help="Write the map as parameters of a ROS 2 node, too.")] = False,
 ) -> None:
     """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
     from surefoot.experiments.logs.format import MAX_GAP, read_log
     from surefoot.experiments.walking.calibrate import calibrate_log
 
+    if guess:
+        _guess(log, walk=True)
     with one_line_errors():
-        read = read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP)
+        read = read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP, topics=topics)
         where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
-        result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, **where)
+        result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, ros2=ros2, **where)
     _tell(result)
     typer.echo(f"Calibrated walk: {result.walk}\nParameters:      {result.parameters}")
     typer.echo(f"Report:          {result.page}")
+    if result.ros2 is not None:
+        typer.echo(f"ROS 2:           {result.ros2}")
 
 
 @app.command()
@@ -63,6 +73,8 @@ def ft(
         str | None,
         Option(help="Why to go on past what the fit refuses: every file says it.", metavar="REASON"),
     ] = None,
+    topics: Topics = None,
+    guess: Guess = False,
 ) -> None:
     """Calibrate a six-axis F/T sensor where it is built in: counts, gravity and known masses in."""
     from surefoot.experiments.force_torque.calibrate import SAMPLE, calibrate_in_situ_log
@@ -73,6 +85,8 @@ def ft(
     if bool(logs) == sample:
         fail("give the log of a sensor, or --sample for the one that ships with surefoot.")
     paths = [SAMPLE] if sample else list(logs or ())
+    if guess:
+        _guess(paths[0], walk=False)
     folder = out if out is not None else (Path("out/in-situ") if sample else paths[0].parent)
     with one_line_errors():
         given = read_config(config) if config is not None else config_beside(paths[0])
@@ -82,7 +96,8 @@ def ft(
             for key, names in vectors.items()
         }
         given = given.override(time=time, set=set_, **parts)
-        result = calibrate_in_situ_log(paths, given, folder=folder, accept=accept or "", console=console)
+        options: Any = {"folder": folder, "accept": accept or "", "topics": topics, "console": console}
+        result = calibrate_in_situ_log(paths, given, **options)
     _tell(result)
     for what, path in result.files.items():
         typer.echo(f"{what.capitalize() + ':':<13}{path}")
@@ -108,6 +123,15 @@ def motion(
         planned.prelude.write(path)
     show(planned.tables)
     typer.echo(f"Motion: {path}")
+
+
+def _guess(log: Path, *, walk: bool) -> NoReturn:
+    """Print what a mapping file for a bag may look like, and end."""
+    from surefoot.experiments.logs.bag_guess import guess_topics
+
+    with one_line_errors():
+        typer.echo(guess_topics(log, walk=walk), nl=False)
+    raise typer.Exit
 
 
 def _tell(result: Any) -> None:

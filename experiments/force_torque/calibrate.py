@@ -42,6 +42,7 @@ def calibrate_in_situ_log(
     folder: Path,
     accept: str = "",
     stem: str | None = None,
+    topics: Path | None = None,
     console: Console | None = None,
 ) -> CalibratedSensor:
     """Read a log, fit matrix, offsets and limb, and write the result.
@@ -52,6 +53,7 @@ def calibrate_in_situ_log(
         folder: Where the files go.
         accept: Why to go on past what the fit refuses; each file says it, and what was refused. Empty: not.
         stem: How their names begin; by default the first log's name.
+        topics: The mapping file of ROS bags; by default the one beside each.
         console: Where progress is shown; nowhere by default.
 
     Raises:
@@ -61,7 +63,7 @@ def calibrate_in_situ_log(
     paths = [paths] if isinstance(paths, Path) else list(paths)
     stem = paths[0].stem if stem is None else stem
     with (console or Console(quiet=True)).status("reading the log") as status:
-        log = read_in_situ_log(paths, config)
+        log = read_in_situ_log(paths, config, topics)
         status.update(f"fitting {len(log.fitted)} sets")
         fit = _fit(log, accept)
         notices = [*_doubt_of_weight(log, fit), *log.notices]

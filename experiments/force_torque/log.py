@@ -47,14 +47,17 @@ class InSituLog:
         return self.sets if chosen is None else tuple(one for one in self.sets if one.name in chosen)
 
 
-def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path | None = None) -> InSituLog:
+def read_in_situ_log(
+    paths: Path | Sequence[Path], config: InSituConfig | Path | None = None, topics: Path | None = None
+) -> InSituLog:
     """Read a log with all sets, or several with one set each, that does not mislead the fit.
 
     Args:
-        paths: One ``.csv`` or ``.parquet`` file, or several; a file without a column of sets is one set that
-            has the file's name without its ending.
+        paths: One ``.csv`` or ``.parquet`` file or ROS bag, or several; a file without a column of sets is
+            one set that has the file's name without its ending.
         config: What the tables leave open, or the TOML file with it; by default the one beside the first
             file.
+        topics: The mapping file of bags; by default the one beside each.
 
     Raises:
         LogError: If a file, a column, a value or a mass is not as it must be. The message names the file, the
@@ -67,9 +70,9 @@ def read_in_situ_log(paths: Path | Sequence[Path], config: InSituConfig | Path |
         config = config_beside(paths[0])
     elif isinstance(config, Path):
         config = read_config(config)
-    parts = [samples for path in paths for samples in read_samples(path, config)]
-    _check_names(parts, config)
     notices: list[str] = []
+    parts = [samples for path in paths for samples in read_samples(path, config, notices, topics)]
+    _check_names(parts, config)
     added = [_added_mass(samples, config, notices) for samples in parts]
     sound = [checked(samples, config.sensor.range_count, notices) for samples in parts]
     if config.accelerometer.calibrate is not None:

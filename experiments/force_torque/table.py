@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.config import SI, Columns, InSituConfig
+from surefoot.experiments.logs.bag import is_bag, read_bag
 from surefoot.experiments.logs.table import LogError, LogTable, read_table
 
 _VECTORS = {"gravity": "m_s2", "specific_force": "m_s2", "angular_velocity": "rad_s", "added_com": "m"}
@@ -67,10 +68,19 @@ class Samples:
         return replace(self, **arrays)
 
 
-def read_samples(path: Path, config: InSituConfig) -> list[Samples]:
-    """Read one file, and return the samples of each of its sets; LogError if it is no such table."""
+def read_samples(
+    path: Path, config: InSituConfig, notices: list[str], topics: Path | None = None
+) -> list[Samples]:
+    """Read one file, and return the samples of each of its sets; LogError if it is no such table.
+
+    What was done to get them is added to the notices; a bag has the mapping file ``topics``.
+    """
     absent = "'surefoot calibrate ft --sample' shows one that works."
-    table = read_table(path, absent, separator=config.csv.separator, decimal=config.csv.decimal)
+    if is_bag(path):
+        table = read_bag(path, topics).table()
+    else:
+        table = read_table(path, absent, separator=config.csv.separator, decimal=config.csv.decimal)
+    notices += table.notices
     found = _found(table, config.columns, _channels(table.names) if config.units.raw == "count" else WRENCH)
     if len(table) == 0:
         raise LogError(f"{path.name}: holds no rows; record the limb's samples, one a row.")

@@ -21,6 +21,7 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.bag import is_bag, is_motion, read_bag
 from surefoot.experiments.logs.checks import check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (
     columns_of,
@@ -95,15 +96,22 @@ def write_log(log: Log, path: str | Path) -> Path:
     return path
 
 
-def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
+def read_log(path: str | Path, max_gap: float = MAX_GAP, topics: str | Path | None = None) -> Log:
     """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
 
-    Two rows may be ``max_gap`` s apart; with infinity gaps are left for a calibrator to flag, which then
-    keeps what it learnt and starts its filters again. Raises LogError, which names file, column and cure, if
-    the file is not there or no log, a column is missing or holds what it must not, or time leaps.
+    A ROS bag is read as well, with its ``.json`` and the mapping file ``topics``, by default
+    ``.topics.toml`` beside it. Two rows may be ``max_gap`` s apart; with infinity gaps are left for a
+    calibrator to flag, which then keeps what it learnt and starts its filters again. Raises LogError, which
+    names file, column and cure, if the file is not there or no log, a column is missing or holds what it must
+    not, or time leaps.
     """
     path = Path(path)
-    table = read_table(path, "'surefoot demo' records logs under out/demo/logs.")
+    moved = None
+    if is_bag(path):
+        bag = read_bag(path, None if topics is None else Path(topics))
+        table, moved = bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
+    else:
+        table = read_table(path, "'surefoot demo' records logs under out/demo/logs.")
     description = Description.read(_description(path, table), f"{path.name}: the description")
     facts = description.facts()
     layout = description.layout
@@ -116,8 +124,10 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
         reference = reference_of(values, layout)
         check_reference(reference, path.name)
     else:
-        reference, about = _made_reference(path, table, description, time)
+        reference, about = _made_reference(path, table, moved or table, description, time)
         facts["about"] = facts["about"] | about
+    if table.notices:
+        facts["about"] = facts["about"] | {"notices": table.notices}
     return Log(
         time=time,
         raw=stack(values, raw_names_of(layout)),
@@ -128,7 +138,7 @@ def read_log(path: str | Path, max_gap: float = MAX_GAP) -> Log:
 
 
 def _made_reference(
-    path: Path, table: LogTable, description: Description, time: NDArray[np.float64]
+    path: Path, table: LogTable, moved: LogTable, description: Description, time: NDArray[np.float64]
 ) -> tuple[Reference, dict[str, Any]]:
     """Return references that are made of joints and IMU, and where they come from."""
     feet, dt = description.layout.feet, description.dt_s
@@ -137,7 +147,7 @@ def _made_reference(
             f"{path.name}: motion needs the layout of two feet, got {len(feet)}; "
             "give the reference columns of a single plate."
         )
-    facts = description.motion.of_log(path.parent, dt)
+    facts = description.motion.of_log(path.parent, moved.step if moved is not table else dt)
     try:
         from surefoot.experiments.logs.model import check_spin, load_model, make_reference
     except ImportError as error:
@@ -146,7 +156,6 @@ def _made_reference(
             'install it with `pip install "surefoot[sim]"`, or give the reference columns.'
         ) from None
     model = load_model(facts, path.name)
-    moved = table
     if facts.table is not None:
         moved = read_table(facts.table, "motion.table gives its path from the log.")
     motion = read_motion(moved, facts, model.joint_names)
@@ -165,7 +174,7 @@ def _made_reference(
 def _description(path: Path, table: LogTable) -> Any:
     """Return what lies in the schema of a Parquet file, or beside a CSV file."""
     side, text = path, (table.data.schema.metadata or {}).get(METADATA_KEY)
-    if path.suffix == ".csv":
+    if path.suffix != ".parquet":
         side = path.with_suffix(".json")
         if not side.is_file():
             raise LogError(

@@ -86,7 +86,10 @@ def load_model(facts: MotionFacts, file: str) -> LogModel:
     except LogError:
         raise
     except (ValueError, mujoco.FatalError) as error:
-        raise LogError(f"{file}: the model '{facts.model.name}' cannot be used: {error}") from None
+        cure = ""
+        if "opening file" in str(error):
+            cure = "; a link without a mass takes it from its mesh: put the file there, or give it its mass."
+        raise LogError(f"{file}: the model '{facts.model.name}' cannot be used: {error}{cure}") from None
     return LogModel(nominal, right_first, R_torso_imu)
 
 

@@ -14,9 +14,9 @@ from surefoot.experiments.logs.table import LogError, LogTable
 
 CLOCK_SPAN = 257  # rows over which times are averaged: the rate is even, but lateness is chance
 
-LOST, AROUND = 1.6, 16
+LOST, AROUND = 1.3, 16
 """A step of this many periods or more between two rows may mean that rows in between were lost: they were if
-as many rows after it are, by their median, later than those before by most of a period."""
+of as many rows after it even the earliest is later than the earliest of those before by most of a period."""
 
 PACKET = "packet"  # a column that numbers the packets, where the robot does
 LARGEST_ANGLE = 2.1 * np.pi  # joint angle in rad that no hinge goes beyond
@@ -86,7 +86,7 @@ def _clock(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
     """Return numbers of the rows, their times without chance, and the period."""
     if packet is None:
-        number = _count(time, facts.dt_s)
+        number = count_rows(time, facts.dt_s)
     else:
         rising = (
             np.isfinite(packet).all() and (np.diff(packet) > 0).all() and (packet == packet.round()).all()
@@ -96,26 +96,33 @@ def _clock(
                 f"{file}: column '{PACKET}' must hold whole numbers that increase; or leave it out."
             )
         number = (packet - packet[0]).astype(np.int64)
-    period = float(np.polyfit(number, time, 1)[0])
+    even, period = even_times(time, number)
     if abs(period / facts.dt_s - 1.0) > 0.1:
         raise LogError(
             f"{file}: joints and IMU come every {period:.4g} s where the description says "
             f"{facts.dt_s:.4g} s; give motion.dt_s, the time between two of their rows in seconds."
         )
-    late = np.asarray(uniform_filter1d(time - period * number, CLOCK_SPAN, mode="nearest"), dtype=np.float64)
-    return number, np.asarray(period * number + late - facts.delay_s, dtype=np.float64), period
+    return number, even - facts.delay_s, period
 
 
-def _count(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:
+def even_times(time: NDArray[np.float64], number: NDArray[np.int64]) -> tuple[NDArray[np.float64], float]:
+    """Return times of numbered rows without the chance in their lateness, and the period."""
+    period = float(np.polyfit(number, time, 1)[0])
+    late = uniform_filter1d(time - period * number, CLOCK_SPAN, mode="reflect")
+    return np.asarray(period * number + late, dtype=np.float64), period
+
+
+def count_rows(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:
     """Return numbers of the rows: the next rows make up for a late one, and not for a lost one."""
-    skipped = np.zeros(len(time))
+    number = np.arange(len(time))
     for row in (np.flatnonzero(np.diff(time) >= LOST * period) + 1).tolist():
         first, last = max(row - AROUND, 0), min(row + AROUND, len(time))
-        late = time[first:last] - period * np.arange(first, last)
-        jump = float(np.median(late[row - first :])) - float(np.median(late[: row - first]))
+        late = time[first:last] - period * number[first:last]
+        # Nothing comes too early: the earliest tell the clock, and later losses leave them alone.
+        jump = float(late[row - first :].min() - late[: row - first].min())
         if jump > 0.75 * period:
-            skipped[row] = np.rint(jump / period)
-    return np.arange(len(time)) + np.cumsum(skipped).astype(np.int64)
+            number[row:] += round(jump / period)
+    return number
 
 
 def _check_units(values: Mapping[str, NDArray[np.float64]], joints: Sequence[str], file: str) -> None:

@@ -38,6 +38,7 @@ class LogTable:
 
     file: str
     data: pa.Table
+    notices: tuple[str, ...] = ()  # what was done to get it
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a column of that name."""
@@ -51,6 +52,11 @@ class LogTable:
     def names(self) -> list[str]:
         """Names of the columns."""
         return list(self.data.column_names)
+
+    @property
+    def step(self) -> float:
+        """Median time between two rows in s."""
+        return float(np.median(np.diff(self.numbers("time_s"))))
 
     def require(self, names: Sequence[str], cure: str, purpose: str = "") -> tuple[str, ...]:
         """Return names of columns; raise LogError with their purpose and a cure if one is not there."""

@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import yaml
 from numpy.typing import NDArray
 
+import surefoot
 from surefoot.calibration import Estimate, Parameters, replay
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path, write_text
-from surefoot.experiments.study.tables import Table
+from surefoot.experiments.study.tables import Table, flat
 from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
@@ -32,6 +34,7 @@ class CalibratedLog:
     page: Path  # one HTML file
     tables: tuple[Table, ...]  # what to show at once
     notices: tuple[str, ...]  # what the log lacks
+    ros2: Path | None = None  # the map as parameters of a ROS 2 node, if asked for
 
 
 def calibrate_log(
@@ -44,10 +47,12 @@ def calibrate_log(
     file: str,
     settle: float = 0.0,
     zero_phase: bool = False,
+    ros2: bool = False,
 ) -> CalibratedLog:
     """Replay a log by a method from a map, and write the result into a folder; a stem begins all names.
 
-    Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; messages call the log ``file``.
+    Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; messages call the log ``file``;
+    ``ros2`` adds a file of parameters for a ROS 2 node.
     Raises LogError if there is no such map or the feet's total cannot be in newtons, ValueError if there is
     no such method or nothing to score.
     """
@@ -79,7 +84,8 @@ def calibrate_log(
         pq.write_table(pa.table(_walk_columns(facts)), part)
     write_text(parameters, json.dumps(_last(facts), indent=1))
     write_walking_page(page, facts)
-    return CalibratedLog(walk, parameters, page, tables, notices)
+    node = _write_ros2(facts, folder / f"{stem}.{method}.ros2.yaml") if ros2 else None
+    return CalibratedLog(walk, parameters, page, tables, notices, node)
 
 
 def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
@@ -157,3 +163,17 @@ def _last(facts: Facts) -> dict[str, Any]:
     if estimate.matrix is not None:
         last["matrix_relative"] = estimate.matrix[-1].tolist()
     return last
+
+
+def _write_ros2(facts: Facts, path: Path) -> Path:
+    """Write the last map as parameters of a node ``surefoot``: force = scale count + offset."""
+    last = _last(facts)
+    names = ("channels", "scale_N_per_count", "offset_N", "scale_std_N_per_count", "offset_std_N")
+    # A ROS 2 parameter is one number, text or flag, or a list of one kind of them.
+    parameters = {name: last[name] for name in names if last[name] is not None}
+    parameters |= {"method": facts.method, "mass_kg": float(facts.log.mass)}
+    text = f"# Made with surefoot {surefoot.__version__} from {flat(facts.file)}: force = scale count + "
+    text += "offset.\n"
+    text += yaml.safe_dump({"surefoot": {"ros__parameters": parameters}}, sort_keys=False)
+    write_text(path, text)
+    return path

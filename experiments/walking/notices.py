@@ -103,7 +103,7 @@ def log_notices(log: Log, file: str) -> tuple[str, ...]:
             f"{1e3 * spread:.1f} mm, so that only the weight and its place can be learnt and single channels "
             "cannot; walk, or shift the weight over each corner."
         )
-    return tuple(f"{file}: {text}" for text in found)
+    return (*log.about.get("notices", ()), *(f"{file}: {text}" for text in found))
 
 
 def _spread(log: Log) -> float:

@@ -2,19 +2,26 @@
 
 import importlib.util
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
 
+import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.experiments.episodes.episode import failed_row
 from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.belief_errors import NO_ERRORS
 
+NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 SAMPLES = 60
 MASS = 5.3
 MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "moment": 97.0}
@@ -98,3 +105,64 @@ def invented(monkeypatch):
 def undrawn(monkeypatch):
     """Figures that are not drawn: only the words of a page count."""
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: Path(path).write_bytes(b"<svg/>"))
+
+
+class RecordedWalk:
+    """A walk of a robot that knows itself exactly: its own references, and what they were made of."""
+
+    def __init__(self, steps: int = 640) -> None:
+        bare = gym.make("surefoot/NaoWalk-v0", speed=0.04, duration=12.0, push_impulse=(0.0, 0.0))
+        env = SelfCalibration(FootSensors(bare), "none", errors=NO_ERRORS)
+        sensors, base = env.env, env.unwrapped
+        env.reset(seed=4)
+        packets, raw, time, force, references, moments = list(sensors.packets), [], [], [], [], []
+        for _ in range(steps):
+            env.step(np.zeros(11, dtype=np.float32))
+            packets += sensors.packets
+            raw.append(sensors.raw.copy())
+            time.append(sensors.time)
+            force.append(base.truth.force_cell[-1].copy())
+            references.append(env.reference)
+            moments.append(env.reference_time)
+        telemetry, config = sensors.telemetry, sensors.instruments.parts[0].config
+        where = telemetry.layout
+        columns = {"time_s": [packet.arrival for packet in packets]}
+        values = np.array([packet.values for packet in packets])
+        columns |= {
+            f"joint_{name}_rad": part
+            for name, part in zip(base.joint_names, values[:, where.joint_position].T, strict=True)
+        }
+        for sensor, unit in (("accelerometer", "m_s2"), ("gyroscope", "rad_s")):
+            part = values[:, getattr(where, sensor)]
+            columns |= {f"{sensor}_{axis}_{unit}": part[:, i] for i, axis in enumerate("xyz")}
+        self.motion = pd.DataFrame(columns)
+        self.force = np.array(force)
+        self.own = Reference(*(np.array(part) for part in zip(*references, strict=True)))
+        self.description = {
+            "model": NAO,
+            "torso": "torso",
+            "imu": "imu",
+            "soles": ["left_sole", "right_sole"],
+            "dt_s": telemetry.period,
+            "delay_s": telemetry.link.delay,
+            "readings_age_s": config.nominal_age,
+            "averaged": bool(telemetry.averaged),
+        }
+        self.log = Log(
+            time=np.array(time),
+            raw=np.array(raw),
+            reference=self.own,
+            layout=env.layout,
+            mass=env.beliefs.model.mass,
+            nominal=Parameters(config.nominal_scale, config.nominal_offset),
+            calibrated=None,
+            dt=base.dt,
+            lag=0,
+        )
+        self.lag = round((time[-1] - config.nominal_age - moments[-1]) / base.dt)
+
+
+@pytest.fixture(scope="session")
+def recorded_walk() -> RecordedWalk:
+    """Give eight seconds of a walk, with everything that a robot knows of it."""
+    return RecordedWalk()

@@ -7,19 +7,17 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 import surefoot  # noqa: F401  (registers the environments)
-from surefoot.calibration import GRAVITY, Parameters, Reference
+from surefoot.calibration import GRAVITY, Reference
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
-from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.belief_errors import NO_ERRORS
+from surefoot.experiments.logs.motion import count_rows
 
 NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 MOTION = ("joint_", "accelerometer_", "gyroscope_")
@@ -47,68 +45,17 @@ def write_motion(log: Log, motion: pd.DataFrame, path: Path, description: dict[s
     return path
 
 
-class _Recorded:
-    """A walk of a robot that knows itself exactly: its own references, and what they were made of."""
-
-    def __init__(self, folder: Path, steps: int = 640) -> None:
-        bare = gym.make("surefoot/NaoWalk-v0", speed=0.04, duration=12.0, push_impulse=(0.0, 0.0))
-        env = SelfCalibration(FootSensors(bare), "none", errors=NO_ERRORS)
-        sensors, base = env.env, env.unwrapped
-        env.reset(seed=4)
-        packets, raw, time, force, references, moments = list(sensors.packets), [], [], [], [], []
-        for _ in range(steps):
-            env.step(np.zeros(11, dtype=np.float32))
-            packets += sensors.packets
-            raw.append(sensors.raw.copy())
-            time.append(sensors.time)
-            force.append(base.truth.force_cell[-1].copy())
-            references.append(env.reference)
-            moments.append(env.reference_time)
-        telemetry, config = sensors.telemetry, sensors.instruments.parts[0].config
-        where = telemetry.layout
-        columns = {"time_s": [packet.arrival for packet in packets]}
-        values = np.array([packet.values for packet in packets])
-        columns |= {
-            f"joint_{name}_rad": part
-            for name, part in zip(base.joint_names, values[:, where.joint_position].T, strict=True)
-        }
-        for sensor, unit in (("accelerometer", "m_s2"), ("gyroscope", "rad_s")):
-            part = values[:, getattr(where, sensor)]
-            columns |= {f"{sensor}_{axis}_{unit}": part[:, i] for i, axis in enumerate("xyz")}
-        self.motion = pd.DataFrame(columns)
-        self.force = np.array(force)
-        self.own = Reference(*(np.array(part) for part in zip(*references, strict=True)))
-        self.description = {
-            "model": NAO,
-            "torso": "torso",
-            "imu": "imu",
-            "soles": ["left_sole", "right_sole"],
-            "dt_s": telemetry.period,
-            "delay_s": telemetry.link.delay,
-            "readings_age_s": config.nominal_age,
-            "averaged": bool(telemetry.averaged),
-        }
-        self.log = Log(
-            time=np.array(time),
-            raw=np.array(raw),
-            reference=self.own,
-            layout=env.layout,
-            mass=env.beliefs.model.mass,
-            nominal=Parameters(config.nominal_scale, config.nominal_offset),
-            calibrated=None,
-            dt=base.dt,
-            lag=0,
-        )
-        self.lag = round((time[-1] - config.nominal_age - moments[-1]) / base.dt)
-        self.path = write_motion(self.log, self.motion, folder / "walk.csv", self.description)
-
-
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> _Recorded:
-    return _Recorded(tmp_path_factory.mktemp("motion"))
+def recorded(recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The walk as a log of joints and IMU."""
+    path = tmp_path_factory.mktemp("motion") / "walk.csv"
+    recorded_walk.path = write_motion(
+        recorded_walk.log, recorded_walk.motion, path, recorded_walk.description
+    )
+    return recorded_walk
 
 
-def test_references_are_those_that_the_robot_had(recorded: _Recorded) -> None:
+def test_references_are_those_that_the_robot_had(recorded: Any) -> None:
     """Up to the clock of the telemetry, which a robot averages over the past alone."""
     log = read_log(recorded.path)
     n = len(log) - recorded.lag
@@ -130,7 +77,7 @@ def test_references_are_those_that_the_robot_had(recorded: _Recorded) -> None:
         assert difference < 0.15 * np.std(own - own.mean(axis=0)), field
 
 
-def test_guessed_contacts_are_true_and_neither_all_nor_nothing(recorded: _Recorded) -> None:
+def test_guessed_contacts_are_true_and_neither_all_nor_nothing(recorded: Any) -> None:
     log = read_log(recorded.path)
     load = recorded.force.reshape(-1, 2, 4).sum(axis=-1)
     stance, swing = log.reference.stance, log.reference.swing
@@ -142,7 +89,7 @@ def test_guessed_contacts_are_true_and_neither_all_nor_nothing(recorded: _Record
 
 
 def test_commanded_contacts_come_before_a_guess_and_those_of_the_log_before_them(
-    recorded: _Recorded, tmp_path: Path
+    recorded: Any, tmp_path: Path
 ) -> None:
     path = write_motion(recorded.log, recorded.motion, tmp_path / "walk.csv", recorded.description)
     table = pd.read_csv(path)
@@ -169,7 +116,7 @@ def test_commanded_contacts_come_before_a_guess_and_those_of_the_log_before_them
     assert not log.reference.stance.any()
 
 
-def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: _Recorded, tmp_path: Path) -> None:
+def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: Any, tmp_path: Path) -> None:
     """At the rate of the feet, in one table; where rows are lost nothing is known, and then all is again."""
     log, motion = recorded.log, recorded.motion
     columns = {"time_s": log.time}
@@ -195,7 +142,7 @@ def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: _Recorded, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_command_calibrates_it(recorded: _Recorded, tmp_path: Path) -> None:
+def test_the_command_calibrates_it(recorded: Any, tmp_path: Path) -> None:
     arguments = ["calibrate", "walk", str(recorded.path), "--method", "tare", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
@@ -280,6 +227,29 @@ def test_any_drawing_will_do(log: Log, tmp_path: Path, model: str) -> None:
     assert reference.stance[10:50].all()
     assert not reference.swing.any()
     assert found.about["model_mass_kg"] == pytest.approx(5.0)
+
+
+def test_a_mesh_is_missing_where_a_mass_needs_it(log: Log, tmp_path: Path) -> None:
+    path = standing(tmp_path, log, "robot.urdf")
+    first, _, rest = URDF.partition("<inertial>")
+    massless = first + rest.partition("</inertial>")[2]
+    (tmp_path / "robot.urdf").write_text(massless.replace("visual>", "collision>"))
+    assert refusal_of(path) == (
+        "walk.csv: the model 'robot.urdf' cannot be used: Error: Error opening file 'not_there.stl'; a link "
+        "without a mass takes it from its mesh: put the file there, or give it its mass."
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_lost_rows_are_counted_however_close(seed: int) -> None:
+    """Rows come every 10 ms and later than that by 1 ms on average; 3 % are lost, some side by side."""
+    rng = np.random.default_rng(seed)
+    there = rng.random(2000) < 0.97
+    there[[600, 601, 603, 610]] = False
+    there[590:600] = there[611:630] = True
+    number = np.flatnonzero(there)
+    counted = count_rows(0.01 * number + rng.exponential(0.001, len(number)), 0.01)
+    np.testing.assert_array_equal(counted - counted[0], number - number[0])
 
 
 BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {

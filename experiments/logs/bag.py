@@ -1,0 +1,367 @@
+"""ROS bags as tables: fields of topics become columns, on one clock; docs/log-format.md says how.
+
+ROS 1 bags and ROS 2 bags (sqlite3 and MCAP) are read by ``rosbags``; ROS need not be installed. A mapping
+file in TOML says which field is which column.
+"""
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, Self
+
+import numpy as np
+import pyarrow as pa
+from pydantic import Field, PlainValidator, model_validator
+
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE, PACKET, count_rows, even_times
+from surefoot.experiments.logs.settings import Number, Settings
+from surefoot.experiments.logs.table import LogError, LogTable
+
+SUFFIXES = (".bag", ".mcap", ".db3")  # of files; a ROS 2 bag may also be a folder
+
+EARLY, LATE = 0.002, 0.05
+"""Times in s by which a message may reach the recorder before its stamp, as clocks of one robot differ, and
+after it; beyond, the stamps are those of another clock."""
+
+LEAST = 0.02  # share of messages that may come sooner than what counts as the least delay
+BRIDGED = 2.5  # periods of a topic between two messages that a straight line may bridge
+SPAN = 16  # messages over which a topic's period is taken: bursts even out
+
+HELD = re.compile(r".*_(stance|swing|contact)|set|added_.*")  # columns that are what they last were
+NEAREST = ("_qw", "_qx", "_qy", "_qz")  # columns that are not interpolated one by one
+
+FieldPath = tuple[str, ...]  # names of a field within a field within a message
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path names a bag: a folder, or a file with one of the endings of bags."""
+    return path.is_dir() or path.suffix.lower() in SUFFIXES
+
+
+def _columns(given: Any) -> dict[FieldPath, str]:
+    """Return columns by the paths of their fields."""
+    if not isinstance(given, Mapping) or not given:
+        raise ValueError("must be a table of fields, such as data.0 = 'raw_left_front_left_count'")
+    found: dict[FieldPath, str] = {}
+    for name, value in given.items():
+        parts = {(): value} if isinstance(value, str) else _columns(value)
+        found |= {(str(name), *path): column for path, column in parts.items()}
+    return found
+
+
+Columns = Annotated[dict[FieldPath, str], PlainValidator(_columns)]
+
+
+class Topics(Settings):
+    """A mapping file: which fields of which topics are which columns."""
+
+    topics: Annotated[dict[str, Columns], Field(min_length=1)]
+    offsets_s: dict[str, Number] = Field(default_factory=dict)
+    """What is added to a topic's stamps, in place of what is found."""
+
+    @model_validator(mode="after")
+    def _once(self) -> Self:
+        columns = [column for fields in self.topics.values() for column in fields.values()]
+        twice = [column for column in columns if columns.count(column) > 1]
+        if twice:
+            raise ValueError(f"column '{twice[0]}' is there twice; name each column once")
+        unknown = [topic for topic in self.offsets_s if topic not in self.topics]
+        if unknown:
+            raise ValueError(f"offsets_s names '{unknown[0]}', which is not among the topics")
+        return self
+
+
+class Series(NamedTuple):
+    """Columns of one topic, in order of time."""
+
+    topic: str
+    time: Floats  # in s since the bag began, increasing, shape (M,)
+    columns: dict[str, Floats]  # NaN where a message lacks a value, (M,) each
+
+    @property
+    def reach(self) -> str:
+        """From when to when there are messages."""
+        return f"'{self.topic}' from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
+
+    @property
+    def period(self) -> float:
+        """Median time between two messages in s."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+
+
+class Bag(NamedTuple):
+    """What was read of a bag."""
+
+    file: str
+    series: tuple[Series, ...]  # in the order of the mapping file
+    notices: tuple[str, ...]  # what was found of each topic's clock
+
+    def table(self, wanted: Callable[[str], bool] = lambda name: True) -> LogTable:
+        """Return some columns; its rows are the messages of the first topic that has any of them.
+
+        Rows without a value of other topics are left out. Raises LogError if none remain.
+        """
+        parts = [one for one in self.series if any(map(wanted, one.columns))]
+        if not parts:
+            return LogTable(self.file, pa.table({}), self.notices)
+        rows = parts[0]
+        values = {"time_s": rows.time}
+        for one in parts:
+            for name in filter(wanted, one.columns):
+                values[name] = _onto(rows, one, name)
+                if not np.isfinite(values[name]).any() and not name.startswith("raw_"):
+                    raise LogError(
+                        f"{self.file}: topics do not overlap: {rows.reach}, and {one.reach}; their clocks "
+                        "differ or they were not recorded together. Give offsets_s in the mapping file."
+                    )
+        whole = np.all([np.isfinite(v) for k, v in values.items() if not k.startswith("raw_")], axis=0)
+        return LogTable(self.file, pa.table({k: v[whole] for k, v in values.items()}), self.notices)
+
+
+def is_motion(name: str) -> bool:
+    """Whether a column belongs to the table of joints and IMU."""
+    return name.startswith("joint_") or name in (*ACCELEROMETER, *GYROSCOPE, PACKET)
+
+
+def _onto(rows: Series, one: Series, name: str) -> Floats:
+    """Return a column at the times of other rows; NaN where it is not known."""
+    there = np.isfinite(one.columns[name])
+    time, values = one.time[there], one.columns[name][there]
+    if not len(time):
+        return np.full(len(rows.time), np.nan)
+    before = np.searchsorted(time, rows.time, side="right") - 1
+    last, following = before.clip(0), (before + 1).clip(max=len(time) - 1)
+    if HELD.fullmatch(name):
+        return np.where(before >= 0, values[last], np.nan)
+    if name.startswith("raw_") or name.endswith(NEAREST):
+        nearest = np.where(rows.time - time[last] <= time[following] - rows.time, last, following)
+        nearest = np.where(before < 0, 0, nearest)
+        limit = 0.5 * rows.period if name.startswith("raw_") else 0.5 * BRIDGED * one.period
+        return np.where(np.abs(time[nearest] - rows.time) <= limit, values[nearest], np.nan)
+    found = np.interp(rows.time, time, values, left=np.nan, right=np.nan)
+    bridged = (time[following] - time[last] <= BRIDGED * one.period) | (time[last] == rows.time)
+    return np.where(bridged, found, np.nan)
+
+
+def read_bag(path: Path, mapping: Path | None = None) -> Bag:
+    """Read the topics that a mapping file names; by default the file beside the bag.
+
+    Raises LogError if there is no whole bag, no mapping, or a topic or field is not as the mapping says.
+    """
+    mapping = path.with_suffix(".topics.toml") if mapping is None else mapping
+    with opened(path) as reader:
+        topics = _read_topics(path, mapping)
+        there = reader.topics
+        for topic in topics.topics:
+            if topic not in there or not there[topic].msgcount:
+                names = ", ".join(f"'{name}'" for name, info in there.items() if info.msgcount)
+                raise LogError(
+                    f"{path.name}: has no message of the topic '{topic}', which {mapping.name} names; there "
+                    f"are {names}."
+                )
+        wanted = [one for one in reader.connections if one.topic in topics.topics]
+        with whole(path):
+            messages = list(reader.messages(wanted))
+        origin = messages[0][1]
+        series, notices = [], []
+        for topic, fields in topics.topics.items():
+            mine = [(received, message_of(path, reader, *one)) for *one, received in _of(messages, topic)]
+            received = 1e-9 * (np.array([time for time, _ in mine], dtype=np.int64) - origin)
+            stamps = _stamps([message for _, message in mine], origin)
+            columns = _Fields(path.name, topic, fields).of([message for _, message in mine])
+            time, clock = _clock(received, stamps, topics.offsets_s.get(topic))
+            kept = np.unique(time, return_index=True)[1]
+            parts = {name: values[kept] for name, values in columns.items()}
+            series.append(Series(topic, time[kept], parts))
+            repeats = f" {len(time) - len(kept)} messages repeat a time and were left out." * (
+                len(kept) < len(time)
+            )
+            rate = f"{1.0 / series[-1].period:.4g} a second" if len(kept) > 1 else "one alone"
+            notices.append(f"{path.name}: '{topic}': {len(time)} messages, {rate}; {clock}.{repeats}")
+    return Bag(path.name, tuple(series), tuple(notices))
+
+
+def _of(messages: list[Any], topic: str) -> Iterator[tuple[Any, bytes, int]]:
+    return ((one, data, received) for one, received, data in messages if one.topic == topic)
+
+
+def _read_topics(path: Path, mapping: Path) -> Topics:
+    if not mapping.is_file():
+        raise LogError(
+            f"{path.name}: the mapping file {mapping.name} is not there; --guess prints one to begin with, "
+            "and --topics names another."
+        )
+    try:
+        given = tomllib.loads(mapping.read_text(encoding="utf-8-sig"))
+    except ValueError as error:
+        raise LogError(f"{mapping.name}: not TOML: {error}.") from None
+    return Topics.read(given, mapping.name)
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[None]:
+    """Say of a file that cannot be read what can be done."""
+    try:
+        yield
+    except Exception as error:  # rosbags and what it reads with raise many kinds at a file that ends early
+        reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
+        raise LogError(
+            f"{path.name}: not a whole bag ({reason}); where a recording was cut off, `ros2 bag reindex` or "
+            "`rosbag reindex` mends it."
+        ) from None
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Give a reader of a bag that has messages."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise LogError(
+            f'{path.name}: bags are read by {error.name}, which is missing: pip install "surefoot[ros]".'
+        ) from None
+    if not path.exists():
+        raise LogError(f"{path}: no such bag.")
+    if not is_bag(path):
+        raise LogError(f"{path.name}: no bag; one is a folder or ends in {', '.join(SUFFIXES)}.")
+    with whole(path):
+        # Bags of older releases hold no definitions; those of the common messages have not changed since.
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    with closing(reader):
+        if not reader.message_count:
+            raise LogError(f"{path.name}: the bag is empty: it holds no message.")
+        yield reader
+
+
+def message_of(path: Path, reader: Any, connection: Any, data: bytes) -> Any:
+    """Return what bytes say, or raise LogError."""
+    try:
+        return reader.deserialize(data, connection.msgtype)
+    except Exception as error:  # likewise
+        raise LogError(
+            f"{path.name}: '{connection.topic}' holds {connection.msgtype}, which cannot be decoded "
+            f"({error!r}); record it with its definition, as MCAP does, or publish it as a common type."
+        ) from None
+
+
+class _Fields:
+    """Takes numbers out of a topic's messages."""
+
+    def __init__(self, file: str, topic: str, fields: Mapping[FieldPath, str]) -> None:
+        self._where = f"{file}: '{topic}'"
+        self._fields = fields
+        self._owners: dict[
+            FieldPath, list[tuple[str, str]]
+        ] = {}  # last names and columns, by what holds them
+        for path, column in fields.items():
+            self._owners.setdefault(path[:-1], []).append((path[-1], column))
+
+    def of(self, messages: list[Any]) -> dict[str, Floats]:
+        """Return columns of messages; LogError if one lacks a field, or no message has a number in it."""
+        columns = {column: np.full(len(messages), np.nan) for column in self._fields.values()}
+        for row, message in enumerate(messages):
+            for owner, parts in self._owners.items():
+                holder = message
+                for name in owner:
+                    holder = self._part(message, holder, name)
+                for name, column in parts:
+                    value = self._part(message, holder, name)
+                    if value is not None:
+                        columns[column][row] = self._number(message, value, (*owner, name))
+        for path, column in self._fields.items():
+            if not np.isfinite(columns[column]).any():
+                names = getattr(messages[0], "name", ())
+                cure = f" Its names are {', '.join(names)}." if names else ""
+                raise LogError(
+                    f"{self._where} holds no number under '{'.'.join(path)}' in any message.{cure}"
+                )
+        return columns
+
+    def _part(self, message: Any, holder: Any, name: str) -> Any:
+        """Return a field, an element by its number, or that of a joint by its name; ``None`` if absent."""
+        if holder is None:
+            return None
+        if isinstance(holder, np.ndarray | list | tuple):
+            if name.isdigit():
+                place = int(name)
+            else:
+                names = list(getattr(message, "name", ()))
+                place = names.index(name) if name in names else len(holder)
+            return holder[place] if place < len(holder) else None
+        if not hasattr(holder, name):
+            raise LogError(
+                f"{self._where} holds {_type(message)}, which has no field '{name}'; there are "
+                f"{', '.join(_field_names(holder))}."
+            )
+        return getattr(holder, name)
+
+    def _number(self, message: Any, value: Any, path: FieldPath) -> float:
+        if isinstance(value, bool | int | float | np.number | np.bool_):
+            return float(value)
+        raise LogError(
+            f"{self._where} holds {_type(message)}, in which '{'.'.join(path)}' is no number; name one "
+            "of its parts, or another topic."
+        )
+
+
+def _type(message: Any) -> str:
+    return str(getattr(message, "__msgtype__", type(message).__name__))
+
+
+def _field_names(holder: Any) -> list[str]:
+    names = [name for name in getattr(holder, "__dataclass_fields__", {}) if not name.startswith("__")]
+    return names or ["none"]
+
+
+def _stamps(messages: list[Any], origin: int) -> Floats | None:
+    """Return header stamps in s since the bag began; ``None`` if messages have none."""
+    stamps: list[Any] = [getattr(getattr(one, "header", None), "stamp", None) for one in messages]
+    if any(stamp is None or stamp.sec == stamp.nanosec == 0 for stamp in stamps):
+        return None
+    return 1e-9 * np.array([stamp.sec * 1_000_000_000 + stamp.nanosec - origin for stamp in stamps])
+
+
+def _clock(received: Floats, stamps: Floats | None, given: float | None) -> tuple[Floats, str]:
+    """Return times of messages on the recorder's clock, and how they were found.
+
+    What a message takes to the recorder is never negative, and most messages take little more than the
+    quickest. So the least time from stamp to receipt tells how far two clocks are apart, up to what the
+    quickest takes.
+    """
+    if stamps is None:
+        time = _even(received)
+        jitter = f"{1e3 * np.std(received - time):.2g} ms"
+        how = f"no stamps, so times of receipt, whose jitter of {jitter} was averaged out"
+        if time is received:
+            how = "no stamps and no even rate, so times of receipt as they are"
+        return (time, how) if given is None else (time + given, f"{how}, and {given:g} s, as offsets_s says")
+    least, median = np.quantile(received - stamps, (LEAST, 0.5))
+    if given is not None:
+        return stamps + given, f"stamps and {given:g} s, as offsets_s says"
+    late = f"they reach the recorder after {1e3 * least:.1f} ms at least, {1e3 * median:.1f} ms in the median"
+    if -EARLY <= least <= LATE:
+        return stamps, f"its stamps as they are; {late}"
+    side = "behind" if least > 0 else "ahead of"
+    return stamps + least, (
+        f"its stamps are of a clock {abs(least):.4f} s {side} the recorder's, by the least time from stamp "
+        "to receipt, and were moved by that; offsets_s says it better if you know it"
+    )
+
+
+def _even(received: Floats) -> Floats:
+    """Return times of receipt without their jitter, as early as the quickest; or themselves if uneven."""
+    if len(received) <= 2 * SPAN:
+        return received
+    period = float(np.median(received[SPAN:] - received[:-SPAN])) / SPAN
+    if period <= 0.0:
+        return received
+    time, _ = even_times(received, count_rows(received, period))
+    early = received - time
+    if np.quantile(np.abs(early), 0.9) > 0.5 * period:
+        return received
+    return np.asarray(time + np.quantile(early, LEAST))
