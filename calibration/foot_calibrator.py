@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.native import NativeFilter, NativeState, installed, native_filter
+from surefoot.calibration.native import (
+    NativeFilter,
+    NativeState,
+    ReferenceRecord,
+    installed,
+    native_filter,
+)
 from surefoot.calibration.online import method_name, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
@@ -107,12 +113,14 @@ class FootCalibrator:
     def state(self, kept: Any) -> None:
         self._state = kept
 
-    def update(self, raw: ArrayLike | Array, reference: Reference, dt: float | None = None) -> Estimate:
+    def update(
+        self, raw: ArrayLike | Array, reference: Reference | ReferenceRecord, dt: float | None = None
+    ) -> Estimate:
         """Take in one sample of one robot or of a batch.
 
         Args:
             raw: Readings, shape (..., K): an array of any library, or numbers. NaN: no sample arrived.
-            reference: The robot's beliefs ``lag`` samples ago, in arrays of the same library.
+            reference: The robot's beliefs ``lag`` samples ago, in arrays of the same library, or a record.
             dt: Time since the last sample in s; the nominal one by default.
 
         Returns:
@@ -129,6 +137,8 @@ class FootCalibrator:
             if native is not None:
                 self._state = native
                 return self._native.update(native, raw, reference, dt)
+        if isinstance(reference, ReferenceRecord):
+            reference = reference.reference()
         state = self._pure.init(raw) if self._state is None else self.state
         self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.sensors.transport.link import Packet, Packets
+from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.nominal import NominalModel
 from surefoot.wrappers.odometry import Odometry
 from surefoot.wrappers.telemetry import TelemetryLayout
@@ -55,6 +56,9 @@ CLOCK_MEMORY = 256
 
 HISTORY = 64
 """How many packets are kept: more than any lag needs."""
+
+LARGEST_VALUE = 1e6
+"""Largest number that a packet can hold; one with a larger one, or with NaN, counts as lost."""
 
 _POSES = slice(SOLES.start, AXES.start + 4)
 """Both soles' places, and their axes up to the x axis of the right one."""
@@ -85,10 +89,23 @@ class Beliefs:
         period: Time between packets in s.
         delay: Mean delay of the link in s, as the robot knows it.
         averaged: Whether a sample of the IMU is the mean since the sample before.
+        lag: How many samples of the feet ago :meth:`sample` is about.
+        dt: Time between these samples in s.
+
+    Attributes:
+        believed: What the last :meth:`sample` found.
     """
 
     def __init__(
-        self, model: NominalModel, layout: TelemetryLayout, period: float, delay: float, averaged: bool
+        self,
+        model: NominalModel,
+        layout: TelemetryLayout,
+        period: float,
+        delay: float,
+        averaged: bool,
+        *,
+        lag: int = 0,
+        dt: float = 1.0 / 80.0,
     ) -> None:
         self.model = model
         self._layout = layout
@@ -99,15 +116,34 @@ class Beliefs:
         self._last: Packet | None = None
         self._run = 0
         self._clock, self._seen = 0.0, 0
+        self._lag, self._dt = lag, dt
+        self._plan, self._kinematics, self._upright = Plan(lag), Kinematics(), Upright(dt)
+        self.believed = nothing(2)
 
     @property
     def force_bias(self) -> NDArray[np.float64]:
         """What the robot takes for an error of its accelerometer in m/s^2, shape (3,)."""
         return self._odometry.force_bias
 
+    @property
+    def known(self) -> bool:
+        """Whether anything is believed."""
+        return bool(self.believed.com[0] == self.believed.com[0])
+
+    @property
+    def standing(self) -> bool:
+        """Whether a foot surely stood."""
+        return bool(self.believed.stance.any())
+
+    def info(self) -> dict[str, Any]:
+        """Return what is believed, for ``info``."""
+        return reference_info(self.believed)
+
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in packets:
+            if not np.abs(packet.values).max() <= LARGEST_VALUE:
+                continue
             self._synchronise(packet)
             if self._last is not None and packet.number == self._last.number + 1:
                 self._run += 1
@@ -155,6 +191,36 @@ class Beliefs:
         acceleration[2] -= GRAVITY
         row[ACCELERATION] = acceleration
         row[MOMENTUM_RATE] = (after[MOMENTUM] - before[MOMENTUM]) / (2.0 * period)
+
+    def sample(self, time: float, command: Any, hold: bool = False) -> bool:
+        """Find what the robot believes for one sample of its feet.
+
+        It is NaN while nothing is known, while the robot is not upright, and while it is held.
+
+        Args:
+            time: The moment that the reference describes in s of the host's clock.
+            command: What is planned now, with ``stance`` and ``swing``, shape (2,) each; or ``None`` for a
+                robot that plans nothing, whose contacts are found by kinematics.
+            hold: Whether beliefs are not to be used.
+
+        Returns:
+            Whether the robot was upright until this moment, and no longer is.
+        """
+        nobody = np.zeros(2, dtype=bool)
+        contacts = nobody, nobody
+        if command is not None:
+            contacts = self._plan.at(command.stance, command.swing)
+        self.believed = nothing(2)
+        if hold:
+            return False
+        reference = self.reference(time, *contacts)
+        if not self._upright.at(reference, self.force_bias):
+            return self._upright.fell
+        if command is None:
+            stance, swing = self._kinematics.at(reference)
+            reference = reference._replace(stance=stance, swing=swing)
+        self.believed = reference
+        return False
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
         """Return what the robot believed to do at a moment.

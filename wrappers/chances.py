@@ -2,8 +2,6 @@
 
 import warnings
 
-from surefoot.calibration import Reference
-
 PATIENCE = 10.0
 """Time in s after which a calibrator should have learnt something."""
 
@@ -15,10 +13,14 @@ class Chances:
         self._samples = self._upright = self._standing = self._run = self._longest = 0
         self._warned = False
 
-    def add(self, reference: Reference) -> None:
-        """Count one sample by its reference, which is NaN while the robot is not upright."""
-        upright = bool(reference.com[0] == reference.com[0])
-        standing = upright and bool(reference.stance.any())
+    def add(self, upright: bool, standing: bool) -> None:
+        """Count one sample.
+
+        Args:
+            upright: Whether it has a reference.
+            standing: Whether a foot surely stood.
+        """
+        standing = upright and standing
         self._samples += 1
         self._upright += upright
         self._standing += standing

@@ -36,6 +36,9 @@ class NominalModel:
         sites: Names of the sites of the IMU, of the left and of the right sole.
         torso: Name of the floating body, which carries the IMU with its axes along the body's.
 
+    Attributes:
+        revision: How often the masses have changed.
+
     Raises:
         ValueError: If a name is not in the drawing; the message lists what is.
     """
@@ -67,6 +70,7 @@ class NominalModel:
         self._sites = np.array([self._model.site(name).id for name in sites])
         self._soles = self._sites[1:]
         self._data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        self.revision = 0
         self._view()
 
     def _view(self) -> None:
@@ -119,6 +123,7 @@ class NominalModel:
 
     @masses.setter
     def masses(self, believed: Masses) -> None:
+        self.revision += 1
         model = self._model
         model.body_mass[:], model.body_inertia[:], model.body_ipos[self._torso] = believed
         mujoco.mj_setConst(model, self._data)
@@ -148,6 +153,36 @@ class NominalModel:
         axes = self._site_axes[self._soles].reshape(6, 3)
         return self._com, self._momentum, self._site_position[self._sites], axes
 
+    def tree(self) -> dict[str, NDArray[Any]] | None:
+        """Return the torso and the bodies on it, B, under the names that they have in ``sf_model``.
+
+        ``None`` if hinges or sites are elsewhere.
+        """
+        model, place = self._model, {self._torso: 0}
+        for body in range(self._torso + 1, model.nbody):
+            if model.body_parentid[body] in place:
+                place[body] = len(place)
+        bodies, hinges = list(place), np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+        turned, seen_from = model.jnt_bodyid[hinges].tolist(), model.site_bodyid[self._sites].tolist()
+        if model.jnt_bodyid[0] != self._torso or not {*turned, *seen_from} <= place.keys():
+            return None
+        principal = _rotations(model.body_iquat[bodies])
+        return {
+            "parent": np.array([0] + [place[model.body_parentid[body]] for body in bodies[1:]]),
+            "hinge_body": np.array([place[body] for body in turned], dtype=int),
+            "site_body": np.array([place[body] for body in seen_from]),
+            "place": model.body_pos[bodies],
+            "R_parent_body": _rotations(model.body_quat[bodies]),
+            "anchor": model.jnt_pos[hinges],
+            "axis": model.jnt_axis[hinges],
+            "zero": model.qpos0[model.jnt_qposadr[hinges]],
+            "mass": model.body_mass[bodies],
+            "com": model.body_ipos[bodies],
+            "inertia": (principal * model.body_inertia[bodies, None]) @ principal.swapaxes(1, 2),
+            "position_site": model.site_pos[self._sites],
+            "R_body_site": _rotations(model.site_quat[self._sites]),
+        }
+
 
 def update_posture(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Compute places, centres of mass and angular momenta of positions and velocities."""
@@ -155,6 +190,14 @@ def update_posture(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     mujoco.mj_comPos(model, data)
     mujoco.mj_comVel(model, data)
     mujoco.mj_subtreeVel(model, data)
+
+
+def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrices of MuJoCo's quaternions, shape (N, 3, 3)."""
+    matrices = np.zeros((len(quaternions), 9))
+    for matrix, quaternion in zip(matrices, quaternions, strict=True):
+        mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrices.reshape(-1, 3, 3)
 
 
 def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> mujoco.MjSpec:

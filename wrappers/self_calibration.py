@@ -13,13 +13,13 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
-from surefoot.wrappers.beliefs import Beliefs, nothing, reference_info
+from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.chances import Chances
-from surefoot.wrappers.contacts import Kinematics, Plan, Upright
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty, seen_below
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
+from surefoot.wrappers.native_beliefs import NativeBeliefs, native_beliefs
 from surefoot.wrappers.nominal import Masses, NominalModel
 from surefoot.wrappers.source import (
     check_clock,
@@ -109,7 +109,6 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Attributes:
         calibrator: The calibrator.
         beliefs: The robot's beliefs.
-        reference: The calibrator's last reference.
         reference_time: The moment that it describes, in s of the host's clock since the reset.
         estimate: Its last estimate.
         frozen: Whether nothing is learnt for now.
@@ -181,8 +180,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._show = tuple(show)
         self.observation_space = spaces.Dict(seen_below(space.spaces, show) | self._view.spaces)
         self.calibrator: FootCalibrator
-        self.beliefs: Beliefs
-        self.reference: Reference
+        self.beliefs: Beliefs | NativeBeliefs
         self.reference_time = 0.0
         self.estimate: Estimate
         self.frozen = self._made = False
@@ -213,12 +211,19 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             self._start_fresh(telemetry)
         else:
             self._wait_out()
-        self.beliefs = Beliefs(
-            self._model, telemetry.layout, telemetry.period, telemetry.link.delay, telemetry.averaged
+        link, where = telemetry.link, telemetry.layout
+        self.beliefs = native_beliefs(
+            Beliefs(
+                self._model,
+                where,
+                telemetry.period,
+                link.delay,
+                telemetry.averaged,
+                lag=self._late,
+                dt=telemetry.dt,
+            )
         )
         self.beliefs.update(sensors.packets)
-        self._plan, self._kinematics = Plan(self._late), Kinematics()
-        self._upright = Upright(telemetry.dt)
         self._view.begin_episode()
         return self._calibrate(observation, info), info
 
@@ -233,6 +238,12 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             # Mostly a fall, which began some moments ago.
             self.calibrator.retract()
         return observation, reward, terminated, truncated, info
+
+    @property
+    def reference(self) -> Reference:
+        """The calibrator's last reference."""
+        believed = self.beliefs.believed
+        return believed if isinstance(believed, Reference) else believed.reference()
 
     def freeze(self, frozen: bool = True) -> None:
         """Learn nothing from now on, or learn again: readings are corrected by what was learnt so far.
@@ -298,44 +309,23 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def _calibrate(self, observation: dict[str, Any], info: dict[str, Any]) -> dict[str, Any]:
         sensors = self._sensors
         self.reference_time = sensors.time - self._late * sensors.telemetry.dt - self._age
-        self.reference = reference = self._next_reference()
-        self._chances.add(reference)
-        self.estimate = estimate = self.calibrator.update(sensors.raw, reference)
+        beliefs, hold = self.beliefs, self.frozen or self._waiting > 0
+        self._waiting = max(self._waiting - 1, 0)
+        if beliefs.sample(self.reference_time, getattr(sensors.source, "command", None), hold):
+            self.calibrator.retract()
+        self._chances.add(beliefs.known, beliefs.standing)
+        self.estimate = estimate = self.calibrator.update(sensors.raw, beliefs.believed)
         info.setdefault("surefoot", {}).update(
             # Copies, as an estimate may hold arrays of the one before.
             parameters={"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
             covariance=None if estimate.covariance is None else estimate.covariance.copy(),
             flags=estimate.flags.copy(),
             vgrf=estimate.vgrf.copy(),
-            reference=reference_info(reference),
+            reference=beliefs.info(),
             lag=self._late,
         )
-        parts = self._view.show(estimate, self.beliefs.soles(sensors.time))
+        parts = self._view.show(estimate, beliefs.soles(sensors.time))
         return seen_below(observation, self._show) | parts
-
-    def _next_reference(self) -> Reference:
-        """Take in the plan and the posture of one more sample, and return the reference for it.
-
-        It is NaN while learning is frozen, while its samples are of two episodes, and while the robot is not
-        upright.
-        """
-        command: Any = getattr(self._sensors.source, "command", None)
-        if command is not None:
-            contacts = self._plan.at(command.stance, command.swing)
-        if self.frozen or self._waiting:
-            self._waiting = max(self._waiting - 1, 0)
-            return nothing(2)
-        if command is None:
-            contacts = np.zeros(2, dtype=bool), np.zeros(2, dtype=bool)
-        reference = self.beliefs.reference(self.reference_time, *contacts)
-        if not self._upright.at(reference, self.beliefs.force_bias):
-            if self._upright.fell:
-                self.calibrator.retract()
-            return nothing(2)
-        if command is not None:
-            return reference
-        stance, swing = self._kinematics.at(reference)
-        return reference._replace(stance=stance, swing=swing)
 
     def _initial(self, rng: np.random.Generator) -> Parameters:
         """Find the map to start from."""

@@ -1,10 +1,24 @@
-"""The moment filter in C: a header for a robot's own controller, and its use from here; see docs/native.md.
+"""The moment filter in C: headers for a robot's own controller, and their use from here; see docs/native.md.
 
-The Python in :mod:`surefoot.calibration.moment` is the specification, and what runs where no library is.
+The Python in :mod:`surefoot.calibration.moment` is the specification, and what runs where no library is. The
+library also makes the references, for :mod:`surefoot.wrappers`.
 """
 
-from surefoot.calibration.native.config import c_source
+from surefoot.calibration.native.config import c_header, c_source, filled_record
 from surefoot.calibration.native.filter import NativeFilter, NativeState, native_filter
 from surefoot.calibration.native.library import NATIVE, installed
+from surefoot.calibration.native.reference import ReferenceRecord
+from surefoot.native import Library
 
-__all__ = ["NATIVE", "NativeFilter", "NativeState", "c_source", "installed", "native_filter"]
+__all__ = [
+    "NATIVE",
+    "Library",
+    "NativeFilter",
+    "NativeState",
+    "ReferenceRecord",
+    "c_header",
+    "c_source",
+    "filled_record",
+    "installed",
+    "native_filter",
+]

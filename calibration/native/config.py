@@ -1,5 +1,6 @@
 """The constants of one robot, as the library wants them."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,19 @@ def config_record(library: Library, stream: MomentStream) -> NDArray[Any] | None
     """Return the record of constants, shape (); ``None`` for a robot that the library is not made for."""
     if not stream.unknowns.diagonal:
         return None
-    values = _values(stream)
-    dtype = library.record("config", {name: np.shape(value) for name, value in values.items()})
+    record = filled_record(library, "config", _values(stream))
+    return record if record is not None and library.functions.surefoot_fits(record.ctypes.data) else None
+
+
+def filled_record(library: Library, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
+    """Return a record of the library with these values, shape (); ``None`` if it has no room for one."""
+    dtype = library.record(name, {field: np.shape(value) for field, value in values.items()})
     if dtype is None:
         return None
     record = np.zeros((), dtype)
-    for name, value in values.items():
-        record[name] = value
-    return record if library.functions.surefoot_fits(record.ctypes.data) else None
+    for field, value in values.items():
+        record[field] = value
+    return record
 
 
 def c_source(setup: OnlineSetup, **options: Any) -> str:
@@ -45,7 +51,6 @@ def c_source(setup: OnlineSetup, **options: Any) -> str:
     record = config_record(library, MomentStream(setup, MomentFilterConfig(**options)))
     if record is None:
         raise ValueError("The library is not made for such a robot; docs/native.md has its limits.")
-    assert record.dtype.names is not None
     sizes = {
         name.upper(): int(record[name]) for name in ("channels", "feet", "lag", "every", "settle", "kinds")
     }
@@ -53,15 +58,30 @@ def c_source(setup: OnlineSetup, **options: Any) -> str:
     sizes["CELLS"] = int(record["cells"].sum())
     # An array without an element is none in C.
     sizes |= {name.upper(): max(1, int(record[name])) for name in ("sensors", "parities")}
+    return c_header("surefoot_calibration.h", sizes, {"sf_config robot": record})
+
+
+def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArray[Any]]) -> str:
+    """Return a header in C that includes another one with some sizes, and declares constant records.
+
+    Args:
+        header: The other one.
+        sizes: Its sizes, by their names without ``SF_``.
+        records: Records of the library, by their types and names.
+    """
     lines = [f"#define SF_{name} {size}" for name, size in sizes.items()]
-    lines += ['#include "surefoot_calibration.h"', "", "static const sf_config robot = {"]
-    for name in record.dtype.names:
-        numbers = ", ".join(repr(value) for value in record[name].ravel().tolist())
-        if numbers:
-            lines.append(
-                f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"
-            )
-    return "\n".join([*lines, "};", ""])
+    lines.append(f'#include "{header}"')
+    for declared, record in records.items():
+        assert record.dtype.names is not None
+        lines += ["", f"static const {declared} = {{"]
+        for name in record.dtype.names:
+            numbers = ", ".join(repr(value) for value in record[name].ravel().tolist())
+            if numbers:
+                lines.append(
+                    f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"
+                )
+        lines.append("};")
+    return "\n".join([*lines, ""])
 
 
 def _values(stream: MomentStream) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
 from surefoot.calibration.native.config import config_record
+from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.native import Library
@@ -89,7 +90,7 @@ class NativeFilter:
         self._dtypes = tuple(
             contacts if field in ("stance", "swing") else self._real for field in Reference._fields
         )
-        self._raw = np.zeros(K, library.real)
+        self._raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
         shapes = {
             "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_foot": (F, 2), "scale": (K,),
             "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2), "nis": (), "nis_rows": (),
@@ -175,26 +176,36 @@ class NativeFilter:
                 parts.append(record[name].astype(part.dtype))
         return type(like)(*parts)
 
-    def takes(self, raw: Array, reference: Reference, dt: Any) -> bool:
+    def takes(self, raw: Array, reference: Reference | ReferenceRecord, dt: Any) -> bool:
         """Return whether arguments are as the library wants them; of others Python says what is wrong."""
-        return (
+        if not (
             type(raw) is np.ndarray
             and raw.dtype == self._real
-            and raw.shape == self._raw.shape
-            and type(reference) is Reference
+            and raw.shape == self._shape
             and isinstance(dt, float)
+        ):
+            return False
+        if type(reference) is ReferenceRecord:
+            return self._feet == 2 and reference.real == self._real
+        return (
+            type(reference) is Reference
             and tuple(map(type, reference)) == _ARRAYS
             and tuple(map(_DTYPE, reference)) == self._dtypes
             and tuple(map(_SHAPE, reference)) == self._shapes
         )
 
-    def update(self, state: NativeState, raw: Array, reference: Reference, dt: float) -> Estimate:
+    def update(
+        self, state: NativeState, raw: Array, reference: Reference | ReferenceRecord, dt: float
+    ) -> Estimate:
         """Take in one sample that :meth:`takes` has looked at; the state goes on in place."""
         self._raw[...] = raw
-        com, acceleration, rate, position, R, stance, swing = self._inputs
-        com[...], acceleration[...], rate[...] = reference[:3]
-        position[...], R[...], stance[...], swing[...] = reference[3:7]
         config, reading, beliefs, out = self._addresses
+        if isinstance(reference, ReferenceRecord):
+            beliefs = reference.address
+        else:
+            com, acceleration, rate, position, R, stance, swing = self._inputs
+            com[...], acceleration[...], rate[...] = reference[:3]
+            position[...], R[...], stance[...], swing[...] = reference[3:7]
         self._functions.surefoot_step(config, state.address, reading, beliefs, dt, out)
         numbers = self._numbers.copy()
         nis = numbers[self._nis]

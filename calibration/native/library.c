@@ -1,6 +1,6 @@
-/* surefoot_calibration.h as a shared library, with a table of where its records' fields lie. */
+/* The headers beside it as a shared library, with a table of where their records' fields lie. */
 
-#include "surefoot_calibration.h"
+#include "surefoot_beliefs.h"
 
 #include "library.h"
 
@@ -10,6 +10,11 @@
 #define S_WHOLE(field) PLACE(state, field, "whole")
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
+#define M_REAL(field) PLACE(model, field, "real")
+#define B_REAL(field) PLACE(beliefs, field, "real")
+#define B_WHOLE(field) PLACE(beliefs, field, "whole")
+#define IN_REFERENCE(field, kind)                                                                            \
+    {"belief", #field, kind, offsetof(sf_belief, reference.field), sizeof(((sf_reference *)0)->field)}
 
 /* clang-format off */
 static const place places[] = {
@@ -43,6 +48,27 @@ static const place places[] = {
     E_REAL(offset), E_REAL(force_std), E_REAL(cop_covariance), E_REAL(nis), E_REAL(nis_rows),
     PLACE(estimate, flags, "whole"), PLACE(estimate, cop_valid, "byte"), PLACE(estimate, cop_foot_valid,
     "byte"),
+
+    WHOLE_OF(model), WHOLE_OF(timing), WHOLE_OF(beliefs), WHOLE_OF(belief),
+
+    PLACE(model, bodies, "int"), PLACE(model, hinges, "int"), PLACE(model, parent, "int"),
+    PLACE(model, hinge_body, "int"), PLACE(model, site_body, "int"), M_REAL(place), M_REAL(R_parent_body),
+    M_REAL(anchor), M_REAL(axis), M_REAL(zero), M_REAL(mass), M_REAL(com), M_REAL(inertia),
+    M_REAL(position_site), M_REAL(R_body_site),
+
+    PLACE(timing, averaged, "int"), PLACE(timing, needed, "int"), PLACE(timing, window, "int"),
+    PLACE(timing, dt, "real"), PLACE(timing, period, "double"), PLACE(timing, delay, "double"),
+
+    B_REAL(ring), B_REAL(angle), B_REAL(accelerometer), B_REAL(gyroscope), B_REAL(forward), B_REAL(up),
+    B_REAL(spin), B_REAL(spin_bias), B_REAL(force_bias), B_REAL(lean), B_REAL(highest),
+    PLACE(beliefs, clock, "double"), B_WHOLE(number), B_WHOLE(seen), B_WHOLE(run), B_WHOLE(count),
+    B_WHOLE(planned), B_WHOLE(found), B_WHOLE(upright),
+
+    IN_REFERENCE(com, "real"), IN_REFERENCE(com_acceleration, "real"),
+    IN_REFERENCE(angular_momentum_rate, "real"), IN_REFERENCE(position_sole, "real"),
+    IN_REFERENCE(R_level_sole, "real"), IN_REFERENCE(stance, "byte"), IN_REFERENCE(swing, "byte"),
+    PLACE(belief, accelerometer, "real"), PLACE(belief, gyroscope, "real"), PLACE(belief, known, "byte"),
+    PLACE(belief, fell, "byte"),
 };
 /* clang-format on */
 
@@ -56,4 +82,31 @@ EXPORTED void surefoot_retract(const sf_config *config, sf_state *state) {
 EXPORTED void surefoot_step(const sf_config *config, sf_state *state, const sf_real *raw,
                             const sf_reference *reference, double dt, sf_estimate *estimate) {
     sf_calibrator_step(config, state, raw, reference, (sf_real)dt, estimate);
+}
+
+EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
+    return sf_beliefs_fit(model, timing);
+}
+EXPORTED void surefoot_beliefs_init(sf_beliefs *beliefs) { sf_beliefs_init(beliefs); }
+/* values: as wrappers.telemetry.TelemetryLayout places them. */
+EXPORTED void surefoot_beliefs_packet(const sf_model *model, const sf_timing *timing, sf_beliefs *beliefs,
+                                      long long number, double arrival, const sf_real *values) {
+    const sf_real *gyroscope = values + 2 * model->hinges + 2;
+    if (sf_measured(values, 2 * model->hinges + 8))
+        sf_beliefs_packet(model, timing, beliefs, number, arrival, values, gyroscope + 3, gyroscope);
+}
+/* Returns 1 for a robot that fell, plus 2 if the reference is known, plus 4 if a foot stands by it. */
+EXPORTED int surefoot_beliefs_sample(const sf_timing *timing, sf_beliefs *beliefs, double time,
+                                     const unsigned char *planned, int hold, sf_belief *belief) {
+    sf_beliefs_sample(timing, beliefs, time, planned, hold, belief);
+    return belief->fell + 2 * belief->known +
+           4 * (belief->reference.stance[0] || belief->reference.stance[1]);
+}
+EXPORTED void surefoot_beliefs_reference(const sf_timing *timing, sf_beliefs *beliefs, double time,
+                                         sf_belief *belief) {
+    sf_beliefs_reference(timing, beliefs, time, belief);
+}
+EXPORTED void surefoot_beliefs_soles(const sf_timing *timing, sf_beliefs *beliefs, double time,
+                                     sf_real *soles) {
+    sf_beliefs_soles(timing, beliefs, time, soles);
 }

@@ -1,0 +1,357 @@
+"""Beliefs in C against the Python that specifies them: the same references, soles and states."""
+
+import copy
+import pickle
+import subprocess
+from types import SimpleNamespace
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+
+from surefoot.calibration.native import NATIVE, Library, filled_record
+from surefoot.envs import InstrumentedEnv
+from surefoot.envs.instrumentation.drawing import draw_nao
+from surefoot.native import compiler
+from surefoot.sensors.transport.link import Packet
+from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.belief_errors import BeliefErrors
+from surefoot.wrappers.beliefs import Beliefs, nothing
+from surefoot.wrappers.native_beliefs import NativeBeliefs, c_source, native_beliefs
+from surefoot.wrappers.nominal import NominalModel
+from surefoot.wrappers.telemetry import TelemetryLayout
+
+PACKETS, PERIOD, DT, LATE = 2000, 0.01, 0.0125, 0.03
+ERRORS = BeliefErrors(mass=0.01, com=0.005)
+CLOSE = 1e-9
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+
+def random_tree(seed: int) -> mujoco.MjSpec:
+    """A robot of bodies that hang anywhere on each other, by no hinge, one or three; it has legs."""
+    rng = np.random.default_rng([71, seed])
+
+    def vector(size):
+        return rng.normal(scale=size, size=3)
+
+    def massive(body):
+        body.mass, body.ipos = rng.uniform(0.05, 2.0), vector(0.05)
+        body.inertia = 1e-3 * (1.0 + rng.random(3))
+        body.iquat, body.explicitinertial = rng.normal(size=4), True
+        bodies.append(body)
+        return body
+
+    spec, bodies = mujoco.MjSpec(), []
+    spec.compiler.degree = False
+    torso = massive(spec.worldbody.add_body(name="torso"))
+    torso.add_freejoint()
+    torso.add_site(name="imu", pos=vector(0.1))
+    for number in range(12):
+        body = massive(
+            bodies[int(rng.integers(len(bodies)))].add_body(pos=vector(0.2), quat=rng.normal(size=4))
+        )
+        for i in range(rng.choice([0, 1, 1, 3])):
+            body.add_joint(name=f"{number} {i}", axis=vector(1.0), pos=vector(0.05), ref=rng.normal())
+    for side, y in (("left", 0.1), ("right", -0.1)):
+        leg = massive(torso.add_body(pos=(0.0, y, -0.3)))
+        leg.add_joint(name=f"{side} hip", axis=(0.0, 1.0, 0.0), pos=vector(0.05))
+        foot = massive(leg.add_body(pos=(0.0, 0.0, -0.3)))
+        foot.add_joint(name=f"{side} ankle", axis=(1.0, 0.0, 0.0))
+        foot.add_site(name=f"{side}_sole", pos=vector(0.02), quat=(1.0, *vector(0.01)))
+    return spec
+
+
+def humanoid() -> NominalModel:
+    env = InstrumentedEnv(gym.make("Humanoid-v5"))
+    env.close()
+    return NominalModel.of_drawing(env.drawing, ERRORS)
+
+
+ROBOTS = {
+    "nao": lambda: NominalModel.of_drawing(draw_nao(), ERRORS),
+    "humanoid": humanoid,
+    **{f"tree {seed}": lambda seed=seed: NominalModel(random_tree(seed), ERRORS) for seed in (1, 2, 3)},
+}
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory) -> Library:
+    path = tmp_path_factory.mktemp("native") / "double.so"
+    assert NATIVE.sources.compile(path) is None
+    return NATIVE.load(path)
+
+
+def robot(name: str) -> NominalModel:
+    model = ROBOTS[name]()
+    model.draw(np.random.default_rng(3))
+    return model
+
+
+@pytest.fixture(scope="module")
+def model() -> NominalModel:
+    return robot("tree 2")
+
+
+def python(model: NominalModel, averaged: bool = True, lag: int = 5) -> Beliefs:
+    layout = TelemetryLayout(len(model.joint_names))
+    return Beliefs(model, layout, PERIOD, LATE, averaged, lag=lag, dt=DT)
+
+
+def motion(joints: int, seed: int = 0) -> list[Packet]:
+    """Smooth motions of all joints, odd postures, falls, flights; packets late, lost, repeated, spoilt."""
+    rng, where = np.random.default_rng([72, seed]), TelemetryLayout(joints)
+    time = PERIOD * np.arange(PACKETS)[:, None]
+    values = 0.2 * rng.normal(size=where.size) * np.sin(rng.uniform(1.0, 9.0, where.size) * time)
+    # Now and then it stands still, so that feet are found to stand.
+    values *= (np.sin(0.7 * time) > -0.3) * 1.0
+    values += 1e-4 * rng.normal(size=values.shape)
+    values[:, where.accelerometer] += (0.0, 0.0, 9.81)
+    for start in range(1500, 1900, 50):
+        values[start : start + 40, where.joint_position] = rng.normal(size=joints)
+    values[700:720, where.accelerometer] *= 0.1
+    values[1200:1290, where.accelerometer] = (9.0, 1.0, 0.5)
+    late = LATE + 0.004 * rng.standard_normal(PACKETS)
+    packets = [Packet(n, PERIOD * n + late[n], row) for n, row in enumerate(values)]
+    for n, spoilt in ((300, np.nan), (500, np.inf), (501, 1e7)):
+        packets[n].values[rng.integers(where.size)] = spoilt
+    lost = rng.random(PACKETS) < 0.002
+    packets = [packet for packet in packets if not lost[packet.number]]
+    packets.insert(900, packets[899])
+    return packets
+
+
+def commands(seed: int = 0):
+    """Yield what a robot plans that steps at random."""
+    rng, left = np.random.default_rng([73, seed]), np.array([True, False])
+    while True:
+        swinging = (None, left, ~left)[int(rng.integers(3))]
+        for _ in range(int(rng.integers(1, 30))):
+            swing = np.zeros(2, bool) if swinging is None else swinging
+            yield SimpleNamespace(stance=~swing, swing=swing)
+
+
+def same(expected, found, name: str = "") -> None:
+    expected, found = np.asarray(expected), np.asarray(found)
+    assert (expected.shape, expected.dtype) == (found.shape, found.dtype), name
+    if expected.dtype.kind != "f":
+        np.testing.assert_array_equal(found, expected, err_msg=name)
+        return
+    largest = np.abs(expected).max(axis=0, initial=0.0, where=np.isfinite(expected))
+    off = np.abs(found - expected) <= CLOSE * np.maximum(largest, 1e-3)
+    assert (off | (np.isnan(expected) & np.isnan(found))).all(), name
+
+
+def same_info(expected: dict, found: dict) -> None:
+    assert list(expected) == list(found)
+    for name, part in expected.items():
+        assert type(part) is type(found[name])
+        same(part, found[name], name)
+
+
+def same_state(expected: Beliefs, native: NativeBeliefs) -> None:
+    found = native.unpack()
+    same(expected._ring[:, :12], found._ring[:, :12], "ring")
+    for part in ("forward", "spin", "spin_bias", "count"):
+        same(getattr(expected._odometry, f"_{part}"), getattr(found._odometry, f"_{part}"), part)
+    same(expected._odometry.up, found._odometry.up)
+    same(expected.force_bias, found.force_bias)
+    for part in ("_clock", "_seen", "_run"):
+        same(getattr(expected, part), getattr(found, part), part)
+    assert expected._plan._runs[0] == found._plan._runs[0]
+    assert expected._kinematics._runs == found._kinematics._runs
+    assert (expected._upright._upright, found._seen) == (found._upright._upright, expected._seen)
+    same(expected._upright._mean, found._upright._mean)
+    if expected._last is not None:
+        assert expected._last.number == found._last.number
+
+
+def numbers(beliefs: Beliefs | NativeBeliefs, now: float) -> np.ndarray:
+    """All that one sample told, in a row."""
+    believed = beliefs.believed if isinstance(beliefs, Beliefs) else beliefs.believed.reference()
+    soles = np.concatenate(beliefs.soles(now))
+    standing = beliefs.known and beliefs.standing
+    return np.concatenate([*(part.ravel() for part in believed), soles, [beliefs.known, standing]])
+
+
+@pytest.mark.parametrize(("averaged", "lag", "plans"), [(True, 5, True), (False, 9, False)])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_library_is_the_python(library, name, averaged, lag, plans):
+    model = robot(name)
+    expected = python(model, averaged, lag)
+    native = NativeBeliefs(library, expected)
+    packets, plan = motion(len(model.joint_names)), commands()
+    heard, told = 0, ([], [])
+    for step in range(PACKETS):
+        now = DT * step
+        arrived = heard
+        while arrived < len(packets) and packets[arrived].arrival <= now:
+            arrived += 1
+        command, hold = next(plan) if plans else None, 400 <= step < 410
+        for beliefs, rows in zip((expected, native), told, strict=True):
+            beliefs.update(packets[heard:arrived])
+            fell = beliefs.sample(now - lag * DT - 0.004, command, hold)
+            rows.append(np.append(numbers(beliefs, now), fell))
+        heard = arrived
+        if step % 197 == 0:
+            same_state(expected, native)
+            same_info(expected.info(), native.info())
+        if step in (3, 1001):
+            # Each goes on where the other is.
+            expected, native = native.unpack(), NativeBeliefs(library, expected)
+    python_told, native_told = map(np.array, told)
+    assert heard == len(packets)
+    same(python_told, native_told)
+    *_, known, standing, fell = python_told.T
+    for happened in (known, standing, fell):
+        assert 0 < happened.sum() < PACKETS
+
+
+def test_a_reference_may_be_asked_for_any_moment(library, model):
+    expected = python(model)
+    native = NativeBeliefs(library, expected)
+    stance, swing = np.array([True, False]), np.array([False, True])
+    packets = motion(len(model.joint_names))[:200]
+    for count in (1, 3, 4, 120):
+        expected.update(packets[:count])
+        native.update(packets[:count])
+        for time in (-1.0, 0.0, 0.7012, 1.5, 9.0):
+            one, two = (beliefs.reference(time, stance, swing) for beliefs in (expected, native))
+            for name, part in one._asdict().items():
+                same(part, getattr(two, name), name)
+            same(expected.soles(time), native.soles(time))
+
+
+def test_other_masses_are_believed_from_then_on(library, model):
+    packets = motion(len(model.joint_names))[:60]
+    expected = python(model)
+    native, kept = NativeBeliefs(library, expected), model.masses
+    for part in (packets[:30], packets[30:]):
+        expected.update(part)
+        native.update(part)
+        model.masses = model.masses._replace(mass=model.masses.mass * np.linspace(1.0, 1.3, len(kept.mass)))
+    same_state(expected, native)
+    model.masses = kept
+
+
+def test_copies_go_on_alike(library, model, monkeypatch):
+    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    packets = motion(len(model.joint_names))[:80]
+    native = native_beliefs(python(model))
+    assert isinstance(native, NativeBeliefs)
+    native.update(packets[:60])
+    native.sample(0.4, None)
+    others = [copy.deepcopy(native), pickle.loads(pickle.dumps(native))]
+    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: None)
+    others.append(pickle.loads(pickle.dumps(native)))
+    assert [type(other) for other in others] == [NativeBeliefs, NativeBeliefs, Beliefs]
+    for other in others:
+        same_info(native.info(), other.info())
+    native.update(packets[60:])
+    native.sample(0.6, None)
+    for other in others:
+        other.update(packets[60:])
+        other.sample(0.6, None)
+        same_info(native.info(), other.info())
+
+
+def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library, monkeypatch):
+    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    model = ROBOTS["nao"]()
+    late = python(model, lag=80)
+    assert native_beliefs(late) is late
+    monkeypatch.setattr(model, "tree", lambda: None)
+    assert not isinstance(native_beliefs(python(model)), NativeBeliefs)
+
+
+def test_what_does_not_fit_is_found(library):
+    tree, timing = ROBOTS["nao"]().tree(), {"window": 1, "period": 0.01, "dt": 0.0125}
+    sizes = {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
+
+    def fits(timing, **changes):
+        model = filled_record(library, "model", {**sizes, **tree, **changes})
+        record = filled_record(library, "timing", timing)
+        return library.functions.surefoot_beliefs_fit(model.ctypes.data, record.ctypes.data)
+
+    assert fits(timing)
+    for change in (
+        {"bodies": 65},
+        {"hinges": -1},
+        {"site_body": np.array([0, 1, 99])},
+        {"mass": 0.0 * tree["mass"]},
+        {"parent": tree["parent"] + 40},
+        {"hinge_body": tree["hinge_body"][::-1]},
+    ):
+        assert not fits(timing, **change), change
+    for change in ({"window": 0}, {"window": 65}, {"period": 0.0}, {"dt": np.nan}):
+        assert not fits({**timing, **change}), change
+
+
+def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path):
+    """A program in C, with nothing of Python, and sanitizers that look for misuse of memory."""
+    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    (tmp_path / "robot.h").write_text(c_source(python(model)))
+    (tmp_path / "main.c").write_text(PROGRAM)
+    command = [
+        compiler(), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1",
+        "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{NATIVE.sources.folder}",
+        "-o", str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    native, told, lines = NativeBeliefs(library, python(model)), [], []
+    for packet in motion(len(model.joint_names))[:400]:
+        native.update((packet,))
+        native.sample(packet.arrival - 0.1, None)
+        told.append(native.believed.reference())
+        lines.append(np.array([packet.number, packet.arrival, *packet.values]))
+    done = subprocess.run(
+        [tmp_path / "main"], input=np.concatenate(lines).tobytes(), capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found = np.array([float(word) for word in done.stdout.split()]).reshape(-1, 6)
+    same(np.array([(*row.com, *row.com_acceleration) for row in told]), found)
+    assert np.isfinite(found).any()
+
+
+PROGRAM = """
+#include <stdio.h>
+#include "robot.h"
+int main(void) {
+    static sf_beliefs beliefs;
+    sf_belief belief;
+    double row[2 + 2 * SF_HINGES + 8], *values = row + 2, *imu = values + 2 * SF_HINGES + 2;
+    if (!sf_beliefs_fit(&model, &timing)) return 1;
+    sf_beliefs_init(&beliefs);
+    while (fread(row, sizeof row, 1, stdin) == 1) {
+        if (sf_measured(values, 2 * SF_HINGES + 8))
+            sf_beliefs_packet(&model, &timing, &beliefs, (sf_whole)row[0], row[1], values, imu + 3, imu);
+        sf_beliefs_sample(&timing, &beliefs, row[1] - 0.1, NULL, 0, &belief);
+        for (int i = 0; i < 3; i++) printf("%.17g ", belief.reference.com[i]);
+        for (int i = 0; i < 3; i++) printf("%.17g ", belief.reference.com_acceleration[i]);
+    }
+    return 0;
+}
+"""
+
+
+def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
+    """With the library and without, whole episodes are the same, and a held reference is NaN."""
+    said = []
+    for found in (library, None):
+        for module in ("calibration.foot_calibrator", "wrappers.native_beliefs"):
+            monkeypatch.setattr(f"surefoot.{module}.installed", lambda found=found: found)
+        env = SelfCalibration(FootSensors(make_bare()))
+        env.reset(seed=4)
+        assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)
+        rows = [env.step(np.zeros(env.action_space.shape, np.float32)) for _ in range(120)]
+        env.freeze()
+        rows.append(env.step(np.zeros(env.action_space.shape, np.float32)))
+        np.testing.assert_array_equal(env.reference.com, nothing(2).com)
+        said.append(rows)
+        env.close()
+    for one, two in zip(*said, strict=True):
+        for name, part in one[0].items():
+            np.testing.assert_allclose(part, two[0][name], rtol=1e-6, atol=1e-6, err_msg=name)
+        same_info(one[4]["surefoot"]["reference"], two[4]["surefoot"]["reference"])

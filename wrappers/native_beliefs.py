@@ -1,0 +1,206 @@
+"""The beliefs of one robot by the library: the same numbers as :class:`Beliefs`, to rounding."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import Reference
+from surefoot.calibration.native import Library, ReferenceRecord, c_header, filled_record, installed
+from surefoot.sensors.transport.link import Packet, Packets
+from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs, SolePose
+from surefoot.wrappers.contacts import planned_window
+from surefoot.wrappers.telemetry import TelemetryLayout
+
+_OWN = {"clock": "_clock", "seen": "_seen", "run": "_run"}
+_ODOMETRY = {
+    "forward": "_forward", "up": "up", "spin": "_spin", "spin_bias": "_spin_bias",
+    "force_bias": "force_bias", "count": "_count",
+}  # fmt: skip
+_UPRIGHT = {"lean": "_mean", "highest": "_highest", "upright": "_upright"}
+"""Attributes of the Python by the names of ``sf_beliefs``."""
+
+
+class NativeBeliefs:
+    """The library for one robot; it goes on where a Python object is, which stays as it is.
+
+    Args:
+        library: The library.
+        beliefs: The Python object.
+
+    Raises:
+        ValueError: If the library is not made for such a robot; docs/native.md has its limits.
+    """
+
+    def __init__(self, library: Library, beliefs: Beliefs) -> None:
+        self._library, self._functions, self._spec = library, library.functions, beliefs
+        self.model = beliefs.model
+        needed, window = planned_window(beliefs._lag)
+        timing = {
+            "averaged": beliefs._averaged, "needed": needed, "window": window, "dt": beliefs._dt,
+            "period": beliefs._period, "delay": beliefs._delay,
+        }  # fmt: skip
+        joints = beliefs._layout.joint_position.stop
+        shapes = {
+            "ring": (HISTORY, ROWS, 3), "angle": (joints,), "accelerometer": (3,), "gyroscope": (3,),
+            "forward": (3,), "up": (3,), "spin": (3,), "spin_bias": (3,), "force_bias": (3,), "lean": (3,),
+            "highest": (), "clock": (), "number": (), "seen": (), "run": (), "count": (),
+            "planned": (window, 4), "found": (4,), "upright": (),
+        }  # fmt: skip
+        found, state = filled_record(library, "timing", timing), library.record("beliefs", shapes)
+        if found is None or state is None:
+            raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
+        self._timing, self._state = found, np.zeros((), state)
+        self._values = np.zeros(beliefs._layout.size, library.real)
+        self._planned, self._soles = np.zeros(4, np.bool_), np.zeros((2, 4), library.real)
+        self.believed = ReferenceRecord(library)
+        self._other = ReferenceRecord(library)
+        self._force_bias = self._state["force_bias"]
+        self._adopt()
+        self._pack(beliefs)
+        self.believed.fill(beliefs.believed)
+        self.known, self.standing = beliefs.known, beliefs.standing
+        records = self._timing, self._state, self._values, self._planned, self._soles
+        self._addresses = tuple(record.ctypes.data for record in records)
+
+    def _adopt(self) -> None:
+        """Take over the model, whose masses have changed."""
+        tree, library = self.model.tree(), self._library
+        sizes = {} if tree is None else {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
+        model = None if tree is None else filled_record(library, "model", {**sizes, **tree})
+        if model is None or not library.functions.surefoot_beliefs_fit(
+            model.ctypes.data, self._timing.ctypes.data
+        ):
+            raise ValueError("The robot is no tree of bodies that the library has room for.")
+        self._revision, self._model, self._tree = self.model.revision, model, model.ctypes.data
+
+    @property
+    def force_bias(self) -> NDArray[np.float64]:
+        """As of :class:`Beliefs`."""
+        bias: NDArray[np.float64] = self._force_bias.copy()
+        return bias
+
+    def update(self, packets: Packets) -> None:
+        """Take in packets of telemetry, in order."""
+        if self.model.revision != self._revision:
+            self._adopt()
+        timing, state, values, _, _ = self._addresses
+        for packet in packets:
+            self._values[...] = packet.values
+            self._functions.surefoot_beliefs_packet(
+                self._tree, timing, state, packet.number, packet.arrival, values
+            )
+
+    def sample(self, time: float, command: Any, hold: bool = False) -> bool:
+        """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
+        timing, state, _, planned, _ = self._addresses
+        if command is not None:
+            self._planned[:2], self._planned[2:] = command.stance, command.swing
+        found = self._functions.surefoot_beliefs_sample(
+            timing, state, time, None if command is None else planned, hold, self.believed.address
+        )
+        self.known, self.standing = found & 2 > 0, found & 4 > 0
+        return bool(found & 1)
+
+    def info(self) -> dict[str, Any]:
+        """As :meth:`Beliefs.info`."""
+        return {"known": self.known, **self.believed.reference(unknown=0.0)._asdict()}
+
+    def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
+        """As :meth:`Beliefs.reference`."""
+        timing, state, _, _, _ = self._addresses
+        self._functions.surefoot_beliefs_reference(timing, state, time, self._other.address)
+        return self._other.reference()._replace(stance=stance, swing=swing)
+
+    def soles(self, time: float) -> tuple[SolePose, SolePose]:
+        """As :meth:`Beliefs.soles`."""
+        timing, state, _, _, soles = self._addresses
+        self._functions.surefoot_beliefs_soles(timing, state, time, soles)
+        left, right = self._soles.tolist()
+        return SolePose(*left), SolePose(*right)
+
+    def unpack(self) -> Beliefs:
+        """Return the Python object that goes on from here; it shares nothing but the model."""
+        spec, state = self._spec, self._state
+        found = Beliefs(
+            self.model, spec._layout, spec._period, spec._delay, spec._averaged, lag=spec._lag, dt=spec._dt
+        )
+        for owner, names in _owners(found):
+            for name, attribute in names.items():
+                part = state[name].tolist()
+                setattr(owner, attribute, tuple(part) if isinstance(part, list) else part)
+        found._odometry.force_bias = self.force_bias
+        found._upright._upright = bool(state["upright"])
+        found._ring[...] = state["ring"]
+        found._plan._runs.extend(state["planned"].tolist())
+        found._kinematics._runs = state["found"].tolist()
+        if found._seen:
+            values = self._values.copy()
+            for name, part in _measured(spec._layout):
+                values[part] = state[name]
+            found._last = Packet(int(state["number"]), 0.0, values)
+        found.believed = self.believed.reference()
+        return found
+
+    def _pack(self, beliefs: Beliefs) -> None:
+        state, last = self._state, beliefs._last
+        for owner, names in _owners(beliefs):
+            for name, attribute in names.items():
+                state[name] = getattr(owner, attribute)
+        state["ring"] = beliefs._ring
+        runs = list(beliefs._plan._runs)
+        # The oldest one counts until there are as many as are kept.
+        state["planned"] = runs[:1] * (len(state["planned"]) - len(runs)) + runs
+        state["found"] = beliefs._kinematics._runs
+        if last is not None:
+            state["number"] = last.number
+            for name, part in _measured(beliefs._layout):
+                state[name] = last.values[part]
+
+    def __reduce__(self) -> Any:
+        return native_beliefs, (self.unpack(),)
+
+
+def native_beliefs(beliefs: Beliefs) -> Beliefs | NativeBeliefs:
+    """Return beliefs that go on by the library, or as they are where there is none for such a robot."""
+    library = installed()
+    if library is None or library.real != np.float64:
+        return beliefs
+    try:
+        return NativeBeliefs(library, beliefs)
+    except ValueError:
+        return beliefs
+
+
+def c_source(beliefs: Beliefs) -> str:
+    """Return a header with one robot's ``sf_model model`` and ``sf_timing timing``, for its controller.
+
+    Raises:
+        RuntimeError: If there is no library here.
+        ValueError: If the library is not made for such a robot.
+    """
+    library = installed()
+    if library is None:
+        raise RuntimeError("The library is missing: run 'python -m surefoot.native' first.")
+    native = NativeBeliefs(library, beliefs)
+    model, timing = native._model, native._timing
+    sizes = {
+        "BODIES": int(model["bodies"]),
+        "HINGES": max(1, int(model["hinges"])),
+        "PLANNED": int(timing["window"]),
+    }
+    return c_header("surefoot_beliefs.h", sizes, {"sf_model model": model, "sf_timing timing": timing})
+
+
+def _owners(beliefs: Beliefs) -> tuple[tuple[Any, dict[str, str]], ...]:
+    """Return what holds the parts of a state, and the attributes that do."""
+    return (beliefs, _OWN), (beliefs._odometry, _ODOMETRY), (beliefs._upright, _UPRIGHT)
+
+
+def _measured(layout: TelemetryLayout) -> tuple[tuple[str, slice], ...]:
+    """Return where a packet holds what is kept of it."""
+    return (
+        ("angle", layout.joint_position),
+        ("accelerometer", layout.accelerometer),
+        ("gyroscope", layout.gyroscope),
+    )
