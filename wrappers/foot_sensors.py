@@ -218,11 +218,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self._read(truth, dt)
         if self._telemetry_state is not None:
             self.packets, self._telemetry_state = self.telemetry.advance(
-                truth.joint_position,
-                np.concatenate((truth.accelerometer, truth.gyroscope), axis=1),
-                self.time,
-                self._telemetry_state,
-                self._telemetry_rng,
+                truth.joint_position, truth.inertial, self.time, self._telemetry_state, self._telemetry_rng
             )
         return self._view.show(observation, self.raw, self.packets), reward, terminated, truncated, info
 

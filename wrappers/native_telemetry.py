@@ -24,13 +24,14 @@ class NativeTelemetryState:
 
     Args:
         record: All numbers, shape ().
+        coming: How many packets the next step sends; -1 if there is no room for them.
     """
 
-    def __init__(self, record: NDArray[Any]) -> None:
-        self.record, self.address = record, record.ctypes.data
+    def __init__(self, record: NDArray[Any], coming: int) -> None:
+        self.record, self.address, self.coming = record, record.ctypes.data, coming
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return NativeTelemetryState, (self.record.copy(),)
+        return NativeTelemetryState, (self.record.copy(), self.coming)
 
 
 class NativeTelemetry(Telemetry):
@@ -77,19 +78,21 @@ class NativeTelemetry(Telemetry):
         functions, at = library.functions, self.config.ctypes.data
         if state is None or not functions.surefoot_telemetry_fits(at):
             raise ValueError("The robot is larger than those that the library was compiled for.")
-        self._state, self._room = state, room
+        self._record, self._room = state, room
         self._skewed = bool(self.config["skewed"])
         self._draws = functions.surefoot_telemetry_draws(at)
         self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
         self._coming = functions.surefoot_telemetry_coming
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
+        self._come = [self._arrived[:count] for count in range(room + 1)]
         normals = np.zeros((room + 1) * self._draws)
         self._normals = [normals[: count * self._draws] for count in range(room + 1)]
         self._shape = self._position.shape
-        self._at, self._at_arrived, self._at_normals = at, self._arrived.ctypes.data, normals.ctypes.data
+        arrays = (self.config, self._position, self._inertial, normals, self._arrived)
+        self._arrays = np.array([array.ctypes.data for array in arrays], dtype=np.uintp)
+        self._at = self._arrays.ctypes.data
         self._drawn_from: tuple[Any, int] = None, 0
-        self._at_truth = self._position.ctypes.data, self._inertial.ctypes.data
 
     def __reduce__(self) -> tuple[Any, ...]:
         return telemetry_of, self._arguments
@@ -98,7 +101,7 @@ class NativeTelemetry(Telemetry):
         self, position: Floats, inertial: Floats, rng: Rng, hardware: Hardware | None = None
     ) -> tuple[Packets, Any]:
         """Switch the robot on; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
-        state = NativeTelemetryState(np.zeros((), self._state))
+        state = NativeTelemetryState(np.zeros((), self._record), 0)
         fresh, joints, stream = hardware is None, len(position), self._stream(rng)
         normals = self._normals[0]
         if hardware is not None:
@@ -108,31 +111,25 @@ class NativeTelemetry(Telemetry):
             noisy = joints if self.config["encoder_noise"] else 0
             normals = rng.standard_normal(drawn + noisy + self.before_start * self._draws)
         self._position[0], self._inertial[0] = position, inertial
-        arrived = self._init(
-            self._at, state.address, *self._at_truth, fresh, stream, normals.ctypes.data, self._at_arrived
-        )
-        return Arrived(self._arrived[:arrived].copy()), state
+        told = self._init(self._at, state.address, stream, normals.ctypes.data, fresh)
+        state.coming = (told >> 16) - 1
+        return Arrived(self._come[told & 0xFFFF].copy()), state
 
     def advance(
         self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
     ) -> tuple[Packets, Any]:
         """Measure a control step; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
         native = state if type(state) is NativeTelemetryState else self.pack(state)
-        if native is None or position.shape != self._shape:
+        if native is None or native.coming < 0 or position.shape != self._shape:
+            # More packets are under way than the library has room for, or a step is not as long as others.
             return super().advance(position, inertial, time, self.unpack(state), rng)
-        stream, arrived = self._stream(rng), -1
-        coming = 0 if stream is not None else self._coming(self._at, native.address)
-        if coming >= 0:
-            if stream is None:
-                rng.standard_normal(out=self._normals[coming])
-            self._position[...], self._inertial[...] = position, inertial
-            arrived = self._advance(
-                self._at, native.address, *self._at_truth, time, stream, self._at_normals, self._at_arrived
-            )
-        if arrived < 0:
-            # More packets are under way than the library has room for.
-            return super().advance(position, inertial, time, self.unpack(native), rng)
-        return Arrived(self._arrived[:arrived].copy()), native
+        stream = self._stream(rng)
+        if stream is None:
+            rng.standard_normal(out=self._normals[native.coming])
+        self._position[...], self._inertial[...] = position, inertial
+        told = self._advance(self._at, native.address, stream, time)
+        native.coming = (told >> 16) - 1
+        return Arrived(self._come[told & 0xFFFF].copy()), native
 
     def _stream(self, rng: Any) -> int | None:
         """Return where the stream of one robot lies, from which C draws; ``None`` for NumPy's generator."""
@@ -154,7 +151,7 @@ class NativeTelemetry(Telemetry):
         """Return a state that goes on with another IMU and other encoders."""
         if type(state) is not NativeTelemetryState:
             return super().with_hardware(state, hardware)
-        after = NativeTelemetryState(state.record.copy())
+        after = NativeTelemetryState(state.record.copy(), state.coming)
         self._put(after, hardware)
         return after
 
@@ -169,7 +166,7 @@ class NativeTelemetry(Telemetry):
         computer, inertial, substeps, due, number, under_way = state
         if len(under_way) > self._room:
             return None
-        native = NativeTelemetryState(np.zeros((), self._state))
+        native = NativeTelemetryState(np.zeros((), self._record), 0)
         self._put(native, Hardware(computer.imu, computer.encoders))
         record = native.record
         record["up"], record["gyroscope_bias"] = computer.attitude
@@ -179,6 +176,7 @@ class NativeTelemetry(Telemetry):
         for place, packet in enumerate(under_way):
             record["arrival"][place] = packet.arrival
             record["ring"][place] = (packet.number, packet.arrival, *packet.values)
+        native.coming = self._coming(self.config.ctypes.data, native.address)
         return native
 
     def unpack(self, state: TelemetryState | NativeTelemetryState) -> TelemetryState:

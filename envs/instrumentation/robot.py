@@ -37,6 +37,7 @@ class TorsoColumns:
     angular_momentum: Final = slice(18, 21)
     accelerometer: Final = slice(21, 24)
     gyroscope: Final = slice(24, 27)
+    inertial: Final = slice(21, 27)
     width: Final = 27
 
 

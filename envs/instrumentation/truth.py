@@ -135,6 +135,11 @@ class FeetTruth:
         return self._body[..., TorsoColumns.gyroscope]
 
     @property
+    def inertial(self) -> Array:
+        """Accelerometer and gyroscope, shape (..., 6)."""
+        return self._body[..., TorsoColumns.inertial]
+
+    @property
     def joint_position(self) -> Array:
         """Angles of the hinge joints in rad, shape (..., J)."""
         return self.rows[..., self._end + TorsoColumns.width : -1]

@@ -46,6 +46,7 @@ class TruthChannels:
         self.axes_torso = block("torso_x", "torso_z")
         self.accelerometer = block("accelerometer", "accelerometer")
         self.gyroscope = block("gyroscope", "gyroscope")
+        self.inertial = block("accelerometer", "gyroscope")
         self.com = block("com", "com")
         self.com_velocity = block("com_velocity", "com_velocity")
         self.angular_momentum = block("angular_momentum", "angular_momentum")
@@ -163,6 +164,11 @@ class Truth:
     def gyroscope(self) -> NDArray[np.float64]:
         """Angular velocity of the torso in the IMU's axes in rad/s, shape (S, 3)."""
         return self.rows[:, self.channels.gyroscope]
+
+    @property
+    def inertial(self) -> NDArray[np.float64]:
+        """Accelerometer and gyroscope, shape (S, 6)."""
+        return self.rows[:, self.channels.inertial]
 
     def vgrf(self) -> NDArray[np.float64]:
         """Vertical ground reaction forces (left, right) in the world at the last row in N, shape (2,)."""

@@ -60,15 +60,28 @@ EXPORTED int surefoot_telemetry_draws(const sf_telemetry_config *config) {
 EXPORTED int surefoot_telemetry_coming(const sf_telemetry_config *config, const sf_telemetry *state) {
     return sf_telemetry_coming(config, state);
 }
-EXPORTED int surefoot_telemetry_init(const sf_telemetry_config *config, sf_telemetry *state,
-                                     const sf_real *position, const sf_real *inertial, int fresh,
-                                     sf_random *stream, const sf_real *drawn, sf_real *arrived) {
-    sf_normals normals = {stream, drawn};
-    return sf_telemetry_init(config, state, position, inertial, fresh, &normals, arrived);
+/* Arrays that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
+typedef struct {
+    const sf_telemetry_config *config;
+    const sf_real *position, *inertial, *drawn;
+    sf_real *arrived;
+} telemetry_arrays;
+
+/* Both return how many packets have arrived, and 2^16 times one more than how many the next step sends. */
+static int with_coming(const telemetry_arrays *at, const sf_telemetry *state, int arrived) {
+    return arrived < 0 ? -1 : arrived + 65536 * (sf_telemetry_coming(at->config, state) + 1);
 }
-EXPORTED int surefoot_telemetry_advance(const sf_telemetry_config *config, sf_telemetry *state,
-                                        const sf_real *position, const sf_real *inertial, double time,
-                                        sf_random *stream, const sf_real *drawn, sf_real *arrived) {
+EXPORTED int surefoot_telemetry_init(const telemetry_arrays *at, sf_telemetry *state, sf_random *stream,
+                                     const sf_real *drawn, int fresh) {
     sf_normals normals = {stream, drawn};
-    return sf_telemetry_advance(config, state, position, inertial, time, &normals, arrived);
+    return with_coming(at, state,
+                       sf_telemetry_init(at->config, state, at->position, at->inertial, fresh, &normals,
+                                         at->arrived));
+}
+EXPORTED int surefoot_telemetry_advance(const telemetry_arrays *at, sf_telemetry *state, sf_random *stream,
+                                        double time) {
+    sf_normals normals = {stream, at->drawn};
+    return with_coming(at, state,
+                       sf_telemetry_advance(at->config, state, at->position, at->inertial, time, &normals,
+                                            at->arrived));
 }

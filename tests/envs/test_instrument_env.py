@@ -137,6 +137,8 @@ def test_truth_is_of_the_instant_that_is_documented(in_place):
         expected = instrumentation.read(model, data)
         np.testing.assert_allclose(env.truth.wrench_sole[0], expected.wrench_sole, rtol=1e-9, atol=1e-7)
         np.testing.assert_allclose(env.truth.accelerometer[0], expected.accelerometer, rtol=1e-7, atol=1e-7)
+        inertial = np.hstack([env.truth.accelerometer, env.truth.gyroscope])
+        np.testing.assert_array_equal(env.truth.inertial, inertial)
         assert env.truth is not at_start
     assert env.truth.wrench_sole.shape == (1, 2, 6)
     assert expected.vgrf().max() > 10.0

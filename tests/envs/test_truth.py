@@ -282,6 +282,7 @@ def test_truth_reads_the_state_it_names():
         np.testing.assert_allclose(truth.R_world_sole[0, foot], sole.xmat.reshape(3, 3), atol=1e-12)
     np.testing.assert_allclose(truth.accelerometer[0], data.sensor("accelerometer").data)
     np.testing.assert_allclose(truth.gyroscope[0], data.qvel[3:6], atol=1e-12)
+    np.testing.assert_array_equal(truth.inertial, np.hstack([truth.accelerometer, truth.gyroscope]))
     assert np.linalg.norm(truth.accelerometer[0]) == pytest.approx(GRAVITY, abs=1.0)
 
 

@@ -306,8 +306,7 @@ class BatchSensors:
 
     def _felt(self) -> tuple[Floats, Floats, Floats]:
         truth = self.truth
-        inertial = np.concatenate([truth.accelerometer, truth.gyroscope], axis=1)
-        return truth.joint_position, inertial, truth.R_world_torso[:, 2]
+        return truth.joint_position, truth.inertial, truth.R_world_torso[:, 2]
 
     def _keep(self, raw: Floats, rows: Floats) -> None:
         packet = self.telemetry.packet.copy() if self._started else None
