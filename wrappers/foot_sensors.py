@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import ceil
 from os import PathLike
 from typing import Any, NamedTuple, SupportsFloat
 
@@ -14,6 +13,7 @@ from surefoot.calibration import GRAVITY
 from surefoot.calibration.state import load_state, save_state
 from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, scaled
 from surefoot.sensors.presets import resolve
+from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_device
@@ -35,8 +35,13 @@ from surefoot.wrappers.telemetry import Telemetry, timely_link
 SENSOR_STREAM = 0x5F00
 """Number of the random stream that sensors draw from unless another is given."""
 
-TELEMETRY_STREAM = 1
-"""Number, within that, of the stream of an IMU and of encoders that no observation shows."""
+DEVICES = ("cells", "ankles", "faults", "telemetry")
+"""Devices of a robot that draw; each has a stream of its own within that one, by its place here."""
+
+
+def stream_key(device: str, stream: int, seed: int | None) -> tuple[int, ...]:
+    """Return what the stream of one robot's device is keyed by; nothing without a seed."""
+    return () if seed is None else (stream, seed, DEVICES.index(device))
 
 
 class HardwareState(NamedTuple):
@@ -74,10 +79,11 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     A calibrator around it uses the attributes below, :attr:`raw`, :attr:`telemetry`, :meth:`listen` and
     :meth:`true_parameters`, and nothing else.
 
-    Sensors have a random stream of their own, seeded from the seed of the reset, so that the environment's
+    Sensors have random streams of their own, seeded from the seed of the reset, so that the environment's
     trajectory is the bare one's, and the same seed under other wrappers is the same episode. A reset with a
-    seed draws fresh sensors: other scales, offsets, clocks and biases. A reset without one keeps them, and
-    they drift on, as hardware does; ``fresh=True`` or ``options={"surefoot": {"sensors": "fresh"}}`` draws
+    seed draws fresh sensors: other scales, offsets, clocks and biases, those of a vector's copy that is reset
+    with it. A reset without one keeps them, and they drift on, as hardware does; ``fresh=True`` or
+    ``options={"surefoot": {"sensors": "fresh"}}`` draws
     fresh ones then as well, and ``"keep"`` keeps them whatever the seed.
 
     Args:
@@ -168,7 +174,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self.observation_space = self._view.space
         self._link_by_name = isinstance(link, str)
         self._fresh, self._stream = fresh, stream
-        self._rng = self._telemetry_rng = np.random.default_rng()
+        self._streams: dict[str, Any] = self._drawn_streams(None)
         self._listening = self._measures
         self._hardware: HardwareState | None = None
         self.sensors_fresh = True
@@ -195,10 +201,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         rest, asked = split_options(options, "sensors", "calibration")
         observation, info = self.env.reset(seed=seed, options=rest)
         if seed is not None:
-            self._rng = self._telemetry_rng = np.random.default_rng([self._stream, seed])
-            if not self._measures:
-                # What is read only if somebody listens must not shift what the feet draw.
-                self._telemetry_rng = np.random.default_rng([self._stream, seed, TELEMETRY_STREAM])
+            self._streams = self._drawn_streams(seed)
         truth, dt = self.source.truth, float(self.source.dt)
         if self._telemetry is None or self._telemetry.dt != dt:
             self._telemetry = self._make_telemetry(dt, len(truth.time))
@@ -218,7 +221,11 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self._read(truth, dt)
         if self._telemetry_state is not None:
             self.packets, self._telemetry_state = self.telemetry.advance(
-                truth.joint_position, truth.inertial, self.time, self._telemetry_state, self._telemetry_rng
+                truth.joint_position,
+                truth.inertial,
+                self.time,
+                self._telemetry_state,
+                self._streams["telemetry"],
             )
         return self._view.show(observation, self.raw, self.packets), reward, terminated, truncated, info
 
@@ -292,35 +299,35 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             "telemetry": "none" if self._telemetry_state is None else "an IMU and encoders, which are read",
         }
 
+    def _drawn_streams(self, seed: int | None) -> dict[str, Any]:
+        return {device: Stream.of(*stream_key(device, self._stream, seed)) for device in DEVICES}
+
     def _switch_on(self, truth: Any) -> None:
         """Draw fresh sensors or keep those there are, and read every chip and the link once."""
-        rng = self._rng
+        streams = self._streams
         kept = None if self.sensors_fresh else self._now().telemetry
         if self.sensors_fresh:
-            broken = () if self._broken is None else self._broken.init((self.instruments.channels,), rng)
-            self._hardware = HardwareState(self.instruments.init(rng), broken, None)
+            shape = (self.instruments.channels,)
+            broken = () if self._broken is None else self._broken.init(shape, streams["faults"])
+            self._hardware = HardwareState(self.instruments.init(streams), broken, None)
             self._view.hold_unloaded()
         with_load = self.instruments.with_load(truth, self._devices.instruments)
         self._hardware = self._devices._replace(instruments=with_load)
-        dt = self.telemetry.dt
-        self._read(truth, max(dt, self.instruments.slowest))
-        # What is on its way, or averaged over the past, would be of another episode.
-        memory = self.instruments.memory
-        for _ in range(1 + ceil(memory / dt) if memory else 0):
+        for dt in self.instruments.first_steps(self.telemetry.dt):
             self._read(truth, dt)
         if self._listening:
             # At the reset a robot hangs just above its footprints; packets before are of one that stood.
             inertial = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
             self.packets, self._telemetry_state = self.telemetry.init(
-                truth.joint_position[-1].copy(), inertial, self._telemetry_rng, kept
+                truth.joint_position[-1].copy(), inertial, streams["telemetry"], kept
             )
 
     def _read(self, truth: Any, dt: float) -> None:
         hardware = self._devices
-        self._raw, instruments = self.instruments.read(truth, hardware.instruments, self._rng, dt)
+        self._raw, instruments = self.instruments.read(truth, hardware.instruments, self._streams, dt)
         faults = hardware.faults
         if self._broken is not None:
-            self._raw, faults = self._broken.apply(self._raw, faults, self._rng, dt)
+            self._raw, faults = self._broken.apply(self._raw, faults, self._streams["faults"], dt)
         self._hardware = HardwareState(instruments, faults, hardware.telemetry)
 
     def _make_telemetry(self, dt: float, substeps: int) -> Telemetry:

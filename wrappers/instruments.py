@@ -5,7 +5,9 @@ level foot at rest weighs below its ankle counts as part of that sensor's offset
 """
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
+from math import ceil
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.sensors import Corruption, ForceTorque, LoadCells, force_torque, load_cells, sized
+from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS
@@ -86,7 +89,7 @@ class CellsUnderFeet:
         )
         self._device: Corruption[LoadCellState] = load_cells(config)
 
-    def init(self, rng: np.random.Generator) -> LoadCellState:
+    def init(self, rng: Rng) -> LoadCellState:
         """Draw the cells."""
         return self._device.init((self.channels,), rng)
 
@@ -94,9 +97,7 @@ class CellsUnderFeet:
         """Return the state under the load of now, and not of another episode."""
         return state._replace(previous=truth.force_cell[-1].copy())
 
-    def read(
-        self, truth: Any, state: LoadCellState, rng: np.random.Generator, dt: float
-    ) -> tuple[Floats, LoadCellState]:
+    def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
         """Read them after a control step of dt."""
         return self._device.apply(truth.force_cell, state, rng, dt)
 
@@ -150,7 +151,7 @@ class SensorsInAnkles:
         self.preload = np.concatenate([_weight(foot) for foot in self.feet])
         self._device: Corruption[ForceTorqueState] = force_torque(config)
 
-    def init(self, rng: np.random.Generator) -> ForceTorqueState:
+    def init(self, rng: Rng) -> ForceTorqueState:
         """Draw the sensors."""
         return self._device.init((self.channels,), rng)
 
@@ -159,7 +160,7 @@ class SensorsInAnkles:
         return state
 
     def read(
-        self, truth: Any, state: ForceTorqueState, rng: np.random.Generator, dt: float
+        self, truth: Any, state: ForceTorqueState, rng: Rng, dt: float
     ) -> tuple[Floats, ForceTorqueState]:
         """Read them at the end of a control step of dt."""
         return self._device.apply(truth.wrench_ankle[-1].ravel(), state, rng, dt)
@@ -250,19 +251,29 @@ class Instruments:
         rates = [part.config.rate for part in self.parts if isinstance(part, CellsUnderFeet)]
         self.slowest = max((1.0 / rate[0] for rate in rates if rate is not None), default=0.0)
 
-    def init(self, rng: np.random.Generator) -> InstrumentsState:
-        """Draw instruments."""
-        return InstrumentsState(**{part.name: part.init(rng) for part in self.parts})
+    def first_steps(self, dt: float) -> list[float]:
+        """Return after how long to read robots that start an episode, again and again, in s.
+
+        Every chip delivers at least once, and what is averaged or on its way runs through.
+
+        Args:
+            dt: Duration of a control step in s.
+        """
+        return [max(dt, self.slowest)] + [dt] * (1 + ceil(self.memory / dt) if self.memory else 0)
+
+    def init(self, streams: Mapping[str, Rng]) -> InstrumentsState:
+        """Draw instruments, each from its own stream, by name."""
+        return InstrumentsState(**{part.name: part.init(streams[part.name]) for part in self.parts})
 
     def read(
-        self, truth: Any, state: InstrumentsState, rng: np.random.Generator, dt: float
+        self, truth: Any, state: InstrumentsState, streams: Mapping[str, Rng], dt: float
     ) -> tuple[Floats, InstrumentsState]:
         """Read them after a control step.
 
         Args:
             truth: The last control step of a source of truth.
             state: Their state.
-            rng: Where noise comes from.
+            streams: Where each one's noise comes from, by name.
             dt: Duration of the step in s.
 
         Returns:
@@ -271,7 +282,7 @@ class Instruments:
         readings: list[Floats] = []
         after: dict[str, Any] = {}
         for part in self.parts:
-            reading, after[part.name] = part.read(truth, getattr(state, part.name), rng, dt)
+            reading, after[part.name] = part.read(truth, getattr(state, part.name), streams[part.name], dt)
             readings.append(reading)
         return readings[0] if self._one else self.joined(readings), InstrumentsState(**after)
 

@@ -25,7 +25,8 @@ def feet(prelude, method="moment"):
 
 def test_an_episode_begins_certain(prelude):
     env = CalibrateFirst(feet(prelude), enough=18e-3)
-    _, info = env.reset(seed=1)
+    # A robot for which half of it is enough; others need all.
+    _, info = env.reset(seed=7)
     told = info["surefoot"]
     # It stopped after one period: the second was no longer needed.
     assert told["certain"]

@@ -95,20 +95,22 @@ def test_a_mass_believed_wrong_is_each_robots_own():
 
 
 def test_robots_learn_their_centre_of_pressure():
-    errors = {}
-    for method in ("none", "moment"):
-        env = _vector(method=method)
-        env.reset(seed=8)
-        found = []
-        for _ in range(320):
-            seen, _, terminated, *_, infos = env.step(ACTIONS)
-            truth = infos["surefoot"]["truth"]
-            error = np.linalg.norm(seen["cop_foot"] - truth["cop_foot"], axis=-1)
-            found.append(np.where(truth["cop_valid"][:, 1:], error, np.nan))
-            assert not terminated.any()
-        errors[method] = np.nanmedian(found[200:], axis=(0, 2))
-    assert (errors["moment"] < 0.006).all(), errors
-    assert errors["moment"].mean() < 0.4 * errors["none"].mean(), errors
+    errors = {"none": [], "moment": []}
+    for method, of_all in errors.items():
+        # Of three robots alone, sensors that happen to be good would settle the ratio.
+        for seed in (8, 18):
+            env = _vector(method=method)
+            env.reset(seed=seed)
+            found = []
+            for _ in range(320):
+                seen, _, terminated, *_, infos = env.step(ACTIONS)
+                truth = infos["surefoot"]["truth"]
+                error = np.linalg.norm(seen["cop_foot"] - truth["cop_foot"], axis=-1)
+                found.append(np.where(truth["cop_valid"][:, 1:], error, np.nan))
+                assert not terminated.any()
+            of_all.append(np.nanmedian(found[200:], axis=(0, 2)))
+    assert (np.array(errors["moment"]) < 0.006).all(), errors
+    assert np.mean(errors["moment"]) < 0.4 * np.mean(errors["none"]), errors
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

@@ -37,8 +37,8 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     All three autoreset modes are served. Sensors stay as they are when a robot is reset, and drift on, as
     hardware does; ``fresh=True`` gives a robot that is reset fresh ones. A reset with a seed draws fresh
     ones for the robots that are seeded; ``options={"surefoot": {"sensors": "fresh" or "keep"}}`` decides for
-    one reset. All robots draw from one stream: the same seeds, number of robots and actions give the same
-    readings.
+    one reset. Each robot draws from streams of its own: a copy that is reset with a seed has the sensors of a
+    :class:`~surefoot.wrappers.FootSensors` that is reset with it, wherever it stands.
 
     Args:
         env: A vector environment.

@@ -1,12 +1,11 @@
 """The sensors of N robots: one state for all, whatever gathers the robots.
 
 Readings follow the control steps: a converter's conversions lie on the straight line between the loads at the
-ends of two steps. All robots draw from one stream, so that what a robot's sensors draw depends on how many
-robots there are and on its place among them, and on nothing else.
+ends of two steps. Each robot draws from streams of its own, keyed by its seed: its feet's sensors draw what
+they draw in :class:`~surefoot.wrappers.FootSensors` after a reset with that seed, whoever stands beside it.
 """
 
 from collections.abc import Sequence
-from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +16,11 @@ from surefoot.envs import RobotDrawing
 from surefoot.sensors import Encoders, ForceTorque, Imu, Link, LoadCells, scaled
 from surefoot.sensors.devices.load_cells import true_map
 from surefoot.sensors.presets import resolve
+from surefoot.sensors.randomness import Stream
 from surefoot.sensors.select import batch_axes, select
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
-from surefoot.wrappers.foot_sensors import TELEMETRY_STREAM
+from surefoot.wrappers.foot_sensors import stream_key
 from surefoot.wrappers.instruments import Instruments, usual_cells
 from surefoot.wrappers.source import check_stream, wants_fresh
 from surefoot.wrappers.telemetry import timely_link
@@ -108,9 +108,7 @@ class BatchSensors:
         self._cells = isinstance(devices.feet, LoadCells)
         self._device = foot_corruption(devices.feet)
         self._axes = batch_axes(self._device, self.instruments.channels)
-        # Every chip delivers at least once, and what is averaged or on its way runs through.
-        longest = max(meaning.dt, self.instruments.slowest)
-        self._first_steps = [longest] + [meaning.dt] * ceil(self.instruments.memory / meaning.dt - 1e-9)
+        self._first_steps = self.instruments.first_steps(meaning.dt)
         self._remembers = self.instruments.slowest > 0.0 or len(self._first_steps) > 1
         self.telemetry = BatchTelemetry(
             count,
@@ -123,7 +121,7 @@ class BatchSensors:
         )
         self.fresh, self._stream = fresh, stream
         self._listening = bool(meaning.state)
-        self._rng = self._telemetry_rng = np.random.default_rng()
+        self._rng, self._telemetry_rng = self._streams([None] * count)
         self._state: Any = None
         self._started = False
         self._key: Any = None
@@ -170,14 +168,12 @@ class BatchSensors:
             choice: ``"fresh"`` or ``"keep"``, if it was asked for.
         """
         mask = self._everyone if mask is None else mask
-        numbers = seed_numbers(seed)
-        feet, telemetry = self._rng, self._telemetry_rng
-        if numbers:
-            feet = np.random.default_rng([self._stream, *numbers])
-            telemetry = np.random.default_rng([self._stream, *numbers, TELEMETRY_STREAM])
-            if mask.all():
-                self._rng, self._telemetry_rng = feet, telemetry
-        self._begin(rows, mask, self.wanting(mask, seed, choice), feet, telemetry)
+        each = seed_of_each(seed, self.count)
+        seeded = mask & np.array([own is not None for own in each])
+        if seeded.any():
+            for stream, fresh in zip((self._rng, self._telemetry_rng), self._streams(each), strict=True):
+                stream.take(fresh, seeded)
+        self._begin(rows, mask, self.wanting(mask, seed, choice))
         self.stepped, self.starting, self.started_within = self.readings, None, None
 
     def wanting(self, mask: Mask, seed: Seeds, choice: str | None) -> Mask:
@@ -195,14 +191,16 @@ class BatchSensors:
             starting: Robots that were reset instead of stepped, shape (N,), or ``None``.
         """
         force, before = self._look(rows), self._state
-        raw, self._state = self._device.apply(force, before, self._rng, self.meaning.dt)
+        # An instrument that remembers nothing has read the first moment already.
+        again = starting is not None and (self.fresh or self._remembers)
+        rng = self._rng.only(~starting) if again and starting is not None else self._rng
+        raw, self._state = self._device.apply(force, before, rng, self.meaning.dt)
         self.starting, self.started_within, self.sensors_fresh = starting, None, self._everyone & False
         if starting is not None and self.fresh:
             self.sensors_fresh = starting
-            before = self._drawn(starting, before, self._rng, self._telemetry_rng)
-        # An instrument that remembers nothing has read the first moment already.
-        if starting is not None and (self.fresh or self._remembers):
-            raw = self._first_readings(force, starting, before, self._rng, raw)
+            before = self._drawn(starting, before)
+        if again and starting is not None:
+            raw = self._first_readings(force, starting, before, raw)
         if self._started:
             self.telemetry.measure(*self._felt(), starting, self._telemetry_rng)
         self._keep(raw, rows)
@@ -217,7 +215,7 @@ class BatchSensors:
         """
         stepped = self.stepped
         wanted = mask if self.fresh else mask & False
-        self._begin(rows, mask, wanted, self._rng, self._telemetry_rng)
+        self._begin(rows, mask, wanted)
         self.stepped, self.started_within = stepped, mask
 
     def true_parameters(self) -> Parameters:
@@ -236,21 +234,23 @@ class BatchSensors:
     def _shape(self) -> tuple[int, int]:
         return self.count, self.instruments.channels
 
-    def _begin(
-        self,
-        rows: Floats,
-        mask: Mask,
-        wanted: Mask,
-        rng: np.random.Generator,
-        telemetry_rng: np.random.Generator,
-    ) -> None:
+    def _streams(self, seeds: Sequence[int | None]) -> tuple[Stream, Stream]:
+        """Return the streams of the feet's sensors and of telemetry of robots with these seeds."""
+        feet, telemetry = (
+            Stream.of_each(stream_key(device, self._stream, seed) for seed in seeds)
+            for device in (self.instruments.parts[0].name, "telemetry")
+        )
+        return feet, telemetry
+
+    def _begin(self, rows: Floats, mask: Mask, wanted: Mask) -> None:
         """Read the robots in ``mask`` for the first time; those ``wanted`` with fresh sensors."""
         force = self._look(rows)
-        state = self._drawn(wanted, self._state, rng, telemetry_rng) if wanted.any() else self._state
-        raw = self._first_readings(force, mask, state, rng, None if mask.all() else self.readings.raw)
+        state = self._drawn(wanted, self._state) if wanted.any() else self._state
+        raw = self._first_readings(force, mask, state, None if mask.all() else self.readings.raw)
+        telemetry_rng = self._telemetry_rng
         if self._listening:
             if self._started:
-                self.telemetry.remeasure(mask, *self._felt(), telemetry_rng)
+                self.telemetry.remeasure(mask, *self._felt(), telemetry_rng.only(mask))
             else:
                 if not wanted.any():
                     # The feet's sensors were drawn before anybody listened.
@@ -268,25 +268,20 @@ class BatchSensors:
             return force
         return truth.wrench_ankle.reshape(self.count, -1)
 
-    def _drawn(
-        self, wanted: Mask, state: Any, rng: np.random.Generator, telemetry_rng: np.random.Generator
-    ) -> Any:
+    def _drawn(self, wanted: Mask, state: Any) -> Any:
         """Draw fresh sensors for the robots that want them; return the state of the feet's."""
-        fresh = self._device.init(self._shape, rng)
+        fresh = self._device.init(self._shape, self._rng if state is None else self._rng.only(wanted))
         if self._listening:
-            self.telemetry.draw(wanted, telemetry_rng)
+            self.telemetry.draw(wanted, self._telemetry_rng.only(wanted))
         return fresh if wanted.all() or state is None else select(wanted, fresh, state, self._axes)
 
-    def _first_readings(
-        self, force: Floats, mask: Mask, state: Any, rng: np.random.Generator, raw: Floats | None
-    ) -> Floats:
+    def _first_readings(self, force: Floats, mask: Mask, state: Any, raw: Floats | None) -> Floats:
         """Read the load of now until no reading of robots that start an episode is of another load.
 
         Args:
             force: What is felt now.
             mask: These robots, shape (N,).
             state: What their sensors were before.
-            rng: Where noise comes from.
             raw: The others' readings, shape (N, K); ``None`` without others.
 
         Returns:
@@ -295,7 +290,7 @@ class BatchSensors:
         if self._cells:
             # Nothing joins this moment to the one before.
             state = state._replace(previous=force[:, -1] + 0.0)
-        first = force
+        first, rng = force, self._rng.only(mask)
         for dt in self._first_steps:
             first, state = self._device.apply(force, state, rng, dt)
         if raw is None:
@@ -346,5 +341,7 @@ def seed_numbers(seed: Seeds) -> list[int]:
 
 
 def seed_of_each(seed: Seeds, count: int) -> list[int | None]:
-    """Return what each of ``count`` robots is seeded with; one number counts for all."""
-    return list(seed) if isinstance(seed, Sequence) else [seed] * count
+    """Return what each of ``count`` robots is seeded with; one number counts up, as Gymnasium does."""
+    if isinstance(seed, Sequence):
+        return list(seed)
+    return [None if seed is None else seed + robot for robot in range(count)]

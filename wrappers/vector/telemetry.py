@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.sensors import Corruption, Encoders, Imu, Link, encoders, imu
+from surefoot.sensors.corruption import Rng
 from surefoot.sensors.select import batch_axes, select
 from surefoot.wrappers.attitude import INTEGRAL_GAIN, LEAST_SQUARE, MOST_SQUARE, PROPORTIONAL_GAIN
 from surefoot.wrappers.telemetry import TelemetryLayout, velocity_smoothing
@@ -66,14 +67,14 @@ class BatchTelemetry:
         packet: Floats = self._ring[(self._now + 1) % len(self._ring)]
         return packet
 
-    def draw(self, mask: Mask, rng: np.random.Generator) -> None:
+    def draw(self, mask: Mask, rng: Rng) -> None:
         """Draw fresh IMUs and encoders for some robots."""
         count, joints = self._count, self.layout.joint_position.stop
         self._imu_state = _drawn(self._imu, (count, 6), self._imu_state, mask, rng)
         self._encoder_state = _drawn(self._encoders, (count, joints), self._encoder_state, mask, rng)
 
     def measure(
-        self, position: Floats, inertial: Floats, up: Floats, starting: Mask | None, rng: np.random.Generator
+        self, position: Floats, inertial: Floats, up: Floats, starting: Mask | None, rng: Rng
     ) -> None:
         """Measure one control step of all robots.
 
@@ -101,9 +102,7 @@ class BatchTelemetry:
         if starting is not None:
             self._ring[:, starting] = packet[starting]
 
-    def remeasure(
-        self, mask: Mask, position: Floats, inertial: Floats, up: Floats, rng: np.random.Generator
-    ) -> None:
+    def remeasure(self, mask: Mask, position: Floats, inertial: Floats, up: Floats, rng: Rng) -> None:
         """Measure robots whose episode starts within a step in which the others were measured already.
 
         Args:
@@ -188,9 +187,7 @@ def cross(left: Floats, right: Floats) -> Floats:
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
-def _drawn(
-    device: Corruption[Any], shape: tuple[int, int], state: Any, mask: Mask, rng: np.random.Generator
-) -> Any:
+def _drawn(device: Corruption[Any], shape: tuple[int, int], state: Any, mask: Mask, rng: Rng) -> Any:
     """Draw devices for all robots and give them to those in the mask."""
     fresh = device.init(shape, rng)
     return fresh if state is None or mask.all() else select(mask, fresh, state, batch_axes(device, shape[1]))
