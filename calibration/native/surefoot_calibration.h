@@ -351,20 +351,30 @@ SF_API int sf_cholesky(sf_real *A, int n) {
     return 1;
 }
 
-/* Overwrite B, shape (n, columns), with (L L')^-1 B. */
-SF_API void sf_solve(const sf_real *L, int n, sf_real *B, int columns) {
+/* Overwrite B, shape (n, columns), with L^-1 B. */
+SF_API void sf_solve_lower(const sf_real *L, int n, sf_real *B, int columns) {
     for (int i = 0; i < n; i++) {
         sf_real *row = B + i * columns;
         for (int k = 0; k < i; k++)
             if (L[i * n + k] != 0) sf_add(row, -L[i * n + k], B + k * columns, columns);
         for (int j = 0; j < columns; j++) row[j] /= L[i * n + i];
     }
+}
+
+/* Overwrite B, shape (n, columns), with L'^-1 B. */
+SF_API void sf_solve_upper(const sf_real *L, int n, sf_real *B, int columns) {
     for (int i = n - 1; i >= 0; i--) {
         sf_real *row = B + i * columns;
         for (int k = i + 1; k < n; k++)
             if (L[k * n + i] != 0) sf_add(row, -L[k * n + i], B + k * columns, columns);
         for (int j = 0; j < columns; j++) row[j] /= L[i * n + i];
     }
+}
+
+/* Overwrite B, shape (n, columns), with (L L')^-1 B. */
+SF_API void sf_solve(const sf_real *L, int n, sf_real *B, int columns) {
+    sf_solve_lower(L, n, B, columns);
+    sf_solve_upper(L, n, B, columns);
 }
 
 /* Overwrite A's factor L (lower half) with the whole of A^-1. */
@@ -952,15 +962,40 @@ SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_rea
 
 /* -------------------------------------------------------------------------- moment: severity, uncertainty */
 
+/* Return log det(L L'). */
+SF_API sf_real sf_log_size(const sf_real *L, int n) {
+    sf_real size = 0, product = 1;
+    for (int i = 0; i < n; i++) {
+        product *= L[i * n + i];
+        if (i % 4 == 3 || i == n - 1) size += 2 * sf_log(product), product = 1;
+    }
+    return size;
+}
+
+/* The lower half of a precision of scales with the prior of a severity. */
+SF_API void sf_with_prior(sf_real *out, const sf_real *precision, const sf_real *ratio, sf_real severity,
+                          int K) {
+    sf_copy(out, precision, K * K);
+    for (int i = 0; i < K; i++) out[i * K + i] += 1 / (severity * severity * ratio[i]);
+}
+
 /* LearntSeverity.reweighted: scales and offsets under all severities together, and their covariance, shape
-   (M, M); returns 0 if there is no answer. */
+   (M, M); returns 0 if there is no answer.
+
+   Severities are of all scales and of all offsets. With the information of the data A, B and C about scales,
+   both and offsets, and the priors' s and o, what all severities of scales share is done once for each of the
+   offsets': W = (C + o)^-1 B' and S = A - B W, so that
+
+       V = [(S + s)^-1, -(S + s)^-1 W'; -W (S + s)^-1, (C + o)^-1 + W (S + s)^-1 W']. */
 SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, sf_real *covariance) {
     static const sf_real severities[4] = {(sf_real)0.04, (sf_real)0.2, 1, 5};
     static const sf_real likely[4] = {(sf_real)0.1, (sf_real)0.1, (sf_real)0.7, (sf_real)0.1};
     int K = c->channels, M = 2 * K, N = sf_unknowns(c);
     sf_real std[SF_MAP], ratio[SF_MAP], share[SF_MAP], off[SF_MAP], pull[SF_MAP], apart[SF_MAP];
-    sf_real axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP], precision[SF_MAP * SF_MAP];
-    sf_real found[16 * SF_MAP], evidence[16], best = 0, total = 0, constant = 0;
+    sf_real axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP];
+    sf_real of_scales[SF_CHANNELS * SF_CHANNELS], mixed[SF_CHANNELS * SF_CHANNELS];
+    sf_real L[4][SF_CHANNELS * SF_CHANNELS], W[4][SF_CHANNELS * SF_CHANNELS], S[4][SF_CHANNELS * SF_CHANNELS];
+    sf_real found[16 * SF_MAP], evidence[16], best, total = 0, constant = 0;
     for (int i = 0; i < M; i++) {
         sf_real stated = c->stated[i] + s->drift[i],
                 prior = SF_FIRST_WIDTH * SF_FIRST_WIDTH * c->stated[i] + s->drift[i];
@@ -971,8 +1006,8 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, s
         pull[i] = 0;
     }
     for (int i = 0; i < M; i++)
-        for (int j = 0; j < M; j++) precision[i * M + j] = s->covariance[i * N + j] / (std[i] * std[j]);
-    if (!sf_eigen(precision, M, share, axes)) return 0;
+        for (int j = 0; j < M; j++) covariance[i * M + j] = s->covariance[i * N + j] / (std[i] * std[j]);
+    if (!sf_eigen(covariance, M, share, axes)) return 0;
 
     /* The information of the data alone, P^-1 - P0^-1, in units of the prior that the filter began with. */
     sf_real worth = 1 / sf_max(s->misfit, 1);
@@ -983,23 +1018,43 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, s
         for (int i = 0; i < M; i++) sf_add(seen + i * M, weight * axis[i], axis, i + 1);
         sf_add(pull, sf_dot(axis, off, M) * (worth / known), axis, M);
     }
-    for (int which = 0; which < 16; which++) {
-        sf_real of_scales = severities[which / 4] * severities[which / 4];
-        sf_real of_offsets = severities[which % 4] * severities[which % 4];
-        sf_real size = 0, product = 1, *answer = found + which * M;
-        sf_copy(precision, seen, M * M);
-        for (int i = 0; i < M; i++) precision[i * M + i] += 1 / ((i < K ? of_scales : of_offsets) * ratio[i]);
-        sf_copy(answer, pull, M);
-        evidence[which] = -HUGE_VAL;
-        if (!sf_cholesky(precision, M)) continue;
-        sf_solve(precision, M, answer, 1);
-        for (int i = 0; i < M; i++) {
-            product *= precision[i * M + i];
-            if (i % 4 == 3 || i == M - 1) size += 2 * sf_log(product), product = 1;
+    for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
+        sf_real *Lo = L[of_offsets], *Wo = W[of_offsets], *So = S[of_offsets], z[SF_CHANNELS], x[SF_CHANNELS];
+        sf_real variance = severities[of_offsets] * severities[of_offsets];
+        for (int i = 0; i < K; i++) {
+            sf_copy(Lo + i * K, seen + (K + i) * M + K, i + 1);
+            Lo[i * K + i] += 1 / (variance * ratio[K + i]);
+            sf_copy(Wo + i * K, seen + (K + i) * M, K);
         }
-        evidence[which] = sf_dot(answer, pull, M) - size - constant -
-                          (sf_real)K * sf_log(of_scales * of_offsets) +
-                          2 * sf_log(likely[which / 4] * likely[which % 4]);
+        sf_copy(z, pull + K, K);
+        for (int which = of_offsets; which < 16; which += 4) evidence[which] = -HUGE_VAL;
+        if (!sf_cholesky(Lo, K)) continue;
+        sf_real size_of_offsets = sf_log_size(Lo, K);
+        sf_solve_lower(Lo, K, Wo, K);
+        sf_solve_lower(Lo, K, z, 1);
+        /* Of what was halved: S = A - W' W, and what pulls at the scales. */
+        sf_copy(x, pull, K);
+        for (int i = 0; i < K; i++) sf_copy(So + i * K, seen + i * M, i + 1);
+        for (int k = 0; k < K; k++) {
+            const sf_real *row = Wo + k * K;
+            for (int i = 0; i < K; i++) sf_add(So + i * K, -row[i], row, i + 1);
+            sf_add(x, -z[k], row, K);
+        }
+        sf_solve_upper(Lo, K, Wo, K);
+        sf_solve_upper(Lo, K, z, 1);
+        for (int i = 0; i < 4; i++) {
+            int which = 4 * i + of_offsets;
+            sf_real *answer = found + which * M, of_both = severities[i] * severities[i] * variance;
+            sf_with_prior(of_scales, So, ratio, severities[i], K);
+            if (!sf_cholesky(of_scales, K)) continue;
+            sf_copy(answer, x, K);
+            sf_solve_lower(of_scales, K, answer, 1);
+            sf_solve_upper(of_scales, K, answer, 1);
+            for (int j = 0; j < K; j++) answer[K + j] = z[j] - sf_dot(Wo + j * K, answer, K);
+            evidence[which] = sf_dot(answer, pull, M) - size_of_offsets - sf_log_size(of_scales, K) -
+                              constant - (sf_real)K * sf_log(of_both) +
+                              2 * sf_log(likely[i] * likely[of_offsets]);
+        }
     }
     best = evidence[0];
     for (int which = 1; which < 16; which++) best = sf_max(best, evidence[which]);
@@ -1012,24 +1067,37 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, s
         evidence[which] /= total;
         if (evidence[which] > SF_NEGLIGIBLE) sf_add(mean, evidence[which], found + which * M, M);
     }
-    for (int which = 0; which < 16; which++) {
-        if (!(evidence[which] > SF_NEGLIGIBLE)) continue;
-        sf_real of_scales = severities[which / 4] * severities[which / 4];
-        sf_real of_offsets = severities[which % 4] * severities[which % 4];
-        sf_copy(precision, seen, M * M);
-        for (int i = 0; i < M; i++) {
-            precision[i * M + i] += 1 / ((i < K ? of_scales : of_offsets) * ratio[i]);
-            apart[i] = found[which * M + i] - mean[i];
+    /* Lower halves, as far as they go. */
+    for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
+        sf_real weight = 0, *Wo = W[of_offsets], row[SF_CHANNELS];
+        memset(mixed, 0, (size_t)(K * K) * sizeof(sf_real));
+        for (int i = 0; i < 4; i++) {
+            int which = 4 * i + of_offsets;
+            if (!(evidence[which] > SF_NEGLIGIBLE)) continue;
+            weight += evidence[which];
+            sf_with_prior(of_scales, S[of_offsets], ratio, severities[i], K);
+            sf_cholesky(of_scales, K);
+            sf_inverse(of_scales, K);
+            sf_add(mixed, evidence[which], of_scales, K * K);
+            for (int j = 0; j < M; j++) apart[j] = found[which * M + j] - mean[j];
+            for (int j = 0; j < M; j++) sf_add(covariance + j * M, evidence[which] * apart[j], apart, j + 1);
         }
-        sf_cholesky(precision, M);
-        sf_inverse(precision, M);
-        sf_add(covariance, evidence[which], precision, M * M);
-        for (int i = 0; i < M; i++) sf_add(covariance + i * M, evidence[which] * apart[i], apart, M);
+        if (!(weight > 0)) continue;
+        sf_inverse(L[of_offsets], K);
+        for (int i = 0; i < K; i++) {
+            sf_add(covariance + i * M, 1, mixed + i * K, i + 1);
+            for (int j = 0; j < K; j++) row[j] = -sf_dot(Wo + i * K, mixed + j * K, K);
+            sf_add(covariance + (K + i) * M, 1, row, K);
+            sf_add(covariance + (K + i) * M + K, weight, L[of_offsets] + i * K, i + 1);
+            for (int j = 0; j <= i; j++) covariance[(K + i) * M + K + j] -= sf_dot(row, Wo + j * K, K);
+        }
     }
     for (int i = 0; i < M; i++) {
         mean[i] = c->start[i] + std[i] * mean[i];
-        for (int j = 0; j < M; j++) covariance[i * M + j] *= std[i] * std[j];
+        for (int j = 0; j <= i; j++) covariance[i * M + j] *= std[i] * std[j];
     }
+    for (int i = 0; i < M; i++)
+        for (int j = i + 1; j < M; j++) covariance[i * M + j] = covariance[j * M + i];
     return sf_all_finite(mean, M) && sf_all_finite(covariance, M * M);
 }
 

@@ -14,7 +14,7 @@ from surefoot.calibration import OnlineSetup, Parameters, nao_shoe_layout
 from surefoot.calibration.native import NATIVE, c_source
 from surefoot.native import compiler
 
-STRICT = ("-std=c99", "-pedantic", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+STRICT = ("-std=c99", "-pedantic", "-O3", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
 
 
 def build_robot(setup: OnlineSetup, folder: Path, **options: float) -> Path:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 SHARED = Path(__file__).resolve().parent
 """Where ``library.h`` lies, which every ``library.c`` includes."""
 
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden")
+FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fvisibility=hidden")
 """Contraction would round differently from machine to machine."""
 
 
