@@ -12,7 +12,7 @@ from surefoot.sensors.devices.imu import ImuState
 from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.affine import WalkState
-from surefoot.sensors.transport.link import Arrived, Packet, Packets
+from surefoot.sensors.transport.link import Packet, Packets
 from surefoot.wrappers.attitude import Attitude
 from surefoot.wrappers.telemetry import Computer, Hardware, Telemetry, TelemetryState
 
@@ -85,7 +85,8 @@ class NativeTelemetry(Telemetry):
         self._coming = functions.surefoot_telemetry_coming
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
-        self._come = [self._arrived[:count] for count in range(room + 1)]
+        # A view of memory hands out plain floats, and rows that are there already need no slicing.
+        self._heads, self._contents = self._arrived.data, [row[2:] for row in self._arrived]
         normals = np.zeros((room + 1) * self._draws)
         self._normals = [normals[: count * self._draws] for count in range(room + 1)]
         self._shape = self._position.shape
@@ -113,7 +114,7 @@ class NativeTelemetry(Telemetry):
         self._position[0], self._inertial[0] = position, inertial
         told = self._init(self._at, state.address, stream, normals.ctypes.data, fresh)
         state.coming = (told >> 16) - 1
-        return Arrived(self._come[told & 0xFFFF].copy()), state
+        return self._come(told & 0xFFFF), state
 
     def advance(
         self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
@@ -129,7 +130,13 @@ class NativeTelemetry(Telemetry):
         self._position[...], self._inertial[...] = position, inertial
         told = self._advance(self._at, native.address, stream, time)
         native.coming = (told >> 16) - 1
-        return Arrived(self._come[told & 0xFFFF].copy()), native
+        return self._come(told & 0xFFFF), native
+
+    def _come(self, count: int) -> Packets:
+        heads, contents = self._heads, self._contents
+        return tuple(
+            [Packet(int(heads[row, 0]), heads[row, 1], contents[row].copy()) for row in range(count)]
+        )
 
     def _stream(self, rng: Any) -> int | None:
         """Return where the stream of one robot lies, from which C draws; ``None`` for NumPy's generator."""

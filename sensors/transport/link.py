@@ -5,9 +5,8 @@ arrived, for any batch of robots. :func:`send` and :func:`receive` deliver every
 arrival, for one robot whose host needs them all.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import device as device_of
@@ -111,34 +110,8 @@ class Packet(NamedTuple):
     values: NDArray[np.float64]
 
 
-Packets = Sequence[Packet]
-"""Packets in order: the state of a link, or what arrived over it."""
-
-
-class Arrived(Sequence[Packet]):
-    """Packets that arrived, in order, in one array: what makes and what reads them need no object of each.
-
-    Args:
-        rows: A packet each: its number, its arrival and its content, shape (n, 2 + C).
-    """
-
-    __slots__ = ("rows",)
-
-    def __init__(self, rows: NDArray[np.float64]) -> None:
-        self.rows = rows
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    @overload
-    def __getitem__(self, index: int) -> Packet: ...
-    @overload
-    def __getitem__(self, index: slice) -> "Arrived": ...
-    def __getitem__(self, index: int | slice) -> "Packet | Arrived":
-        row = self.rows[index]
-        if isinstance(index, slice):
-            return Arrived(row)
-        return Packet(int(row[0]), float(row[1]), row[2:])
+Packets = tuple[Packet, ...]
+"""Packets under way, in order: the state of a link."""
 
 
 def send(

@@ -8,7 +8,7 @@ from _streams import DT, generator, stream
 from surefoot.sensors import ForceTorque, Link, Wire, force_torque
 from surefoot.sensors.rare import change_at_random
 from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
-from surefoot.sensors.transport.link import Arrived, latency, receive, send
+from surefoot.sensors.transport.link import latency, receive, send
 from surefoot.sensors.transport.wire import ALONE, wire
 
 PERIOD = 0.01
@@ -172,15 +172,6 @@ def test_a_packet_is_there_when_it_has_arrived_and_not_before() -> None:
     come, left = receive(under_way, 1.0201)
     assert (len(come), left) == (1, ())
     assert come[0].arrival == pytest.approx(1.020)
-
-
-def test_what_arrived_in_one_array_reads_like_packets() -> None:
-    packets, _ = deliver(Link(), 5)
-    rows = Arrived(np.array([[packet.number, packet.arrival, *packet.values] for packet in packets]))
-    assert list(rows) == packets
-    assert rows[-1] == packets[-1]
-    assert list(rows[1:3]) == packets[1:3]
-    assert not rows[5:]
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.004])
