@@ -197,7 +197,7 @@ def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
         kind = type(env._telemetry_state)
         seen.append(np.array(states))
         for twin in (copy.deepcopy, lambda part: pickle.loads(pickle.dumps(part))):
-            telemetry, state, rng = twin((env.telemetry, env._telemetry_state, env._telemetry_rng))
+            telemetry, state, rng = twin((env.telemetry, env._telemetry_state, Stream.of(5)))
             assert type(state) is kind
             packets, _ = telemetry.advance(*Motion(24, 1 / 80, 10).step(0), 31 / 80, state, rng)
             seen.append([packet.values for packet in packets])
