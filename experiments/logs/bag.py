@@ -19,6 +19,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE, PACKET, count_rows, even_times
 from surefoot.experiments.logs.settings import Number, Settings
 from surefoot.experiments.logs.table import LogError, LogTable
+from surefoot.experiments.study.tables import flat
 
 SUFFIXES = (".bag", ".mcap", ".db3")  # of files; a ROS 2 bag may also be a folder
 
@@ -207,10 +208,10 @@ def whole(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # rosbags and what it reads with raise many kinds at a file that ends early
-        reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
+        reason = flat(str(error))[:160].rstrip(".") or type(error).__name__
         raise LogError(
-            f"{path.name}: not a whole bag ({reason}); where a recording was cut off, `ros2 bag reindex` or "
-            "`rosbag reindex` mends it."
+            f"{path.name}: not a whole bag ({reason}); `ros2 bag reindex` or `rosbag reindex` mends a recording "
+            "that was cut off, and `rosbags-convert --exclude-topic` leaves out what cannot be decoded."
         ) from None
 
 

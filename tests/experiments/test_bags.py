@@ -348,7 +348,8 @@ def test_a_bag_that_ends_in_the_middle(bag: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert result.stderr.startswith(f"surefoot: {path.name}: not a whole bag (")
     assert result.stderr.endswith(
-        "); where a recording was cut off, `ros2 bag reindex` or `rosbag reindex` mends it.\n"
+        "); `ros2 bag reindex` or `rosbag reindex` mends a recording that was cut off, and `rosbags-convert "
+        "--exclude-topic` leaves out what cannot be decoded.\n"
     )
     assert result.stderr.count("\n") == 1
 
