@@ -210,8 +210,8 @@ def whole(path: Path) -> Iterator[None]:
     except Exception as error:  # rosbags and what it reads with raise many kinds at a file that ends early
         reason = flat(str(error))[:160].rstrip(".") or type(error).__name__
         raise LogError(
-            f"{path.name}: not a whole bag ({reason}); `ros2 bag reindex` or `rosbag reindex` mends a recording "
-            "that was cut off, and `rosbags-convert --exclude-topic` leaves out what cannot be decoded."
+            f"{path.name}: not a whole bag ({reason}); `ros2 bag reindex` or `rosbag reindex` mends a "
+            "recording that was cut off, and `rosbags-convert --exclude-topic` leaves out what cannot be decoded."
         ) from None
 
 
