@@ -211,7 +211,8 @@ def whole(path: Path) -> Iterator[None]:
         reason = flat(str(error))[:160].rstrip(".") or type(error).__name__
         raise LogError(
             f"{path.name}: not a whole bag ({reason}); `ros2 bag reindex` or `rosbag reindex` mends a "
-            "recording that was cut off, and `rosbags-convert --exclude-topic` leaves out what cannot be decoded."
+            "recording that was cut off, and `rosbags-convert --exclude-topic` leaves out what cannot be "
+            "decoded."
         ) from None
 
 
