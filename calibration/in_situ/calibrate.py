@@ -281,7 +281,8 @@ def _drift_first(drift: CalibrationRefused | None) -> Iterator[None]:
         if drift is None:
             raise
         cure = f"{drift.cure} If that is not it: {refusal.cure}"
-        raise CalibrationRefused(f"{drift.reason} {refusal.reason}", cure) from refusal
+        # A contradiction stays one: causes are compared, the drift among them as the colour of the noise.
+        raise type(refusal)(f"{drift.reason} {refusal.reason}", cure) from refusal
 
 
 def _from_factory(problem: Problem, solution: Solution) -> float:
