@@ -117,6 +117,11 @@ class Stream:
         """Return the stream of N robots, each as :meth:`of` makes it of the same numbers."""
         return cls([_key(own) for own in numbers])
 
+    @property
+    def address(self) -> int:
+        """Where :attr:`record` lies in memory."""
+        return self._address
+
     def only(self, mask: NDArray[np.bool_]) -> Self:
         """Return the same stream, of which some robots' numbers are used up and the others' are not.
 

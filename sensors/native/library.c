@@ -1,10 +1,14 @@
 /* The sensors' headers as a shared library, with a table of where their records' fields lie. */
 
 #include "surefoot_random.h"
+#include "surefoot_sensors.h"
 #include "surefoot_telemetry.h"
 
 #include "library.h"
 
+#define C_INT(field) PLACE(cells_config, field, "int")
+#define C_REAL(field) PLACE(cells_config, field, "real")
+#define S_REAL(field) PLACE(cells, field, "real")
 #define T_INT(field) PLACE(telemetry_config, field, "int")
 #define T_DOUBLE(field) PLACE(telemetry_config, field, "double")
 #define T_REAL(field) PLACE(telemetry_config, field, "real")
@@ -15,6 +19,25 @@
 /* clang-format off */
 static const place places[] = {
     WHOLE_OF(random), PLACE(random, key, "word"), PLACE(random, count, "word"),
+
+    WHOLE_OF(cells_config), WHOLE_OF(cells),
+
+    C_INT(channels), C_INT(clocked), C_INT(settling), C_INT(converts), C_INT(warms), C_INT(plays),
+    C_INT(creeps), C_INT(bits), C_INT(offset_binary), C_INT(late), C_INT(under_way), C_REAL(highest_rate),
+    C_REAL(slope), C_REAL(zero_code), C_REAL(lowest), C_REAL(highest), C_REAL(noise), C_REAL(scale_walk),
+    C_REAL(offset_walk), C_REAL(temperature_ramp), C_REAL(temperature_rise), C_REAL(capacity),
+    C_REAL(nonlinearity), C_REAL(hysteresis), C_REAL(hysteresis_excess), C_REAL(slack),
+    C_REAL(creep_share), C_REAL(creep_time), C_REAL(impact_threshold), C_REAL(warp_std),
+    C_REAL(common_std), C_REAL(overload_share), C_REAL(safe_load), C_REAL(spike_rate), C_REAL(spike_size),
+    C_REAL(wrong_words), C_REAL(stale_repeats), C_REAL(packet_loss), C_REAL(packet_loss_length),
+    C_REAL(gap_share), C_REAL(gap_length), C_REAL(delay), C_REAL(jitter),
+
+    S_REAL(period), S_REAL(due), S_REAL(previous), S_REAL(held), S_REAL(error), S_REAL(thermal),
+    S_REAL(window), S_REAL(mechanics_nonlinearity_quadratic), S_REAL(mechanics_hysteresis_plays),
+    S_REAL(mechanics_creep_yielded), S_REAL(mechanics_mounting_offset), S_REAL(mechanics_mounting_load),
+    S_REAL(mechanics_mounting_impact), S_REAL(mechanics_overload_excess), S_REAL(wire_stale_repeats_held),
+    S_REAL(wire_packet_loss_lost), S_REAL(wire_gaps_lost), S_REAL(wire_latency_due),
+    S_REAL(wire_latency_readings), S_REAL(wire_latency_held),
 
     WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),
 
@@ -51,6 +74,12 @@ EXPORTED void surefoot_draw(sf_random *streams, const unsigned char *marks, size
         }
         if (!marks || marks[robot]) streams[robot] = stream;
     }
+}
+
+EXPORTED int surefoot_cells_fits(const sf_cells_config *config) { return sf_cells_fits(config); }
+EXPORTED void surefoot_cells_step(const sf_cells_config *config, sf_cells *cells, sf_random *stream,
+                                  const sf_real *block, int substeps, double dt, sf_real *counts) {
+    sf_cells_step(config, cells, stream, block, substeps, (sf_real)dt, counts);
 }
 
 EXPORTED int surefoot_telemetry_fits(const sf_telemetry_config *config) { return sf_telemetry_fits(config); }

@@ -12,6 +12,11 @@ NATIVE = Native(
     {
         "surefoot_philox": (None, (ADDRESS, ADDRESS, ADDRESS)),
         "surefoot_draw": (None, (ADDRESS, ADDRESS, _SIZE, _SIZE, _SIZE, ctypes.c_int, ADDRESS)),
+        "surefoot_cells_fits": (ctypes.c_int, (ADDRESS,)),
+        "surefoot_cells_step": (
+            None,
+            (*(ADDRESS,) * 4, ctypes.c_int, ctypes.c_double, ADDRESS),
+        ),
         "surefoot_telemetry_fits": (ctypes.c_int, (ADDRESS,)),
         "surefoot_telemetry_draws": (ctypes.c_int, (ADDRESS,)),
         "surefoot_telemetry_coming": (ctypes.c_int, (ADDRESS, ADDRESS)),

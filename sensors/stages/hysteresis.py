@@ -42,6 +42,20 @@ class HysteresisState(NamedTuple):
     plays: Array
 
 
+def halving_slacks(share: float, smallest: float, true_at: ArrayLike = 1.0) -> tuple[Array, Array]:
+    """Return the half-widths of the slacks in shares of the full scale, and the slope in excess of one.
+
+    Args:
+        share: As of :func:`hysteresis`, like all that follow.
+        smallest: Smallest amplitude at which the share holds.
+        true_at: Amplitude of the cycle whose ends read true.
+    """
+    count = 1 + ceil(log2(1.0 / smallest)) if share else 0
+    thresholds = 0.5 ** np.arange(1.0, count + 1.0)
+    weights = share * np.where(thresholds == thresholds.min(initial=1.0), 2.0, 1.0)
+    return thresholds, np.maximum(1.0 - thresholds / np.asarray(true_at)[..., None], 0.0) @ weights
+
+
 def hysteresis(
     share: float, full_scale: ArrayLike, *, smallest: float = 1e-4, true_at: ArrayLike = 1.0
 ) -> Corruption[HysteresisState]:
@@ -78,10 +92,8 @@ def hysteresis(
     for name, value in (("smallest", smallest), ("true_at", true)):
         if not np.all((value > 0.0) & (value <= 1.0)):
             raise ValueError(f"'{name}' must lie in (0, 1], shares of the full scale, got {value}.")
-    count = 1 + ceil(log2(1.0 / smallest)) if share else 0
-    thresholds = 0.5 ** np.arange(1.0, count + 1.0)
-    weights = share * np.where(thresholds == thresholds.min(initial=1.0), 2.0, 1.0)
-    excess = np.maximum(1.0 - thresholds / true[..., None], 0.0) @ weights
+    thresholds, excess = halving_slacks(share, smallest, true)
+    count = len(thresholds)
     if (most := float(excess.max())) >= 1.0:
         raise ValueError(
             f"'share' must be below {share / most:.3g}, or readings would fall while a small load grows; "

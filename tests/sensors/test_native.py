@@ -1,0 +1,226 @@
+"""Load cells in C against the Python that specifies them: the same counts and states, sample by sample."""
+
+import copy
+import pickle
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surefoot.native import Library, compiler
+from surefoot.sensors import LoadCells, Mechanics, Wire, load_cells, preset
+from surefoot.sensors.devices.load_cells import LoadCellState
+from surefoot.sensors.devices.native_cells import native_cells
+from surefoot.sensors.native import NATIVE
+from surefoot.sensors.presets import PRESETS
+from surefoot.sensors.randomness import Stream
+
+SAMPLES, SUBSTEPS, DT = 2000, 5, 1 / 80
+CLOSE = 1e-9
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+ELEMENT = Mechanics(
+    nonlinearity=0.01,
+    hysteresis=0.02,
+    creep_shares=(0.1, -0.02),
+    creep_time_constants=(0.05, 2.0),
+    mounting_warp_std=1.0,
+    mounting_common_std=0.3,
+    impact_threshold=15.0,
+    overload_share=0.1,
+    safe_overload=0.6,
+)
+WIRE = Wire(
+    spike_rate=3.0,
+    wrong_words=0.05,
+    stale_repeats=0.2,
+    packet_loss=0.05,
+    gap_share=0.05,
+    gap_length=0.05,
+    delay=0.02,
+    jitter=0.004,
+)
+WARM = {"scale_tempco": 5e-5, "offset_tempco": 0.03, "temperature_ramp": 0.5, "temperature_rise": 14.0}
+TABLE: dict[str, LoadCells] = {
+    **{name: preset(name, LoadCells) for name in PRESETS[LoadCells]},
+    "whole": LoadCells(mechanics=ELEMENT, wire=WIRE, settling=4, capacity=40.0, **WARM),
+    "whole, no clock": LoadCells(mechanics=ELEMENT, wire=WIRE, rate=None, capacity=40.0, **WARM),
+    "whole, no converter": LoadCells(
+        mechanics=ELEMENT, wire=Wire(spike_rate=3.0, delay=0.02), settling=4, capacity=40.0, adc_bits=0
+    ),
+    "fast chips": LoadCells(rate=(300.0, 330.0), settling=6, adc_bits=0),
+    "slow chips": LoadCells(
+        rate=(9.0, 11.0), settling=3, adc_bits=0, temperature_ramp=0.01, offset_tempco=0.01
+    ),
+    "scales drift": LoadCells(offset_drift=0.0, adc_bits=0),
+    "offsets drift": LoadCells(scale_drift=0.0, input_noise=0.0, adc_bits=0),
+    "nothing drifts": LoadCells(scale_drift=0.0, offset_drift=0.0, input_noise=0.0, adc_bits=0),
+    "impacts": LoadCells(mechanics=Mechanics(mounting_common_std=2.0, impact_threshold=3.0), adc_bits=0),
+    "words": LoadCells(wire=Wire(wrong_words=0.3), coding="two's complement", adc_bits=16),
+    "four cells": LoadCells(channels=4, mechanics=ELEMENT, adc_bits=0),
+    "sixteen cells": LoadCells(channels=16, mechanics=ELEMENT, adc_bits=0),
+}
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    path = tmp_path_factory.mktemp("native") / "double.so"
+    assert NATIVE.sources.compile(path) is None
+    return NATIVE.load(path, NATIVE.sources.fingerprint())
+
+
+def loads(channels: int, rng: np.random.Generator, bad: bool = True) -> np.ndarray[Any, Any]:
+    """Two thousand blocks of feet that are set down and lifted, some of a simulation that blew up."""
+    time = np.arange(SAMPLES * SUBSTEPS) * DT / SUBSTEPS
+    phase = rng.uniform(0.0, 2.0 * np.pi, channels)
+    load = 12.0 * np.maximum(np.sin(7.0 * time[:, None] + phase), 0.0) + rng.normal(
+        0.0, 0.3, (len(time), channels)
+    )
+    blocks = load.reshape(SAMPLES, SUBSTEPS, channels)
+    blocks[SAMPLES // 4] += 60.0
+    if bad:
+        hit = rng.random(blocks.shape) < 1e-3
+        blocks[hit] = rng.choice([np.nan, np.inf, -np.inf], int(hit.sum()))
+    return blocks
+
+
+def leaves(state: Any) -> list[Any]:
+    return [leaf for part in state for leaf in leaves(part)] if isinstance(state, tuple) else [state]
+
+
+def same(expected: LoadCellState, found: LoadCellState) -> None:
+    assert type(found) is LoadCellState
+    for one, other in zip(leaves(expected), leaves(found), strict=True):
+        assert one.shape == other.shape
+        np.testing.assert_allclose(other, one, rtol=CLOSE, atol=CLOSE)
+
+
+def play(library: Library, config: LoadCells, seed: int, exchange: int, substeps: int = SUBSTEPS) -> None:
+    """Read two thousand blocks in both ways; change places after some."""
+    rng, device = np.random.default_rng([17, seed]), load_cells(config)
+    native = native_cells(library, config)
+    assert native is not None
+    one, other = Stream.of(seed, 1), Stream.of(seed, 1)
+    expected = device.init((config.channels,), one)
+    state = native.pack(device.init((config.channels,), other))
+    same(expected, state.python())
+    rows: list[tuple[Any, Any]] = []
+    with np.errstate(invalid="ignore"):
+        for k, block in enumerate(loads(config.channels, rng)[:, :substeps].copy()):
+            if k == exchange:
+                expected, state = state.python(), native.pack(expected)
+                one, other = other, one
+            # The wire holds so many readings and no more.
+            dt = DT if k % 100 or config.wire.late else 0.1 * rng.random() + 1e-4
+            wanted, expected = device.apply(block, expected, one, dt)
+            rows.append((wanted, native.step(state, block, other, dt)))
+    assert native.takes(block, other)
+    wanted, found = np.array(rows).transpose(1, 0, 2)
+    # What lies just between two codes may be rounded to either, and is not to be held against the rest.
+    with np.errstate(invalid="ignore"):
+        near = (config.adc_bits > 0) & (abs(found - wanted) == 1.0)
+    assert near.sum() <= 2
+    np.testing.assert_allclose(np.where(near, wanted, found), wanted, rtol=CLOSE, atol=CLOSE)
+    assert one.record == other.record
+    if not near.any():
+        same(expected, state.python())
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_counts_and_states_are_the_same(library: Library, name: str) -> None:
+    play(library, TABLE[name], 1, 700)
+
+
+@settings(max_examples=5, deadline=None, derandomize=True)
+@given(data=st.data(), seed=st.integers(0, 1000), exchange=st.integers(0, SAMPLES - 1))
+def test_random_cells_are_the_same(library: Library, data: Any, seed: int, exchange: int) -> None:
+    def some(value: Any) -> Any:
+        return data.draw(st.sampled_from([type(value)(0), value]))
+
+    shares = data.draw(st.sampled_from([(), (0.1,), (0.05, 0.0, -0.02)]))
+    element = Mechanics(
+        nonlinearity=some(0.02), hysteresis=some(0.05), creep_shares=shares,
+        creep_time_constants=(0.1, 1.0, 30.0)[: len(shares)], mounting_warp_std=some(1.5),
+        mounting_common_std=some(0.5), overload_share=some(0.2), safe_overload=0.5,
+    )  # fmt: skip
+    wire = Wire(
+        spike_rate=some(2.0), stale_repeats=some(0.3), packet_loss=some(0.1), gap_share=some(0.1),
+        delay=some(0.03), jitter=some(0.01), under_way=data.draw(st.integers(4, 16)),
+    )  # fmt: skip
+    rate = data.draw(st.sampled_from([None, (78.0, 94.0), (20.0, 200.0)]))
+    config = LoadCells(
+        channels=data.draw(st.sampled_from([4, 8, 12])), mechanics=element, wire=wire, rate=rate,
+        settling=1 if rate is None else data.draw(st.integers(1, 8)), adc_bits=some(24), capacity=40.0,
+        scale_drift=some(0.01), offset_drift=some(0.1), **data.draw(st.sampled_from([{}, WARM])),
+    )  # fmt: skip
+    play(library, config, seed, exchange, data.draw(st.sampled_from([1, 2, SUBSTEPS])))
+
+
+def test_a_state_is_copied_and_pickled_as_the_pythons(library: Library) -> None:
+    config, stream = TABLE["whole"], Stream.of(3)
+    native = native_cells(library, config)
+    assert native is not None
+    state = native.pack(load_cells(config).init((8,), stream))
+    for block in loads(8, np.random.default_rng(0), bad=False)[:50]:
+        native.step(state, block, stream, DT)
+    kept = state.python()
+    for other in (copy.deepcopy(state), pickle.loads(pickle.dumps(state))):
+        same(kept, other)
+    native.step(state, np.full((SUBSTEPS, 8), 3.0), stream, DT)
+    assert (kept.error != state.python().error).all()
+
+
+def test_what_the_library_is_not_made_for_is_left_to_python(library: Library) -> None:
+    assert native_cells(None, LoadCells()) is None
+    for config in (
+        LoadCells(rate=None, settling=2),
+        LoadCells(channels=20),
+        LoadCells(settling=9),
+        LoadCells(wire=Wire(delay=0.01, under_way=17)),
+        LoadCells(mechanics=Mechanics(creep_shares=(0.1,) * 5, creep_time_constants=(1.0,) * 5)),
+    ):
+        assert native_cells(library, config) is None
+    native = native_cells(library, LoadCells())
+    assert native is not None
+    block, stream = np.zeros((3, 8)), Stream.of(1)
+    assert native.takes(block, stream)
+    assert not native.takes(block, np.random.default_rng(0))
+    assert not native.takes(block, Stream.of_each([(1,)]))
+    assert not native.takes(block.astype(np.float32), stream)
+    assert not native.takes(block[:, :4], stream)
+    assert not native.takes(block[None], stream)
+    assert not native.takes(block[::2], stream)
+
+
+def test_a_wire_that_cannot_hold_its_words_is_refused_in_the_same_words(library: Library) -> None:
+    config, said = LoadCells(wire=Wire(delay=0.02, under_way=2)), []
+    native = native_cells(library, config)
+    assert native is not None
+    device, stream, block = load_cells(config), Stream.of(1), np.zeros((1, 8))
+    state = device.init((8,), stream)
+    for step in (
+        lambda: device.apply(block, state, stream, 0.005),
+        lambda: native.step(native.pack(state), block, stream, 0.005),
+    ):
+        with pytest.raises(ValueError, match="under way") as caught:
+            step()
+        said.append(str(caught.value))
+    assert said[0] == said[1]
+
+
+def test_the_headers_compile_alone_without_a_warning(tmp_path: Path) -> None:
+    folder = NATIVE.sources.folder
+    for header in sorted(folder.glob("*.h")):
+        (tmp_path / "alone.c").write_text(f'#include "{header.name}"\nint main(void) {{ return 0; }}\n')
+        for flags in ([], ["-DSF_SINGLE"]):
+            command = [
+                str(compiler()), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", *flags,
+                f"-I{folder}", "-o", str(tmp_path / "alone"), str(tmp_path / "alone.c"), "-lm",
+            ]  # fmt: skip
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stderr
