@@ -10,7 +10,7 @@ from typer import Option
 from typer.core import TyperGroup
 
 import surefoot
-from surefoot.experiments.cli import calibrate, compare, demo, evaluate, sweep, train
+from surefoot.experiments.cli import calibrate, compare, demo, evaluate, sweep, train, view
 
 
 class _InOrder(TyperGroup):
@@ -31,7 +31,7 @@ app = typer.Typer(
 )
 app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
-for command in (demo.demo, demo.view, train.train, evaluate.evaluate, sweep.sweep, sweep.replay):
+for command in (demo.demo, view.view, train.train, evaluate.evaluate, sweep.sweep, sweep.replay):
     app.command()(command)
 
 

@@ -1,7 +1,7 @@
 """A robot on feet that are read in three ways at once, and changed while it walks; nothing is drawn here."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -18,6 +18,7 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.policy.controllers import load_controller
 from surefoot.experiments.view.errors import LiveErrors
+from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
 from surefoot.wrappers.foot_sensors import FootSensors
@@ -32,9 +33,6 @@ WALK = "surefoot/NaoWalk-v0"
 
 WALK_TIME = 60.0
 """How long a plan of a walk is in s, standing included."""
-
-WAYS = ("true", "raw", "calibrated")
-"""Ways in which the feet are read, side by side; each can be a controller's feed."""
 
 ERROR_STREAM = 0x5F02
 """Number of the random stream that live errors draw from."""
@@ -60,56 +58,6 @@ class Change(NamedTuple):
     step: int
     what: str
     value: Any
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """One way to read the feet at one sample.
-
-    Attributes:
-        force: Channels in N, shape (K,).
-        vgrf: Vertical force on each foot in N, shape (2,).
-        cop_world: Centre of pressure in the world in m, placed under the true soles, shape (2,); NaN where
-            there is none.
-        cop_covariance: Its covariance in the world's axes in m^2, shape (2, 2), or ``None``.
-    """
-
-    force: Floats
-    vgrf: Floats
-    cop_world: Floats
-    cop_covariance: Floats | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """What there is to draw of one sample.
-
-    Attributes:
-        time: Since the episode start in s.
-        position_sole: Origins of the soles in the world in m, shape (2, 3).
-        R_world_sole: Their axes, shape (2, 3, 3).
-        readings: By :data:`WAYS`; the truth may be missing.
-        flags: :class:`~surefoot.calibration.estimate.Flag` bits of each channel, shape (K,).
-    """
-
-    time: float
-    position_sole: Floats
-    R_world_sole: Floats
-    readings: Mapping[str, Reading]
-    flags: Any
-
-    @property
-    def heading(self) -> Floats:
-        """Mean forward direction of the soles on the ground, a unit vector, shape (2,)."""
-        ahead = self.R_world_sole[:, :2, 0].sum(axis=0)
-        return np.asarray(ahead / np.linalg.norm(ahead))
-
-    def cop_error(self, way: str) -> float:
-        """Distance between a centre of pressure and the true one in m; NaN where there is none."""
-        if "true" not in self.readings:
-            return float("nan")
-        apart = self.readings[way].cop_world - self.readings["true"].cop_world
-        return float(np.linalg.norm(apart))
 
 
 class _Line:
@@ -298,6 +246,11 @@ class Session:
         return self._walks and self.time < STAND_TIME
 
     @property
+    def plans(self) -> bool:
+        """Whether the walk can be planned afresh, at another speed."""
+        return self._walks
+
+    @property
     def channel_names(self) -> tuple[str, ...]:
         """Names of the channels for words, such as ``"left/front-left"``."""
         return tuple(self.layout.channel_names)
@@ -466,21 +419,6 @@ class Session:
             line.update(self._raw, self._env.reference, self._env.beliefs.soles(self._sensors.time))
         self._settings["method"] = method
         self._feed()
-
-
-def placed(now: Shown, estimate: Estimate, cop: Any) -> Reading:
-    """Return an estimate with its centre of pressure, in m in the level frame, put under the true soles."""
-    x, y = now.heading
-    R_world_level = np.array([[x, -y], [y, x]])
-    middle = now.position_sole[:, :2].mean(axis=0)
-    where = middle + R_world_level @ np.asarray(cop, dtype=np.float64)
-    covariance = estimate.cop_covariance
-    return Reading(
-        np.array(estimate.force, dtype=np.float64),
-        np.array(estimate.vgrf, dtype=np.float64),
-        where if estimate.cop_valid else np.full(2, np.nan),
-        None if covariance is None else R_world_level @ np.asarray(covariance) @ R_world_level.T,
-    )
 
 
 def repeated(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:

@@ -129,6 +129,10 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails(["view", "--video", "walk.avi"], "'walk.avi' must end in .mp4, .webp or .gif.")
     fails(
         ["view", "--feed", "none", "--feed", "tare"],
+        "the page shows one feed; film several side by side with --video walk.mp4.",
+    )
+    fails(
+        ["view", "--window", "--feed", "none", "--feed", "tare"],
         "a window shows one feed; film several side by side with --video walk.mp4.",
     )
     fails(

@@ -1,0 +1,160 @@
+"""``surefoot view``: a robot in the browser, in a window, on film, or its feet alone."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from surefoot.experiments.cli.console import Feeds, fail
+
+_PAGE_FEEDS = {"true": "true", "none": "raw"}  # what the page calls them; all others are calibrators
+LOOPBACK = "127.0.0.1"
+
+
+def view(
+    env: Annotated[
+        str | None, Argument(help="Environment on two feet; by default the NAO that walks.", metavar="[ENV]")
+    ] = None,
+    feed: Feeds = None,
+    speed: Annotated[float, Option(help="Walking speed in m/s.")] = 0.04,
+    seed: Annotated[int, Option(help="Seed of the walk and its sensors.", min=0)] = 0,
+    severity: Annotated[float, Option(help="How bad the cells are; 1 as in the bad start.")] = 1.0,
+    controller: Annotated[
+        str | None,
+        Option(help="shipped, shipped-randomised, stabiliser, zero, a file .npz, or module:function."),
+    ] = None,
+    record: Annotated[Path, Option(help="Folder for what the page records.")] = Path("out/view"),
+    repeat: Annotated[Path | None, Option(help="Show again what was recorded into this log.")] = None,
+    log: Annotated[Path | None, Option(help="Show a log instead, from its beginning to its end.")] = None,
+    host: Annotated[str, Option(help="Address of the page; 0.0.0.0 lets other computers in.")] = LOOPBACK,
+    port: Annotated[int, Option(help="Port of the page.", min=1, max=65535)] = 8080,
+    window: Annotated[bool, Option("--window", help="A window of MuJoCo: no page.")] = False,
+    video: Annotated[Path | None, Option(help="Film into this .mp4, .webp or .gif: no page.")] = None,
+    duration: Annotated[float, Option(help="Of a film or window in s, 4 s of standing included.")] = 20.0,
+    feet: Annotated[
+        str | None,
+        Option(help="Show the feet of this environment, robot or MJCF file instead.", metavar="ENV"),
+    ] = None,
+    foot: Annotated[list[str] | None, Option(help="A foot's body, the left one first; else guessed.")] = None,
+    soles: Annotated[bool, Option("--soles", help="Flat soles for feet without area.")] = False,
+    image: Annotated[Path, Option(help="Where the picture of the feet goes.")] = Path("feet.png"),
+) -> None:
+    """Watch a robot in the browser and change its feet while it walks; or in a window, or film it."""
+    if feet is not None:
+        _show_feet(feet, foot, soles, image)
+        return
+    from surefoot.experiments.walks.video import prepare_rendering
+
+    prepare_rendering()
+    feeds = feed or ["window" if window or video else "moment"]
+    if window or video is not None:
+        if env is not None or foot or soles:
+            fail("a window and a film show the NAO that walks; leave out ENV, --foot and --soles.")
+        _walk(video, feeds, speed=speed, seed=seed, duration=duration, severity=severity)
+        return
+    if env is None and (foot or soles):
+        fail("--foot and --soles go with --feet ENV or with ENV, which say whose feet.")
+    if len(feeds) > 1:
+        fail("the page shows one feed; film several side by side with --video walk.mp4.")
+    start = {"speed": speed, "severity": severity} | _start(feeds[0])
+    made = {"controller": controller, "feet": foot or None, "soles": soles}
+    _show_page(env, {"seed": seed, "start": start, **made}, record, repeat, log, host, port)
+
+
+def _start(feed: str) -> dict[str, str]:
+    """Return which feed and which calibrator a name stands for on the page."""
+    from surefoot.experiments.walks.walkers import feed_named
+
+    if feed_named(feed) == "weights":
+        fail("'weights' is a feed of films; the page begins on the nominal map.")
+    if feed in _PAGE_FEEDS:
+        return {"feed": _PAGE_FEEDS[feed]}
+    return {"feed": "calibrated", "method": feed}
+
+
+def _show_page(
+    env: str | None,
+    options: dict[str, Any],
+    folder: Path,
+    repeat: Path | None,
+    log: Path | None,
+    host: str,
+    port: int,
+) -> None:
+    """Serve a page until somebody interrupts."""
+    try:
+        from surefoot.experiments.view.page import Page
+        from surefoot.experiments.view.player import LogFeet, LogPage
+    except ModuleNotFoundError as error:
+        fail(
+            f'the page needs {error.name}; install it with `pip install "surefoot[view]"`, or watch with '
+            "--window or --video walk.mp4."
+        )
+    import gymnasium as gym
+
+    from surefoot.experiments.logs.format import read_log
+    from surefoot.experiments.view.session import WALK, Session, repeated
+
+    try:
+        page: Page | LogPage
+        if log is not None:
+            feet, more = LogFeet(read_log(log), options["start"].get("method", "moment")), ""
+            page = LogPage(feet, host=host, port=port, name=log.name)
+        else:
+            if repeat is not None:
+                session, changes = repeated(read_log(repeat).about)
+            else:
+                session, changes = Session(env or WALK, **options), []
+            page = Page(session, host=host, port=port, folder=folder, changes=changes)
+            more = f"; recordings go to '{folder}'"
+    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
+        fail(str(error))
+    _serve(page, more)
+
+
+def _serve(page: Any, more: str) -> None:
+    """Tell where a page is, and serve it until somebody interrupts."""
+    typer.echo(f"Page: {page.address} (Ctrl+C ends it{more})")
+    try:
+        page.run()
+    except KeyboardInterrupt:
+        typer.echo("Stopped.")
+    finally:
+        page.close()
+
+
+def _walk(video: Path | None, feeds: list[str], **options: Any) -> None:
+    """Show a walk in a window, or film it."""
+    from surefoot.experiments.walks.video import ANIMATIONS, film_walks, watch_walk
+
+    if video is not None and video.suffix not in (".mp4", *ANIMATIONS):
+        fail(f"'{video}' must end in .mp4, .webp or .gif.")
+    if video is None and len(feeds) > 1:
+        fail("a window shows one feed; film several side by side with --video walk.mp4.")
+    try:
+        if video is None:
+            watch_walk(feeds[0], **options)
+        else:
+            typer.echo(f"Film: {film_walks(video, feeds, **options)}")
+    except (ValueError, OSError, ImportError) as error:
+        fail(str(error))
+
+
+def _show_feet(name: str, feet: list[str] | None, soles: bool, image: Path) -> None:
+    """Tell which bodies are a robot's feet, and draw them."""
+    from surefoot.experiments.walks.video import prepare_rendering
+
+    prepare_rendering()
+    import gymnasium as gym
+
+    from surefoot.experiments.feet import FeetDrawing
+
+    try:
+        drawing = FeetDrawing(name, feet or None, soles=soles)
+        for line in drawing.words():
+            typer.echo(line)
+        drawing.draw(image)
+    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
+        fail(str(error))
+    typer.echo(f"Picture: {image}")

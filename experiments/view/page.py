@@ -1,0 +1,253 @@
+"""The page in the browser: a robot that walks, its feet, numbers, and what can be done to it."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from time import perf_counter, sleep
+from typing import Any
+
+import numpy as np
+
+from surefoot.experiments.logs.format import write_log
+from surefoot.experiments.view.board import FeetBoard, colours
+from surefoot.experiments.view.meters import Meters
+from surefoot.experiments.view.panel import Panel
+from surefoot.experiments.view.robot import RobotMeshes
+from surefoot.experiments.view.scene import FRAMES_PER_SECOND, close_server, open_server, set_scene
+from surefoot.experiments.view.session import Change, Session
+
+LONGEST_FRAME = 0.1
+"""Simulated time in s that one frame makes up for at most: a slower computer shows the walk more slowly."""
+
+LYING = 2.0
+"""How long a robot lies where it fell before it gets up again, in s."""
+
+LATEST = ("severity", "drift", "scale", "offset", "payload", "slope", "speed", "pace")
+"""What is asked for many times while a slider is drawn: only the last counts."""
+
+
+class Page:
+    """A session in the browser.
+
+    Args:
+        session: What is shown.
+        host: Address that the page is bound to.
+        port: Its port.
+        folder: Where recordings go; ``None`` for none.
+        changes: What is still to be changed, of a session that is repeated.
+
+    Attributes:
+        server: The page.
+        frames: How many were drawn.
+
+    Raises:
+        OSError: If the port is in use.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        folder: Path | None = None,
+        changes: Iterable[Change] = (),
+    ) -> None:
+        self.session, self._folder, self._coming = session, folder, list(changes)
+        self.server = open_server(host, port, f"surefoot: {session.env_id}")
+        self._asked: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+        self._stopped = False
+        self._paused, self._pace, self._due, self._lies = False, 1.0, 0.0, 0.0
+        self.frames, self._simulated, self._rate = 0, 0.0, (0.0, 0.0)
+        self._counted = perf_counter(), 0, 0.0
+        self._told = ""
+        data = session.source.data
+        size = float(data.body(session.drawing.torso).xpos[2]) / 0.32
+        self._ground = set_scene(self.server, size)
+        self._robot = RobotMeshes(self.server, session.source.model)
+        self._board = FeetBoard(self.server, session.layout, session.drawing.weight, size)
+        self._cell = size
+        self._meters = Meters(self.server, session.drawing.feet, session.channel_names)
+        self._panel = Panel(
+            self.server, session, lambda what, value: self._asked.put((what, value)), bool(folder)
+        )
+        self._paint()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def run(self, seconds: float = float("inf")) -> None:
+        """Walk and draw for some time in s, until interrupted or stopped."""
+        last = perf_counter()
+        until, self._stopped = last + seconds, False
+        while last < until and not self._stopped:
+            self._answer()
+            now = perf_counter()
+            self._advance(now - last)
+            last = now
+            self.draw()
+            rest = last + 1.0 / FRAMES_PER_SECOND - perf_counter()
+            if rest > 0.0:
+                sleep(rest)
+
+    def stop(self) -> None:
+        """Let :meth:`run` come back; any thread may call this."""
+        self._stopped = True
+
+    def close(self) -> None:
+        """Stop serving, and close the session."""
+        close_server(self.server)
+        self.session.close()
+
+    def draw(self) -> None:
+        """Draw the session as it is now."""
+        now, source = self.session.shown(), self.session.source
+        torso = source.data.body(self.session.drawing.torso).xpos
+        origin = np.array([torso[0], torso[1], 0.0])
+        with self.server.atomic():
+            self._robot.move(source.data, origin)
+            # The grid repeats itself: so it lies still under a robot that stays in the middle.
+            self._ground.position = -np.fmod(origin, self._cell)
+            self._board.draw(now)
+            self._meters.draw(now, self._line(), self._told)
+        self.frames += 1
+        passed = perf_counter() - self._counted[0]
+        if passed > 1.0:
+            _, frames, simulated = self._counted
+            self._rate = (self.frames - frames) / passed, (self._simulated - simulated) / passed
+            self._counted = perf_counter(), self.frames, self._simulated
+
+    def _line(self) -> str:
+        session = self.session
+        state = (
+            "fallen"
+            if session.fell
+            else "paused"
+            if self._paused
+            else "stands"
+            if session.standing
+            else "runs"
+        )
+        rate, real = self._rate
+        return f"{state} at {session.time:.1f} s, {rate:.0f} frames a second, {real:.2f} of real time"
+
+    def _advance(self, passed: float) -> None:
+        """Step as far as time has gone on."""
+        session = self.session
+        if session.over:
+            self._lies += passed
+            if not session.fell or self._lies > LYING:
+                self._asked.put(("reset", None))
+            return
+        if self._paused:
+            return
+        if session.standing:
+            # Calibrators begin while the robot stands, which nobody wants to wait for.
+            end = perf_counter() + 0.5 / FRAMES_PER_SECOND
+            while session.standing and perf_counter() < end:
+                self._step()
+            return
+        self._due = min(self._due + self._pace * passed, LONGEST_FRAME)
+        while self._due >= session.dt and not session.over:
+            self._step()
+            self._due -= session.dt
+
+    def _step(self) -> None:
+        session = self.session
+        while self._coming and self._coming[0].step <= session.steps:
+            change = self._coming.pop(0)
+            self._do(change.what, change.value)
+        if session.over:
+            return
+        session.step()
+        self._simulated += session.dt
+        if session.record_is_full:
+            self._save()
+
+    def _answer(self) -> None:
+        """Do what browsers have asked for since the last frame."""
+        asked: list[tuple[str, Any]] = []
+        while True:
+            try:
+                what, value = self._asked.get_nowait()
+            except Empty:
+                break
+            if what in LATEST:
+                same = what in ("scale", "offset")
+                asked = [one for one in asked if one[0] != what or (same and one[1][0] != value[0])]
+            asked.append((what, value))
+        for what, value in asked:
+            self._do(what, value)
+
+    def _do(self, what: str, value: Any) -> None:
+        """Do one thing, or say why not."""
+        session = self.session
+        try:
+            match what:
+                case "pause":
+                    self._paused = bool(value)
+                case "step":
+                    if not session.over:
+                        self._step()
+                case "pace":
+                    self._pace = min(max(float(value), 0.1), 1.0)
+                case "record":
+                    self._record()
+                case "power_up":
+                    self._save()
+                    self._coming.clear()
+                    session.power_up(int(value))
+                    self._fresh()
+                    self._panel.show_settings()
+                case "reset":
+                    self._save()
+                    session.change("reset")
+                    self._fresh()
+                case _:
+                    session.change(what, value)
+                    if what == "method":
+                        self._paint()
+            self._told = "; ".join(session.errors.faults)
+            self._told = f"Broken: {self._told}" if self._told else ""
+        except (ValueError, TypeError, IndexError, KeyError, OverflowError, OSError) as error:
+            self._told = str(error)
+
+    def _fresh(self) -> None:
+        """Forget what was drawn of the last episode."""
+        self._lies = self._due = 0.0
+        self._board.forget()
+        self._meters.forget()
+
+    def _paint(self) -> None:
+        method = str(self.session.settings["method"])
+        self._board.paint(colours(method))
+        self._meters.paint("moment" if method == "none" else method)
+
+    def _record(self) -> None:
+        if self._folder is None:
+            raise ValueError("There is no folder for recordings; give one with --record FOLDER.")
+        if self.session.recording:
+            self._save()
+        else:
+            self.session.record()
+            self._panel.show_recording(True)
+
+    def _save(self) -> None:
+        """Write what was recorded, if anything was, into the folder that the command was given."""
+        if not self.session.recording or self._folder is None:
+            return
+        self._panel.show_recording(False)
+        log = self.session.recorded()
+        task = self.session.env_id.rpartition("/")[2].lower()
+        number = 1
+        while (path := self._folder / f"{task}-seed{self.session.seed}-{number}.parquet").exists():
+            number += 1
+        write_log(log, path)
+        self._panel.show_recording(False, commands(path))
+
+
+def commands(path: Path) -> Sequence[str]:
+    """Return the commands that make something of a recording."""
+    return f"surefoot calibrate walk {path}", f"surefoot view --repeat {path}", f"surefoot view --log {path}"

@@ -1,0 +1,198 @@
+"""A log in the browser: the feet that it tells of, to be played and to be searched through."""
+
+from collections.abc import Mapping
+from queue import Empty, SimpleQueue
+from time import perf_counter, sleep
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration import GRAVITY, replay
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.setup import method_name
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.format import Log
+from surefoot.experiments.logs.table import LogError
+from surefoot.experiments.view.board import FeetBoard, colours
+from surefoot.experiments.view.meters import Meters
+from surefoot.experiments.view.scene import FRAMES_PER_SECOND, close_server, open_server, set_scene
+from surefoot.experiments.view.session import methods
+from surefoot.experiments.view.shown import Reading, Shown, placed
+from surefoot.experiments.walks.replay import starting_map
+
+LEG = 0.32
+"""Length in m by which the scene of a log is scaled: its robot is not known."""
+
+
+class LogFeet:
+    """A log, read by its sensors' data sheet and by a method, sample by sample.
+
+    Args:
+        log: The log.
+        method: The calibrator, which begins at the log's beginning.
+
+    Raises:
+        LogError: If its feet are not two with load cells, or it never says where they are.
+        ValueError: If there is no such method.
+    """
+
+    def __init__(self, log: Log, method: str) -> None:
+        if len(log.layout.feet) != 2 or any(foot.position_cell_sole is None for foot in log.layout.feet):
+            raise LogError("The page shows two feet on load cells, and this log has others.")
+        self.log = log
+        if log.truth is None:
+            # A reference is late; the last one that was known stands for those that were not.
+            rows = np.minimum(np.arange(len(log)) + log.lag, len(log) - 1)
+            position, R = (
+                np.asarray(part)[rows] for part in (log.reference.position_sole, log.reference.R_level_sole)
+            )
+            known = np.isfinite(position).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2, 3))
+            if not known.any():
+                raise LogError("This log never says where the soles are.")
+            held = np.maximum.accumulate(np.where(known, np.arange(len(log)), np.argmax(known)))
+            self._position, self._R = position[held], R[held]
+        else:
+            self._position, self._R = log.truth.position_sole, log.truth.R_world_sole
+        self._raw = self._replayed("none")
+        self.choose(method)
+
+    def choose(self, method: str) -> None:
+        """Calibrate by another method; ValueError if there is none of that name."""
+        self.method = method_name(method)
+        self._estimate = self._raw if self.method == "none" else self._replayed(self.method)
+
+    def shown(self, i: int) -> Shown:
+        """Return what there is to draw of sample ``i``."""
+        readings: dict[str, Reading] = {}
+        flags = np.asarray(self._estimate.flags)[i]
+        now = Shown(float(self.log.time[i]), self._position[i], self._R[i], readings, flags)
+        if self.log.truth is not None:
+            readings["true"] = self._truth(self.log.truth.force[i], now)
+        for way, estimate in (("raw", self._raw), ("calibrated", self._estimate)):
+            one = Estimate(*(None if part is None else np.asarray(part)[i] for part in estimate))
+            readings[way] = placed(now, one, one.cop)
+        return now
+
+    def _truth(self, force: Floats, now: Shown) -> Reading:
+        """Return the truth of a sample, its centre of pressure by the places of the cells."""
+        cells = np.array([foot.position_cell_sole for foot in self.log.layout.feet])
+        places = now.position_sole[:, None] + cells @ now.R_world_sole.swapaxes(1, 2)
+        vgrf = force.reshape(2, -1).sum(axis=1)
+        total = float(vgrf.sum())
+        cop = np.full(2, np.nan)
+        if total > 0.05 * self.log.mass * GRAVITY:
+            cop = force @ places.reshape(-1, 3)[:, :2] / total
+        return Reading(force, vgrf, cop)
+
+    def _replayed(self, method: str) -> Estimate:
+        log = self.log
+        step = np.diff(log.time, prepend=log.time[0] - log.dt)
+        initial = starting_map(log, "nominal")
+        return replay(
+            log.layout, method, log.raw, log.reference, step, mass=log.mass, initial=initial, lag=log.lag
+        )
+
+
+class LogPage:
+    """A log in the browser, with a slider for its time.
+
+    Args:
+        feet: The log.
+        host: Address that the page is bound to.
+        port: Its port.
+        name: What the page is called.
+
+    Raises:
+        OSError: If the port is in use.
+    """
+
+    def __init__(self, feet: LogFeet, *, host: str, port: int, name: str) -> None:
+        self.feet, log = feet, feet.log
+        self.server = open_server(host, port, f"surefoot: {name}")
+        set_scene(self.server, LEG / 0.32, aside=0.0)
+        self._board = FeetBoard(self.server, log.layout, log.mass * GRAVITY, LEG / 0.32)
+        self._meters = Meters(
+            self.server, tuple(foot.name for foot in log.layout.feet), tuple(log.layout.channel_names)
+        )
+        self._asked: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+        gui = self.server.gui
+        start, end = float(log.time[0]), float(log.time[-1])
+        self._time = gui.add_slider("time, s", start, end, log.dt, start)
+        self._method = gui.add_dropdown("calibrator", methods(), initial_value=feet.method)
+        self._play = gui.add_checkbox("play", initial_value=True)
+        self._pace = gui.add_slider("pace", 0.1, 10.0, 0.1, 1.0, hint="1 is real time.")
+        controls: Mapping[str, Any] = {"time": self._time, "method": self._method}
+        for what, handle in controls.items():
+            self._tell(handle, what)
+        self._now, self._drawn, self._told = start, -1, ""
+        self._paint()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def run(self, seconds: float = float("inf")) -> None:
+        """Play for some time in s, or until interrupted."""
+        last = perf_counter()
+        until = last + seconds
+        while last < until:
+            self._answer()
+            now = perf_counter()
+            if self._play.value:
+                self._now = min(
+                    self._now + float(self._pace.value) * (now - last), float(self.feet.log.time[-1])
+                )
+            last = now
+            self.draw()
+            sleep(max(last + 1.0 / FRAMES_PER_SECOND - perf_counter(), 0.0))
+
+    def draw(self) -> None:
+        """Draw the sample of now, unless it is drawn already."""
+        time = self.feet.log.time
+        i = int(np.clip(np.searchsorted(time, self._now, side="right") - 1, 0, len(time) - 1))
+        if i == self._drawn:
+            return
+        if i < self._drawn:
+            self._board.forget()
+            self._meters.forget()
+        self._drawn = i
+        shown = self.feet.shown(i)
+        with self.server.atomic():
+            self._board.draw(shown)
+            self._meters.draw(shown, f"{shown.time:.2f} s of {time[-1]:.2f} s", self._told)
+            if self._play.value:
+                self._time.value = shown.time
+
+    def close(self) -> None:
+        """Stop serving."""
+        close_server(self.server)
+
+    def _tell(self, handle: Any, what: str) -> None:
+        def tell(event: Any) -> None:
+            if event.client_id is not None:
+                self._asked.put((what, handle.value))
+
+        handle.on_update(tell)
+
+    def _answer(self) -> None:
+        """Do what browsers have asked for since the last frame."""
+        while True:
+            try:
+                what, value = self._asked.get_nowait()
+            except Empty:
+                return
+            try:
+                if what == "time":
+                    self._now = float(value)
+                else:
+                    self.feet.choose(str(value))
+                    self._drawn = -1
+                    self._paint()
+                self._told = ""
+            except (ValueError, TypeError) as error:
+                self._told = str(error)
+
+    def _paint(self) -> None:
+        self._board.paint(colours(self.feet.method))
+        self._meters.paint("moment" if self.feet.method == "none" else self.feet.method)

@@ -1,0 +1,78 @@
+"""What there is to draw of one sample: the feet, read in several ways."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration.estimate import Estimate
+from surefoot.experiments.arrays import Floats
+
+WAYS = ("true", "raw", "calibrated")
+"""Ways in which the feet are read, side by side; each can be a controller's feed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One way to read the feet at one sample.
+
+    Attributes:
+        force: Channels in N, shape (K,).
+        vgrf: Vertical force on each foot in N, shape (2,).
+        cop_world: Centre of pressure in the world in m, placed under the true soles, shape (2,); NaN where
+            there is none.
+        cop_covariance: Its covariance in the world's axes in m^2, shape (2, 2), or ``None``.
+    """
+
+    force: Floats
+    vgrf: Floats
+    cop_world: Floats
+    cop_covariance: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What there is to draw of one sample.
+
+    Attributes:
+        time: Since the episode start in s.
+        position_sole: Origins of the soles in the world in m, shape (2, 3).
+        R_world_sole: Their axes, shape (2, 3, 3).
+        readings: By :data:`WAYS`; the truth may be missing.
+        flags: :class:`~surefoot.calibration.estimate.Flag` bits of each channel, shape (K,).
+    """
+
+    time: float
+    position_sole: Floats
+    R_world_sole: Floats
+    readings: Mapping[str, Reading]
+    flags: Any
+
+    @property
+    def heading(self) -> Floats:
+        """Mean forward direction of the soles on the ground, a unit vector, shape (2,)."""
+        ahead = self.R_world_sole[:, :2, 0].sum(axis=0)
+        return np.asarray(ahead / np.linalg.norm(ahead))
+
+    def cop_error(self, way: str) -> float:
+        """Distance between a centre of pressure and the true one in m; NaN where there is none."""
+        if "true" not in self.readings:
+            return float("nan")
+        apart = self.readings[way].cop_world - self.readings["true"].cop_world
+        return float(np.linalg.norm(apart))
+
+
+def placed(now: Shown, estimate: Estimate, cop: Any) -> Reading:
+    """Return an estimate with its centre of pressure, in m in the level frame, put under the true soles."""
+    x, y = now.heading
+    R_world_level = np.array([[x, -y], [y, x]])
+    middle = now.position_sole[:, :2].mean(axis=0)
+    where = middle + R_world_level @ np.asarray(cop, dtype=np.float64)
+    covariance = estimate.cop_covariance
+    return Reading(
+        np.array(estimate.force, dtype=np.float64),
+        np.array(estimate.vgrf, dtype=np.float64),
+        where if estimate.cop_valid else np.full(2, np.nan),
+        None if covariance is None else R_world_level @ np.asarray(covariance) @ R_world_level.T,
+    )

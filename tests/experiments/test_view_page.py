@@ -1,0 +1,184 @@
+"""The page: what a browser asks for is done, and nothing else."""
+
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from surefoot.experiments.cli.app import app
+from surefoot.experiments.logs.format import Log, read_log, write_log
+from surefoot.experiments.view.session import Session
+
+STAND = "surefoot/NaoStand-v0"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def fails(arguments: list[str], message: str) -> None:
+    result = CliRunner().invoke(app, ["view", *arguments])
+    assert result.exit_code == 2
+    assert result.stderr == f"surefoot: {message}\n"
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
+        if name.rpartition(".")[2] not in ("session", "errors", "world"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    fails(
+        [],
+        'the page needs viser; install it with `pip install "surefoot[view]"`, or watch with --window or '
+        "--video walk.mp4.",
+    )
+
+
+@pytest.fixture
+def viser() -> Any:
+    return pytest.importorskip("viser", reason="the extra 'view' (viser) is not installed")
+
+
+@pytest.fixture
+def page(viser: Any, tmp_path: Path) -> Iterator[Any]:
+    from surefoot.experiments.view.page import Page
+
+    session = Session(STAND, seed=1)
+    made = Page(session, port=free_port(), folder=tmp_path / "made")
+    yield made
+    made.close()
+
+
+def test_wrong_arguments_end_in_one_line(viser: Any, log: Log, tmp_path: Path) -> None:
+    fails(
+        ["--repeat", "gone.parquet"],
+        "gone.parquet: no such file; 'surefoot demo' records logs under out/demo/logs.",
+    )
+    path = str(write_log(log, tmp_path / "walk.parquet"))
+    fails(
+        ["--repeat", path],
+        "This log was not recorded by 'surefoot view', so that there is nothing to repeat.",
+    )
+    fails(["--feed", "weights"], "'weights' is a feed of films; the page begins on the nominal map.")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        fails(
+            [STAND, "--port", str(port)],
+            f"port {port} of 127.0.0.1 is in use or not yours; choose another with --port {port + 1}.",
+        )
+
+
+def test_it_is_bound_to_the_loopback_and_serves_no_files(page: Any) -> None:
+    assert page.address == f"http://127.0.0.1:{page.server.get_port()}"
+    assert b"<html" in urlopen(page.address, timeout=10).read()
+    for path in ("/../../../../../../etc/passwd", "/%2e%2e/%2e%2e/__init__.py", "//etc/passwd"):
+        with pytest.raises(HTTPError):
+            urlopen(page.address + path, timeout=10)
+    # The library would open a tunnel for whoever asks.
+    assert page.server.request_share_url() is None
+
+
+def test_what_is_asked_for_is_done(page: Any) -> None:
+    page._asked.put(("severity", 3.0))
+    page._asked.put(("severity", 2.0))
+    page._asked.put(("scale", (1, 0.5)))
+    page._asked.put(("scale", (2, 0.1)))
+    page._asked.put(("fault", "left/2 dies"))
+    page.run(0.5)
+    session = page.session
+    assert session.settings["severity"] == 2.0
+    assert session.errors.scale.tolist() == [0.0, 0.5, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert page._told == "Broken: left/2 dies"
+    assert session.steps > 5
+    # Of a slider that is drawn only the last value counts.
+    assert [change.what for change in session.changes].count("severity") == 2
+
+    page._asked.put(("pause", True))
+    page.run(0.1)
+    steps = session.steps
+    page._asked.put(("step", None))
+    page.run(0.2)
+    assert session.steps == steps + 1
+    page._asked.put(("power_up", 7))
+    page.run(0.1)
+    assert (session.seed, session.steps, session.errors.faults) == (7, 0, ())
+    assert not session.errors.scale.any()
+
+
+@pytest.mark.parametrize(
+    ("what", "value"),
+    [
+        ("severity", "<b>"),
+        ("severity", None),
+        ("scale", 1),
+        ("fault", 5),
+        ("power_up", "x"),
+        ("rm", "-rf"),
+        ("push", 1),
+    ],
+)
+def test_nonsense_is_told_and_nothing_breaks(page: Any, what: str, value: Any) -> None:
+    page._asked.put((what, value))
+    page.run(0.15)
+    assert page._told
+    assert "<b>" not in page._meters._table.content
+    assert page.session.steps > 0
+
+
+def test_a_robot_that_fell_gets_up_again(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surefoot.experiments.view.page.LYING", 0.1)
+    page._asked.put(("push", (4.0, 0.0)))
+    for _ in range(100):
+        page.run(0.1)
+        if any(change.what == "reset" for change in page.session.changes):
+            break
+    assert page.session.changes[-1].what == "reset"
+    assert not page.session.fell
+
+
+def test_a_recording_goes_into_the_folder_of_the_command(page: Any, tmp_path: Path) -> None:
+    for _ in range(2):
+        page._asked.put(("record", "/tmp/elsewhere.parquet"))
+        page.run(0.4)
+        page._asked.put(("record", None))
+        page.run(0.1)
+    files = sorted((tmp_path / "made").iterdir())
+    assert [file.name for file in files] == ["naostand-v0-seed1-1.parquet", "naostand-v0-seed1-2.parquet"]
+    assert len(read_log(files[1])) > 5
+    assert f"surefoot view --repeat {files[1]}" in page._panel.commands.content
+
+
+def test_a_log_is_played_and_searched(viser: Any, log: Log) -> None:
+    from surefoot.experiments.view.player import LogFeet, LogPage
+
+    feet = LogFeet(log, "none")
+    shown = feet.shown(30)
+    assert log.truth is not None
+    np.testing.assert_allclose(shown.readings["raw"].force, log.truth.force[30], atol=1e-6)
+    assert shown.cop_error("raw") < 1e-3
+    page = LogPage(feet, host="127.0.0.1", port=free_port(), name="walk")
+    page.run(0.2)
+    played = page._drawn
+    assert played > 5
+    page._play.value = False
+    page._asked.put(("time", float(log.time[2])))
+    page._asked.put(("method", "tare"))
+    page.run(0.1)
+    assert page._drawn == 2
+    assert feet.method == "tare"
+    page._asked.put(("method", "guess"))
+    page.run(0.1)
+    assert page._told.startswith("Method 'guess' does not exist.")
+    page.close()
