@@ -284,8 +284,9 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         return self._hardware
 
     def _now(self) -> HardwareState:
-        """What the hardware is now, telemetry's part included."""
+        """What the hardware is now, telemetry's part included, as the Python has it."""
         hardware = self._devices
+        hardware = hardware._replace(instruments=self.instruments.plain(hardware.instruments))
         if self._telemetry_state is None:
             return hardware
         return hardware._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
@@ -325,10 +326,12 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def _read(self, truth: Any, dt: float) -> None:
         hardware = self._devices
         self._raw, instruments = self.instruments.read(truth, hardware.instruments, self._streams, dt)
-        faults = hardware.faults
+        if instruments is not hardware.instruments:
+            hardware = hardware._replace(instruments=instruments)
         if self._broken is not None:
-            self._raw, faults = self._broken.apply(self._raw, faults, self._streams["faults"], dt)
-        self._hardware = HardwareState(instruments, faults, hardware.telemetry)
+            self._raw, faults = self._broken.apply(self._raw, hardware.faults, self._streams["faults"], dt)
+            hardware = hardware._replace(faults=faults)
+        self._hardware = hardware
 
     def _make_telemetry(self, dt: float, substeps: int) -> Telemetry:
         """Build telemetry; a link by name sends no more packets than there are moments of truth."""

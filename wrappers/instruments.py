@@ -20,6 +20,7 @@ from surefoot.sensors import Corruption, ForceTorque, LoadCells, force_torque, l
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map
+from surefoot.sensors.devices.native_cells import NativeCellState, native_cells_here
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.foot_device import JITTER_BOUND, FootDevice
 
@@ -45,6 +46,10 @@ class InstrumentsState(NamedTuple):
 
     cells: Any = ()
     ankles: Any = ()
+
+
+CellState = LoadCellState | NativeCellState
+"""State of load cells, as the Python has it or as the library has it."""
 
 
 class CellsUnderFeet:
@@ -88,27 +93,38 @@ class CellsUnderFeet:
             for i, name in enumerate(drawing.feet)
         )
         self._device: Corruption[LoadCellState] = load_cells(config)
+        self._native = native_cells_here(config)
 
     def init(self, rng: Rng) -> LoadCellState:
         """Draw the cells."""
         return self._device.init((self.channels,), rng)
 
-    def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
+    def with_load(self, truth: Any, state: CellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
-        return state._replace(previous=truth.force_cell[-1].copy())
+        return self.plain(state)._replace(previous=truth.force_cell[-1].copy())
 
-    def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
-        """Read them after a control step of dt."""
-        return self._device.apply(truth.force_cell, state, rng, dt)
+    def read(self, truth: Any, state: CellState, rng: Rng, dt: float) -> tuple[Floats, CellState]:
+        """Read them after a control step of dt; a state of the library's goes on in place."""
+        block, native = truth.force_cell, self._native
+        if native is None or not native.takes(block, rng):
+            return self._device.apply(block, self.plain(state), rng, dt)
+        if not isinstance(state, NativeCellState):
+            state = native.pack(state)
+        return native.step(state, block, rng, dt), state
+
+    @staticmethod
+    def plain(state: CellState) -> LoadCellState:
+        """Return the state as the Python has it."""
+        return state.python() if isinstance(state, NativeCellState) else state
 
     def force(self, truth: Any) -> Floats:
         """Return the true forces at the end of a control step in N, shape (K,)."""
         force: Floats = truth.force_cell[-1].copy()
         return force
 
-    def true_map(self, state: LoadCellState) -> Parameters:
+    def true_map(self, state: CellState) -> Parameters:
         """Return the map that undoes their errors now."""
-        return Parameters(*true_map(self.config, state))
+        return Parameters(*true_map(self.config, self.plain(state)))
 
 
 class SensorsInAnkles:
@@ -169,6 +185,11 @@ class SensorsInAnkles:
         """Return the true loads at the end of a control step in N and N m, shape (K,)."""
         force: Floats = truth.wrench_ankle[-1].ravel() + self.preload
         return force
+
+    @staticmethod
+    def plain(state: ForceTorqueState) -> ForceTorqueState:
+        """Return the state as it is."""
+        return state
 
     def true_map(self, state: ForceTorqueState) -> Parameters:
         """Return the map that undoes each axis's own errors now; cross-talk is left out."""
@@ -280,11 +301,17 @@ class Instruments:
             Counts, shape (K,), and the state.
         """
         readings: list[Floats] = []
-        after: dict[str, Any] = {}
         for part in self.parts:
-            reading, after[part.name] = part.read(truth, getattr(state, part.name), streams[part.name], dt)
+            before: Any = getattr(state, part.name)
+            reading, after = part.read(truth, before, streams[part.name], dt)
             readings.append(reading)
-        return readings[0] if self._one else self.joined(readings), InstrumentsState(**after)
+            if after is not before:
+                state = state._replace(**{part.name: after})
+        return readings[0] if self._one else self.joined(readings), state
+
+    def plain(self, state: InstrumentsState) -> InstrumentsState:
+        """Return the state as the Python has it, which later readings do not change."""
+        return InstrumentsState(**{part.name: part.plain(getattr(state, part.name)) for part in self.parts})
 
     def with_load(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
         """Return the state under the loads of now, at an episode start."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surefoot.native import Library
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.devices.load_cells import LoadCellState, load_cells
+from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.hysteresis import halving_slacks
 from surefoot.sensors.stages.mechanics import SMALLEST_LOOP
@@ -63,8 +64,13 @@ class NativeCells:
         assert dtype is not None
         self._dtype, self._step = dtype, library.functions.surefoot_cells_step
         self._counts = np.empty(config.channels)
-        self._addresses = record.ctypes.data, self._counts.ctypes.data
+        self._block = np.empty((0, config.channels))
+        self._addresses: tuple[int, ...] = ()
         self._checked: float | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Where there is no library, nothing comes of it.
+        return native_cells_here, (self._config,)
 
     def pack(self, state: LoadCellState) -> NativeCellState:
         """Return a Python state as the library's."""
@@ -86,7 +92,6 @@ class NativeCells:
             and block.dtype == np.float64
             and block.ndim == 2
             and block.shape[1] == self._channels
-            and block.flags.c_contiguous
         )
 
     def step(self, state: NativeCellState, block: Floats, stream: Stream, dt: float) -> Floats:
@@ -99,8 +104,13 @@ class NativeCells:
         if dt != self._checked:
             check_wire(self._config, dt)
             self._checked = dt
-        config, counts = self._addresses
-        self._step(config, state.address, stream.address, block.ctypes.data, len(block), dt, counts)
+        substeps = len(block)
+        if substeps != len(self._block):
+            self._block = np.empty((substeps, self._channels))
+            self._addresses = tuple(part.ctypes.data for part in (self._record, self._block, self._counts))
+        self._block[...] = block
+        config, load, counts = self._addresses
+        self._step(config, state.address, stream.address, load, substeps, dt, counts)
         return self._counts.copy()
 
 
@@ -120,6 +130,11 @@ def native_cells(library: Library | None, config: LoadCells) -> NativeCells | No
         if library.functions.surefoot_cells_fits(record.ctypes.data)
         else None
     )
+
+
+def native_cells_here(config: LoadCells) -> NativeCells | None:
+    """Return the load cells of one robot by the library that is installed here; ``None`` without one."""
+    return native_cells(installed(), config)
 
 
 def _values(config: LoadCells) -> dict[str, Any]:
