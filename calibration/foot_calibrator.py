@@ -143,6 +143,11 @@ class FootCalibrator:
         self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
 
+    @property
+    def native(self) -> NativeFilter | None:
+        """The library's filter, if it made the last estimate."""
+        return self._native if type(self._state) is NativeState else None
+
     def retract(self, which: Array | bool = True) -> None:
         """Take back what was learnt in the last seconds, for a robot that has fallen or was seized.
 

@@ -68,6 +68,9 @@ class FootView:
 
     Attributes:
         spaces: The space of each part that is calibrated.
+        every: The space of each part that there could be.
+        flawed: Whether the feet have no centres of pressure.
+        held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,).
         force_bound: Largest force that is shown in N.
         weight: What the robot believes to weigh in N: the unit of ``"foot_load"``.
 
@@ -78,12 +81,12 @@ class FootView:
     def __init__(self, parts: Sequence[str], layout: FeetLayout, mass: float, flaw: str = "") -> None:
         check_parts(parts)
         self.parts = tuple(part for part in parts if part != RAW)
-        self._flawed = bool(flaw)
+        self.flawed = bool(flaw)
         channels, feet = layout.channels, len(layout.feet)
         force = max(FORCE_BOUND, 5.0 * mass * GRAVITY)
         self.force_bound, self.weight = force, mass * GRAVITY
         box = spaces.Box
-        every: dict[str, spaces.Space[Any]] = {
+        self.every: dict[str, spaces.Space[Any]] = {
             "foot_force": box(-force, force, (channels,), np.float32),
             "foot_load": box(-force / self.weight, force / self.weight, (channels,), np.float32),
             "cop_foot": box(-COP_BOUND, COP_BOUND, (feet, 2), np.float32),
@@ -95,14 +98,23 @@ class FootView:
             "cop_std": box(0.0, COP_BOUND, (2,), np.float32),
             "foot_flags": box(0, np.iinfo(np.int32).max, (channels,), np.int32),
         }
-        self.spaces = {part: every[part] for part in self.parts}
+        self.spaces = {part: self.every[part] for part in self.parts}
+        # In one array, of which the others are parts, for the library.
+        self.held = np.zeros(8)
         self.begin_episode()
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        # In a copy what were parts are arrays of their own.
+        self.__dict__.update(kept)
+        self._split()
+
+    def _split(self) -> None:
+        self._cop_foot, self._cop, self._cop_std = self.held[:4].reshape(2, 2), self.held[4:6], self.held[6:]
 
     def begin_episode(self) -> None:
         """Start with centres of pressure at the origin."""
-        self._cop = [0.0, 0.0]
-        self._cop_foot = [[0.0, 0.0], [0.0, 0.0]]
-        self._cop_std = [COP_BOUND, COP_BOUND]
+        self.held[:6], self.held[6:] = 0.0, COP_BOUND
+        self._split()
 
     def show(self, estimate: Estimate, soles: tuple[SolePose, SolePose]) -> dict[str, NDArray[Any]]:
         """Show one sample.
@@ -116,7 +128,7 @@ class FootView:
         """
         wrench, cop_foot = estimate.wrench.tolist(), estimate.cop_foot.tolist()
         valid = [bool(estimate.cop_valid), *estimate.cop_foot_valid.tolist()]
-        if self._flawed:
+        if self.flawed:
             valid = [False] * len(valid)
         for foot in (0, 1):
             if valid[1 + foot]:
@@ -128,10 +140,10 @@ class FootView:
                 load += fz
                 x += sole.x * fz - u * ty - v * tx
                 y += sole.y * fz - v * ty + u * tx
-            self._cop = [_bounded(x / load), _bounded(y / load)]
+            self._cop[:] = _bounded(x / load), _bounded(y / load)
             if "cop_std" in self.parts and estimate.cop_covariance is not None:
                 variance = np.diagonal(estimate.cop_covariance).tolist()
-                self._cop_std = [min(sqrt(max(part, 0.0)), COP_BOUND) for part in variance]
+                self._cop_std[:] = [min(sqrt(max(part, 0.0)), COP_BOUND) for part in variance]
         return {part: self._part(part, estimate, valid) for part in self.parts}
 
     def _part(self, part: str, estimate: Estimate, valid: list[bool]) -> NDArray[Any]:

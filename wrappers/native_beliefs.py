@@ -12,6 +12,9 @@ from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs, SolePose
 from surefoot.wrappers.contacts import planned_window
 from surefoot.wrappers.telemetry import TelemetryLayout
 
+AT_ONCE = 8
+"""Packets that are handed over together."""
+
 _OWN = {"clock": "_clock", "seen": "_seen", "run": "_run"}
 _ODOMETRY = {
     "forward": "_forward", "up": "up", "spin": "_spin", "spin_bias": "_spin_bias",
@@ -28,12 +31,18 @@ class NativeBeliefs:
         library: The library.
         beliefs: The Python object.
 
+    Attributes:
+        believed: What the last :meth:`sample` found; the next one overwrites it.
+        known: Whether it is anything.
+        standing: Whether a foot surely stood.
+        soles_address: Where the library finds the soles.
+
     Raises:
         ValueError: If the library is not made for such a robot; docs/native.md has its limits.
     """
 
     def __init__(self, library: Library, beliefs: Beliefs) -> None:
-        self._library, self._functions, self._spec = library, library.functions, beliefs
+        self.library, self._functions, self._spec = library, library.functions, beliefs
         self.model = beliefs.model
         needed, window = planned_window(beliefs._lag)
         timing = {
@@ -51,8 +60,10 @@ class NativeBeliefs:
         if found is None or state is None:
             raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
         self._timing, self._state = found, np.zeros((), state)
-        self._values = np.zeros(beliefs._layout.size, library.real)
+        self._rows = np.zeros((AT_ONCE, 2 + beliefs._layout.size))
+        self._slots = [(row[:2], row[2:]) for row in self._rows]
         self._planned, self._soles = np.zeros(4, np.bool_), np.zeros((2, 4), library.real)
+        self._stance, self._swing = self._planned[:2], self._planned[2:]
         self.believed = ReferenceRecord(library)
         self._other = ReferenceRecord(library)
         self._force_bias = self._state["force_bias"]
@@ -60,12 +71,13 @@ class NativeBeliefs:
         self._pack(beliefs)
         self.believed.fill(beliefs.believed)
         self.known, self.standing = beliefs.known, beliefs.standing
-        records = self._timing, self._state, self._values, self._planned, self._soles
+        records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
+        self.soles_address = self._addresses[-1]
 
     def _adopt(self) -> None:
         """Take over the model, whose masses have changed."""
-        tree, library = self.model.tree(), self._library
+        tree, library = self.model.tree(), self.library
         sizes = {} if tree is None else {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
         model = None if tree is None else filled_record(library, "model", {**sizes, **tree})
         if model is None or not library.functions.surefoot_beliefs_fit(
@@ -84,18 +96,19 @@ class NativeBeliefs:
         """Take in packets of telemetry, in order."""
         if self.model.revision != self._revision:
             self._adopt()
-        timing, state, values, _, _ = self._addresses
-        for packet in packets:
-            self._values[...] = packet.values
-            self._functions.surefoot_beliefs_packet(
-                self._tree, timing, state, packet.number, packet.arrival, values
-            )
+        timing, state, rows, _, _ = self._addresses
+        for start in range(0, len(packets), AT_ONCE):
+            some = packets[start : start + AT_ONCE]
+            for (head, content), (number, arrival, values) in zip(self._slots, some, strict=False):
+                head[0], head[1] = number, arrival
+                content[...] = values
+            self._functions.surefoot_beliefs_packets(self._tree, timing, state, rows, len(some))
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
         timing, state, _, planned, _ = self._addresses
         if command is not None:
-            self._planned[:2], self._planned[2:] = command.stance, command.swing
+            self._stance[...], self._swing[...] = command.stance, command.swing
         found = self._functions.surefoot_beliefs_sample(
             timing, state, time, None if command is None else planned, hold, self.believed.address
         )
@@ -104,7 +117,7 @@ class NativeBeliefs:
 
     def info(self) -> dict[str, Any]:
         """As :meth:`Beliefs.info`."""
-        return {"known": self.known, **self.believed.reference(unknown=0.0)._asdict()}
+        return {"known": self.known, **self.believed.mapping(self.known)}
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
         """As :meth:`Beliefs.reference`."""
@@ -112,10 +125,14 @@ class NativeBeliefs:
         self._functions.surefoot_beliefs_reference(timing, state, time, self._other.address)
         return self._other.reference()._replace(stance=stance, swing=swing)
 
-    def soles(self, time: float) -> tuple[SolePose, SolePose]:
-        """As :meth:`Beliefs.soles`."""
+    def find_soles(self, time: float) -> None:
+        """Put :meth:`soles` where :attr:`soles_address` points to."""
         timing, state, _, _, soles = self._addresses
         self._functions.surefoot_beliefs_soles(timing, state, time, soles)
+
+    def soles(self, time: float) -> tuple[SolePose, SolePose]:
+        """As :meth:`Beliefs.soles`."""
+        self.find_soles(time)
         left, right = self._soles.tolist()
         return SolePose(*left), SolePose(*right)
 
@@ -135,7 +152,7 @@ class NativeBeliefs:
         found._plan._runs.extend(state["planned"].tolist())
         found._kinematics._runs = state["found"].tolist()
         if found._seen:
-            values = self._values.copy()
+            values = np.zeros(spec._layout.size)
             for name, part in _measured(spec._layout):
                 values[part] = state[name]
             found._last = Packet(int(state["number"]), 0.0, values)

@@ -20,6 +20,7 @@ from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty, seen
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
 from surefoot.wrappers.native_beliefs import NativeBeliefs, native_beliefs
+from surefoot.wrappers.native_view import NativeView
 from surefoot.wrappers.nominal import Masses, NominalModel
 from surefoot.wrappers.source import (
     check_clock,
@@ -168,6 +169,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         # A calibrator is made at a reset; one now refuses bad options before the first step.
         self._calibrator(start.known, 1.0 / 80.0, lag or 0)
         self._view = FootView(show, self.layout, self._model.mass, drawing.flaw)
+        self._native_view: NativeView | None = None
         check_certainty(show, method)
         space = env.observation_space
         if not isinstance(space, spaces.Dict):
@@ -324,8 +326,16 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             reference=beliefs.info(),
             lag=self._late,
         )
-        parts = self._view.show(estimate, beliefs.soles(sensors.time))
-        return seen_below(observation, self._show) | parts
+        return seen_below(observation, self._show) | self._shown(estimate)
+
+    def _shown(self, estimate: Estimate) -> dict[str, Any]:
+        """Return the feet's part of the observation."""
+        beliefs, native, time = self.beliefs, self.calibrator.native, self._sensors.time
+        if native is None or not isinstance(beliefs, NativeBeliefs):
+            return self._view.show(estimate, beliefs.soles(time))
+        if self._native_view is None or self._native_view.calibrator is not native:
+            self._native_view = NativeView(beliefs.library, self._view, native)
+        return self._native_view.show(beliefs, time)
 
     def _initial(self, rng: np.random.Generator) -> Parameters:
         """Find the map to start from."""

@@ -15,7 +15,7 @@ from surefoot.calibration.native.config import config_record
 from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup
-from surefoot.native import Library
+from surefoot.native import Library, Record
 
 _SHAPE, _DTYPE = attrgetter("shape"), attrgetter("dtype")
 _ARRAYS = (np.ndarray,) * len(Reference._fields)
@@ -29,19 +29,6 @@ _OF_REFERENCE = (
     "stance",
     "swing",
 )
-
-_OF_ESTIMATE = (
-    "force",
-    "wrench",
-    "vgrf",
-    "cop",
-    "cop_foot",
-    "scale",
-    "offset",
-    "force_std",
-    "cop_covariance",
-)
-"""Its numbers that are arrays."""
 
 
 class NativeState:
@@ -77,6 +64,7 @@ class NativeFilter:
 
     Attributes:
         config: The same.
+        estimate: The record of the last estimate.
     """
 
     def __init__(self, library: Library, stream: MomentStream, config: NDArray[Any]) -> None:
@@ -103,30 +91,11 @@ class NativeFilter:
         if state is None or reference is None or estimate is None:
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
         self._dtype = state
-        self._reference, self._estimate = np.zeros((), reference), np.zeros((), estimate)
+        self._reference, self.estimate = np.zeros((), reference), Record(estimate)
         self._inputs = tuple(self._reference[field] for field in _OF_REFERENCE)
-        # The numbers of an estimate are copied together; each field is a part of that copy.
-        size, starts = self._real.itemsize, {name: self._field(estimate, name) for name in shapes}
-        numbers = max(
-            starts[name] + int(np.prod(shapes[name])) * size for name in (*_OF_ESTIMATE, "nis", "nis_rows")
-        )
-        whole = self._estimate.reshape(1).view(np.uint8)
-        self._numbers = whole[:numbers].view(self._real)
-        self._parts = [
-            (slice(starts[name] // size, starts[name] // size + int(np.prod(shapes[name]))), shapes[name])
-            for name in _OF_ESTIMATE
-        ]
-        self._nis, self._nis_rows = starts["nis"] // size, starts["nis_rows"] // size
-        self._flags, self._valid = self._estimate["flags"], self._estimate["cop_valid"]
-        self._foot_valid = self._estimate["cop_foot_valid"]
         self._addresses = (
-            config.ctypes.data, self._raw.ctypes.data, self._reference.ctypes.data, self._estimate.ctypes.data
+            config.ctypes.data, self._raw.ctypes.data, self._reference.ctypes.data, self.estimate.address
         )  # fmt: skip
-
-    @staticmethod
-    def _field(dtype: np.dtype[Any], name: str) -> int:
-        fields: Any = dtype.fields
-        return int(fields[name][1])
 
     def init(self) -> NativeState:
         """Return the state before any sample."""
@@ -207,16 +176,14 @@ class NativeFilter:
             com[...], acceleration[...], rate[...] = reference[:3]
             position[...], R[...], stance[...], swing[...] = reference[3:7]
         self._functions.surefoot_step(config, state.address, reading, beliefs, dt, out)
-        numbers = self._numbers.copy()
-        nis = numbers[self._nis]
+        one = self.estimate.copy()
+        nis = one["nis"][()]
         if nis == nis:
             state.changed()
-        force, wrench, vgrf, cop, cop_foot, scale, offset, force_std, cop_covariance = (
-            numbers[part] if len(shape) == 1 else numbers[part].reshape(shape) for part, shape in self._parts
-        )
         return Estimate(
-            force, wrench, vgrf, cop, cop_foot, self._valid.copy(), self._foot_valid.copy(), scale, offset,
-            state.covariance, self._flags.copy(), force_std, cop_covariance, nis, numbers[self._nis_rows],
+            one["force"], one["wrench"], one["vgrf"], one["cop"], one["cop_foot"], one["cop_valid"],
+            one["cop_foot_valid"], one["scale"], one["offset"], state.covariance, one["flags"],
+            one["force_std"], one["cop_covariance"], nis, one["nis_rows"][()],
         )  # fmt: skip
 
     def retract(self, state: NativeState) -> None:

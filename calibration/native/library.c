@@ -1,6 +1,6 @@
 /* The headers beside it as a shared library, with a table of where their records' fields lie. */
 
-#include "surefoot_beliefs.h"
+#include "surefoot_view.h"
 
 #include "library.h"
 
@@ -13,6 +13,7 @@
 #define M_REAL(field) PLACE(model, field, "real")
 #define B_REAL(field) PLACE(beliefs, field, "real")
 #define B_WHOLE(field) PLACE(beliefs, field, "whole")
+#define SHOWN(field) PLACE(shown, field, "single")
 #define IN_REFERENCE(field, kind)                                                                            \
     {"belief", #field, kind, offsetof(sf_belief, reference.field), sizeof(((sf_reference *)0)->field)}
 
@@ -69,6 +70,15 @@ static const place places[] = {
     IN_REFERENCE(R_level_sole, "real"), IN_REFERENCE(stance, "byte"), IN_REFERENCE(swing, "byte"),
     PLACE(belief, accelerometer, "real"), PLACE(belief, gyroscope, "real"), PLACE(belief, known, "byte"),
     PLACE(belief, fell, "byte"),
+
+    WHOLE_OF(view), WHOLE_OF(shown),
+
+    PLACE(view, force_bound, "real"), PLACE(view, cop_bound, "real"), PLACE(view, weight, "real"),
+    PLACE(view, flawed, "int"),
+
+    SHOWN(foot_force), SHOWN(foot_load), SHOWN(cop_foot), SHOWN(cop), SHOWN(wrench), SHOWN(vgrf),
+    SHOWN(foot_force_std), SHOWN(cop_std), PLACE(shown, foot_flags, "int"),
+    PLACE(shown, cop_valid, "small"),
 };
 /* clang-format on */
 
@@ -87,13 +97,18 @@ EXPORTED void surefoot_step(const sf_config *config, sf_state *state, const sf_r
 EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
     return sf_beliefs_fit(model, timing);
 }
-EXPORTED void surefoot_beliefs_init(sf_beliefs *beliefs) { sf_beliefs_init(beliefs); }
-/* values: as wrappers.telemetry.TelemetryLayout places them. */
-EXPORTED void surefoot_beliefs_packet(const sf_model *model, const sf_timing *timing, sf_beliefs *beliefs,
-                                      long long number, double arrival, const sf_real *values) {
-    const sf_real *gyroscope = values + 2 * model->hinges + 2;
-    if (sf_measured(values, 2 * model->hinges + 8))
-        sf_beliefs_packet(model, timing, beliefs, number, arrival, values, gyroscope + 3, gyroscope);
+/* rows: of each packet its number, its arrival and its values as wrappers.telemetry.TelemetryLayout has them.
+ */
+EXPORTED void surefoot_beliefs_packets(const sf_model *model, const sf_timing *timing, sf_beliefs *beliefs,
+                                       const double *rows, int count) {
+    int hinges = model->hinges, size = 2 * hinges + 8;
+    for (const double *row = rows; count > 0; count--, row += 2 + size) {
+        sf_real values[2 * SF_HINGES + 8], *gyroscope = values + 2 * hinges + 2;
+        for (int i = 0; i < size; i++) values[i] = (sf_real)row[2 + i];
+        if (sf_measured(values, size))
+            sf_beliefs_packet(model, timing, beliefs, (sf_whole)row[0], row[1], values, gyroscope + 3,
+                              gyroscope);
+    }
 }
 /* Returns 1 for a robot that fell, plus 2 if the reference is known, plus 4 if a foot stands by it. */
 EXPORTED int surefoot_beliefs_sample(const sf_timing *timing, sf_beliefs *beliefs, double time,
@@ -109,4 +124,9 @@ EXPORTED void surefoot_beliefs_reference(const sf_timing *timing, sf_beliefs *be
 EXPORTED void surefoot_beliefs_soles(const sf_timing *timing, sf_beliefs *beliefs, double time,
                                      sf_real *soles) {
     sf_beliefs_soles(timing, beliefs, time, soles);
+}
+
+EXPORTED void surefoot_view_show(const sf_config *config, const sf_view *view, sf_held *held,
+                                 const sf_estimate *estimate, const sf_real *soles, sf_shown *shown) {
+    sf_view_show(config, view, held, estimate, soles, shown);
 }

@@ -13,17 +13,14 @@ NATIVE = Native(
         "surefoot_retract": (None, (ADDRESS, ADDRESS)),
         "surefoot_step": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_fit": (ctypes.c_int, (ADDRESS, ADDRESS)),
-        "surefoot_beliefs_init": (None, (ADDRESS,)),
-        "surefoot_beliefs_packet": (
-            None,
-            (ADDRESS, ADDRESS, ADDRESS, ctypes.c_longlong, ctypes.c_double, ADDRESS),
-        ),
+        "surefoot_beliefs_packets": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_int)),
         "surefoot_beliefs_sample": (
             ctypes.c_int,
             (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS, ctypes.c_int, ADDRESS),
         ),
         "surefoot_beliefs_reference": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_soles": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
+        "surefoot_view_show": (None, (ADDRESS,) * 6),
     },
 )
 

@@ -3,13 +3,12 @@
 import numpy as np
 
 from surefoot.calibration.reference import Reference
-from surefoot.native import Library
+from surefoot.native import Library, Record
 
-_SHAPES = {
+_SHAPES: dict[str, tuple[int, ...]] = {
     "com": (3,), "com_acceleration": (3,), "angular_momentum_rate": (3,), "position_sole": (2, 3),
-    "R_level_sole": (2, 3, 3), "accelerometer": (3,), "gyroscope": (3,),
+    "R_level_sole": (2, 3, 3), "stance": (2,), "swing": (2,), "accelerometer": (3,), "gyroscope": (3,),
 }  # fmt: skip
-"""Its numbers, in the library's order."""
 
 
 class ReferenceRecord:
@@ -24,38 +23,26 @@ class ReferenceRecord:
     """
 
     def __init__(self, library: Library) -> None:
-        shapes: dict[str, tuple[int, ...]] = {**_SHAPES, "stance": (2,), "swing": (2,)}
-        dtype = library.record("belief", shapes)
+        dtype = library.record("belief", _SHAPES)
         assert dtype is not None
-        assert dtype.fields is not None
-        record = np.zeros((), dtype)
-        self.address, self.real, self._record = record.ctypes.data, library.real, record
-        size = library.real.itemsize
-        end = int(dtype.fields["gyroscope"][1]) + 3 * size
-        self._numbers = record.reshape(1).view(np.uint8)[:end].view(library.real)
-        self._zero = np.zeros_like(self._numbers)
-        starts = (int(dtype.fields[name][1]) // size for name in _SHAPES)
-        self._parts = [
-            (slice(start, start + int(np.prod(shape))), shape)
-            for start, shape in zip(starts, _SHAPES.values(), strict=True)
-        ]
-        self._stance, self._swing = record["stance"], record["swing"]
+        self._record, self.real = Record(dtype), library.real
+        self._nothing = Record(dtype)
+        self.address = self._record.address
 
     def fill(self, reference: Reference) -> None:
         """Take over what it is."""
         for name, part in reference._asdict().items():
-            self._record[name] = part
+            self._record.now[name] = part
 
-    def reference(self, unknown: float = np.nan) -> Reference:
-        """Return a copy.
+    def reference(self) -> Reference:
+        """Return a copy."""
+        return Reference(*self.mapping().values())
 
-        Args:
-            unknown: What stands for numbers where the robot knows nothing.
-        """
-        numbers = self._numbers
-        numbers = self._zero.copy() if unknown == 0.0 and numbers[0] != numbers[0] else numbers.copy()
-        com, acceleration, rate, position, R, accelerometer, gyroscope = (
-            numbers[part] if len(shape) == 1 else numbers[part].reshape(shape) for part, shape in self._parts
-        )
-        stance, swing = self._stance.copy(), self._swing.copy()
-        return Reference(com, acceleration, rate, position, R, stance, swing, accelerometer, gyroscope)
+    def mapping(self, known: bool = True) -> dict[str, np.ndarray]:
+        """Return a copy of each field by its name; zeros where nothing is known, contacts excepted."""
+        one = self._record.copy()
+        if not known:
+            zeros = self._nothing.copy()
+            zeros["stance"], zeros["swing"] = one["stance"], one["swing"]
+            one = zeros
+        return {name: one[name] for name in _SHAPES}

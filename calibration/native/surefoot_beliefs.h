@@ -128,6 +128,12 @@ typedef struct {
 
 /* -------------------------------------------------------------------------------------- vectors of three */
 
+/* out = A B; out is another array. */
+SF_API void sf_then(sf_real *out, const sf_real *A, const sf_real *B) {
+    for (int i = 0; i < 9; i += 3)
+        for (int k = 0; k < 3; k++) out[i + k] = A[i] * B[k] + A[i + 1] * B[3 + k] + A[i + 2] * B[6 + k];
+}
+
 /* Scale to length one, unless it has none. */
 SF_API void sf_unit_vector(sf_real *a) {
     sf_real square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], by = 1 / sf_sqrt(square);
@@ -170,7 +176,7 @@ SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *r
                 vi[k] = v[3 * from + k] + b[k];
                 wi[k] = w[3 * from + k];
             }
-            sf_multiply(Ri, R + 9 * from, m->R_parent_body + 9 * i, 3, 3, 3);
+            sf_then(Ri, R + 9 * from, m->R_parent_body + 9 * i);
         }
         for (; hinge < m->hinges && m->hinge_body[hinge] == i; hinge++) {
             /* The anchor stays where it is; what turns about it is the frame. */
@@ -183,7 +189,7 @@ SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *r
                 wi[k] += a[k] * rate[hinge];
             }
             sf_hinge_rotation(turn, m->axis + 3 * hinge, angle[hinge] - m->zero[hinge]);
-            sf_multiply(turned, Ri, turn, 3, 3, 3);
+            sf_then(turned, Ri, turn);
             sf_copy(Ri, turned, 9);
             sf_turn(arm, Ri, m->anchor + 3 * hinge);
             sf_cross(b, wi, arm);
@@ -211,7 +217,7 @@ SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *r
         int on = m->site_body[site];
         sf_turn(a, R + 9 * on, m->position_site + 3 * site);
         for (int k = 0; k < 3; k++) row[SF_ROW_IMU + 3 * site + k] = p[3 * on + k] + a[k];
-        sf_multiply(turned, R + 9 * on, m->R_body_site + 9 * site, 3, 3, 3);
+        sf_then(turned, R + 9 * on, m->R_body_site + 9 * site);
         for (int axis = 0; site > 0 && axis < 3; axis++)
             for (int k = 0; k < 3; k++)
                 row[SF_ROW_AXES + 9 * (site - 1) + 3 * axis + k] = turned[3 * k + axis];

@@ -5,6 +5,6 @@ knows which packages have one.
 """
 
 from surefoot.native.build import Sources, compiler
-from surefoot.native.library import ADDRESS, Library, Native
+from surefoot.native.library import ADDRESS, Library, Native, Record
 
-__all__ = ["ADDRESS", "Library", "Native", "Sources", "compiler"]
+__all__ = ["ADDRESS", "Library", "Native", "Record", "Sources", "compiler"]

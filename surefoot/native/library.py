@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.native.build import Sources
 
@@ -57,6 +58,8 @@ class Library(NamedTuple):
             "word": np.dtype(np.uint64),
             "byte": np.dtype(np.bool_),
             "double": np.dtype(np.float64),
+            "single": np.dtype(np.float32),
+            "small": np.dtype(np.int8),
         }
         places, formats = self.places[name], []
         for field, shape in shapes.items():
@@ -69,6 +72,27 @@ class Library(NamedTuple):
         return np.dtype(
             {"names": list(shapes), "formats": formats, "offsets": offsets, "itemsize": places[""][2]}
         )
+
+
+class Record:
+    """A record that a library fills over and over.
+
+    Args:
+        dtype: Its layout.
+
+    Attributes:
+        now: What it holds, shape ().
+        address: Where the library finds it.
+    """
+
+    def __init__(self, dtype: np.dtype[Any]) -> None:
+        self.now = np.zeros((), dtype)
+        self.address = self.now.ctypes.data
+        self._bytes = self.now.reshape(1).view(np.uint8)
+
+    def copy(self) -> NDArray[Any]:
+        """Return a copy, of which all fields are views; NumPy's own copies field by field, in 5 us."""
+        return np.ndarray((), self.now.dtype, self._bytes.copy())
 
 
 class Native:

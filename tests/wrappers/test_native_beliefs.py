@@ -10,15 +10,19 @@ import mujoco
 import numpy as np
 import pytest
 
+from surefoot.calibration import nao_shoe_layout
+from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import NATIVE, Library, filled_record
 from surefoot.envs import InstrumentedEnv
 from surefoot.envs.instrumentation.drawing import draw_nao
-from surefoot.native import compiler
+from surefoot.native import Record, compiler
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.belief_errors import BeliefErrors
 from surefoot.wrappers.beliefs import Beliefs, nothing
+from surefoot.wrappers.foot_view import PARTS, FootView
 from surefoot.wrappers.native_beliefs import NativeBeliefs, c_source, native_beliefs
+from surefoot.wrappers.native_view import NativeView
 from surefoot.wrappers.nominal import NominalModel
 from surefoot.wrappers.telemetry import TelemetryLayout
 
@@ -337,21 +341,77 @@ int main(void) {
 
 
 def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
-    """With the library and without, whole episodes are the same, and a held reference is NaN."""
+    """With the library and without, whole episodes are the same; a held reference is NaN."""
     said = []
     for found in (library, None):
         for module in ("calibration.foot_calibrator", "wrappers.native_beliefs"):
             monkeypatch.setattr(f"surefoot.{module}.installed", lambda found=found: found)
-        env = SelfCalibration(FootSensors(make_bare()))
+        env = SelfCalibration(FootSensors(make_bare()), show=PARTS)
         env.reset(seed=4)
         assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)
-        rows = [env.step(np.zeros(env.action_space.shape, np.float32)) for _ in range(120)]
-        env.freeze()
-        rows.append(env.step(np.zeros(env.action_space.shape, np.float32)))
+        action, rows = np.zeros(env.action_space.shape, np.float32), []
+        for step in range(121):
+            if step == 120:
+                env.freeze()
+            rows.append(env.step(action))
+            assert (env._native_view is not None) == (found is not None)
         np.testing.assert_array_equal(env.reference.com, nothing(2).com)
         said.append(rows)
         env.close()
     for one, two in zip(*said, strict=True):
+        assert list(one[0]) == list(two[0])
         for name, part in one[0].items():
+            assert (part.shape, part.dtype) == (two[0][name].shape, two[0][name].dtype), name
             np.testing.assert_allclose(part, two[0][name], rtol=1e-6, atol=1e-6, err_msg=name)
         same_info(one[4]["surefoot"]["reference"], two[4]["surefoot"]["reference"])
+    assert said[0][-1][0]["cop_valid"].any()
+    assert said[0][-1][0]["cop"] is not said[0][-2][0]["cop"]
+
+
+class Estimates:
+    """Estimates of a filter that is none, at random: with no load, with too much of it, and with flags."""
+
+    def __init__(self, library: Library, feet: FootView, seed: int) -> None:
+        self.rng, K = np.random.default_rng([74, seed]), feet.every["foot_force"].shape[0]
+        shapes = {
+            "force": (K,), "wrench": (2, 6), "vgrf": (2,), "cop": (2,), "cop_foot": (2, 2), "flags": (K,),
+            "force_std": (K,), "cop_covariance": (2, 2), "cop_valid": (), "cop_foot_valid": (2,),
+        }  # fmt: skip
+        self.estimate = Record(library.record("estimate", shapes))
+        self.config = filled_record(library, "config", {"channels": K})
+
+    def draw(self) -> Estimate:
+        now, rng = self.estimate.now, self.rng
+        for name in ("force", "wrench", "vgrf"):
+            now[name] = 10.0 ** rng.uniform(-1.0, 4.0) * rng.normal(size=now[name].shape)
+        now["wrench"][:, 2] = np.abs(now["wrench"][:, 2]) + 1.0
+        now["force_std"] = rng.random(now["force_std"].shape)
+        now["cop_foot"], now["cop_covariance"] = rng.normal(size=(2, 2)), rng.normal(size=(2, 2))
+        now["flags"] = rng.integers(0, 2**15, now["flags"].shape)
+        now["cop_valid"], now["cop_foot_valid"] = rng.random() < 0.7, rng.random(2) < 0.7
+        parts = {name: now[name].copy() for name in now.dtype.names}
+        empty = dict.fromkeys(("scale", "offset", "covariance"))
+        return Estimate(**parts, **empty)
+
+
+@pytest.mark.parametrize("flaw", ["", "no area"])
+def test_what_is_shown_is_the_python_s(library, model, flaw):
+    native = NativeBeliefs(library, python(model))
+    native.update(motion(len(model.joint_names))[:60])
+    one, two = (FootView(PARTS, nao_shoe_layout(), 5.3, flaw) for _ in range(2))
+    source = Estimates(library, one, 1)
+    shown = NativeView(library, two, source)
+    for step in range(300):
+        estimate, time = source.draw(), 0.5 + 0.001 * step
+        expected, found = one.show(estimate, native.soles(time)), shown.show(native, time)
+        assert list(expected) == list(found)
+        for name, part in expected.items():
+            assert (part.shape, part.dtype) == (found[name].shape, found[name].dtype), name
+            np.testing.assert_allclose(found[name], part, rtol=2e-7, err_msg=name)
+        # The one goes on with what the other holds.
+        np.testing.assert_allclose(one.held, two.held, rtol=1e-12, atol=1e-12)
+        if step == 150:
+            assert copy.deepcopy(shown) is None, "its addresses are those of another object's arrays"
+            two = copy.deepcopy(two)
+            shown = NativeView(library, two, source)
+    assert np.any(one.held[:6]) == (not flaw)

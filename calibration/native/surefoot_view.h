@@ -1,0 +1,73 @@
+/* What a policy is shown of calibrated feet, in C99: bounded, in single precision, and where a centre of
+   pressure is not defined the last one that was. The specification is the Python in wrappers/foot_view.py.
+
+       sf_view view;             bounds
+       sf_held held;             zeros before an episode, but `cop_std`, which is the bound
+       sf_beliefs_soles(&timing, &beliefs, now, soles);
+       sf_view_show(&config, &view, &held, &estimate, soles, &shown);      once a sample */
+
+#ifndef SUREFOOT_VIEW_H
+#define SUREFOOT_VIEW_H
+
+#include "surefoot_beliefs.h"
+
+/* Bounds in N and in m, the robot's weight in N, and whether its feet have no centres of pressure. */
+typedef struct {
+    sf_real force_bound, cop_bound, weight;
+    int flawed;
+} sf_view;
+
+/* The last centres of pressure that were defined: of the left and the right foot, of both, and its deviation.
+ */
+typedef struct {
+    sf_real cop_foot[4], cop[2], cop_std[2];
+} sf_held;
+
+/* The parts of an observation, by their names there. */
+typedef struct {
+    float foot_force[SF_CHANNELS], foot_load[SF_CHANNELS], cop_foot[4], cop[2], wrench[12], vgrf[2];
+    float foot_force_std[SF_CHANNELS], cop_std[2];
+    int foot_flags[SF_CHANNELS];
+    signed char cop_valid[3];
+} sf_shown;
+
+SF_API sf_real sf_bounded(sf_real value, sf_real bound) { return sf_clip(value, -bound, bound); }
+
+/* FootView.show. soles: of sf_beliefs_soles. */
+SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const sf_estimate *e,
+                         const sf_real soles[8], sf_shown *out) {
+    sf_real load = 0, x = 0, y = 0;
+    out->cop_valid[0] = e->cop_valid && !v->flawed;
+    for (int foot = 0; foot < 2; foot++) {
+        const sf_real *sole = soles + 4 * foot, *wrench = e->wrench + 6 * foot;
+        sf_real fz = wrench[SF_FZ], tx = wrench[SF_MX], ty = wrench[SF_MY];
+        out->cop_valid[1 + foot] = e->cop_foot_valid[foot] && !v->flawed;
+        for (int k = 2 * foot; out->cop_valid[1 + foot] && k < 2 * foot + 2; k++)
+            h->cop_foot[k] = sf_bounded(e->cop_foot[k], v->cop_bound);
+        load += fz;
+        x += sole[0] * fz - sole[2] * ty - sole[3] * tx;
+        y += sole[1] * fz - sole[3] * ty + sole[2] * tx;
+        for (int k = 6 * foot; k < 6 * foot + 6; k++)
+            out->wrench[k] = (float)sf_bounded(e->wrench[k], v->force_bound);
+        out->vgrf[foot] = (float)sf_bounded(e->vgrf[foot], v->force_bound);
+    }
+    if (out->cop_valid[0]) {
+        h->cop[0] = sf_bounded(x / load, v->cop_bound);
+        h->cop[1] = sf_bounded(y / load, v->cop_bound);
+        for (int k = 0; k < 2; k++)
+            h->cop_std[k] = sf_min(sf_sqrt(sf_max(e->cop_covariance[3 * k], 0)), v->cop_bound);
+    }
+    for (int k = 0; k < 4; k++) out->cop_foot[k] = (float)h->cop_foot[k];
+    for (int k = 0; k < 2; k++) {
+        out->cop[k] = (float)h->cop[k];
+        out->cop_std[k] = (float)h->cop_std[k];
+    }
+    for (int i = 0; i < c->channels; i++) {
+        out->foot_force[i] = (float)sf_bounded(e->force[i], v->force_bound);
+        out->foot_load[i] = (float)(sf_bounded(e->force[i], v->force_bound) / v->weight);
+        out->foot_force_std[i] = (float)sf_bounded(e->force_std[i], v->force_bound);
+        out->foot_flags[i] = (int)e->flags[i];
+    }
+}
+
+#endif
