@@ -1,10 +1,11 @@
 """What the robot commands itself at one control tick."""
 
-from math import atan2, cos, sin
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from surefoot.envs.numbers import ONE, Number, Numbers
 
 
 class Command(NamedTuple):
@@ -37,29 +38,29 @@ class Command(NamedTuple):
     phase: float
 
 
-def command_state(command: Command) -> list[float]:
-    """Return the parts of the state that are commanded, from ``com_reference`` to ``phase``, shape (10,).
+def command_state(command: Command, m: Numbers = ONE) -> list[Number]:
+    """Return the ten parts of the state that are commanded, from ``com_reference`` to ``phase``.
 
-    Places are in the level frame of the commanded soles: its origin is midway between them, and its heading
-    the mean of theirs.
+    A command of many robots has them in front of each field. Places are in the level frame of the commanded
+    soles: its origin is midway between them, and its heading the mean of theirs.
     """
-    soles = command.position_sole.tolist()
-    left, right = command.yaw_sole.tolist()
+    soles = m.parts(command.position_sole)
+    left, right = m.parts(command.yaw_sole)
     middle_x, middle_y = 0.5 * (soles[0][0] + soles[1][0]), 0.5 * (soles[0][1] + soles[1][1])
-    heading = atan2(sin(left) + sin(right), cos(left) + cos(right))
-    com, velocity, cop = command.com.tolist(), command.com_velocity.tolist(), command.cop.tolist()
+    heading = m.atan2(m.sin(left) + m.sin(right), m.cos(left) + m.cos(right))
+    com, velocity, cop = m.parts(command.com), m.parts(command.com_velocity), m.parts(command.cop)
     angle = 2.0 * np.pi * command.phase
     return [
-        *turned(com[0] - middle_x, com[1] - middle_y, heading),
-        *turned(velocity[0], velocity[1], heading),
-        *turned(cop[0] - middle_x, cop[1] - middle_y, heading),
-        *command.stance.tolist(),
-        sin(angle),
-        cos(angle),
+        *turned(com[0] - middle_x, com[1] - middle_y, heading, m),
+        *turned(velocity[0], velocity[1], heading, m),
+        *turned(cop[0] - middle_x, cop[1] - middle_y, heading, m),
+        *m.parts(command.stance),
+        m.sin(angle),
+        m.cos(angle),
     ]
 
 
-def turned(x: float, y: float, heading: float) -> list[float]:
+def turned(x: Number, y: Number, heading: Number, m: Numbers = ONE) -> list[Number]:
     """Return a vector of the world, turned about the vertical into a frame with a heading in rad."""
-    c, s = cos(heading), sin(heading)
+    c, s = m.cos(heading), m.sin(heading)
     return [c * x + s * y, c * y - s * x]

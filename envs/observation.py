@@ -6,6 +6,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.envs.numbers import ONE, Number, Numbers
+
 Observation = dict[str, NDArray[Any]]
 
 FORCE_BOUND: Final = 1000.0
@@ -64,18 +66,20 @@ class ObservationTable:
         self,
         state: NDArray[np.float32],
         force_cell: NDArray[np.float64],
-        cop_foot: list[list[float]],
-        cop: list[float],
-        valid: list[bool],
+        cop_foot: list[list[Number]],
+        cop: list[Number],
+        valid: list[Any],
+        m: Numbers = ONE,
     ) -> Observation:
         """Bring what is shown into its bounds.
 
         Args:
-            state: Its parts in the units of their names, shape (size,); it is changed.
-            force_cell: Forces of the cells in N, shape (8,).
+            state: Its parts in the units of their names, shape (..., size); it is changed.
+            force_cell: Forces of the cells in N, shape (..., 8).
             cop_foot: Centres of pressure of both feet in the sole frames in m, shape (2, 2).
             cop: Centre of pressure of both feet in the level frame in m, shape (2,).
             valid: Whether the total, the left and the right centre of pressure are defined, shape (3,).
+            m: Whether these are numbers of one robot, or of many.
         """
         np.maximum(state, self._low, out=state)
         np.minimum(state, self._high, out=state)
@@ -85,12 +89,12 @@ class ObservationTable:
         return {
             "state": state,
             "foot_force": force,
-            "cop_foot": np.array([_bounded(place) for place in cop_foot], dtype=np.float32),
-            "cop": np.array(_bounded(cop), dtype=np.float32),
-            "cop_valid": np.array(valid, dtype=np.int8),
+            "cop_foot": m.array([_bounded(place, m) for place in cop_foot], dtype=np.float32),
+            "cop": m.array(_bounded(cop, m), dtype=np.float32),
+            "cop_valid": m.array(valid, dtype=np.int8),
         }
 
 
-def _bounded(place: list[float]) -> list[float]:
+def _bounded(place: list[Number], m: Numbers) -> list[Number]:
     """Bring the coordinates of a centre of pressure in m into their bounds."""
-    return [min(max(part, -COP_BOUND), COP_BOUND) for part in place]
+    return [m.clip(part, -COP_BOUND, COP_BOUND) for part in place]

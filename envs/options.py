@@ -47,7 +47,9 @@ def checked_stiffness(value: Sequence[float]) -> tuple[float, ...]:
     return numbers
 
 
-def checked_action(action: Any, names: tuple[str, ...], each: str, cure: str) -> NDArray[np.float64]:
+def checked_action(
+    action: Any, names: tuple[str, ...], each: str, cure: str, robots: tuple[int, ...] = ()
+) -> NDArray[np.float64]:
     """Return an action, clipped to -1 ... 1.
 
     Args:
@@ -55,13 +57,14 @@ def checked_action(action: Any, names: tuple[str, ...], each: str, cure: str) ->
         names: What it moves.
         each: What it has for each, for the message.
         cure: What to do about one that is not finite, for the message.
+        robots: (N,) for the actions of N robots.
 
     Raises:
         ValueError: If it has another shape or is not finite.
     """
     numbers = np.asarray(action, dtype=np.float64)
-    if numbers.shape != (len(names),):
-        raise ValueError(f"An action has shape {(len(names),)}, {each} {names}; got shape {numbers.shape}.")
+    if numbers.shape != (shape := (*robots, len(names))):
+        raise ValueError(f"An action has shape {shape}, {each} {names}; got shape {numbers.shape}.")
     if not np.isfinite(numbers).all():
         raise ValueError(f"An action must be finite, got {numbers.tolist()}; {cure}.")
     return np.minimum(np.maximum(numbers, -1.0), 1.0)

@@ -36,19 +36,21 @@ def register_environments() -> None:
     """Register ``surefoot/...``; doing so again changes nothing."""
     from gymnasium.envs.registration import register, registry
 
-    for name, (entry_point, max_episode_steps) in {
-        "surefoot/Exercise-v0": ("surefoot.envs.exercise.env:ExerciseEnv", None),
-        "surefoot/LegRig-v0": ("surefoot.envs.leg_rig.env:LegRigEnv", 3000),
-        "surefoot/NaoBalance-v0": ("surefoot.envs.nao.balance:NaoBalanceEnv", None),
-        "surefoot/NaoCarry-v0": ("surefoot.envs.nao.carry:NaoCarryEnv", None),
-        "surefoot/NaoStand-v0": ("surefoot.envs.nao.stand:NaoStandEnv", None),
-        "surefoot/NaoWalk-v0": ("surefoot.envs.nao.walk:NaoWalkEnv", None),
+    many = "surefoot.envs.nao.batch:"
+    for name, (entry_point, vector, max_episode_steps) in {
+        "surefoot/Exercise-v0": ("surefoot.envs.exercise.env:ExerciseEnv", None, None),
+        "surefoot/LegRig-v0": ("surefoot.envs.leg_rig.env:LegRigEnv", None, 3000),
+        "surefoot/NaoBalance-v0": ("surefoot.envs.nao.balance:NaoBalanceEnv", f"{many}balance", None),
+        "surefoot/NaoCarry-v0": ("surefoot.envs.nao.carry:NaoCarryEnv", f"{many}carry", None),
+        "surefoot/NaoStand-v0": ("surefoot.envs.nao.stand:NaoStandEnv", f"{many}stand", None),
+        "surefoot/NaoWalk-v0": ("surefoot.envs.nao.walk:NaoWalkEnv", f"{many}walk", None),
     }.items():
         task, _, version = name.rpartition("-")
+        made: dict[str, Any] = {"entry_point": entry_point, "vector_entry_point": vector}
         if name not in registry:
-            register(id=name, entry_point=entry_point, max_episode_steps=max_episode_steps)
+            register(id=name, **made, max_episode_steps=max_episode_steps)
         if task in HARD and f"{task}Hard-{version}" not in registry:
-            register(id=f"{task}Hard-{version}", entry_point=entry_point, kwargs={**HARD[task]})
+            register(id=f"{task}Hard-{version}", **made, kwargs={**HARD[task]})
 
 
 def register_with_gymnasium() -> None:

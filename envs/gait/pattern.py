@@ -13,8 +13,10 @@ The motors' targets lead the posture by what is known to hold it back: the servo
 load and lag behind by kv / kp, and the ground gives way under a foot.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,7 @@ from surefoot.envs.gait.kinematics import JointTrack, WholeBodyKinematics
 from surefoot.envs.gait.preview import CartTable, track_zmp
 from surefoot.envs.gait.route import Leg, plan_legs
 from surefoot.envs.gait.swing import checked_roll
+from surefoot.envs.numbers import MANY, ONE, Numbers
 from surefoot.envs.robots.nao import nao_model
 
 LIFT_HEIGHT = 0.015
@@ -88,9 +91,12 @@ class Pattern:
         """Number of control steps."""
         return len(self.com)
 
-    def command(self, tick: int) -> Command:
-        """What the robot commands at a control step; before the first and after the last, it stands there."""
-        k = min(max(tick, 0), self.ticks - 1)
+    def command(self, tick: Any, m: Numbers = ONE) -> Command:
+        """What the robot commands at a control step; before the first and after the last, it stands there.
+
+        Control steps of many robots, shape (N,), give a command with the robots in front of each field.
+        """
+        k = m.clip(tick, 0, self.ticks - 1)
         return Command(
             joint_target=self.joint_target[k],
             com=self.com[k],
@@ -101,8 +107,26 @@ class Pattern:
             yaw_sole=self.yaw_sole[k],
             stance=self.stance[k],
             swing=~self.stance[k],
-            phase=float(self.phase[k]),
+            phase=m.parts(self.phase[k]),
         )
+
+
+class Patterns:
+    """The patterns of N robots, of which many may be the same.
+
+    Args:
+        patterns: One a robot.
+    """
+
+    def __init__(self, patterns: Sequence[Pattern]) -> None:
+        self._distinct = list({id(pattern): pattern for pattern in patterns}.values())
+        which = [next(i for i, own in enumerate(self._distinct) if own is one) for one in patterns]
+        self._which = np.array(which), np.arange(len(patterns))
+
+    def command(self, ticks: NDArray[np.int_], m: Numbers = MANY) -> Command:
+        """What the robots command at a control step each; see :meth:`Pattern.command`."""
+        commands = [pattern.command(ticks, m) for pattern in self._distinct]
+        return Command(*(np.array(parts)[self._which] for parts in zip(*commands, strict=True)))
 
 
 def plan_walk(

@@ -1,7 +1,8 @@
 """The robot balances with a load that it does not know and that only its feet can measure."""
 
 from collections.abc import Sequence
-from math import atan2, exp, hypot, pi
+from copy import copy
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from surefoot.envs.command import Command, turned
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.stand import LARGEST_SWAY, NaoStandEnv
+from surefoot.envs.numbers import MANY, ONE, Number, Numbers
 from surefoot.envs.options import checked_range
 
 COP_SCALE = 0.015
@@ -108,46 +110,49 @@ class NaoBalanceEnv(NaoStandEnv):
         self._random_sway = RandomSway(self._bounds, self._share, self.stand_time, self.np_random)
         self._surprise.draw(self._payload, self.np_random)
 
-    def _command(self, tick: int) -> Command:
-        if tick <= self._quiet_ticks:
+    def _join(self, robots: Sequence[Any]) -> None:
+        self._random_sway = RandomSway.join([robot._random_sway for robot in robots])
+
+    def _command(self, tick: Any) -> Command:
+        m = self._numbers
+        if m is ONE and tick <= self._quiet_ticks:
             return self._still
-        (forward, left), speed, (bend_x, bend_y) = self._random_sway.at(tick * CONTROL_STEP)
+        time = m.where(tick > self._quiet_ticks, tick, 0) * CONTROL_STEP
+        (forward, left), speed, (bend_x, bend_y) = self._random_sway.at(time, m)
         follow_x, follow_y = self._follow
         x, y, z = self._com.tolist()
         x, y = x + forward, y + left
         height = z / self._gravity
         return self._still._replace(
             joint_target=self._swayed(forward / follow_x, left / follow_y),
-            com=np.array((x, y, z)),
-            com_velocity=np.array((*speed, 0.0)),
-            com_acceleration=np.array((bend_x, bend_y, 0.0)),
-            cop=np.array((x - height * bend_x, y - height * bend_y)),
+            com=m.array((x, y, z)),
+            com_velocity=m.array((*speed, 0.0)),
+            com_acceleration=m.array((bend_x, bend_y, 0.0)),
+            cop=m.array((x - height * bend_x, y - height * bend_y)),
         )
 
-    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
-        reward = 0.0
-        if truth["cop_valid"][0]:
-            reward = 2.0 * exp(-((self._cop_error(truth["cop_world"]) / COP_SCALE) ** 2))
+    def _reward(
+        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+    ) -> dict[str, Number]:
+        m, error = self._numbers, self._cop_error(truth["cop_world"]) / COP_SCALE
         return {
             "reward_alive": 1.0,
-            "reward_cop": reward,
-            "reward_action": -0.1 * float(action @ action) / action.size,
+            "reward_cop": m.where(truth["cop_valid"][..., 0], 2.0 * m.exp(-error * error), 0.0),
+            "reward_action": self._effort(action),
         }
 
-    def _cop_error(self, cop_world: NDArray[np.float64]) -> float:
+    def _cop_error(self, cop_world: NDArray[np.float64]) -> Number:
         """Distance between a centre of pressure and the commanded one, both as the soles see them, in m."""
-        (x, y), (planned_x, planned_y) = cop_world.tolist(), self.command.cop.tolist()
-        left, right = self.truth.position_sole[-1].tolist()
-        planned_left, planned_right = self.command.position_sole.tolist()
-        (ahead_x, ahead_y), (also_x, also_y) = self.truth.R_world_sole[-1, :, :2, 0].tolist()
-        x, y = x - 0.5 * (left[0] + right[0]), y - 0.5 * (left[1] + right[1])
-        planned_x -= 0.5 * (planned_left[0] + planned_right[0])
-        planned_y -= 0.5 * (planned_left[1] + planned_right[1])
-        x, y = turned(x, y, atan2(ahead_y + also_y, ahead_x + also_x))
-        return hypot(x - planned_x, y - planned_y)
+        m = self._numbers
+        (x, y), (planned_x, planned_y) = m.parts(cop_world), m.parts(self.command.cop)
+        middle_x, middle_y, heading = self.channels.level(self._row, m)
+        left, right = m.parts(self.command.position_sole)
+        x, y = turned(x - middle_x, y - middle_y, heading, m)
+        planned_x, planned_y = planned_x - 0.5 * (left[0] + right[0]), planned_y - 0.5 * (left[1] + right[1])
+        return m.hypot(x - planned_x, y - planned_y)
 
 
-Pair = tuple[float, float]
+Pair = tuple[Number, Number]
 """Something forward and to the left."""
 
 SHORTEST_PERIOD = 3.0
@@ -178,24 +183,27 @@ class RandomSway:
 
     def __init__(self, amplitude: Pair, share: Pair, stand_time: float, rng: np.random.Generator) -> None:
         shares = rng.dirichlet(np.ones(WAVES), 2) * rng.uniform(*share, (2, 1))
-        self._rate = 2.0 * pi / rng.uniform(SHORTEST_PERIOD, LONGEST_PERIOD, (2, WAVES))
-        self._phase = rng.uniform(-pi, pi, (2, WAVES))
-        self._waves = np.stack([shares * np.array(amplitude)[:, None], self._rate], axis=-1).tolist()
+        rate = 2.0 * pi / rng.uniform(SHORTEST_PERIOD, LONGEST_PERIOD, (2, WAVES))
+        phase = rng.uniform(-pi, pi, (2, WAVES))
+        self._waves: Any = np.stack([shares * np.array(amplitude)[:, None], rate, phase], axis=-1).tolist()
         self._stand_time = stand_time
 
-    def at(self, time: float) -> tuple[Pair, Pair, Pair]:
+    @classmethod
+    def join(cls, sways: Sequence["RandomSway"]) -> "RandomSway":
+        """Return the sways of many robots, which were still for the same time."""
+        joined = copy(sways[0])
+        joined._waves = MANY.parts(np.array([sway._waves for sway in sways]))
+        return joined
+
+    def at(self, time: Number, m: Numbers = ONE) -> tuple[Pair, Pair, Pair]:
         """Return the sway, its velocity and its acceleration, (forward, left), in m, m/s and m/s^2."""
-        since = (time - self._stand_time) / FADE_TIME
-        if since <= 0.0:
-            return (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)
-        fade, rise, bend = _fade(since)
-        angle = self._rate * (time - self._stand_time) + self._phase
+        moved = time - self._stand_time
+        fade, rise, bend = _fade(m.clip(moved / FADE_TIME, 0.0, 1.0))
         motions = []
-        for waves, sines, cosines in zip(
-            self._waves, np.sin(angle).tolist(), np.cos(angle).tolist(), strict=True
-        ):
+        for waves in self._waves:
             wave = slope = curve = 0.0
-            for (size, rate), sine, cosine in zip(waves, sines, cosines, strict=True):
+            for size, rate, phase in waves:
+                sine, cosine = m.sin(rate * moved + phase), m.cos(rate * moved + phase)
                 wave += size * sine
                 slope += size * cosine * rate
                 curve -= size * sine * (rate * rate)
@@ -206,11 +214,9 @@ class RandomSway:
         return (forward[0], left[0]), (forward[1], left[1]), (forward[2], left[2])
 
 
-def _fade(since: float) -> tuple[float, float, float]:
-    """The smooth step in shares of the fade, and its first two derivatives in time in 1/s and 1/s^2."""
-    if since >= 1.0:
-        return 1.0, 0.0, 0.0
-    fade = since**3 * (10.0 - 15.0 * since + 6.0 * since**2)
-    rise = 30.0 * since**2 * (1.0 - since) ** 2 / FADE_TIME
+def _fade(since: Number) -> tuple[Number, Number, Number]:
+    """The smooth step at a share of the fade, and its first two derivatives in time in 1/s and 1/s^2."""
+    fade = since * since * since * (10.0 - 15.0 * since + 6.0 * since * since)
+    rise = 30.0 * since * since * (1.0 - since) * (1.0 - since) / FADE_TIME
     bend = 60.0 * since * (1.0 - since) * (1.0 - 2.0 * since) / FADE_TIME**2
     return fade, rise, bend

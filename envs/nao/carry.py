@@ -11,6 +11,7 @@ from surefoot.envs.gait.pattern import plan_walk
 from surefoot.envs.nao.disturbances import Surprise, refuse_planned_payload
 from surefoot.envs.nao.env import CONTROL_STEP
 from surefoot.envs.nao.walk import NaoPatternEnv
+from surefoot.envs.numbers import Number
 from surefoot.envs.options import numbers_of, positive
 
 PAYLOAD_BOXES = (((-0.18, -0.02, 0.0), (0.22, 0.02, 0.10)),)
@@ -120,6 +121,8 @@ class NaoCarryEnv(NaoPatternEnv):
         self.pattern = plan_walk(speed, 0.0, self._plan_time, timing=self._timing)
         self._surprise.draw(self._payload, self.np_random)
 
-    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
+    def _reward(
+        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+    ) -> dict[str, Number]:
         paid = super()._reward(truth, action)
         return paid | {"reward_cop": COP_WEIGHT * paid["reward_cop"]}

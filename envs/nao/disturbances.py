@@ -120,11 +120,13 @@ class Payload:
             self._set(*self._empty)
             self._carried = False
 
-    def apply(self, tick: int) -> None:
-        """Pick it up, or not, before the control step that leads to ``tick``."""
-        if self.mass and not self._carried and tick > self._tick:
+    def apply(self, tick: int) -> bool:
+        """Pick it up, or not, before the control step that leads to ``tick``; return whether it is new."""
+        picked = bool(self.mass) and not self._carried and tick > self._tick
+        if picked:
             self._set(*self._loaded())
             self._carried = True
+        return picked
 
     def _link(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return mass, centre of mass, principal inertia and its axes of the torso as it is now."""

@@ -15,6 +15,7 @@ from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
 from surefoot.envs.nao.disturbances import Payload, Pushes
 from surefoot.envs.nao.observation import NaoObserver
 from surefoot.envs.nao.truth import Truth, TruthChannels
+from surefoot.envs.numbers import ONE, Number, Numbers
 from surefoot.envs.observation import Observation
 from surefoot.envs.options import (
     check_render_mode,
@@ -184,6 +185,9 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
 
+    _numbers: Numbers = ONE
+    """Whether this is one robot, or all those of a :class:`~surefoot.envs.nao.batch.NaoVectorEnv`."""
+
     _quiet_ticks = 0
     """Control steps at the beginning of an episode in which residuals are checked, and not applied."""
 
@@ -235,7 +239,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._fraction = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
         self._leg = slice(0, len(LEG_MOTORS))
         self._torso = self.model.body("torso").id
-        self._lowest_torso_z = np.cos(FALLEN_TILT)
+        self._lowest_torso_z = float(np.cos(FALLEN_TILT))
 
         self.observation_space = self._observer.space
         self.state_layout = self._observer.state_layout
@@ -245,7 +249,8 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.truth: Truth
         self.command: Command
         self._target: NDArray[np.float64]
-        self._tick: int | None = None
+        self._row: Any
+        self._tick: Any = None
 
     @property
     def dt(self) -> float:
@@ -257,7 +262,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         """What the robot's maker hands out: nao.xml without what an episode changes."""
         return draw_nao()
 
-    def _command(self, tick: int) -> Command:
+    def _command(self, tick: Any) -> Command:
         """Return what the robot commands itself at control step ``tick`` of this episode, 0 at its start.
 
         During a step the targets move to the ``joint_target`` of its end. What an episode draws is
@@ -268,24 +273,49 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _start(self, options: dict[str, Any]) -> None:
         """Prepare an episode: called at every reset, after seeding and before ``_command(0)``."""
 
-    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
+    def _join(self, robots: Sequence[Any]) -> None:
+        """Take over what the episodes of robots have drawn, for :meth:`_command` to command all of them."""
+
+    def _reward(
+        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+    ) -> dict[str, Number]:
         """Return the terms of a step's reward, which is their sum, by name."""
-        x, y = truth["cop_world"].tolist()
-        reference_x, reference_y = self.command.cop.tolist()
-        square = (x - reference_x) ** 2 + (y - reference_y) ** 2
+        m = self._numbers
+        (x, y), (reference_x, reference_y) = m.parts(truth["cop_world"]), m.parts(self.command.cop)
+        x, y = x - reference_x, y - reference_y
+        close = m.exp(-(x * x + y * y) / COP_SCALE**2)
         return {
             "reward_alive": 1.0,
-            "reward_cop": float(np.exp(-square / COP_SCALE**2)) if truth["cop_valid"][0] else 0.0,
-            "reward_action": -0.1 * float(action @ action) / action.size,
+            "reward_cop": m.where(truth["cop_valid"][..., 0], close, 0.0),
+            "reward_action": self._effort(action),
         }
 
-    def _fallen(self) -> bool:
+    def _effort(self, action: NDArray[np.float64]) -> Number:
+        """Return what an action costs: -0.1 times its mean square."""
+        return -0.1 * self._numbers.parts(np.vecdot(action, action)) / action.shape[-1]
+
+    def _fallen(self) -> Any:
         """Return whether the robot has fallen."""
-        last, where = self.truth.rows[-1], self.channels
-        return not (
-            last[where.position_torso.stop - 1] > FALLEN_HEIGHT
-            and last[where.axes_torso.stop - 1] > self._lowest_torso_z
-        )
+        row, channels, where = self._row, self.channels, self._numbers.where
+        upright = row[channels.axes_torso.stop - 1] > self._lowest_torso_z
+        high = row[channels.position_torso.stop - 1] > FALLEN_HEIGHT
+        return where(high, where(upright, False, True), True)
+
+    def _targets(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the motors' targets at the substeps of a control step, shape (..., S, M), in rad."""
+        target = self.command.joint_target.astype(np.float64)
+        target[..., self._leg] += self._action_scale * residual
+        target = np.minimum(np.maximum(target, self._low), self._high)
+        move = np.minimum(np.maximum(target - self._target, self._fastest_back), self._fastest)
+        targets: NDArray[np.float64] = self._target[..., None, :] + self._fraction * move[..., None, :]
+        return targets
+
+    def _observe(self, rows: NDArray[np.float64]) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
+        """Take in the rows of a control step, shape (..., S, channels); return observation and truth."""
+        self.truth = Truth(rows, self.channels)
+        last = rows[..., -1, :]
+        self._row = self._numbers.parts(last)
+        return self._observer.observe(last, self._row, self.command)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -314,9 +344,8 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
         self._pushes.reset(rng)
         mujoco.mj_forward(model, data)
-        self.truth = Truth(np.tile(data.sensordata, (SUBSTEPS, 1)), self.channels)
         self._observer.reset()
-        observation, truth = self._observer.observe(self.truth, self.command)
+        observation, truth = self._observe(np.tile(data.sensordata, (SUBSTEPS, 1)))
         if self.render_mode == "human":
             self.render()
         return observation, {"surefoot": {"truth": truth}}
@@ -340,15 +369,11 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         if not prepares:
             self._tick += 1
         self.command = self.prelude.next() if prepares else self._command(self._tick)
-        target = self.command.joint_target.astype(np.float64)
-        target[self._leg] += self._action_scale * residual
-        target = np.minimum(np.maximum(target, self._low), self._high)
-        move = np.minimum(np.maximum(target - self._target, self._fastest_back), self._fastest)
+        targets = self._targets(residual)
 
         model, data, mj_step = self.model, self.data, mujoco.mj_step
         sensordata, ctrl = data.sensordata, data.ctrl
         rows = np.empty((SUBSTEPS, self.channels.size))
-        targets = self._target + self._fraction * move
         if not prepares:
             self._pushes.apply(data, self.np_random)
         self._payload.apply(self._tick)
@@ -358,8 +383,7 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
             row[:] = sensordata
         self._target = targets[-1]
 
-        self.truth = Truth(rows, self.channels)
-        observation, truth = self._observer.observe(self.truth, self.command)
+        observation, truth = self._observe(rows)
         terms = self._reward(truth, residual)
         truncated = self._steps is not None and self._tick >= self._steps
         if self.render_mode == "human":
@@ -367,12 +391,13 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
         info = {"surefoot": {"truth": truth}, **terms}
         return observation, sum(terms.values()), self._fallen(), truncated, info
 
-    def _checked(self, action: Any) -> NDArray[np.float64]:
+    def _checked(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
         return checked_action(
             action,
             LEG_MOTORS,
             "a residual for each leg motor",
             "a policy that returns NaN has diverged, zeros leave the pattern alone",
+            robots,
         )
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -1,10 +1,8 @@
 """What the bare NaoEnv shows: the state vector and the true forces under the feet.
 
-Everything is made from the last row of the control step's truth. The few numbers that it takes are handled as
-plain floats, which for arrays this small is several times faster than NumPy.
+Everything is made from the last row of the control step's truth, for one robot or for many.
 """
 
-from math import asin, atan2
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,8 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, turned
 from surefoot.envs.instrumentation.truth import CONTACT_FORCE
-from surefoot.envs.nao.truth import Truth, TruthChannels
+from surefoot.envs.nao.truth import TruthChannels
+from surefoot.envs.numbers import ONE, Number, Numbers
 from surefoot.envs.observation import FORCE_BOUND, Observation, ObservationTable
 from surefoot.envs.robots.nao import hinge_joint_names
 
@@ -27,7 +26,10 @@ class NaoObserver:
     Attributes:
         space: The observation space.
         state_layout: Where each part lies in the state vector.
+        numbers: Whether it sees one robot, or many.
     """
+
+    numbers: Numbers = ONE
 
     def __init__(self, model: Any, channels: TruthChannels) -> None:
         joints = len(hinge_joint_names(model))
@@ -36,27 +38,29 @@ class NaoObserver:
         self.space, self.state_layout = self._table.space, self._table.state_layout
         self._measured = slice(0, 2 * joints)
         self._joints = slice(channels.joint_position.start, channels.joint_velocity.stop)
-        self.reset()
+        self._cop: list[Number] = [0.0, 0.0]
+        self._cop_foot: list[list[Number]] = [[0.0, 0.0], [0.0, 0.0]]
 
-    def reset(self) -> None:
-        """Start with centres of pressure at the origin."""
-        self._cop = [0.0, 0.0]
-        self._cop_foot = [[0.0, 0.0], [0.0, 0.0]]
+    def reset(self, robots: Any = True) -> None:
+        """Start with centres of pressure at the origin; of many robots, for those of a mask."""
+        cop, where = [self._cop, *self._cop_foot], self.numbers.where
+        self._cop, *self._cop_foot = [[where(robots, 0.0, part) for part in place] for place in cop]
 
-    def observe(self, truth: Truth, command: Command) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
+    def observe(
+        self, last: NDArray[np.float64], row: Any, command: Command
+    ) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
         """Show the last row of a control step.
 
         Args:
-            truth: The control step.
+            last: The row, shape (..., channels).
+            row: Its parts.
             command: What the robot commands at its end.
 
         Returns:
             The observation, and the truth at the control rate for ``info``.
         """
-        last = truth.rows[-1]
-        row: list[float] = last.tolist()
-        where = self.channels
-        force_cell = last[where.plate] @ where.force_of_plates + where.preload
+        m, where = self.numbers, self.channels
+        force_cell = (last[..., None, where.plate] @ where.force_of_plates)[..., 0, :] + where.preload
 
         wrench, vgrf, cop_foot, foot_valid = [], [], [], []
         ground, origin, axes = where.ground.start, where.position_sole.start, where.axes_sole.start
@@ -87,42 +91,42 @@ class NaoObserver:
             vgrf.append(fz)
             valid = normal > CONTACT_FORCE
             foot_valid.append(valid)
-            if valid:
-                self._cop_foot[foot] = [-torque_y / normal, torque_x / normal]
-            cop_foot.append(self._cop_foot[foot] if valid else [0.0, 0.0])
+            safe = m.where(valid, normal, 1.0)
+            place = [-torque_y / safe, torque_x / safe]
+            cop_foot.append([m.where(valid, part, 0.0) for part in place])
+            self._cop_foot[foot] = [
+                m.where(valid, part, held) for part, held in zip(place, self._cop_foot[foot], strict=True)
+            ]
 
         valid = load > CONTACT_FORCE
-        cop_world = [0.0, 0.0]
-        if valid:
-            cop_world = [-moment_y / load, moment_x / load]
-            heading = atan2(row[axes + 1] + row[axes + 10], row[axes] + row[axes + 9])
-            middle_x, middle_y = (
-                0.5 * (row[origin] + row[origin + 3]),
-                0.5 * (row[origin + 1] + row[origin + 4]),
-            )
-            self._cop = turned(cop_world[0] - middle_x, cop_world[1] - middle_y, heading)
+        safe = m.where(valid, load, 1.0)
+        cop_world = [m.where(valid, part / safe, 0.0) for part in (-moment_y, moment_x)]
+        x, y, heading = where.level(row, m)
+        cop = turned(cop_world[0] - x, cop_world[1] - y, heading, m)
+        self._cop = [m.where(valid, part, held) for part, held in zip(cop, self._cop, strict=True)]
 
         state, valids = self._state(last, row, command), [valid, *foot_valid]
-        return self._table.bounded(state, force_cell, self._cop_foot, self._cop, valids), {
+        return self._table.bounded(state, force_cell, self._cop_foot, self._cop, valids, m), {
             "force_cell": force_cell,
-            "vgrf": np.array(vgrf),
-            "cop_world": np.array(cop_world),
-            "cop_foot": np.array(cop_foot),
-            "cop_valid": np.array(valids),
-            "com": last[where.com].copy(),
-            "wrench_sole": np.array(wrench),
+            "vgrf": m.array(vgrf),
+            "cop_world": m.array(cop_world),
+            "cop_foot": m.array(cop_foot),
+            "cop_valid": m.array(valids),
+            "com": last[..., where.com].copy(),
+            "wrench_sole": m.array(wrench),
         }
 
-    def _state(self, last: NDArray[np.float64], row: list[float], command: Command) -> NDArray[np.float32]:
-        torso = self.channels.axes_torso.start
+    def _state(self, last: NDArray[np.float64], row: Any, command: Command) -> NDArray[np.float32]:
+        m, torso, gyro = self.numbers, self.channels.axes_torso.start, self.channels.gyroscope.start
         x_up, y_up, z_up = row[torso + 2], row[torso + 5], row[torso + 8]
-        gyro = self.channels.gyroscope.start
-        state = np.empty(self._table.size, dtype=np.float32)
-        state[self._measured] = last[self._joints]
-        state[self._measured.stop :] = [
-            atan2(y_up, z_up),
-            -asin(max(-1.0, min(1.0, x_up))),
-            *row[gyro : gyro + 3],
-            *command_state(command),
-        ]
+        state = np.empty((*last.shape[:-1], self._table.size), dtype=np.float32)
+        state[..., self._measured] = last[..., self._joints]
+        state[..., self._measured.stop :] = m.array(
+            [
+                m.atan2(y_up, z_up),
+                -m.asin(m.clip(x_up, -1.0, 1.0)),
+                *row[gyro : gyro + 3],
+                *command_state(command, m),
+            ]
+        )
         return state

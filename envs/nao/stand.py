@@ -1,7 +1,7 @@
 """The robot stands still, or sways."""
 
 from collections.abc import Sequence
-from math import cos, pi, sin
+from math import cos, pi
 from typing import Any
 
 import mujoco
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
+from surefoot.envs.numbers import Number
 from surefoot.envs.options import positive
 from surefoot.envs.robots.nao import FEET, place_on_ground
 
@@ -47,8 +48,15 @@ class NaoStandEnv(NaoEnv):
         self._sway = amplitude
         self._rate = 2.0 * pi / positive("sway_period", sway_period)
         motor = {name: i for i, name in enumerate(self.motor_names)}
-        joints = ("AnklePitch", "HipPitch", "AnkleRoll", "HipRoll")
-        self._swaying = [[motor[side + joint] for joint in joints] for side in "LR"]
+        # A positive ankle pitch turns the toes down, or, with the sole on the ground, the leg backwards.
+        self._swaying = np.zeros((2, len(motor)))
+        for joint, axis, sign in (
+            ("AnklePitch", 0, -1.0),
+            ("HipPitch", 0, 1.0),
+            ("AnkleRoll", 1, 1.0),
+            ("HipRoll", 1, -1.0),
+        ):
+            self._swaying[axis, [motor[side + joint] for side in "LR"]] = sign
         self._posture = self.model.key("stand").ctrl.copy()
         self._height = LEG_LENGTH * cos(self._posture[motor["LAnklePitch"]])
         self._com, self._position_sole = self._stand(self._posture)
@@ -69,47 +77,43 @@ class NaoStandEnv(NaoEnv):
         soles = np.array([data.site(f"{foot}_sole").xpos for foot in FEET])
         return data.subtree_com[self._torso] - (soles.mean(axis=0) * (1.0, 1.0, 0.0)), soles
 
-    def _swayed(self, forward: float, left: float) -> NDArray[np.float64]:
-        posture = self._posture.tolist()
-        pitch, roll = forward / self._height, left / self._height
-        for ankle_pitch, hip_pitch, ankle_roll, hip_roll in self._swaying:
-            # A positive ankle pitch turns the toes down, or, with the sole on the ground, the leg backwards.
-            posture[ankle_pitch] -= pitch
-            posture[hip_pitch] += pitch
-            posture[ankle_roll] += roll
-            posture[hip_roll] -= roll
-        return np.array(posture)
+    def _swayed(self, forward: Number, left: Number) -> NDArray[np.float64]:
+        pitch, roll = np.multiply.outer(forward / self._height, self._swaying[0]), self._swaying[1]
+        posture: NDArray[np.float64] = self._posture + pitch + np.multiply.outer(left / self._height, roll)
+        return posture
 
-    def _sine(self, tick: int) -> tuple[float, float, float]:
+    def _sine(self, tick: Any) -> tuple[Number, Number, Number]:
         """A sine that fades in over its first period, with its first two derivatives in time."""
-        rate, time = self._rate, tick * CONTROL_STEP
-        sine, cosine = sin(rate * time), cos(rate * time)
-        if rate * time >= 2.0 * pi:
-            return sine, rate * cosine, -rate * rate * sine
+        m, rate, time = self._numbers, self._rate, tick * CONTROL_STEP
+        sine, cosine = m.sin(rate * time), m.cos(rate * time)
         half = 0.5 * rate
-        fade, slope = 0.5 - 0.5 * cos(half * time), 0.5 * half * sin(half * time)
-        curve = 0.5 * half * half * cos(half * time)
+        # After a whole period of the sine the fade is complete, half of one of its own.
+        turn = m.clip(half * time, 0.0, pi)
+        fade = 0.5 - 0.5 * m.cos(turn)
+        slope = m.where(turn < pi, 0.5 * half * m.sin(turn), 0.0)
+        curve = m.where(turn < pi, 0.5 * half * half * m.cos(turn), 0.0)
         return (
             fade * sine,
             slope * sine + fade * rate * cosine,
             curve * sine + 2.0 * slope * rate * cosine - fade * rate * rate * sine,
         )
 
-    def _command(self, tick: int) -> Command:
+    def _command(self, tick: Any) -> Command:
         return self._sample(tick) if any(self._sway) else self._still
 
-    def _sample(self, tick: int) -> Command:
+    def _sample(self, tick: Any) -> Command:
         where, speed, acceleration = self._sine(tick)
+        outer = np.multiply.outer
         forward, left = self._sway
         sway = np.array([forward * self._follow[0], left * self._follow[1], 0.0])
-        com, com_acceleration = self._com + where * sway, acceleration * sway
+        com, com_acceleration = self._com + outer(where, sway), outer(acceleration, sway)
         gravity = -float(self.model.opt.gravity[2])
         return Command(
             joint_target=self._swayed(where * forward, where * left),
             com=com,
-            com_velocity=speed * sway,
+            com_velocity=outer(speed, sway),
             com_acceleration=com_acceleration,
-            cop=com[:2] - com[2] / gravity * com_acceleration[:2],
+            cop=com[..., :2] - com[..., 2:] / gravity * com_acceleration[..., :2],
             position_sole=self._position_sole,
             yaw_sole=np.zeros(2),
             stance=np.ones(2, dtype=bool),

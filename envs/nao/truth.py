@@ -11,6 +11,7 @@ quantities of a row belong together; the last row lies one substep before the en
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.envs.instrumentation.truth import centre_of_pressure, cross
+from surefoot.envs.numbers import Number, Numbers
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
 
@@ -68,6 +70,15 @@ class TruthChannels:
             arm = body.ipos - model.site(f"{foot}_sole").pos
             preload[6 * i : 6 * i + 6] = np.concatenate([load, np.cross(arm, load)])
         self.preload: NDArray[np.float64] = -preload @ self.force_of_plates
+
+    def level(self, row: Any, m: Numbers) -> tuple[Number, Number, Number]:
+        """Return where the level frame of the true soles is (x, y) in m, and its heading in rad."""
+        origin, axes = self.position_sole.start, self.axes_sole.start
+        return (
+            0.5 * (row[origin] + row[origin + 3]),
+            0.5 * (row[origin + 1] + row[origin + 4]),
+            m.atan2(row[axes + 1] + row[axes + 10], row[axes] + row[axes + 9]),
+        )
 
 
 class Truth:

@@ -1,18 +1,18 @@
 """The robot walks."""
 
 from collections.abc import Sequence
-from math import atan2, cos, exp, sin
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command
+from surefoot.envs.command import Command, turned
 from surefoot.envs.gait.footsteps import GaitTiming
-from surefoot.envs.gait.pattern import Pattern, plan_route, plan_walk
+from surefoot.envs.gait.pattern import Pattern, Patterns, plan_route, plan_walk
 from surefoot.envs.gait.route import checked_route
 from surefoot.envs.gait.swing import checked_roll
 from surefoot.envs.nao.env import COP_SCALE, NaoEnv
+from surefoot.envs.numbers import Number, Numbers
 
 VELOCITY_SCALE = 0.1
 """Error of the velocity of the centre of mass in m/s at which its reward has fallen to 1/e."""
@@ -32,42 +32,50 @@ class NaoPatternEnv(NaoEnv):
         cop_scale: Error of the centre of pressure in m at which its reward has fallen to 1/e.
     """
 
-    pattern: Pattern
+    pattern: Pattern | Patterns
     cop_scale = COP_SCALE
 
-    def _command(self, tick: int) -> Command:
-        return self.pattern.command(tick)
+    def _join(self, robots: Sequence[Any]) -> None:
+        self.pattern = Patterns([robot.pattern for robot in robots])
 
-    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
-        command, now = self.command, self.truth
-        sole = now.position_sole[-1, :, :2]
-        ahead = now.R_world_sole[-1, :, :2, 0]
-        heading = atan2(ahead[0, 1] + ahead[1, 1], ahead[0, 0] + ahead[1, 0])
-        planned_heading = float(command.yaw_sole.mean())
+    def _command(self, tick: Any) -> Command:
+        return self.pattern.command(tick, self._numbers)
 
-        velocity = _turned(now.com_velocity[-1, :2], -heading)
-        planned_velocity = _turned(command.com_velocity[:2], -planned_heading)
-        cop = _turned(truth["cop_world"] - sole.mean(axis=0), -heading)
-        planned_cop = _turned(command.cop - command.position_sole[:, :2].mean(axis=0), -planned_heading)
-        tilt = float(np.arccos(np.clip(now.R_world_torso[-1, 2, 2], -1.0, 1.0)))
+    def _reward(
+        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+    ) -> dict[str, Number]:
+        m, row, where, command = self._numbers, self._row, self.channels, self.command
+        x, y, heading = where.level(row, m)
+        (left_x, left_y, _), (right_x, right_y, _) = m.parts(command.position_sole)
+        left, right = m.parts(command.yaw_sole)
+        planned_heading = 0.5 * (left + right)
+
+        start = where.com_velocity.start
+        velocity = turned(row[start], row[start + 1], heading, m)
+        planned_vx, planned_vy, _ = m.parts(command.com_velocity)
+        planned_velocity = turned(planned_vx, planned_vy, planned_heading, m)
+        cop_x, cop_y = m.parts(truth["cop_world"])
+        cop = turned(cop_x - x, cop_y - y, heading, m)
+        planned_x, planned_y = m.parts(command.cop)
+        planned_cop = turned(
+            planned_x - 0.5 * (left_x + right_x), planned_y - 0.5 * (left_y + right_y), planned_heading, m
+        )
+        tilt = m.acos(m.clip(row[where.axes_torso.stop - 1], -1.0, 1.0)) / TILT_SCALE
         return {
             "reward_alive": 1.0,
-            "reward_progress": _closeness(velocity - planned_velocity, VELOCITY_SCALE),
-            "reward_upright": exp(-((tilt / TILT_SCALE) ** 2)),
-            "reward_cop": _closeness(cop - planned_cop, self.cop_scale) if truth["cop_valid"][0] else 0.0,
-            "reward_action": -0.1 * float(action @ action) / action.size,
+            "reward_progress": _closeness(velocity, planned_velocity, VELOCITY_SCALE, m),
+            "reward_upright": m.exp(-tilt * tilt),
+            "reward_cop": m.where(
+                truth["cop_valid"][..., 0], _closeness(cop, planned_cop, self.cop_scale, m), 0.0
+            ),
+            "reward_action": self._effort(action),
         }
 
 
-def _turned(vector: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    c, s = cos(angle), sin(angle)
-    x, y = vector.tolist()
-    return np.array([c * x - s * y, s * x + c * y])
-
-
-def _closeness(error: NDArray[np.float64], scale: float) -> float:
-    """1 for no error, 1/e for one of ``scale``."""
-    return exp(-float(error @ error) / scale**2)
+def _closeness(one: list[Number], other: list[Number], scale: float, m: Numbers) -> Number:
+    """1 for places that are the same, 1/e for ones that are ``scale`` apart."""
+    x, y = one[0] - other[0], one[1] - other[1]
+    return m.exp(-(x * x + y * y) / scale**2)
 
 
 class NaoWalkEnv(NaoPatternEnv):

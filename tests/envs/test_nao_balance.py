@@ -115,15 +115,15 @@ def test_ten_millimetres_clearly_cost():
     near = env.command.cop + env.truth.position_sole[-1, :, :2].mean(axis=0)
     near = near - env.command.position_sole[:, :2].mean(axis=0)
     paid = [
-        env._reward({"cop_world": near + np.array([off, 0.0]), "cop_valid": [True]}, np.zeros(11))[
+        env._reward({"cop_world": near + np.array([off, 0.0]), "cop_valid": np.array([True])}, np.zeros(11))[
             "reward_cop"
         ]
         for off in (0.0, 0.01)
     ]
     assert paid[0] == pytest.approx(2.0, abs=1e-3)
     assert paid[0] - paid[1] > 0.7
-    assert env._reward({"cop_world": near, "cop_valid": [False]}, np.zeros(11))["reward_cop"] == 0.0
-    assert env._reward({"cop_world": near, "cop_valid": [True]}, np.ones(11))[
+    assert env._reward({"cop_world": near, "cop_valid": np.array([False])}, np.zeros(11))["reward_cop"] == 0.0
+    assert env._reward({"cop_world": near, "cop_valid": np.array([True])}, np.ones(11))[
         "reward_action"
     ] == pytest.approx(-0.1)
 

@@ -9,14 +9,15 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
+from surefoot.envs.nao.batch import NaoVectorEnv
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
 from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
 from surefoot.wrappers.vector.truth import batch_truth
-from surefoot.wrappers.vector.truth_row import TRUTH_KEY
-from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
+from surefoot.wrappers.vector.truth_row import TRUTH_KEY, VectorTruthRow
+from surefoot.wrappers.vector.view import Attribute, BatchView, check_copies, merge_rows
 
 Infos = dict[str, Any]
 
@@ -24,10 +25,10 @@ Infos = dict[str, Any]
 class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
-    It goes right around a vector environment whose copies have
-    :class:`~surefoot.wrappers.TruthRow` around them. The observation is a ``Dict`` without truth
-    and with ``"foot_raw"`` (N, K) counts, and where copies have a ``state_layout``, telemetry takes the place
-    of ``joint_position``, ``joint_velocity``, ``tilt`` and ``gyroscope`` in ``"state"``: as
+    It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around
+    them, or around a :class:`~surefoot.envs.nao.batch.NaoVectorEnv` as it is. The observation is a ``Dict``
+    without truth and with ``"foot_raw"`` (N, K) counts, and where copies have a ``state_layout``, telemetry
+    takes the place of ``joint_position``, ``joint_velocity``, ``tilt`` and ``gyroscope`` in ``"state"``: as
     :class:`~surefoot.wrappers.FootSensors` does for one robot, but for three simplifications. Loads are known
     at the ends of control steps, with straight lines between; telemetry comes once a control step; and it is
     late by the link's mean delay in whole steps, without jitter.
@@ -72,10 +73,13 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         fresh: bool = False,
         stream: int = SENSOR_STREAM,
     ) -> None:
+        if isinstance(env.unwrapped, NaoVectorEnv) and not isinstance(env, VectorTruthRow):
+            env = VectorTruthRow(env)
         super().__init__(env)
-        copies: Any = env.unwrapped
+        copies: Any = env if isinstance(env, VectorTruthRow) else env.unwrapped
+        self._attribute: Attribute = copies.get_attr
         space: Any = env.single_observation_space
-        drawing, meaning = check_copies("VectorFootSensors", space, copies.get_attr)
+        drawing, meaning = check_copies("VectorFootSensors", space, self._attribute)
         devices = choose_devices("VectorFootSensors", drawing, config, imu, encoders, link, severity, stream)
         count = env.num_envs
         self.sensors = BatchSensors(count, drawing, meaning, devices, stream=stream, fresh=fresh)
@@ -101,8 +105,8 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         # Vector environments take the mask out of what they are given.
         observations, infos = self.env.reset(seed=seed, options=None if rest is None else dict(rest))
         self._done[slice(None) if mask is None else mask] = False
-        copies: Any = self.env.unwrapped
-        self.sensors.set_rows(copies.get_attr("row_key")[0], copies.get_attr("row_averaged")[0])
+        key, averaged = (self._attribute(name)[0] for name in ("row_key", "row_averaged"))
+        self.sensors.set_rows(key, averaged)
         self.sensors.reset(observations[TRUTH_KEY], mask, seed, asked.get("sensors"))
         return self._view.show(observations), self._with_truth(infos)
 

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
@@ -113,11 +115,9 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Reset the environment."""
         observation, info = self.env.reset(seed=seed, options=options)
-        source = self._source
-        self._plans = hasattr(source, "command")
-        self.row_averaged = self._averaged and isinstance(source.truth, Truth)
+        self.begin(self._source)
         self._clock: float | None = None
-        return self._observe(observation), self._info(info)
+        return self.show(observation, self._source), self._info(info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Step the environment."""
@@ -125,32 +125,72 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         before, self._clock = self._clock, float(self._source.truth.time[-1])
         if before is not None:
             check_clock("TruthRow", self.env, self._clock - before, self.row_meaning.dt)
-        return self._observe(observation), reward, terminated, truncated, self._info(info)
+        return self.show(observation, self._source), reward, terminated, truncated, self._info(info)
 
-    def _observe(self, observation: Any) -> dict[str, Any]:
+    def begin(self, source: Any) -> None:
+        """See what a source has once it has been reset."""
+        self._plans = hasattr(source, "command")
+        self.row_averaged = self._averaged and isinstance(source.truth, Truth)
+
+    def show(self, observation: Any, source: Any) -> dict[str, Any]:
+        """Return an observation and the row of its source's truth, of one robot or with many in front."""
         parts = {"state": observation} if self._flat else observation
         seen = {key: own_copy(parts[key]) for key in self._kept}
-        meaning, source = self.row_meaning, self._source
-        truth, columns = source.truth, meaning.columns
-        row = np.empty(meaning.size)
-        row[:columns] = truth.rows[-1]
+        meaning, rows, columns = self.row_meaning, source.truth.rows, self.row_meaning.columns
+        row = np.empty((*rows.shape[:-2], meaning.size))
+        row[..., :columns] = rows[..., -1, :]
         if self.row_averaged:
-            channels = truth.channels
-            row[channels.accelerometer] = truth.accelerometer.mean(axis=0)
-            row[channels.gyroscope] = truth.gyroscope.mean(axis=0)
+            for where in (source.truth.channels.accelerometer, source.truth.channels.gyroscope):
+                row[..., where] = rows[..., where].mean(axis=-2)
         if self._plans:
             command, feet = source.command, meaning.feet
-            row[columns : columns + feet] = command.stance
-            row[columns + feet :] = command.swing
+            row[..., columns : columns + feet] = command.stance
+            row[..., columns + feet :] = command.swing
         else:
-            row[columns:] = NO_PLAN
+            row[..., columns:] = NO_PLAN
         seen[TRUTH_KEY] = row
         return seen
 
     def _info(self, info: dict[str, Any]) -> dict[str, Any]:
-        if not self._keep_info and "surefoot" in info:
-            info = {key: value for key, value in info.items() if key != "surefoot"}
-        return info
+        return info if self._keep_info else _without_truth(info)
+
+
+class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
+    """Put the rows of truth of a :class:`~surefoot.envs.nao.batch.NaoVectorEnv` beside its observations.
+
+    They are those of :class:`TruthRow` around each robot. ``VectorFootSensors`` puts this wrapper around such
+    an environment itself.
+
+    Args:
+        env: The environment.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+        super().__init__(env)
+        batch: Any = env.unwrapped
+        self._robots = batch.robots
+        self._row = TruthRow(batch.envs[0])
+        self.single_observation_space = self._row.observation_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def get_attr(self, name: str) -> list[Any]:
+        """Return an attribute of the :class:`TruthRow` that might be around each robot."""
+        return [getattr(self._row, name)] * self.num_envs
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset all robots, or those of ``options["reset_mask"]``."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._row.begin(self._robots)
+        return self._row.show(observations, self._robots), _without_truth(infos)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step all robots."""
+        observations, *paid, infos = self.env.step(actions)
+        return self._row.show(observations, self._robots), *paid, _without_truth(infos)
+
+
+def _without_truth(infos: dict[str, Any]) -> dict[str, Any]:
+    return {key: part for key, part in infos.items() if key not in ("surefoot", "_surefoot")}
 
 
 def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:

@@ -33,7 +33,8 @@ def check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDra
     if not isinstance(space, spaces.Dict) or TRUTH_KEY not in space.spaces:
         raise TypeError(
             f"{owner} reads a row of truth beside each copy's observation, found none in {space}; wrap "
-            f"each copy: gym.make_vec(..., wrappers=[TruthRow]), and {owner} right around what it makes."
+            f"each copy: gym.make_vec(..., vectorization_mode='sync', wrappers=[TruthRow]), and {owner} "
+            "right around what it makes."
         )
     shown = attribute("observation_space")
     odd = [i for i, own in enumerate(shown) if own != shown[0]]

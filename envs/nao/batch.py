@@ -1,0 +1,209 @@
+"""Many robots of a task at once, stepped by MuJoCo's own threads.
+
+What a robot draws at an episode start it draws in an environment of its own. From there on all robots
+together are one more environment of the task: its functions serve arrays with the robots in front, and
+:class:`mujoco.batch.Batch` takes the place of ``mj_step``.
+"""
+
+from copy import copy
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import SyncVectorEnv
+from numpy.typing import NDArray
+
+from surefoot.envs.command import Command
+from surefoot.envs.nao.balance import NaoBalanceEnv
+from surefoot.envs.nao.carry import NaoCarryEnv
+from surefoot.envs.nao.env import SUBSTEPS, NaoEnv
+from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.envs.nao.truth import Truth
+from surefoot.envs.nao.walk import NaoWalkEnv
+from surefoot.envs.numbers import MANY
+from surefoot.envs.observation import Observation
+from surefoot.envs.options import check_render_mode
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+"""All that MuJoCo's next step depends on."""
+
+
+class NaoVectorEnv(SyncVectorEnv):
+    """N robots of one task: what ``SyncVectorEnv`` of its environments does, bit for bit, in less time.
+
+    Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in its ``NEXT_STEP`` mode. What
+    a robot's own environment has can be asked for by ``get_attr``, as it is now; what is set there by
+    ``set_attr`` counts from its next episode on.
+
+    A robot whose simulation diverges stands still until its step is over, where a lone one would start again
+    at once.
+
+    Args:
+        task: A subclass of :class:`NaoEnv`.
+        num_envs: Number of robots N.
+        threads: Number of threads that step MuJoCo; 0 for one a core.
+        **options: Of the task.
+
+    Attributes:
+        robots: All robots as one environment, whose ``truth`` and ``command`` have the robots in front.
+
+    Raises:
+        ImportError: If this MuJoCo has no ``mujoco.batch``, which came with 3.17.
+    """
+
+    envs: list[NaoEnv]  # type: ignore[assignment]
+
+    def __init__(self, task: type[NaoEnv], num_envs: int = 1, *, threads: int = 0, **options: Any) -> None:
+        try:
+            from mujoco.batch import Batch
+        except ImportError as error:
+            raise ImportError(
+                f"NaoVectorEnv needs mujoco.batch, and MuJoCo {mujoco.__version__} has none; install MuJoCo "
+                "3.17 or later, or make the environments with vectorization_mode='sync'."
+            ) from error
+        check_render_mode(options.get("render_mode"), ["rgb_array"])
+        super().__init__([partial(task, **options)] * num_envs)
+        first = self.envs[0]
+        self._rows = np.empty((num_envs, SUBSTEPS, first.channels.size))
+        self.robots = copy(first)
+        self.robots._numbers = MANY
+        self.robots._observer = copy(first._observer)
+        self.robots._observer.numbers = MANY
+        self.robots._target = np.empty((num_envs, len(first.motor_names)))
+        self._batch = Batch(first.model, num_envs, threads)
+        # A robot's pushes write into its own row of all robots' forces.
+        self._pushed = [SimpleNamespace(xfrc_applied=force) for force in self._batch.xfrc_applied]
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Reset all robots, or those of ``options["reset_mask"]``.
+
+        Args:
+            seed: A number, to which each robot adds its place among them, or one a robot.
+            options: Handed to the task but for the mask.
+        """
+        mask = (options or {}).get("reset_mask")
+        _, infos = super().reset(seed=seed, options=options)
+        self._begin(np.ones(self.num_envs, dtype=bool) if mask is None else mask)
+        return self._observe()[0], infos
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Step all robots; those whose episode is over are reset instead.
+
+        Args:
+            actions: Residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11).
+
+        Raises:
+            ValueError: If the actions have another shape or are not finite.
+            gymnasium.error.ResetNeeded: If the environment has not been reset.
+        """
+        robots, starting, stepping = self.robots, self._autoreset_envs, ~self._autoreset_envs
+        if robots._tick is None:
+            raise ResetNeeded("Call reset() before the first step().")
+        residual = robots._checked(actions, (self.num_envs,))
+        prepares = np.array([env.prelude.playing for env in self.envs])
+        residual[(robots._tick < robots._quiet_ticks) & ~prepares] = 0.0
+        robots._tick += ~prepares
+        self._set_commands(..., robots._command(robots._tick))
+        for i in np.flatnonzero(prepares & stepping).tolist():
+            self._set_commands(i, self.envs[i].prelude.next())
+        targets = robots._targets(residual)
+        self._disturb(stepping, prepares)
+        robots._target = targets[:, -1]
+        who = None if stepping.all() else np.flatnonzero(stepping)
+        recorded = self._batch.rollout(SUBSTEPS, targets[stepping], record=["sensordata"], ids=who)
+        self._rows[stepping] = recorded["sensordata"]
+
+        if who is not None:
+            for i in np.flatnonzero(starting).tolist():
+                self.envs[i].reset()
+            self._begin(starting)
+        observation, truth = self._observe()
+        terms = robots._reward(truth, residual)
+        rewards = np.where(stepping, sum(terms.values()), 0.0)
+        terminated = robots._fallen() & stepping
+        truncated = stepping & (robots._steps is not None and robots._tick >= robots._steps)
+        self._autoreset_envs = terminated | truncated
+        everyone = np.ones(self.num_envs, dtype=bool)
+        infos = {"surefoot": {"truth": _masked(truth, everyone), "_truth": everyone}, "_surefoot": everyone}
+        if stepping.any():
+            infos |= _masked({name: np.where(stepping, term, 0.0) for name, term in terms.items()}, stepping)
+        return observation, rewards, terminated, truncated, infos
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of the robots' own environments, or get an attribute, as they are now."""
+        self._share()
+        return super().call(name, *args, **kwargs)
+
+    def render(self) -> tuple[Any, ...]:
+        """Draw each robot: a frame (height, width, 3) of each."""
+        self._share()
+        return super().render()
+
+    def _begin(self, starting: NDArray[np.bool_]) -> None:
+        """Take over the robots whose own environments have just been reset."""
+        robots = self.robots
+        if robots._tick is None:
+            robots._tick = np.zeros(self.num_envs, dtype=np.int64)
+            robots.command = Command._make(np.array([part] * self.num_envs) for part in self.envs[0].command)
+        for i in np.flatnonzero(starting).tolist():
+            env = self.envs[i]
+            mujoco.mj_getState(env.model, env.data, self._batch.state[i], STATE)
+            self._rows[i], robots._target[i], robots._tick[i] = env.truth.rows, env._target, 0
+            self._set_commands(i, env.command)
+        self._batch.set_models([env.model for env in self.envs])
+        robots._join(self.envs)
+        robots._observer.reset(starting)
+
+    def _set_commands(self, robots: Any, command: Command) -> None:
+        rows: Any
+        for rows, part in zip(self.robots.command, command, strict=True):
+            rows[robots] = part
+
+    def _disturb(self, stepping: NDArray[np.bool_], prepares: NDArray[np.bool_]) -> None:
+        """Push robots, and hand payloads to them, as their own environments have drawn it."""
+        picked = False
+        ticks = self.robots._tick.tolist()
+        for env, pushed, tick, steps, prepare in zip(
+            self.envs, self._pushed, ticks, stepping.tolist(), prepares.tolist(), strict=True
+        ):
+            if steps:
+                if not prepare:
+                    env._pushes.apply(pushed, env.np_random)
+                picked |= env._payload.apply(tick)
+        if picked:
+            self._batch.set_models([env.model for env in self.envs])
+
+    def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]]]:
+        observation, truth = self.robots._observe(self._rows)
+        return {key: observation[key] for key in self.single_observation_space}, truth  # type: ignore
+
+    def _share(self) -> None:
+        """Bring the robots' own environments to where the robots are now."""
+        robots = self.robots
+        if robots._tick is None:
+            return
+        commanded: Any = robots.command
+        for i, env in enumerate(self.envs):
+            self._batch.get_data(i, env.data)
+            mujoco.mj_forward(env.model, env.data)
+            env._tick, env._target = int(robots._tick[i]), robots._target[i].copy()
+            env.command = Command._make(part[i].copy() for part in commanded)
+            env.truth = Truth(self._rows[i].copy(), env.channels)
+
+
+def _masked(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Put beside each array which robots it is of, as Gymnasium's infos do."""
+    return arrays | {f"_{name}": mask for name in arrays}
+
+
+balance = partial(NaoVectorEnv, NaoBalanceEnv)
+carry = partial(NaoVectorEnv, NaoCarryEnv)
+stand = partial(NaoVectorEnv, NaoStandEnv)
+walk = partial(NaoVectorEnv, NaoWalkEnv)

@@ -1,0 +1,139 @@
+"""Many robots stepped by MuJoCo's own threads: what Gymnasium's copies of the same task do, bit for bit."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surefoot
+from surefoot.envs.nao.batch import NaoVectorEnv
+from surefoot.envs.nao.stand import NaoStandEnv
+from surefoot.wrappers import TruthRow, VectorFootSensors, VectorSelfCalibration
+
+ROBOTS, STEPS = 3, 200
+
+TASKS: dict[str, dict[str, Any]] = {
+    "NaoBalance": {"stand_time": 0.3, "duration": 1.2, "payload_time": (0.2, 0.5), "push_interval": 0.4},
+    "NaoCarry": {"stand_time": 0.5, "duration": 1.4, "payload_time": (0.1, 0.3), "push_interval": 0.4},
+    "NaoStand": {"sway": (0.02, 0.03), "sway_period": 1.0, "duration": 1.5, "payload": (0.5, 0.4)},
+    "NaoWalk": {"duration": 6.0, "push_impulse": (2.0, 5.0), "push_interval": 0.5},
+}
+
+
+def _made(task: str, mode: str, **more: Any) -> Any:
+    return gym.make_vec(f"surefoot/{task}-v0", ROBOTS, mode, **more, **TASKS[task])
+
+
+def _same(one: Any, other: Any, where: str) -> None:
+    """Compare nested mappings of arrays, to the last bit and by type."""
+    if isinstance(one, dict):
+        assert set(one) == set(other), where
+        for key in one:
+            _same(one[key], other[key], f"{where}/{key}")
+    elif isinstance(one, tuple | list):
+        for place, (part, its) in enumerate(zip(one, other, strict=True)):
+            _same(part, its, f"{where}[{place}]")
+    else:
+        assert np.asarray(one).dtype == np.asarray(other).dtype, where
+        assert np.array_equal(one, other, equal_nan=np.asarray(one).dtype.kind == "f"), where
+
+
+def _steps(rng: np.random.Generator) -> Any:
+    """Actions under which some robots fall and others do not."""
+    for _ in range(STEPS):
+        size = np.linspace(0.05, 1.0, ROBOTS)[:, None]
+        yield (size * rng.standard_normal((ROBOTS, 11))).astype(np.float32)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_robots_do_what_they_do_alone(task):
+    copies, batch = _made(task, "sync"), _made(task, "vector_entry_point")
+    assert batch.observation_space == copies.observation_space
+    assert batch.action_space == copies.action_space
+    assert batch.metadata == copies.metadata
+    seen, its = copies.reset(seed=5), batch.reset(seed=5)
+    _same(seen, its, "reset")
+    assert list(seen[0]) == list(its[0])
+    begun = 0
+    for step, actions in enumerate(_steps(np.random.default_rng(1))):
+        seen = copies.step(actions)
+        _same(seen, batch.step(actions), f"step {step}")
+        begun += int((seen[2] | seen[3]).sum())
+        for i, copy in enumerate(copies.envs):
+            own = copy.unwrapped
+            for name in ("qpos", "qvel", "xfrc_applied"):
+                _same(getattr(own.data, name), getattr(batch._batch, name)[i], name)
+            _same(own.truth.rows, batch.robots.truth.rows[i], "rows")
+    assert begun >= 3
+    _same(copies.get_attr("command"), batch.get_attr("command"), "command")
+    # A reset of some robots leaves the others where they are.
+    mask = np.array([True, False, True])
+    for env in (copies, batch):
+        seen, its = its, env.reset(options={"reset_mask": mask.copy()})
+    _same(seen, its, "masked reset")
+    actions = np.zeros((ROBOTS, 11), dtype=np.float32)
+    _same(copies.step(actions), batch.step(actions), "after it")
+
+
+@pytest.mark.parametrize("task", ["NaoBalance", "NaoCarry"])
+def test_sensors_and_calibrators_around_them_see_the_same(task):
+    copies, batch = (
+        VectorSelfCalibration(VectorFootSensors(env), "moment")
+        for env in (_made(task, "sync", wrappers=[TruthRow]), _made(task, "vector_entry_point"))
+    )
+    assert batch.observation_space == copies.observation_space
+    _same(copies.reset(seed=2), batch.reset(seed=2), "reset")
+    for step, actions in enumerate(_steps(np.random.default_rng(3))):
+        _same(copies.step(actions), batch.step(actions), f"step {step}")
+
+
+def test_the_number_of_threads_changes_nothing():
+    seen = []
+    for threads in (1, 3):
+        env = _made("NaoWalk", "vector_entry_point", threads=threads)
+        env.reset(seed=0)
+        seen.append([env.step(actions) for actions in _steps(np.random.default_rng(0))])
+    _same(*seen, "threads")
+
+
+def test_a_prelude_is_played_before_each_episode():
+    commands = [NaoStandEnv(sway=(0.02, 0.0))._command(tick) for tick in range(40)]
+    one = NaoStandEnv()
+    prelude = surefoot.envs.Prelude.of_commands(
+        one.dt, one.motor_names, commands, np.zeros(len(commands), dtype=bool)
+    )
+    copies = gym.make_vec("surefoot/NaoStand-v0", 2, "sync", prelude=prelude, duration=0.5)
+    batch = gym.make_vec("surefoot/NaoStand-v0", 2, "vector_entry_point", prelude=prelude, duration=0.5)
+    _same(copies.reset(seed=0), batch.reset(seed=0), "reset")
+    rng = np.random.default_rng(0)
+    for step in range(150):
+        actions = rng.uniform(-0.2, 0.2, (2, 11)).astype(np.float32)
+        _same(copies.step(actions), batch.step(actions), f"step {step}")
+
+
+def test_robots_are_drawn_where_they_are():
+    env = NaoVectorEnv(NaoStandEnv, 2, render_mode="rgb_array", width=64, height=48)
+    env.reset(seed=0)
+    first = env.render()
+    env.step(np.zeros((2, 11)))
+    env.step(np.stack([np.zeros(11), np.ones(11)]))
+    for _ in range(20):
+        env.step(np.stack([np.zeros(11), np.ones(11)]))
+    one, other = env.render()
+    assert one.shape == (48, 64, 3)
+    assert np.abs(one.astype(float) - first[0]).mean() < np.abs(other.astype(float) - first[1]).mean()
+    env.close()
+
+
+def test_what_is_refused():
+    env = NaoVectorEnv(NaoStandEnv, 2)
+    with pytest.raises(gym.error.ResetNeeded, match=r"reset\(\)"):
+        env.step(np.zeros((2, 11)))
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"shape \(2, 11\).*got shape \(11,\)"):
+        env.step(np.zeros(11))
+    with pytest.raises(ValueError, match="must be finite"):
+        env.step(np.full((2, 11), np.nan))
+    with pytest.raises(ValueError, match="no render mode 'human'"):
+        NaoVectorEnv(NaoStandEnv, 2, render_mode="human")
