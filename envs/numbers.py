@@ -45,8 +45,13 @@ def _each(function: Callable[..., float]) -> Callable[..., NDArray[np.float64]]:
     return lambda *columns: np.array(list(map(function, *(column.tolist() for column in columns))))
 
 
+def _columns(array: NDArray[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(array.transpose(*range(1, array.ndim), 0))
+
+
 def _together(parts: Any, dtype: Any = None) -> NDArray[Any]:
-    return np.ascontiguousarray(np.moveaxis(np.array(np.broadcast_arrays(*parts), dtype), -1, 0))
+    stacked = np.array(np.broadcast_arrays(*parts), dtype)
+    return np.ascontiguousarray(stacked.transpose(-1, *range(stacked.ndim - 1)))
 
 
 _FUNCTIONS: dict[str, Callable[..., float]] = {
@@ -66,7 +71,7 @@ MANY: Final = Numbers(
     **{name: _each(function) for name, function in _FUNCTIONS.items()},
     where=np.where,
     clip=lambda number, lowest, highest: np.minimum(np.maximum(number, lowest), highest),
-    parts=lambda array: np.ascontiguousarray(np.moveaxis(array, 0, -1)),
+    parts=_columns,
     array=_together,
 )
 """For many robots."""
