@@ -13,7 +13,7 @@
    A packet is a row of 10 + 2 J numbers: its number, when it arrives, J joint angles and J velocities, roll and
    pitch, angular velocity (3) and specific force (3).
 
-   It needs surefoot_random.h. Before it is included: SF_SINGLE makes numbers floats (times stay doubles); SF_JOINTS and SF_UNDER_WAY are the
+   It needs surefoot_random.h. Before it is included: SF_SINGLE makes numbers floats (times stay doubles); SF_JOINTS and SF_LINK_ROOM are the
    largest sizes; SF_API is what stands before functions. */
 
 #ifndef SUREFOOT_TELEMETRY_H
@@ -28,8 +28,8 @@
 #ifndef SF_JOINTS
 #define SF_JOINTS 64
 #endif
-#ifndef SF_UNDER_WAY
-#define SF_UNDER_WAY 64 /* under way at a time */
+#ifndef SF_LINK_ROOM
+#define SF_LINK_ROOM 64 /* under way at a time */
 #endif
 #define SF_PACKET (10 + 2 * SF_JOINTS)
 
@@ -64,8 +64,8 @@ typedef struct {
     sf_real error[SF_JOINTS];         /* of the encoders */
     sf_real up[3], gyroscope_bias[3]; /* what the computer believes */
     sf_real position[SF_JOINTS], velocity[SF_JOINTS], inertial[6];
-    double arrival[SF_UNDER_WAY];
-    sf_real ring[SF_UNDER_WAY * SF_PACKET];
+    double arrival[SF_LINK_ROOM];
+    sf_real ring[SF_LINK_ROOM * SF_PACKET];
 } sf_telemetry;
 
 /* Where standard normal numbers come from: a stream, or without one an array of enough of them. */
@@ -87,16 +87,16 @@ SF_API int sf_packet_size(const sf_telemetry_config *c) { return 10 + 2 * c->joi
 
 /* Return whether a robot fits into the arrays; call it once for a config that comes from elsewhere. */
 SF_API int sf_telemetry_fits(const sf_telemetry_config *c) {
-    int most = c->period > 0 ? (int)fmin(c->dt / c->period, SF_UNDER_WAY) + 1 : SF_UNDER_WAY + 1;
+    int most = c->period > 0 ? (int)fmin(c->dt / c->period, SF_LINK_ROOM) + 1 : SF_LINK_ROOM + 1;
     return c->joints >= 0 && c->joints <= SF_JOINTS && c->substeps >= 1 && c->before_start >= 0 &&
-           c->before_start <= SF_UNDER_WAY - most && c->dt > 0 && c->substep > 0;
+           c->before_start <= SF_LINK_ROOM - most && c->dt > 0 && c->substep > 0;
 }
 
 /* Return how many packets the next step sends; -1 if there is no room for them. */
 SF_API int sf_telemetry_coming(const sf_telemetry_config *c, const sf_telemetry *s) {
     int count = 0;
     for (double due = s->due; due <= c->dt + 1e-9; due += c->period)
-        if (s->waiting + ++count > SF_UNDER_WAY) return -1;
+        if (s->waiting + ++count > SF_LINK_ROOM) return -1;
     return count;
 }
 
@@ -176,7 +176,7 @@ SF_API void sf_attitude(sf_telemetry *s, const sf_real *gyroscope, const sf_real
 /* ------------------------------------------------------------------------------------------------ packets */
 
 SF_API sf_real *sf_packet(const sf_telemetry_config *c, sf_telemetry *s, int64_t place) {
-    return s->ring + (s->first + place) % SF_UNDER_WAY * sf_packet_size(c);
+    return s->ring + (s->first + place) % SF_LINK_ROOM * sf_packet_size(c);
 }
 
 /* Read the sensors once and send a packet at a time of the host's clock. */
@@ -207,8 +207,8 @@ SF_API void sf_measure_and_send(const sf_telemetry_config *c, sf_telemetry *s, c
         delay = fmax(0.0, delay + c->jitter * (double)late);
     }
     double arrival = time + delay;
-    if (s->waiting > 0) arrival = fmax(arrival, s->arrival[(s->first + s->waiting - 1) % SF_UNDER_WAY]);
-    s->arrival[(s->first + s->waiting) % SF_UNDER_WAY] = arrival;
+    if (s->waiting > 0) arrival = fmax(arrival, s->arrival[(s->first + s->waiting - 1) % SF_LINK_ROOM]);
+    s->arrival[(s->first + s->waiting) % SF_LINK_ROOM] = arrival;
     row[0] = (sf_real)s->number;
     row[1] = (sf_real)arrival;
     s->number++;
@@ -220,7 +220,7 @@ SF_API int sf_receive(const sf_telemetry_config *c, sf_telemetry *s, double time
     int count = 0, size = sf_packet_size(c);
     for (; s->waiting > 0 && s->arrival[s->first] <= time + SF_LINK_ROUNDING; count++) {
         memcpy(arrived + count * size, sf_packet(c, s, 0), (size_t)size * sizeof(sf_real));
-        s->first = (s->first + 1) % SF_UNDER_WAY;
+        s->first = (s->first + 1) % SF_LINK_ROOM;
         s->waiting--;
     }
     return count;
@@ -229,7 +229,7 @@ SF_API int sf_receive(const sf_telemetry_config *c, sf_telemetry *s, double time
 /* Switch the robot on at rest, some packets before time 0.
 
    position (J) and inertial (6) are what is true then. With `fresh` an IMU and encoders are drawn; otherwise
-   `bias`, `matrix` and `error` of the state are those to keep. `arrived` holds SF_UNDER_WAY rows; the number of
+   `bias`, `matrix` and `error` of the state are those to keep. `arrived` holds SF_LINK_ROOM rows; the number of
    those that have arrived by time 0 is returned. */
 SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
                              const sf_real *inertial, int fresh, sf_normals *normals, sf_real *arrived) {
@@ -258,7 +258,7 @@ SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, cons
 /* Measure a control step.
 
    position (S, J) and inertial (S, 6) are what is true at the ends of its S substeps, time is the host's at its
-   end. `arrived` holds SF_UNDER_WAY rows; the number of packets that have arrived is returned, or -1 if more are
+   end. `arrived` holds SF_LINK_ROOM rows; the number of packets that have arrived is returned, or -1 if more are
    under way than there is room for: nothing has happened then. */
 SF_API int sf_telemetry_advance(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
                                 const sf_real *inertial, double time, sf_normals *normals, sf_real *arrived) {

@@ -7,7 +7,7 @@
 
 static sf_telemetry_config config;
 static sf_telemetry state;
-static sf_real arrived[SF_UNDER_WAY * SF_PACKET];
+static sf_real arrived[SF_LINK_ROOM * SF_PACKET];
 static sf_real truth[16 * (SF_JOINTS + 6)], normal[100 * (SF_JOINTS + 13)];
 
 static sf_real any(void) {
@@ -24,7 +24,7 @@ int main(int count, char **names) {
         int come =
             k % 1000 ? sf_telemetry_advance(&config, &state, truth, truth, k * config.dt, &normals, arrived)
                      : sf_telemetry_init(&config, &state, truth, truth, k % 2000 == 0, &normals, arrived);
-        if (come < -1 || come > SF_UNDER_WAY) return 2;
+        if (come < -1 || come > SF_LINK_ROOM) return 2;
         for (int i = 0; i < 3; i++)
             if (state.up[i] - state.up[i] != 0) return 3;
     }
