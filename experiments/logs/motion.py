@@ -14,9 +14,10 @@ from surefoot.experiments.logs.table import LogError, LogTable
 
 CLOCK_SPAN = 257  # rows over which times are averaged: the rate is even, but lateness is chance
 
-LOST, AROUND = 1.3, 16
+LOST, AROUND, FEWEST = 1.5, 16, 4
 """A step of this many periods or more between two rows may mean that rows in between were lost: they were if
-of as many rows after it even the earliest is later than the earliest of those before by most of a period."""
+as many rows after it, or the fewest that tell, are later than those before by most of a period, both by their
+lower quartiles."""
 
 PACKET = "packet"  # a column that numbers the packets, where the robot does
 LARGEST_ANGLE = 2.1 * np.pi  # joint angle in rad that no hinge goes beyond
@@ -118,9 +119,10 @@ def count_rows(time: NDArray[np.float64], period: float) -> NDArray[np.int64]:
     for row in (np.flatnonzero(np.diff(time) >= LOST * period) + 1).tolist():
         first, last = max(row - AROUND, 0), min(row + AROUND, len(time))
         late = time[first:last] - period * number[first:last]
-        # Nothing comes too early: the earliest tell the clock, and later losses leave them alone.
-        jump = float(late[row - first :].min() - late[: row - first].min())
-        if jump > 0.75 * period:
+        # By the earlier rows, which later losses leave alone.
+        before, after = late[: row - first], late[row - first :]
+        jump = float(np.quantile(after, 0.25) - np.quantile(before, 0.25))
+        if jump > 0.75 * period and min(len(before), len(after)) >= FEWEST:
             number[row:] += round(jump / period)
     return number
 
