@@ -1,7 +1,9 @@
-"""The page: what a browser asks for is done, and nothing else."""
+"""The page: what a browser asks for is done, and nothing else; a real one is asked too."""
 
+import shutil
 import socket
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -182,3 +184,49 @@ def test_a_log_is_played_and_searched(viser: Any, log: Log) -> None:
     page.run(0.1)
     assert page._told.startswith("Method 'guess' does not exist.")
     page.close()
+
+
+@pytest.mark.slow
+def test_in_a_browser(page: Any) -> None:
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    options = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    thread = threading.Thread(target=page.run, daemon=True)
+    with api.sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=found, args=options)
+        except api.Error as error:
+            pytest.skip(f"no browser can be started: {error}")
+        thread.start()
+        try:
+            # Few pixels: where there is no graphics card, a frame takes seconds.
+            ask_as_a_user(
+                browser.new_page(viewport={"width": 1000, "height": 800}, device_scale_factor=0.4),
+                page.address,
+            )
+            browser.close()
+            # The browser has left, and the robot goes on.
+            steps = page.session.steps
+            thread.join(2.0)
+        finally:
+            page.stop()
+            thread.join(10.0)
+    assert page.session.steps > steps
+    # Words are drawn into the picture, where no browser can be asked for them.
+    label = page._board._labels[0]
+    assert (label.visible, label.text) == (True, "left/front-left: dead, lost")
+    assert page.session.errors.faults == ("left/front-left dies",)
+    assert page.session.settings["severity"] == 3.0
+
+
+def ask_as_a_user(tab: Any, address: str) -> None:
+    tab.set_default_timeout(90_000)
+    tab.goto(address)
+    tab.wait_for_selector("text=flagged: nothing")
+    tab.get_by_role("tab", name="Sensors").click()
+    # The number at the slider of the severity, the first of this tab.
+    number = tab.locator("input[type=text]").filter(visible=True).first
+    number.fill("3")
+    number.press("Enter")
+    tab.get_by_role("button", name="break it").click()
+    tab.wait_for_selector("text=left/front-left dead, lost")
