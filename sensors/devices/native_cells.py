@@ -92,6 +92,7 @@ class NativeCells:
             and block.dtype == np.float64
             and block.ndim == 2
             and block.shape[1] == self._channels
+            and len(block) > 0
         )
 
     def step(self, state: NativeCellState, block: Floats, stream: Stream, dt: float) -> Floats:

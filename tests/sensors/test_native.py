@@ -194,6 +194,7 @@ def test_what_the_library_is_not_made_for_is_left_to_python(library: Library) ->
     assert not native.takes(block.astype(np.float32), stream)
     assert not native.takes(block[:, :4], stream)
     assert not native.takes(block[None], stream)
+    assert not native.takes(block[:0], stream)
 
 
 def test_a_wire_that_cannot_hold_its_words_is_refused_in_the_same_words(library: Library) -> None:
