@@ -8,12 +8,21 @@ the same actions and seeds: their robots do the same.
 
 Humanoid-v5 has spheres for feet, and so sensors at its ankles; its robots are reset when they fall, which
 with small random actions is every half second or so.
+
+    python benchmarks/vector_speed.py --launchers --robot surefoot/NaoBalance-v0
+
+compares the launchers of a NAO task: Gymnasium's copies in one process and in one process each, and the
+environment that MuJoCo's threads step, bare and with sensors and a calibrator. It tells the time that passes
+and the time of all processes and threads: where others use the machine too, 64 processes get more of it than
+two threads, and the second is the fairer one.
 """
 
 import argparse
+import os
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -28,12 +37,15 @@ from surefoot.wrappers.vector.truth_row import TruthRow
 
 VectorEnv = gym.vector.VectorEnv[Any, Any, Any]
 
-SENSORS = {"Humanoid-v5": "icub-force-torque", "surefoot/NaoWalk-v0": "hx711-load-cells"}
+SENSORS = {
+    "Humanoid-v5": "icub-force-torque",
+    "surefoot/NaoBalance-v0": "hx711-load-cells",
+    "surefoot/NaoWalk-v0": "hx711-load-cells",
+}
 
 
 def robot(name: str) -> gym.Env[Any, Any]:
-    options = {} if "Humanoid" in name else {"speed": 0.04, "duration": 60.0}
-    return gym.make(name, disable_env_checker=True, **options)
+    return gym.make(name, disable_env_checker=True)
 
 
 def stacks(name: str, count: int, methods: list[str]) -> dict[str, VectorEnv]:
@@ -68,6 +80,49 @@ def step(env: VectorEnv, steps: int, seed: int) -> float:
     return (time.process_time() - begin) / steps
 
 
+def launchers(name: str, count: int, methods: list[str]) -> dict[str, VectorEnv]:
+    def batch() -> VectorEnv:
+        return gym.make_vec(name, count, "vector_entry_point")
+
+    one = partial(robot, name)
+    found = {
+        "AsyncVectorEnv": gym.vector.AsyncVectorEnv([one] * count),
+        "SyncVectorEnv": gym.vector.SyncVectorEnv([one] * count),
+        "NaoVectorEnv": batch(),
+    }
+    for method in methods:
+        felt = VectorFootSensors(batch(), SENSORS[name])
+        found[f"+ sensors, calibration ({method})"] = VectorSelfCalibration(felt, method)
+    return found
+
+
+def busy(env: VectorEnv) -> float:
+    """Tell how long this process and those of an environment have been busy, in s."""
+    children = [process.pid for process in getattr(env.unwrapped, "processes", ())]
+    stats = [Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split() for child in children]
+    theirs = sum(int(stat[11]) + int(stat[12]) for stat in stats)
+    return time.process_time() + theirs / os.sysconf("SC_CLK_TCK")
+
+
+def compare_launchers(envs: dict[str, VectorEnv], steps: int, rounds: int) -> None:
+    """Print steps a second, and how many times those of AsyncVectorEnv."""
+    passed: dict[str, list[float]] = {name: [] for name in envs}
+    used: dict[str, list[float]] = {name: [] for name in envs}
+    for turn in range(rounds):
+        for name, env in envs.items():
+            begin, before = time.perf_counter(), busy(env)
+            step(env, steps, 1 + turn)
+            passed[name].append((time.perf_counter() - begin) / steps)
+            used[name].append((busy(env) - before) / steps)
+    print(f"{'launcher':36s} {'ms/step':>8s} {'ms of cores':>12s} {'times Async':>12s} {'of cores':>9s}")
+    for name in envs:
+        faster, thriftier = (
+            np.median(np.array(times["AsyncVectorEnv"]) / times[name]) for times in (passed, used)
+        )
+        ms, cores = 1e3 * np.median(passed[name]), 1e3 * np.median(used[name])
+        print(f"{name:36s} {ms:8.2f} {cores:12.2f} {faster:12.2f} {thriftier:9.2f}")
+
+
 def main() -> None:
     """Print a table of step times, and where the time goes."""
     layout = argparse.RawDescriptionHelpFormatter
@@ -77,13 +132,20 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=32, help="steps of each stack in a round")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--methods", nargs="+", default=["moment"])
+    parser.add_argument("--launchers", action="store_true", help="compare launchers of a NAO task")
     parser.add_argument("--shares", action="store_true", help="also profile the last stack")
     arguments = parser.parse_args()
 
-    envs = stacks(arguments.robot, arguments.envs, arguments.methods)
+    make = launchers if arguments.launchers else stacks
+    envs = make(arguments.robot, arguments.envs, arguments.methods)
     for env in envs.values():
         env.reset(seed=0)
         step(env, 48, 0)
+    if arguments.launchers:
+        compare_launchers(envs, arguments.steps, arguments.rounds)
+        for env in envs.values():
+            env.close()
+        return
     times: dict[str, list[float]] = {name: [] for name in envs}
     for turn in range(arguments.rounds):
         for name, env in envs.items():

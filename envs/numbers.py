@@ -50,7 +50,9 @@ def _columns(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _together(parts: Any, dtype: Any = None) -> NDArray[Any]:
-    stacked = np.array(np.broadcast_arrays(*parts), dtype)
+    if any(isinstance(part, float) for part in parts):
+        parts = np.broadcast_arrays(*parts)
+    stacked = np.array(parts, dtype)
     return np.ascontiguousarray(stacked.transpose(-1, *range(stacked.ndim - 1)))
 
 

@@ -30,6 +30,9 @@ from surefoot.envs.options import check_render_mode
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that MuJoCo's next step depends on."""
 
+RECORD = ("sensordata",)
+"""What is noted at each substep."""
+
 
 class NaoVectorEnv(SyncVectorEnv):
     """N robots of one task: what ``SyncVectorEnv`` of its environments does, bit for bit, in less time.
@@ -117,8 +120,11 @@ class NaoVectorEnv(SyncVectorEnv):
         self._disturb(stepping, prepares)
         robots._target = targets[:, -1]
         who = None if stepping.all() else np.flatnonzero(stepping)
-        recorded = self._batch.rollout(SUBSTEPS, targets[stepping], record=["sensordata"], ids=who)
-        self._rows[stepping] = recorded["sensordata"]
+        if who is None:
+            self._batch.rollout(SUBSTEPS, targets, record=RECORD, out={"sensordata": self._rows})
+        else:
+            recorded = self._batch.rollout(SUBSTEPS, targets[who], record=RECORD, ids=who)
+            self._rows[who] = recorded["sensordata"]
 
         if who is not None:
             for i in np.flatnonzero(starting).tolist():
