@@ -59,7 +59,7 @@ class NaoObserver:
         Returns:
             The observation, and the truth at the control rate for ``info``.
         """
-        m, where = self.numbers, self.channels
+        m, where, choose = self.numbers, self.channels, self.numbers.where
         force_cell = (last[..., None, where.plate] @ where.force_of_plates)[..., 0, :] + where.preload
 
         wrench, vgrf, cop_foot, foot_valid = [], [], [], []
@@ -91,19 +91,19 @@ class NaoObserver:
             vgrf.append(fz)
             valid = normal > CONTACT_FORCE
             foot_valid.append(valid)
-            safe = m.where(valid, normal, 1.0)
-            place = [-torque_y / safe, torque_x / safe]
-            cop_foot.append([m.where(valid, part, 0.0) for part in place])
-            self._cop_foot[foot] = [
-                m.where(valid, part, held) for part, held in zip(place, self._cop_foot[foot], strict=True)
-            ]
+            safe = choose(valid, normal, 1.0)
+            x, y = -torque_y / safe, torque_x / safe
+            held_x, held_y = self._cop_foot[foot]
+            cop_foot.append([choose(valid, x, 0.0), choose(valid, y, 0.0)])
+            self._cop_foot[foot] = [choose(valid, x, held_x), choose(valid, y, held_y)]
 
         valid = load > CONTACT_FORCE
-        safe = m.where(valid, load, 1.0)
-        cop_world = [m.where(valid, part / safe, 0.0) for part in (-moment_y, moment_x)]
-        x, y, heading = where.level(row, m)
-        cop = turned(cop_world[0] - x, cop_world[1] - y, heading, m)
-        self._cop = [m.where(valid, part, held) for part, held in zip(cop, self._cop, strict=True)]
+        safe = choose(valid, load, 1.0)
+        cop_world = [choose(valid, -moment_y / safe, 0.0), choose(valid, moment_x / safe, 0.0)]
+        middle_x, middle_y, heading = where.level(row, m)
+        x, y = turned(cop_world[0] - middle_x, cop_world[1] - middle_y, heading, m)
+        held_x, held_y = self._cop
+        self._cop = [choose(valid, x, held_x), choose(valid, y, held_y)]
 
         state, valids = self._state(last, row, command), [valid, *foot_valid]
         return self._table.bounded(state, force_cell, self._cop_foot, self._cop, valids, m), {
