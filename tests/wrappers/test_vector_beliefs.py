@@ -122,6 +122,36 @@ def test_a_robot_whose_episode_starts_is_at_rest_and_others_do_not_notice():
     assert np.isnan(moved.com[1]).all()
 
 
+@pytest.mark.parametrize("bad", [np.nan, -np.inf, 1.1e6])
+def test_a_packet_that_cannot_be_is_lost_as_it_is_for_the_scalar_class(bad):
+    layout, behind, hit = TelemetryLayout(24), 0.08, 20
+    sound = _motions(40, layout)
+    packets = sound.copy()
+    packets[hit, 1, layout.accelerometer.start] = bad
+    whole, batch = (BatchBeliefs(_nominal(), layout, PERIOD, DELAY, True, behind) for _ in range(2))
+    alone = Beliefs(_scalar_models()[1], layout, PERIOD, DELAY * PERIOD, True)
+    none, unknown = np.zeros((ROBOTS, 2), dtype=bool), []
+    for number, packet in enumerate(packets):
+        whole.update(sound[number])
+        batch.update(packet)
+        alone.update((Packet(number, (number + DELAY) * PERIOD, packet[1]),))
+        expected, found = (beliefs.reference(none, none, NOBODY) for beliefs in (whole, batch))
+        for name, together, single in zip(Reference._fields, found, expected, strict=True):
+            np.testing.assert_array_equal(together[[0, 2]], single[[0, 2]], err_msg=name)
+        if np.isnan(found.com[1]).any():
+            unknown.append(number)
+            continue
+        # Once it is known again, only the turning that nobody measured is missing.
+        np.testing.assert_allclose(found.com[1], expected.com[1], atol=1e-3)
+        np.testing.assert_allclose(found.com_acceleration[1], expected.com_acceleration[1], atol=0.2)
+    # A reference of 6.4 packets ago, 2 of them under way, lies between 3 and 4 rows ago.
+    assert unknown == list(range(hit, hit + 7))
+    # The scalar class misses two turns, and not one.
+    own = alone.reference((number + DELAY) * PERIOD - behind, none[1], none[1])
+    np.testing.assert_allclose(found.com[1], own.com, atol=3e-3)
+    np.testing.assert_allclose(batch.force_bias[1], alone.force_bias, atol=0.1)
+
+
 def test_a_lag_shorter_than_the_link_is_refused():
     layout = TelemetryLayout(24)
     with pytest.raises(ValueError, match=r"at least 0\.05 s: choose a longer 'lag'"):

@@ -1,7 +1,8 @@
 """What N robots can know of their own motion: :mod:`surefoot.wrappers.beliefs`, written for all at once.
 
 Packets come once a control step and a whole number of steps late (:mod:`surefoot.wrappers.vector.telemetry`),
-so that where to read between them never changes.
+so that where to read between them never changes. A packet that no robot can have measured counts as lost, as
+it does there: the one before is held in its place, and nothing is known until rows that touch it are past.
 """
 
 from math import ceil
@@ -19,6 +20,7 @@ from surefoot.wrappers.beliefs import (
     FURTHEST,
     GYROSCOPE,
     IMU,
+    LARGEST_VALUE,
     MOMENTUM,
     MOMENTUM_RATE,
     ROWS,
@@ -78,6 +80,7 @@ class BatchBeliefs:
         self._ring: Floats = np.zeros((self._length, count, ROWS, 3))
         self._now = 0
         self._before: Floats | None = None
+        self._unsure = np.zeros(count, dtype=np.int64)
 
     @property
     def force_bias(self) -> Floats:
@@ -93,8 +96,17 @@ class BatchBeliefs:
         """
         if self._before is None:
             starting = np.ones(len(packet), dtype=bool)
-            self._before = packet
+            self._before = np.zeros_like(packet)
         before = self._before
+        # NaN compares as false.
+        lost = ~(np.abs(packet).max(axis=1) <= LARGEST_VALUE)
+        self._unsure = np.maximum(self._unsure - 1, 0)
+        if starting is not None:
+            self._unsure[starting] = 0
+        if lost.any():
+            packet = np.where(lost[:, None], before, packet)
+            # Rates of two rows on either side of it follow from it, and a reference lies between two rows.
+            self._unsure[lost] = self._older + 3
         if starting is not None:
             before = np.where(starting[:, None], packet, before)
             self._odometry.begin_episode(starting)
@@ -115,6 +127,7 @@ class BatchBeliefs:
         """
         if self._before is None:
             self._before = packet.copy()
+        self._unsure[mask] = 0
         index, layout = np.flatnonzero(mask), self._layout
         angle = packet[:, layout.joint_position]
         force, spin = packet[:, layout.accelerometer], packet[:, layout.gyroscope]
@@ -170,8 +183,10 @@ class BatchBeliefs:
         Args:
             stance: Feet that are sure to stand then, shape (N, 2).
             swing: Feet that are sure to be in the air then, shape (N, 2).
-            unknown: Robots whose reference is to be NaN, which calibrators know to leave alone, shape (N,).
+            unknown: Robots whose reference is to be NaN, which calibrators know to leave alone, shape (N,);
+                it also is for robots with a packet that was lost of late.
         """
+        unknown = unknown | (self._unsure > 0)
         older = self._row(self._older)
         rows = older + self._part * (self._row(self._older - 1) - older)
         R_level_odometry, origin = _level(rows)
