@@ -80,10 +80,14 @@ class NativeBeliefs:
         tree, library = self.model.tree(), self.library
         sizes = {} if tree is None else {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
         model = None if tree is None else filled_record(library, "model", {**sizes, **tree})
-        if model is None or not library.functions.surefoot_beliefs_fit(
-            model.ctypes.data, self._timing.ctypes.data
+        if (
+            model is None
+            or model["hinges"] != self._state["angle"].size
+            or not library.functions.surefoot_beliefs_fit(model.ctypes.data, self._timing.ctypes.data)
         ):
-            raise ValueError("The robot is no tree of bodies that the library has room for.")
+            raise ValueError(
+                "The robot is no tree of bodies that the library has room for, or packets have other joints."
+            )
         self._revision, self._model, self._tree = self.model.revision, model, model.ctypes.data
 
     @property

@@ -265,6 +265,9 @@ def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library, mon
     model = ROBOTS["nao"]()
     late = python(model, lag=80)
     assert native_beliefs(late) is late
+    # Rows of other joints would be read across their ends.
+    fewer = Beliefs(model, TelemetryLayout(len(model.joint_names) - 4), 0.01, 0.02, True)
+    assert native_beliefs(fewer) is fewer
     monkeypatch.setattr(model, "tree", lambda: None)
     assert not isinstance(native_beliefs(python(model)), NativeBeliefs)
 
