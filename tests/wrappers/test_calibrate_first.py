@@ -24,24 +24,25 @@ def feet(prelude, method="moment"):
 
 
 def test_an_episode_begins_certain(prelude):
-    env = CalibrateFirst(feet(prelude), enough=18e-3)
-    # A robot for which half of it is enough; others need all.
-    _, info = env.reset(seed=7)
-    told = info["surefoot"]
-    # It stopped after one period: the second was no longer needed.
-    assert told["certain"]
-    assert told["cop_std"] <= 18e-3
-    assert told["prelude_time"] == pytest.approx(prelude.duration / 2.0)
-    assert not env.unwrapped.prelude.playing
-    assert not env.wanted
-    calibration = env.env
-    # It has learnt: the feet bear what they bear, and not what the data sheet makes of the counts.
-    start, raw = calibration.calibrator.setup.initial, calibration._sensors.raw
-    true = env.unwrapped.truth.force_cell[-1].sum()
-    learnt, before = (
-        np.sum(p.scale * raw + p.offset) - true for p in (Parameters(**told["parameters"]), start)
-    )
-    assert abs(learnt) < 0.3 * abs(before)
+    env, lengths, off = CalibrateFirst(feet(prelude), enough=18e-3), set(), []
+    for seed in range(2, 6):
+        _, info = env.reset(seed=seed)
+        told = info["surefoot"]
+        assert told["certain"]
+        assert told["cop_std"] <= 18e-3
+        lengths.add(told["prelude_time"] / prelude.duration)
+        assert not env.unwrapped.prelude.playing
+        assert not env.wanted
+        start, raw = env.env.calibrator.setup.initial, env.env._sensors.raw
+        true = env.unwrapped.truth.force_cell[-1].sum()
+        off.append(
+            [np.sum(p.scale * raw + p.offset) - true for p in (Parameters(**told["parameters"]), start)]
+        )
+    # Some robots stopped after one period, as the second was no longer needed; others needed both.
+    assert lengths == {0.5, 1.0}
+    # They have learnt: the feet bear what they bear, and not what the data sheet makes of the counts.
+    learnt, before = np.abs(off).mean(axis=0)
+    assert learnt < 0.3 * before
     _, _, _, _, info = env.step(STILL)
     assert info["surefoot"]["certain"]
 

