@@ -12,7 +12,7 @@ ifeq ($(shell uname -s)$(DISPLAY),Linux)
 export MUJOCO_GL ?= egl
 endif
 
-.PHONY: demo test slow results check style types pyright imports format wheel-test clean
+.PHONY: demo test slow results check style types pyright imports format wheel-test wheels clean
 
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
@@ -74,6 +74,16 @@ wheel-test: $(VENV)/.dev
 	cp -r tests pyproject.toml build/wheel/
 	cd build/wheel && PYTHONPATH=site SUREFOOT_EXPECT_ROOT=$$PWD/site \
 		../../$(BIN)/pytest -n auto --dist loadfile -m "not slow" $(WHEEL_TESTS) site/surefoot $(PYTEST)
+
+# The sdist and the wheels of all platforms, on any of them: ziglang (100 MB) compiles the libraries.
+ZIG := build/zig
+wheels: $(VENV)/.dev
+	test -d $(ZIG) || $(BIN)/pip install --quiet --no-deps --target $(ZIG) 'ziglang>=0.14' 'setuptools>=77'
+	rm -rf dist && $(BIN)/python -m build --sdist --outdir dist .
+	for platform in $$($(BIN)/python -c 'from surefoot.native.build import PLATFORMS; print(*PLATFORMS)'); do \
+		rm -rf build/lib build/bdist.*; \
+		SUREFOOT_PLATFORM=$$platform PYTHONPATH=$(CURDIR)/$(ZIG) $(BIN)/python -m build --wheel --no-isolation --outdir dist . || exit 1; \
+	done
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -1,14 +1,24 @@
 """Compile the libraries in C where there is a C compiler, and say in the wheel's name what is inside."""
 
+import os
 import runpy
 from pathlib import Path
+from typing import Any
 
 from setuptools import setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent
-LIBRARIES = list(runpy.run_path(str(ROOT / "surefoot" / "native" / "build.py"))["sources_below"](ROOT))
+BUILD = runpy.run_path(str(ROOT / "surefoot" / "native" / "build.py"))
+LIBRARIES = list(BUILD["sources_below"](ROOT))
+# `make wheels` names the platform of each wheel; without, it is this machine's.
+PLATFORM = os.environ.get("SUREFOOT_PLATFORM")
+
+
+def place(sources: Any) -> Path:
+    """Return where a library lies in a wheel."""
+    return Path("surefoot", sources.folder.relative_to(ROOT), sources.name + BUILD["ending"](PLATFORM))
 
 
 class BuildWithLibraries(build_py):
@@ -18,12 +28,12 @@ class BuildWithLibraries(build_py):
         """Build the package, and the libraries if that can be."""
         super().run()
         for sources in LIBRARIES:
-            target = sources.library
-            if not self.editable_mode:
-                target = Path(self.build_lib, "surefoot", target.relative_to(ROOT))
+            target = sources.library if self.editable_mode else Path(self.build_lib, place(sources))
             target.parent.mkdir(parents=True, exist_ok=True)
             target.unlink(missing_ok=True)
-            problem = sources.compile(target)
+            problem = sources.compile(target, platform=PLATFORM)
+            if problem and PLATFORM:
+                raise SystemExit(f"No wheel for {PLATFORM}: {problem}.")
             print(f"{sources.name} runs in Python alone: {problem}." if problem else f"compiled {target}")
 
 
@@ -32,11 +42,10 @@ class WheelOfOnePlatform(bdist_wheel):
 
     def get_tag(self) -> tuple[str, str, str]:
         """Return what Python, ABI and platform the wheel is for."""
-        places = (Path("surefoot", sources.library.relative_to(ROOT)) for sources in LIBRARIES)
-        if not any((Path(self.bdist_dir) / place).exists() for place in places):
+        if not any(Path(self.bdist_dir, place(sources)).exists() for sources in LIBRARIES):
             return super().get_tag()
         self.root_is_pure = False
-        return "py3", "none", super().get_tag()[2]
+        return "py3", "none", PLATFORM or super().get_tag()[2]
 
 
 setup(cmdclass={"build_py": BuildWithLibraries, "bdist_wheel": WheelOfOnePlatform})

@@ -29,7 +29,7 @@ def build_robot(setup: OnlineSetup, folder: Path, **options: float) -> Path:
     (folder / "robot.h").write_text(c_source(setup, **options))
     program, main = folder / "robot", Path(__file__).parent / "main.c"
     includes = (f"-I{folder}", f"-I{NATIVE.sources.folder}")
-    subprocess.run([compiler() or "cc", *STRICT, *includes, "-o", program, main, "-lm"], check=True)
+    subprocess.run([*(compiler() or ("cc",)), *STRICT, *includes, "-o", program, main, "-lm"], check=True)
     return program
 
 

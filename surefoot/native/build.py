@@ -4,11 +4,13 @@ Nothing here needs more than Python itself, as ``setup.py`` runs it before there
 """
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,16 +21,39 @@ FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fvisibility=hidden")
 """Contraction would round differently from machine to machine."""
 
 
-def compiler() -> str | None:
-    """Return the system's C compiler: what ``CC`` says, or ``cc``, ``gcc`` or ``clang``; ``None`` without."""
-    return next(
-        (
-            found
-            for name in (os.environ.get("CC"), "cc", "gcc", "clang")
-            if name and (found := shutil.which(name))
-        ),
-        None,
-    )
+PLATFORMS = {
+    "manylinux_2_17_x86_64.manylinux2014_x86_64": "x86_64-linux-gnu.2.17",
+    "manylinux_2_17_aarch64.manylinux2014_aarch64": "aarch64-linux-gnu.2.17",
+    "macosx_11_0_x86_64": "x86_64-macos.11.0",
+    "macosx_11_0_arm64": "aarch64-macos.11.0",
+    "win_amd64": "x86_64-windows-gnu",
+}
+"""Platforms of wheels that any machine can make, and what ziglang's compiler calls them."""
+
+_ZIG = (sys.executable, "-m", "ziglang", "cc")
+
+
+def compiler(platform: str | None = None) -> tuple[str, ...] | None:
+    """Return the command of a C compiler; ``None`` without one.
+
+    What ``CC`` says, or ``cc``, ``gcc`` or ``clang`` of the system, or that of the package ziglang.
+
+    Args:
+        platform: One of :data:`PLATFORMS`, for which ziglang compiles; this machine by default.
+    """
+    zig = _ZIG if find_spec("ziglang") else None
+    if platform is not None:
+        return zig and (*zig, "-target", PLATFORMS[platform])
+    for words in (shlex.split(os.environ.get("CC", "")), ["cc"], ["gcc"], ["clang"]):
+        if words and (program := shutil.which(words[0])):
+            return (program, *words[1:])
+    return zig
+
+
+def ending(platform: str | None = None) -> str:
+    """Return what the names of libraries end with; arguments as of :func:`compiler`."""
+    windows = platform.startswith("win") if platform else sys.platform == "win32"
+    return ".dll" if windows else ".so"
 
 
 class Sources(NamedTuple):
@@ -48,29 +73,36 @@ class Sources(NamedTuple):
     @property
     def library(self) -> Path:
         """Where the library lies: beside its sources."""
-        return self.folder / (self.name + (".dll" if sys.platform == "win32" else ".so"))
+        return self.folder / (self.name + ending())
 
     def fingerprint(self) -> str:
         """Return what tells whether a library was compiled from the sources at hand."""
         found = (path for folder in (self.folder, SHARED) for path in sorted(folder.glob("*.[ch]")))
         return sha256(b"".join(path.read_bytes() for path in found)).hexdigest()[:16]
 
-    def compile(self, target: Path | None = None, flags: Sequence[str] = FLAGS) -> str | None:
+    def compile(
+        self, target: Path | None = None, flags: Sequence[str] = FLAGS, platform: str | None = None
+    ) -> str | None:
         """Compile the library; return ``None``, or in one line why it could not be.
 
         Args:
             target: Where to; by default beside the sources.
             flags: Options of the compiler.
+            platform: For what, as of :func:`compiler`.
         """
-        program = compiler()
+        program = compiler(platform)
         if program is None:
+            if platform:
+                return "the package ziglang, which compiles for other platforms, is not installed"
             return "there is no C compiler (cc, gcc, clang or what CC says)"
         target = target or self.library
         # Moved in one step: a program that runs keeps the library that it has.
         fresh = target.with_name(f"{target.name}.{os.getpid()}")
         source = [
             "-shared",
-            "-fPIC",
+            # Windows knows no other code, and symbols of a debugger have no place in a wheel.
+            *(() if ending(platform) == ".dll" else ("-fPIC",)),
+            *(("-s",) if platform else ()),
             f'-DSF_SOURCE="{self.fingerprint()}"',
             f"-I{SHARED}",
             "-o",
@@ -79,15 +111,17 @@ class Sources(NamedTuple):
             "-lm",
         ]
         try:
-            done = subprocess.run([program, *flags, *source], capture_output=True, text=True, check=False)
+            done = subprocess.run([*program, *flags, *source], capture_output=True, text=True, check=False)
             if done.returncode:
                 complaint = (done.stderr.strip() or f"status {done.returncode}").splitlines()[0]
-                return f"{program} refused: {complaint}"
+                return f"{shlex.join(program)} refused: {complaint}"
             fresh.replace(target)
         except OSError as error:
-            return f"{program} could not be run: {error}"
+            return f"{shlex.join(program)} could not be run: {error}"
         finally:
             fresh.unlink(missing_ok=True)
+            # What programs would be linked to on Windows.
+            target.with_name("library.lib").unlink(missing_ok=True)
         return None
 
 

@@ -359,7 +359,7 @@ STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract
 def compile_program(source, target, *flags):
     """Compile one program beside the header, with all warnings as errors."""
     command = [
-        compiler(),
+        *compiler(),
         *STRICT,
         *flags,
         f"-I{NATIVE.sources.folder}",

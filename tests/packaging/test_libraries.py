@@ -5,7 +5,7 @@ import subprocess
 import pytest
 
 from surefoot.calibration.native import NATIVE
-from surefoot.native import Sources, compiler
+from surefoot.native import Sources, build, compiler
 from surefoot.native.__main__ import main
 from surefoot.native.library import say_once
 
@@ -16,7 +16,7 @@ def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatc
     other = tmp_path / "other.c"
     other.write_text("int surefoot_other(void) { return 0; }\n")
     wrong, text, old = tmp_path / "wrong.so", tmp_path / "text.so", tmp_path / "old.so"
-    subprocess.run([compiler(), "-shared", "-fPIC", "-o", wrong, other], check=True)
+    subprocess.run([*compiler(), "-shared", "-fPIC", "-o", wrong, other], check=True)
     text.write_text("no library")
     with monkeypatch.context() as yesterday:
         yesterday.setattr(Sources, "fingerprint", lambda self: "of yesterday")
@@ -48,6 +48,8 @@ def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
     missing = "there is no C compiler (cc, gcc, clang or what CC says)"
     assert sources.compile(tmp_path / "x.so") == missing
     assert main() == f"Not compiled, surefoot_calibration: {missing}."
+    monkeypatch.setattr(build, "find_spec", lambda name: None)
+    assert "the package ziglang" in str(sources.compile(tmp_path / "x.dll", platform="win_amd64"))
     monkeypatch.undo()
     if compiler() is not None:
         assert "refused: " in str(sources.compile(tmp_path / "x.so", ["-no-such-option"]))

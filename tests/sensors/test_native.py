@@ -219,7 +219,7 @@ def test_the_headers_compile_alone_without_a_warning(tmp_path: Path) -> None:
         (tmp_path / "alone.c").write_text(f'#include "{header.name}"\nint main(void) {{ return 0; }}\n')
         for flags in ([], ["-DSF_SINGLE"]):
             command = [
-                str(compiler()), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", *flags,
+                *compiler(), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", *flags,
                 f"-I{folder}", "-o", str(tmp_path / "alone"), str(tmp_path / "alone.c"), "-lm",
             ]  # fmt: skip
             done = subprocess.run(command, capture_output=True, text=True, check=False)

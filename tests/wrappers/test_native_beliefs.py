@@ -301,7 +301,7 @@ def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path):
     (tmp_path / "robot.h").write_text(c_source(python(model)))
     (tmp_path / "main.c").write_text(PROGRAM)
     command = [
-        compiler(), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1",
+        *compiler(), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1",
         "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{NATIVE.sources.folder}",
         "-o", str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm",
     ]  # fmt: skip

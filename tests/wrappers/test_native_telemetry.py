@@ -212,7 +212,7 @@ def test_garbage_stays_within_the_arrays(library, tmp_path, name: str) -> None:
     (tmp_path / "config").write_bytes(NativeTelemetry(library, *TABLE[name]).config.tobytes())
     strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1"]
     clean = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    command = [compiler(), *strict, *clean, f"-I{NATIVE.sources.folder}", "-o", "fuzz", source, "-lm"]
+    command = [*compiler(), *strict, *clean, f"-I{NATIVE.sources.folder}", "-o", "fuzz", source, "-lm"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     done = subprocess.run(
