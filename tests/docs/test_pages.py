@@ -28,7 +28,7 @@ from surefoot.experiments.force_torque.export import write_json
 from surefoot.experiments.force_torque.log import read_in_situ_log
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("README.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("README.md"), *ROOT.glob("CONTRIBUTING.md"), *ROOT.glob("docs/**/*.md")])
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```\n+(?:```text\n(.*?)^```)?", re.MULTILINE | re.DOTALL)
 FOLDERS = "calibration|sensors|envs|wrappers|controllers|experiments|benchmarks|examples|tests|docs"
 RUN_AS_WELL = ("surefoot sweep --scenarios",)

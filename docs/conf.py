@@ -1,0 +1,60 @@
+"""The site of `make docs`: the pages as they are, notebooks executed, the reference from docstrings."""
+
+import re
+from importlib import metadata
+from typing import Any
+
+project, author, release = "surefoot", "", metadata.version("surefoot")
+html_title = f"surefoot {release}"
+html_theme = "sphinx_book_theme"
+html_theme_options = {"navigation_with_keys": False, "navbar_persistent": []}
+html_show_copyright = False
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4  # links name headings as on GitHub
+
+# A tutorial that fails is a site that is not built.
+nb_execution_mode = "force"
+nb_execution_in_temp = nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+
+autodoc_default_options = {"members": True, "imported-members": True}
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+default_role = "code"
+toc_object_entries_show_parents = "hide"
+napoleon_use_ivar = True
+
+
+def _links_of_the_root(app: Any, path: Any, parent: str, content: list[str]) -> None:
+    """Let pages that are included from the root (README and others) link from docs/."""
+    text = re.sub(r"\]\((?!https?:|#)", "](../", content[0])
+    content[0] = re.sub(r"\.\./(CHANGELOG|CONTRIBUTING)\.md", lambda name: name[1].lower() + ".md", text)
+
+
+def _docstring(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Make Sphinx's tables of those in docstrings, which are written as in Markdown."""
+    for i in reversed(range(len(lines))):
+        if not lines[i].startswith("|"):
+            continue
+        cells = [cell.strip() for cell in lines[i].strip("| ").split("|")]
+        lines[i : i + 1] = [f"   {' ' if j else '*'} - {cell}" for j, cell in enumerate(cells)]
+        if set("".join(cells)) <= set("-:"):
+            del lines[i : i + len(cells)]
+        elif i == 0 or not lines[i - 1].startswith("|"):
+            lines[i:i] = [".. list-table::", "   :header-rows: 1", ""]
+    if what in ("attribute", "property"):
+        lines[:0] = [""]  # Napoleon takes a word before a colon in the first line for a type.
+
+
+def _skips(app: Any, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
+    """Leave out fields of named tuples, which are under Attributes already."""
+    return True if (obj.__doc__ or "").startswith("Alias for field number") else None
+
+
+def setup(app: Any) -> None:
+    """Have Sphinx call the functions above."""
+    app.connect("include-read", _links_of_the_root)
+    app.connect("autodoc-process-docstring", _docstring, priority=400)
+    app.connect("autodoc-skip-member", _skips)
