@@ -199,6 +199,9 @@ TABLE = [
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
+    here = NATIVE.installed()
+    if here is not None:
+        return here
     path = tmp_path_factory.mktemp("native") / "double.so"
     assert NATIVE.sources.compile(path) is None
     return NATIVE.load(path, NATIVE.sources.fingerprint())
@@ -275,8 +278,7 @@ def play(stream, native, log, exchange=None, close=CLOSE):
 
 
 QUICK = [
-    ("cells", 2, dead), ("cells", 2, crossed), ("cells", 2, gaps), ("ankles", 2, missing_and_impossible),
-    ("heavy both", 0, clean),
+    ("cells", 2, dead), ("ankles", 2, missing_and_impossible), ("heavy both", 0, clean),
 ]  # fmt: skip
 
 

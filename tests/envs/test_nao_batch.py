@@ -46,7 +46,9 @@ def _steps(rng: np.random.Generator) -> Any:
         yield (size * rng.standard_normal((ROBOTS, 11))).astype(np.float32)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    "task", [task if task == "NaoBalance" else pytest.param(task, marks=pytest.mark.slow) for task in TASKS]
+)
 def test_robots_do_what_they_do_alone(task):
     copies, batch = _made(task, "sync"), _made(task, "vector_entry_point")
     assert batch.observation_space == copies.observation_space
@@ -76,7 +78,7 @@ def test_robots_do_what_they_do_alone(task):
     _same(copies.step(actions), batch.step(actions), "after it")
 
 
-@pytest.mark.parametrize("task", ["NaoBalance", "NaoCarry"])
+@pytest.mark.parametrize("task", ["NaoBalance", pytest.param("NaoCarry", marks=pytest.mark.slow)])
 def test_sensors_and_calibrators_around_them_see_the_same(task):
     copies, batch = (
         VectorSelfCalibration(VectorFootSensors(env), "moment")
@@ -88,6 +90,7 @@ def test_sensors_and_calibrators_around_them_see_the_same(task):
         _same(copies.step(actions), batch.step(actions), f"step {step}")
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_changes_nothing():
     seen = []
     for threads in (1, 3):
@@ -97,6 +100,7 @@ def test_the_number_of_threads_changes_nothing():
     _same(*seen, "threads")
 
 
+@pytest.mark.slow
 def test_a_prelude_is_played_before_each_episode():
     commands = [NaoStandEnv(sway=(0.02, 0.0))._command(tick) for tick in range(40)]
     one = NaoStandEnv()

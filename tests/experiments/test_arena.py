@@ -48,6 +48,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
     return run_arena(options, bound=bound)
 
 
+@pytest.mark.slow
 def test_every_run_is_scored(results: ArenaResults) -> None:
     scores = results.scores
     assert len(scores) == len(RUN) * 3 * 2
@@ -67,6 +68,7 @@ def test_every_run_is_scored(results: ArenaResults) -> None:
     assert scores[~healthy]["bound_cop"].isna().all()
 
 
+@pytest.mark.slow
 def test_walks_are_shared_and_kept(results: ArenaResults, monkeypatch: pytest.MonkeyPatch) -> None:
     logs = results.options.out / "logs"
     # Two seeds of two walks, each read by cells of two kinds.
@@ -82,6 +84,7 @@ def _must_not_run(*_: object, **__: object) -> None:
     raise AssertionError("this was done before and is kept")
 
 
+@pytest.mark.slow
 def test_a_new_method_leaves_old_scores_alone(
     results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,6 +113,7 @@ def test_another_option_is_another_file(tmp_path: Path) -> None:
     assert len(names) == 8
 
 
+@pytest.mark.slow
 def test_the_page_holds_everything(results: ArenaResults, undrawn: None) -> None:
     text = write_arena_page(results).page.read_text(encoding="utf-8")
     assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
@@ -128,6 +132,7 @@ def test_the_page_holds_everything(results: ArenaResults, undrawn: None) -> None
     assert f"{1e3 * tare['cop'].mean():.2f} ± " in text
 
 
+@pytest.mark.slow
 def test_the_command(results: ArenaResults, tmp_path: Path) -> None:
     runner = CliRunner()
     unknown = runner.invoke(app, ["compare", "walking", "--scenario", "moon", "--out", str(tmp_path)])
@@ -179,6 +184,7 @@ def test_a_clock_error_moves_the_reference_and_nothing_else() -> None:
         )
 
 
+@pytest.mark.slow
 def test_beliefs_and_sensors_are_altered(results: ArenaResults) -> None:
     paths = sorted((results.options.out / "logs").glob("*_instant_seed0_*.parquet"))
     plain = read_log(paths[0])
@@ -226,6 +232,7 @@ def test_an_ankle_tells_what_the_cells_tell(ankles: dict[str, Log]) -> None:
     np.testing.assert_array_equal(both.truth.force[:, ankles_of_both], ankle.truth.force)
 
 
+@pytest.mark.slow
 def test_what_fails_is_left_out_and_named(
     results: ArenaResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undrawn: None
 ) -> None:

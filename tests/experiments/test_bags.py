@@ -138,7 +138,10 @@ def describe(path: Path, walk: Any, **changes: Any) -> None:
     side.write_text(json.dumps(told | {"motion": motion | changes}))
 
 
-@pytest.fixture(scope="module", params=FORMATS)
+@pytest.fixture(
+    scope="module",
+    params=[form if form == "mcap" else pytest.param(form, marks=pytest.mark.slow) for form in FORMATS],
+)
 def ros(request: pytest.FixtureRequest) -> Ros:
     return Ros(request.param)
 

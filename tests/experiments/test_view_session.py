@@ -254,6 +254,7 @@ def stand() -> Session:
     return Session(STAND, seed=0)
 
 
+@pytest.mark.slow
 def test_another_speed_is_walked_from_the_next_reset_on() -> None:
     session = Session(start={"speed": 0.0})
     pattern = session.source.pattern

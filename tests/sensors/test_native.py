@@ -69,6 +69,9 @@ TABLE: dict[str, LoadCells] = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    here = NATIVE.installed()
+    if here is not None:
+        return here
     path = tmp_path_factory.mktemp("native") / "double.so"
     assert NATIVE.sources.compile(path) is None
     return NATIVE.load(path, NATIVE.sources.fingerprint())

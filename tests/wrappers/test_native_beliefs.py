@@ -82,6 +82,9 @@ ROBOTS = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory) -> Library:
+    here = NATIVE.installed()
+    if here is not None:
+        return here
     path = tmp_path_factory.mktemp("native") / "double.so"
     assert NATIVE.sources.compile(path) is None
     return NATIVE.load(path)

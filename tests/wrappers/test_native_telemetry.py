@@ -44,6 +44,9 @@ TABLE = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
+    here = NATIVE.installed()
+    if here is not None:
+        return here
     path = tmp_path_factory.mktemp("native") / "sensors.so"
     assert NATIVE.sources.compile(path) is None
     return NATIVE.load(path, NATIVE.sources.fingerprint())
@@ -95,11 +98,18 @@ def same_state(native: NativeTelemetry, expected, found) -> None:
         np.testing.assert_allclose(two, one, rtol=CLOSE, atol=1e-12)
 
 
+QUICK = ("usual", "axes that are off", "jitter that holds packets up")
 RNGS = {"generator": np.random.default_rng, "stream": Stream.of}
 
 
-@pytest.mark.parametrize("rng", RNGS)
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize(
+    ("name", "rng"),
+    [
+        pytest.param(name, rng, marks=() if name in QUICK and rng == "stream" else pytest.mark.slow)
+        for name in TABLE
+        for rng in RNGS
+    ],
+)
 def test_the_library_is_the_python(library, name: str, rng: str) -> None:
     arguments = TABLE[name]
     joints, _, _, _, dt, substeps = arguments

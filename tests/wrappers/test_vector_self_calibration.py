@@ -94,6 +94,7 @@ def test_a_mass_believed_wrong_is_each_robots_own():
     assert abs(batch.estimate.force - (batch._map[0] * raw + batch._map[1])).max() > 0.5
 
 
+@pytest.mark.slow
 def test_robots_learn_their_centre_of_pressure():
     errors = {"none": [], "moment": []}
     for method, of_all in errors.items():
