@@ -24,7 +24,7 @@ autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
 default_role = "code"
 toc_object_entries_show_parents = "hide"
-napoleon_use_ivar = True
+napoleon_custom_sections = [("Attributes", "params_style")]
 
 
 def _links_of_the_root(app: Any, path: Any, parent: str, content: list[str]) -> None:
