@@ -35,9 +35,7 @@ def _links_of_the_root(app: Any, path: Any, parent: str, content: list[str]) -> 
 
 def _docstring(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Make Sphinx's tables of those in docstrings, which are written as in Markdown."""
-    for i in reversed(range(len(lines))):
-        if not lines[i].startswith("|"):
-            continue
+    for i in reversed([i for i, line in enumerate(lines) if line.startswith("|")]):
         cells = [cell.strip() for cell in lines[i].strip("| ").split("|")]
         lines[i : i + 1] = [f"   {' ' if j else '*'} - {cell}" for j, cell in enumerate(cells)]
         if set("".join(cells)) <= set("-:"):
