@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, Reference
+from surefoot.calibration.native import ReferenceRecord
 from surefoot.envs import InstrumentedEnv, RobotDrawing
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.robots.held import HeldRobot
@@ -73,6 +74,8 @@ MOTIONS = (
 class _Together:
     """All methods in the place of a wrapper's calibrator, whose references and falls depend on no method."""
 
+    native = None  # no filter of the library's alone made the estimates
+
     def __init__(self, one: FootCalibrator, drawing: RobotDrawing) -> None:
         self.setup = one.setup
         given: dict[str, Any] = {name: getattr(one.setup, name) for name in ("mass", "initial", "dt", "lag")}
@@ -82,7 +85,7 @@ class _Together:
             for name in METHODS
         ]
 
-    def update(self, raw: Floats, reference: Reference) -> Estimate:
+    def update(self, raw: Floats, reference: Reference | ReferenceRecord) -> Estimate:
         self.estimates = [method.update(raw, reference) for method in self.methods]
         return self.estimates[0]
 

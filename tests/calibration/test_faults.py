@@ -164,6 +164,7 @@ def broken():
     return Broken()
 
 
+@pytest.mark.slow
 def test_sound_channels_are_never_blamed(broken):
     assert not broken.before.flags.any()
     assert not broken.flags["healthy"].any()
@@ -236,6 +237,7 @@ def test_exchanged_channels_are_put_right(broken, kind):
     assert broken.wrong_cop(kind)[found].max() < PUT_RIGHT
 
 
+@pytest.mark.slow
 def test_a_load_that_is_put_on_is_no_fault(broken):
     loads = [(0.06, 0.03, AT), (0.12, 0.06, AT), (0.12, -0.06, AT), (0.12, 0.03, EARLY)]
     logs = [walk(seed, 0.1, 17.0, 2.0, BAD) for seed in WHO]

@@ -75,7 +75,9 @@ def rasters(sensor, rng, drift, rows=1500):
     return sets
 
 
-@pytest.mark.parametrize(("sensor", "drift"), [("leg", 0.3), ("foot", 0.1)])
+@pytest.mark.parametrize(
+    ("sensor", "drift"), [pytest.param("leg", 0.3, marks=pytest.mark.slow), ("foot", 0.1)]
+)
 def test_a_raster_is_answered_within_its_uncertainty(sensor, drift):
     errors, off, plain = [], [], []
     mass = SENSORS[sensor][1]
@@ -118,7 +120,14 @@ def static_poses(rng, masses):
     return sets, response, limb
 
 
-@pytest.mark.parametrize(("masses", "timed"), [(1, True), (1, False), (3, True)])
+@pytest.mark.parametrize(
+    ("masses", "timed"),
+    [
+        (1, True),
+        pytest.param(1, False, marks=pytest.mark.slow),
+        pytest.param(3, True, marks=pytest.mark.slow),
+    ],
+)
 def test_static_poses_of_a_sensor_whose_zero_walks(masses, timed):
     gains = []
     for seed in range(3):

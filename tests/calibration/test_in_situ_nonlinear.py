@@ -52,6 +52,7 @@ def error(fit: InSituFit, read, wrench) -> tuple[float, float]:
     return tuple(float(np.sqrt(np.mean((e - e.mean(axis=0)) ** 2))) for e in off)
 
 
+@pytest.mark.slow
 def test_other_masses_are_read_better_and_the_fit_says_by_how_much():
     rng = np.random.default_rng(62)
     better, claimed = [], []

@@ -18,6 +18,7 @@ def bad_fleet():
     return fleet(range(4))
 
 
+@pytest.mark.slow
 def test_with_perfect_sensors_only_the_noise_of_the_reference_is_left():
     faults = Faults(acceleration=0.1, rate=0.05, lag=2)
     logs, raw, reference = fleet(range(3), faults=faults, duration=12.0)
@@ -43,6 +44,7 @@ def test_a_bad_map_is_found_and_the_error_goes_down(bad_fleet):
     assert not estimate.flags.any()
 
 
+@pytest.mark.slow
 def test_a_constant_bad_map_is_found_ever_better():
     faults = replace(BAD, gain_drift=0.0, offset_drift=0.0, com=0.0, mass=0.0)
     logs, raw, reference = fleet(range(4), speeds=(0.1,), faults=faults, duration=30.0)
@@ -85,6 +87,7 @@ def test_a_loaded_foot_that_claims_to_swing_is_refused():
     assert (estimate.flags[80:, 1:] & Flag.REJECTED).all()
 
 
+@pytest.mark.slow
 def test_a_walking_robot_with_wrong_contacts_is_not_poisoned():
     logs, raw, reference = fleet(range(4), speeds=(0.04,), duration=12.0)
     told = np.array([(False, False), (True, False), (True, True)])

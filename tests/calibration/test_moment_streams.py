@@ -115,6 +115,7 @@ def test_single_precision_is_close_after_many_steps():
     np.testing.assert_allclose(narrow.force_std, double.force_std, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_ankle_sensors_in_a_batch_are_themselves_one_by_one(ankle_fleet, together):
     method = moment_filter(ankle_fleet.setup, ankle_fleet.config)
     last, blocks = together

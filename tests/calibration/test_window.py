@@ -189,6 +189,7 @@ def test_perfect_sensors_and_beliefs_change_nothing():
     assert errors(estimate, log, 4.0)[0] < 0.01
 
 
+@pytest.mark.slow
 def test_a_bad_start_is_corrected_and_a_good_one_is_not_spoilt():
     for faults, factor in ((Faults.bad(), 0.7), (Faults.mild(), 1.5)):
         logs = [walk(seed, speed, 9.0, 3.0, faults) for speed in (0.02, 0.1) for seed in (11, 12, 13, 14)]

@@ -55,6 +55,7 @@ def test_speed_and_load_are_drawn():
 
 
 @pytest.mark.parametrize("behind", [True, False])
+@pytest.mark.slow
 def test_a_load_of_the_hard_version_fells_who_does_nothing(behind):
     falls = {}
     for name in ("surefoot/NaoCarry-v0", "surefoot/NaoCarryHard-v0"):

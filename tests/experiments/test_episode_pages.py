@@ -204,6 +204,7 @@ def test_the_page_is_one_file_with_everything(tmp_path, undrawn):
     ]
 
 
+@pytest.mark.slow
 def test_hostile_names_are_only_names(tmp_path):
     """Drawn for once: a figure is where a name could be taken for mathematics."""
     few = {"true": 100.0, "none": 50.0}
@@ -270,6 +271,7 @@ def test_the_loss_and_what_is_won_of_it_are_over_the_same_seeds():
     assert won_back(frame, "moment", 1.0) is None
 
 
+@pytest.mark.slow
 def test_names_stay_apart_however_short_they_are_cut(tmp_path, monkeypatch, undrawn):
     ending = "/a/very/long/path/that/two/policies/share/policy.npz"
     controllers = [f"{first}{ending}" for first in "ab"] + ["c/policy.npz", "price$\\frac{"]
@@ -457,6 +459,7 @@ def test_a_study_in_which_all_fails_is_reported(tmp_path: Path) -> None:
         EvaluationPage(results.rows)
 
 
+@pytest.mark.slow
 def test_the_worst_are_filmed_or_it_says_why(tmp_path: Path, undrawn: None) -> None:
     plan = EpisodePlan(
         ("stabiliser",), ("none",), ("stand",), (1.0, 2.0), seeds=(3,), duration=0.3, settle=0.1

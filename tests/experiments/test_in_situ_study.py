@@ -55,6 +55,7 @@ def spoilt_named(start):
     return next(i for i, case in enumerate(SPOILT) if case.name.startswith(start))
 
 
+@pytest.mark.slow
 def test_one_row_for_each_sensor_seed_method_and_set(results):
     assert len(results.fits) == 2 * 2 * len(METHODS)
     assert set(results.fits["method"]) == set(METHODS)
@@ -64,6 +65,7 @@ def test_one_row_for_each_sensor_seed_method_and_set(results):
     assert list(results.shown["sensor"]) == ["foot"] * 4 + ["leg"] * 4
 
 
+@pytest.mark.slow
 def test_everything_is_in_files(results):
     out = results.options.out
     for name in ("exact", "fits", "sets", "white", "motions", "refusals"):
@@ -73,6 +75,7 @@ def test_everything_is_in_files(results):
     assert not list(out.rglob("*.part*"))
 
 
+@pytest.mark.slow
 def test_finished_cases_are_read_and_give_the_same(results):
     journal = results.options.out / "results" / JOURNAL
     before = journal.read_bytes()
@@ -97,6 +100,7 @@ def test_the_page_holds_all_tables_and_the_printed_numbers(results):
     assert text.count("data:image/svg+xml;base64,") == 1
 
 
+@pytest.mark.slow
 def test_table_three_leaves_out_the_set_without_a_mass(results):
     tables = {table.name: table for table in InSituStudyPage(results).tables}
     axes, masses, places = (tables[name] for name in ("table1", "table2", "table3"))
@@ -272,6 +276,7 @@ def test_targets_count_refused_fits_as_missed():
     assert not Limit("x", 1.0, np.zeros(0)).met
 
 
+@pytest.mark.slow
 def test_a_refused_seed_misses_its_sets(results):
     before = {target.name: target for target in limits_of(results)}
     fits, sets = results.fits.copy(), results.sets
@@ -313,6 +318,7 @@ def test_spoilt_experiments_are_refused_with_the_reason(case, said):
     assert said in row["refusal"]
 
 
+@pytest.mark.slow
 def test_a_sound_experiment_is_answered(results):
     controls = results.refusals[results.refusals["harmless"]]
     assert len(controls) == 2

@@ -55,6 +55,7 @@ def recorded(recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> An
     return recorded_walk
 
 
+@pytest.mark.slow
 def test_references_are_those_that_the_robot_had(recorded: Any) -> None:
     """Up to the clock of the telemetry, which a robot averages over the past alone."""
     log = read_log(recorded.path)

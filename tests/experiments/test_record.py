@@ -17,6 +17,7 @@ def walk() -> dict[str, Log]:
     return record_walk(0.1, 3, 4.6)
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_walk(walk: dict[str, Log]) -> None:
     again = record_walk(0.1, 3, 4.6)
     for name, log in walk.items():

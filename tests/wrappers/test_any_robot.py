@@ -278,6 +278,7 @@ def test_a_robot_that_is_dropped_learns_when_it_stands(stilts: str) -> None:
 
 
 @pytest.mark.parametrize("vector", [False, True])
+@pytest.mark.slow
 def test_robots_that_only_fall_keep_their_starting_map(vector: bool) -> None:
     """Nothing is learnt of the feet of a robot that falls within a second, again and again."""
     env: Any

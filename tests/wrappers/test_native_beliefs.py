@@ -183,7 +183,9 @@ def numbers(beliefs: Beliefs | NativeBeliefs, now: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("averaged", "lag", "plans"), [(True, 5, True), (False, 9, False)])
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    "name", [name if name == "nao" else pytest.param(name, marks=pytest.mark.slow) for name in ROBOTS]
+)
 def test_the_library_is_the_python(library, name, averaged, lag, plans):
     model = robot(name)
     expected = python(model, averaged, lag)

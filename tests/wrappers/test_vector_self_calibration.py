@@ -147,6 +147,7 @@ def test_what_was_learnt_outlives_episodes_in_all_modes(mode):
     assert (before != start).any(axis=1).all()
 
 
+@pytest.mark.slow
 def test_a_seed_repeats_all_on_the_same_object():
     env = _vector()
 
