@@ -32,10 +32,10 @@ _BAR, _TALLEST = 0.035, 0.7  # width of a bar, and height of one that bears the 
 _SOLE, _BROKEN = (203, 211, 220), (214, 64, 69)
 
 
-def colours(method: str) -> dict[str, tuple[int, int, int]]:
-    """Return the colour of each way to read the feet: those of all figures."""
+def colours(method: str) -> dict[str, str]:
+    """Return the colour of each way to read the feet, as in all figures: ``"#rrggbb"``."""
     names = {"true": "true", "raw": "none", "calibrated": "moment" if method == "none" else method}
-    return {way: ImageColor.getrgb(look_of(name).colour)[:3] for way, name in names.items()}
+    return {way: look_of(name).colour for way, name in names.items()}
 
 
 class FeetBoard:
@@ -76,15 +76,14 @@ class FeetBoard:
         ]
         for foot in layout.feet:
             scene.add_label(f"/feet/{foot.name}/name", foot.name, anchor="top-center", font_screen_scale=0.9)
-        self.paint(colours("moment"))
 
-    def paint(self, chosen: Mapping[str, tuple[int, int, int]]) -> None:
-        """Give each way to read the feet its colour."""
-        self._colours = chosen
-        for way, rgb in chosen.items():
+    def paint(self, chosen: Mapping[str, str]) -> None:
+        """Give each way to read the feet its colour, ``"#rrggbb"``."""
+        self._colours = {way: ImageColor.getrgb(colour)[:3] for way, colour in chosen.items()}
+        for way, rgb in self._colours.items():
             self._bars[way].batched_colors = np.tile(_linear(rgb), (len(self._names), 1))
             self._dots[way].color = rgb
-        self._ellipse.colors = _linear(chosen["calibrated"])
+        self._ellipse.colors = _linear(self._colours["calibrated"])
 
     def forget(self) -> None:
         """Drop the trails, at an episode start."""

@@ -10,8 +10,8 @@ import viser
 from viser import uplot
 
 from surefoot.calibration.estimate import Flag
-from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.view.board import words
+from surefoot.experiments.view.scene import FRAMES_PER_SECOND
 from surefoot.experiments.view.shown import WAYS, Shown
 
 SPAN = 10.0
@@ -31,17 +31,16 @@ class Meters:
 
     def __init__(self, server: viser.ViserServer, feet: tuple[str, ...], channels: tuple[str, ...]) -> None:
         self._gui, self._feet, self._channels = server.gui, feet, channels
-        self._rows: deque[list[float]] = deque(maxlen=round(SPAN * 30 / _EVERY))
+        self._rows: deque[list[float]] = deque(maxlen=round(SPAN * FRAMES_PER_SECOND / _EVERY))
         self._count = 0
         self._table = server.gui.add_html("")
         self._place = server.gui.add_folder("Vertical force, N: left solid, right dashed")
         self._colours: Mapping[str, str] = {}
         self._chart: Any = None
 
-    def paint(self, method: str) -> None:
-        """Draw a fresh chart, with the colours of a method."""
-        names = {"true": "true", "raw": "none", "calibrated": method}
-        self._colours = {way: look_of(name).colour for way, name in names.items()}
+    def paint(self, chosen: Mapping[str, str]) -> None:
+        """Draw a fresh chart, in a colour for each way to read the feet, ``"#rrggbb"``."""
+        self._colours = chosen
         series: list[Any] = [uplot.Series(label="time in s")]
         for i, foot in enumerate(self._feet):
             for way, colour in self._colours.items():

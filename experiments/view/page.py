@@ -2,19 +2,20 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from time import perf_counter, sleep
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from surefoot.experiments.logs.format import write_log
-from surefoot.experiments.view.board import FeetBoard, colours
-from surefoot.experiments.view.meters import Meters
 from surefoot.experiments.view.panel import Panel
 from surefoot.experiments.view.robot import RobotMeshes
-from surefoot.experiments.view.scene import FRAMES_PER_SECOND, close_server, open_server, set_scene
+from surefoot.experiments.view.scene import FRAMES_PER_SECOND
+from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.session import Change, Session
+
+TORSO = 0.32
+"""Height in m of the torso of a robot whose scene has size 1: the NAO's."""
 
 LONGEST_FRAME = 0.1
 """Simulated time in s that one frame makes up for at most: a slower computer shows the walk more slowly."""
@@ -26,7 +27,7 @@ LATEST = ("severity", "drift", "scale", "offset", "payload", "slope", "speed", "
 """What is asked for many times while a slider is drawn: only the last counts."""
 
 
-class Page:
+class Page(Served):
     """A session in the browser.
 
     Args:
@@ -37,7 +38,6 @@ class Page:
         changes: What is still to be changed, of a session that is repeated.
 
     Attributes:
-        server: The page.
         frames: How many were drawn.
 
     Raises:
@@ -54,51 +54,20 @@ class Page:
         changes: Iterable[Change] = (),
     ) -> None:
         self.session, self._folder, self._coming = session, folder, list(changes)
-        self.server = open_server(host, port, f"surefoot: {session.env_id}")
-        self._asked: SimpleQueue[tuple[str, Any]] = SimpleQueue()
-        self._stopped = False
+        size = float(session.source.data.body(session.drawing.torso).xpos[2]) / TORSO
+        weight = session.drawing.weight
+        super().__init__(host, port, session.env_id, layout=session.layout, weight=weight, size=size)
         self._paused, self._pace, self._due, self._lies = False, 1.0, 0.0, 0.0
         self.frames, self._simulated, self._rate = 0, 0.0, (0.0, 0.0)
         self._counted = perf_counter(), 0, 0.0
-        self._told = ""
-        data = session.source.data
-        size = float(data.body(session.drawing.torso).xpos[2]) / 0.32
-        self._ground = set_scene(self.server, size)
         self._robot = RobotMeshes(self.server, session.source.model)
-        self._board = FeetBoard(self.server, session.layout, session.drawing.weight, size)
         self._cell = size
-        self._meters = Meters(self.server, session.drawing.feet, session.channel_names)
-        self._panel = Panel(
-            self.server, session, lambda what, value: self._asked.put((what, value)), bool(folder)
-        )
-        self._paint()
-
-    @property
-    def address(self) -> str:
-        """Where a browser finds the page."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
-
-    def run(self, seconds: float = float("inf")) -> None:
-        """Walk and draw for some time in s, until interrupted or stopped."""
-        last = perf_counter()
-        until, self._stopped = last + seconds, False
-        while last < until and not self._stopped:
-            self._answer()
-            now = perf_counter()
-            self._advance(now - last)
-            last = now
-            self.draw()
-            rest = last + 1.0 / FRAMES_PER_SECOND - perf_counter()
-            if rest > 0.0:
-                sleep(rest)
-
-    def stop(self) -> None:
-        """Let :meth:`run` come back; any thread may call this."""
-        self._stopped = True
+        self._panel = Panel(self.server, session, self._ask, bool(folder))
+        self._paint(str(session.settings["method"]))
 
     def close(self) -> None:
         """Stop serving, and close the session."""
-        close_server(self.server)
+        super().close()
         self.session.close()
 
     def draw(self) -> None:
@@ -139,7 +108,7 @@ class Page:
         if session.over:
             self._lies += passed
             if not session.fell or self._lies > LYING:
-                self._asked.put(("reset", None))
+                self._ask("reset", None)
             return
         if self._paused:
             return
@@ -158,7 +127,7 @@ class Page:
         session = self.session
         while self._coming and self._coming[0].step <= session.steps:
             change = self._coming.pop(0)
-            self._do(change.what, change.value)
+            self._try(change.what, change.value)
         if session.over:
             return
         session.step()
@@ -166,64 +135,49 @@ class Page:
         if session.record_is_full:
             self._save()
 
-    def _answer(self) -> None:
-        """Do what browsers have asked for since the last frame."""
+    def _waiting(self) -> list[tuple[str, Any]]:
+        """Return what browsers have asked for since the last frame, of each slider the last value alone."""
         asked: list[tuple[str, Any]] = []
-        while True:
-            try:
-                what, value = self._asked.get_nowait()
-            except Empty:
-                break
+        for what, value in super()._waiting():
             if what in LATEST:
                 same = what in ("scale", "offset")
                 asked = [one for one in asked if one[0] != what or (same and one[1][0] != value[0])]
             asked.append((what, value))
-        for what, value in asked:
-            self._do(what, value)
+        return asked
 
-    def _do(self, what: str, value: Any) -> None:
-        """Do one thing, or say why not."""
+    def _do(self, what: str, value: Any) -> str:
+        """Do one thing, and return what is broken."""
         session = self.session
-        try:
-            match what:
-                case "pause":
-                    self._paused = bool(value)
-                case "step":
-                    if not session.over:
-                        self._step()
-                case "pace":
-                    self._pace = min(max(float(value), 0.1), 1.0)
-                case "record":
-                    self._record()
-                case "power_up":
-                    self._save()
-                    self._coming.clear()
-                    session.power_up(int(value))
-                    self._fresh()
-                    self._panel.show_settings()
-                case "reset":
-                    self._save()
-                    session.change("reset")
-                    self._fresh()
-                case _:
-                    session.change(what, value)
-                    if what == "method":
-                        self._paint()
-            self._told = "; ".join(session.errors.faults)
-            self._told = f"Broken: {self._told}" if self._told else ""
-        except (ValueError, TypeError, IndexError, KeyError, OverflowError, OSError) as error:
-            self._told = str(error)
+        match what:
+            case "pause":
+                self._paused = bool(value)
+            case "step":
+                if not session.over:
+                    self._step()
+            case "pace":
+                self._pace = min(max(float(value), 0.1), 1.0)
+            case "record":
+                self._record()
+            case "power_up":
+                self._save()
+                self._coming.clear()
+                session.power_up(int(value))
+                self._fresh()
+                self._panel.show_settings()
+            case "reset":
+                self._save()
+                session.change("reset")
+                self._fresh()
+            case _:
+                session.change(what, value)
+                if what == "method":
+                    self._paint(str(session.settings["method"]))
+        return f"Broken: {'; '.join(session.errors.faults)}" if session.errors.faults else ""
 
     def _fresh(self) -> None:
         """Forget what was drawn of the last episode."""
         self._lies = self._due = 0.0
-        self._board.forget()
-        self._meters.forget()
-
-    def _paint(self) -> None:
-        method = str(self.session.settings["method"])
-        self._board.paint(colours(method))
-        self._meters.paint("moment" if method == "none" else method)
+        self._forget()
 
     def _record(self) -> None:
         if self._folder is None:

@@ -6,6 +6,7 @@ from typing import Any
 import viser
 
 from surefoot.calibration import GRAVITY
+from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.session import Session, methods
 
 Ask = Callable[[str, Any], None]
@@ -56,14 +57,9 @@ class Panel:
     def _channel(self) -> int:
         return list(self._session.channel_names).index(str(self._cell.value))
 
-    def _tell(self, handle: Any, what: str, value: Callable[[], Any]) -> None:
-        """Ask for a value when a browser, and not this program, changes a control."""
-
-        def tell(event: Any) -> None:
-            if event.client_id is not None:
-                self._ask(what, value())
-
-        handle.on_update(tell)
+    def _tell(self, handle: Any, what: str, value: Callable[[Any], Any] = lambda chosen: chosen) -> None:
+        """Ask for what a browser has chosen at a control."""
+        when_changed(handle, lambda chosen: self._ask(what, value(chosen)))
 
     def _button(self, label: str, what: str, value: Callable[[], Any] = lambda: None, **options: Any) -> Any:
         button = self._gui.add_button(label, **options)
@@ -73,17 +69,17 @@ class Panel:
     def _slider(self, label: str, what: str, low: float, high: float, step: float, hint: str) -> None:
         handle = self._gui.add_slider(label, low, high, step, self._inside(what, low, high), hint=hint)
         self._chosen[what] = handle
-        self._tell(handle, what, lambda: handle.value)
+        self._tell(handle, what)
 
     def _inside(self, what: str, low: float, high: float) -> float:
         return min(max(float(self._session.settings[what]), low), high)
 
     def _run(self) -> None:
         pause = self._gui.add_checkbox("pause", initial_value=False)
-        self._tell(pause, "pause", lambda: bool(pause.value))
+        self._tell(pause, "pause")
         self._button("one step", "step", hint="While it is paused: 1/80 s on.")
         pace = self._gui.add_slider("pace", 0.1, 1.0, 0.1, 1.0, hint="1 is real time.")
-        self._tell(pace, "pace", lambda: float(pace.value))
+        self._tell(pace, "pace")
         self._button("reset", "reset", hint="A new episode on the same feet, with what was learnt.")
         self._seed = self._gui.add_number("seed", self._session.seed, min=0, max=10**6, step=1)
         self._button(
@@ -108,8 +104,8 @@ class Panel:
             hint="It learns from when it is first chosen.",
         )
         self._chosen |= {"feed": feed, "method": method}
-        self._tell(feed, "feed", lambda: feed.value)
-        self._tell(method, "method", lambda: method.value)
+        self._tell(feed, "feed")
+        self._tell(method, "method")
 
     def _cells(self) -> None:
         session, gui = self._session, self._gui
@@ -122,8 +118,8 @@ class Panel:
         self._offset = gui.add_slider(
             "its offset, N", -limit, limit, 0.1, 0.0, hint="Error on top of its own."
         )
-        self._tell(self._scale, "scale", lambda: (self._channel(), 0.01 * float(self._scale.value)))
-        self._tell(self._offset, "offset", lambda: (self._channel(), float(self._offset.value)))
+        self._tell(self._scale, "scale", lambda percent: (self._channel(), 0.01 * float(percent)))
+        self._tell(self._offset, "offset", lambda force: (self._channel(), float(force)))
         what = gui.add_dropdown("this cell", FAULTS)
         other = gui.add_dropdown("with", session.channel_names[::-1], visible=False)
 

@@ -1,8 +1,6 @@
 """A log in the browser: the feet that it tells of, to be played and to be searched through."""
 
-from collections.abc import Mapping
-from queue import Empty, SimpleQueue
-from time import perf_counter, sleep
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,14 +11,13 @@ from surefoot.calibration.setup import method_name
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
-from surefoot.experiments.view.board import FeetBoard, colours
-from surefoot.experiments.view.meters import Meters
-from surefoot.experiments.view.scene import FRAMES_PER_SECOND, close_server, open_server, set_scene
+from surefoot.experiments.view.scene import when_changed
+from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.session import methods
 from surefoot.experiments.view.shown import Reading, Shown, placed
 from surefoot.experiments.walks.replay import starting_map
 
-LEG = 0.32
+SIZE = 1.0
 """Length in m by which the scene of a log is scaled: its robot is not known."""
 
 
@@ -93,7 +90,7 @@ class LogFeet:
         )
 
 
-class LogPage:
+class LogPage(Served):
     """A log in the browser, with a slider for its time.
 
     Args:
@@ -108,44 +105,22 @@ class LogPage:
 
     def __init__(self, feet: LogFeet, *, host: str, port: int, name: str) -> None:
         self.feet, log = feet, feet.log
-        self.server = open_server(host, port, f"surefoot: {name}")
-        set_scene(self.server, LEG / 0.32, aside=0.0)
-        self._board = FeetBoard(self.server, log.layout, log.mass * GRAVITY, LEG / 0.32)
-        self._meters = Meters(
-            self.server, tuple(foot.name for foot in log.layout.feet), tuple(log.layout.channel_names)
-        )
-        self._asked: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+        weight = log.mass * GRAVITY
+        super().__init__(host, port, name, layout=log.layout, weight=weight, size=SIZE, aside=0.0)
         gui = self.server.gui
         start, end = float(log.time[0]), float(log.time[-1])
         self._time = gui.add_slider("time, s", start, end, log.dt, start)
         self._method = gui.add_dropdown("calibrator", methods(), initial_value=feet.method)
         self._play = gui.add_checkbox("play", initial_value=True)
         self._pace = gui.add_slider("pace", 0.1, 10.0, 0.1, 1.0, hint="1 is real time.")
-        controls: Mapping[str, Any] = {"time": self._time, "method": self._method}
-        for what, handle in controls.items():
-            self._tell(handle, what)
-        self._now, self._drawn, self._told = start, -1, ""
-        self._paint()
+        for what, handle in (("time", self._time), ("method", self._method)):
+            when_changed(handle, partial(self._ask, what))
+        self._now, self._drawn = start, -1
+        self._paint(feet.method)
 
-    @property
-    def address(self) -> str:
-        """Where a browser finds the page."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
-
-    def run(self, seconds: float = float("inf")) -> None:
-        """Play for some time in s, or until interrupted."""
-        last = perf_counter()
-        until = last + seconds
-        while last < until:
-            self._answer()
-            now = perf_counter()
-            if self._play.value:
-                self._now = min(
-                    self._now + float(self._pace.value) * (now - last), float(self.feet.log.time[-1])
-                )
-            last = now
-            self.draw()
-            sleep(max(last + 1.0 / FRAMES_PER_SECOND - perf_counter(), 0.0))
+    def _advance(self, passed: float) -> None:
+        if self._play.value:
+            self._now = min(self._now + float(self._pace.value) * passed, float(self.feet.log.time[-1]))
 
     def draw(self) -> None:
         """Draw the sample of now, unless it is drawn already."""
@@ -154,8 +129,7 @@ class LogPage:
         if i == self._drawn:
             return
         if i < self._drawn:
-            self._board.forget()
-            self._meters.forget()
+            self._forget()
         self._drawn = i
         shown = self.feet.shown(i)
         with self.server.atomic():
@@ -164,35 +138,11 @@ class LogPage:
             if self._play.value:
                 self._time.value = shown.time
 
-    def close(self) -> None:
-        """Stop serving."""
-        close_server(self.server)
-
-    def _tell(self, handle: Any, what: str) -> None:
-        def tell(event: Any) -> None:
-            if event.client_id is not None:
-                self._asked.put((what, handle.value))
-
-        handle.on_update(tell)
-
-    def _answer(self) -> None:
-        """Do what browsers have asked for since the last frame."""
-        while True:
-            try:
-                what, value = self._asked.get_nowait()
-            except Empty:
-                return
-            try:
-                if what == "time":
-                    self._now = float(value)
-                else:
-                    self.feet.choose(str(value))
-                    self._drawn = -1
-                    self._paint()
-                self._told = ""
-            except (ValueError, TypeError) as error:
-                self._told = str(error)
-
-    def _paint(self) -> None:
-        self._board.paint(colours(self.feet.method))
-        self._meters.paint("moment" if self.feet.method == "none" else self.feet.method)
+    def _do(self, what: str, value: Any) -> str:
+        if what == "time":
+            self._now = float(value)
+        else:
+            self.feet.choose(str(value))
+            self._drawn = -1
+            self._paint(self.feet.method)
+        return ""

@@ -2,6 +2,7 @@
 
 import errno
 import socket
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import Any
@@ -43,6 +44,16 @@ def close_server(server: viser.ViserServer) -> None:
     """Stop serving; browsers see that nobody answers."""
     with redirect_stdout(StringIO()):
         server.stop()
+
+
+def when_changed(handle: Any, tell: Callable[[Any], None]) -> None:
+    """Tell a control's value when a browser, and not this program, has changed it."""
+
+    def changed(event: Any) -> None:
+        if event.client_id is not None:
+            tell(handle.value)
+
+    handle.on_update(changed)
 
 
 def set_scene(server: viser.ViserServer, size: float, aside: float = 1.0) -> Any:

@@ -15,9 +15,10 @@ from surefoot.controllers import Stabiliser
 from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.pattern import plan_walk
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.experiments.logs.format import Log
 from surefoot.experiments.policy.controllers import load_controller
 from surefoot.experiments.view.errors import LiveErrors
+from surefoot.experiments.view.recording import Recording
 from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
@@ -36,9 +37,6 @@ WALK_TIME = 60.0
 
 ERROR_STREAM = 0x5F02
 """Number of the random stream that live errors draw from."""
-
-LONGEST_RECORDING = 600.0
-"""Time in s after which a recording ends by itself."""
 
 START: Mapping[str, Any] = {
     "severity": 1.0,
@@ -165,7 +163,7 @@ class Session:
         self.changes: list[Change] = []
         self.fell = self.over = False
         self.steps = self._episode_steps = 0
-        self._rows: list[Any] | None = None
+        self._recording: Recording | None = None
         self.power_up(seed)
 
     def power_up(self, seed: int) -> None:
@@ -227,8 +225,10 @@ class Session:
             for line in self._lines.values():
                 line.calibrator.retract()
         self.over = bool(self.fell or truncated)
-        if self._rows is not None:
-            self._record()
+        if self._recording is not None:
+            self._recording.keep(
+                self.time, self._raw, self._env.reference, self.source.truth, self.errors.parameters
+            )
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -258,7 +258,7 @@ class Session:
     @property
     def recording(self) -> bool:
         """Whether what happens is recorded."""
-        return self._rows is not None
+        return self._recording is not None
 
     def shown(self) -> Shown:
         """Return what there is to draw now."""
@@ -274,7 +274,7 @@ class Session:
 
     def record(self) -> None:
         """Record from now on, to the end of the episode at the latest."""
-        self._rows = []
+        self._recording = Recording(self.dt)
 
     def recorded(self) -> Log:
         """Stop recording and return what was recorded.
@@ -282,25 +282,16 @@ class Session:
         Raises:
             ValueError: If there is nothing recorded yet.
         """
-        rows, self._rows = self._rows, None
-        if not rows or len(rows) < 2:
-            raise ValueError("Nothing was recorded yet: record, and let the robot go on for a while.")
-        time, raw, reference, force, position, R, scale, offset = zip(*rows, strict=True)
+        recording, self._recording = self._recording or Recording(self.dt), None
         setup = self._env.calibrator.setup
         about: dict[str, Any] = {"surefoot": surefoot.__version__, "start": "nominal", "fell": self.fell}
         about["view"] = {"env": self.env_id, "seed": self.seed, **self._made, "changes": self.changes}
-        return Log(
-            time=np.array(time),
-            raw=np.array(raw),
-            reference=Reference(*(np.array(parts) for parts in zip(*reference, strict=True))),
+        return recording.log(
             layout=self.layout,
             mass=float(setup.mass),
             nominal=self._sensors.instruments.nominal,
-            calibrated=None,
-            dt=self.dt,
             lag=int(setup.lag),
             seed=self.seed,
-            truth=LogTruth(*(np.array(part) for part in (force, position, R, scale, offset))),
             about=about,
         )
 
@@ -308,35 +299,17 @@ class Session:
         """Close the environment."""
         self._env.close()
 
-    def _record(self) -> None:
-        """Keep one sample."""
-        assert self._rows is not None
-        truth, undone = self.source.truth, self.errors.parameters
-        if np.isfinite(self._env.reference.com).all():
-            self._rows.append(
-                (
-                    self.time,
-                    self._raw.copy(),
-                    Reference(*(np.array(part) for part in self._env.reference)),
-                    np.array(truth.force_cell[-1]),
-                    truth.position_sole[-1].copy(),
-                    truth.R_world_sole[-1].copy(),
-                    *undone,
-                )
-            )
-
     @property
     def record_is_full(self) -> bool:
         """Whether a recording must be taken now: its episode has ended, or it is as long as it may be."""
-        rows = self._rows
-        return rows is not None and (self.over or len(rows) * self.dt >= LONGEST_RECORDING)
+        return self._recording is not None and (self.over or self._recording.full)
 
     def _reset(self, seed: int | None) -> None:
         """Begin an episode: with a seed everything is fresh, without one feet and what was learnt stay."""
         speed = float(self._settings["speed"])
         if self._walks and speed != self._planned:
             self.source.pattern, self._planned = _plan(speed, WALK_TIME), speed
-        self._rows = None
+        self._recording = None
         self.world.put_down()
         observation, _ = self._env.reset(seed=seed)
         self.world.pick_up()

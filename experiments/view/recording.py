@@ -1,0 +1,74 @@
+"""What happened while a robot was shown, kept sample by sample to become a log."""
+
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration import Parameters, Reference
+from surefoot.experiments.arrays import Floats
+from surefoot.experiments.logs.format import Log, LogTruth
+
+LONGEST_RECORDING = 600.0
+"""Time in s after which a recording ends by itself."""
+
+
+class Recording:
+    """Samples of one episode.
+
+    Args:
+        dt: Time between them in s.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._rows: list[Any] = []
+
+    @property
+    def full(self) -> bool:
+        """Whether it is as long as it may be."""
+        return len(self._rows) * self._dt >= LONGEST_RECORDING
+
+    def keep(self, time: float, raw: Floats, reference: Reference, truth: Any, undone: Parameters) -> None:
+        """Keep one sample, unless the robot does not know yet where it is.
+
+        Args:
+            time: Since the episode start in s.
+            raw: Counts, shape (K,).
+            reference: What the robot believes.
+            truth: What the simulator knows of the last step.
+            undone: The map that undoes the errors of the readings.
+        """
+        if np.isfinite(reference.com).all():
+            self._rows.append(
+                (
+                    time,
+                    raw.copy(),
+                    Reference(*(np.array(part) for part in reference)),
+                    np.array(truth.force_cell[-1]),
+                    truth.position_sole[-1].copy(),
+                    truth.R_world_sole[-1].copy(),
+                    *undone,
+                )
+            )
+
+    def log(self, **known: Any) -> Log:
+        """Return the log.
+
+        Args:
+            **known: What else it says: of its robot, its feet and how it was recorded.
+
+        Raises:
+            ValueError: If there is nothing recorded yet.
+        """
+        if len(self._rows) < 2:
+            raise ValueError("Nothing was recorded yet: record, and let the robot go on for a while.")
+        time, raw, reference, force, position, R, scale, offset = zip(*self._rows, strict=True)
+        return Log(
+            time=np.array(time),
+            raw=np.array(raw),
+            reference=Reference(*(np.array(parts) for parts in zip(*reference, strict=True))),
+            truth=LogTruth(*(np.array(part) for part in (force, position, R, scale, offset))),
+            dt=self._dt,
+            calibrated=None,
+            **known,
+        )

@@ -1,0 +1,121 @@
+"""A page that is served: a loop that does what browsers have asked for, and draws feet with their numbers."""
+
+from queue import Empty, SimpleQueue
+from time import perf_counter, sleep
+from typing import Any
+
+from surefoot.calibration.layout import FeetLayout
+from surefoot.experiments.view.board import FeetBoard, colours
+from surefoot.experiments.view.meters import Meters
+from surefoot.experiments.view.scene import FRAMES_PER_SECOND, close_server, open_server, set_scene
+
+_REFUSALS = (ValueError, TypeError, IndexError, KeyError, OverflowError, OSError)
+
+
+class Served:
+    """What pages have in common: subclasses say what is done, how time goes on, and what is drawn.
+
+    Browsers' requests come from other threads and wait in a queue: whoever calls :meth:`run` does it all.
+
+    Args:
+        host: Address that the page is bound to.
+        port: Its port.
+        name: What the page is called.
+        layout: The feet that are drawn.
+        weight: Of the robot in N.
+        size: Length in m by which the scene is scaled.
+        aside: 1 has the robot and its feet in view, 0 the feet alone.
+
+    Attributes:
+        server: The page.
+
+    Raises:
+        OSError: If the port is in use, or there is no such host.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        name: str,
+        *,
+        layout: FeetLayout,
+        weight: float,
+        size: float,
+        aside: float = 1.0,
+    ) -> None:
+        self.server = open_server(host, port, f"surefoot: {name}")
+        self._asked: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+        self._stopped, self._told = False, ""
+        self._ground = set_scene(self.server, size, aside)
+        self._board = FeetBoard(self.server, layout, weight, size)
+        self._meters = Meters(self.server, tuple(foot.name for foot in layout.feet), layout.channel_names)
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def run(self, seconds: float = float("inf")) -> None:
+        """Go on and draw for some time in s, until interrupted or stopped."""
+        last = perf_counter()
+        until, self._stopped = last + seconds, False
+        while last < until and not self._stopped:
+            for what, value in self._waiting():
+                self._try(what, value)
+            now = perf_counter()
+            self._advance(now - last)
+            last = now
+            self.draw()
+            sleep(max(last + 1.0 / FRAMES_PER_SECOND - perf_counter(), 0.0))
+
+    def stop(self) -> None:
+        """Let :meth:`run` come back; any thread may call this."""
+        self._stopped = True
+
+    def close(self) -> None:
+        """Stop serving."""
+        close_server(self.server)
+
+    def draw(self) -> None:
+        """Draw what there is to see now."""
+        raise NotImplementedError
+
+    def _advance(self, passed: float) -> None:
+        """Go on after a time in s has passed."""
+        raise NotImplementedError
+
+    def _do(self, what: str, value: Any) -> str:
+        """Do one thing, and return what there is to tell."""
+        raise NotImplementedError
+
+    def _try(self, what: str, value: Any) -> None:
+        """Do one thing, or tell why not."""
+        try:
+            self._told = self._do(what, value)
+        except _REFUSALS as error:
+            self._told = str(error)
+
+    def _ask(self, what: str, value: Any) -> None:
+        """Ask for one thing; any thread may call this."""
+        self._asked.put((what, value))
+
+    def _waiting(self) -> list[tuple[str, Any]]:
+        """Return what browsers have asked for since the last frame."""
+        asked: list[tuple[str, Any]] = []
+        while True:
+            try:
+                asked.append(self._asked.get_nowait())
+            except Empty:
+                return asked
+
+    def _paint(self, method: str) -> None:
+        """Draw in the colours of a method."""
+        chosen = colours(method)
+        self._board.paint(chosen)
+        self._meters.paint(chosen)
+
+    def _forget(self) -> None:
+        """Drop trails and curves, where time jumps."""
+        self._board.forget()
+        self._meters.forget()
