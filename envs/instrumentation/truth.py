@@ -9,6 +9,7 @@ share what the ground exerts, and their centre of pressure is that of the contac
 """
 
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ class FeetTruth:
         self.rows = rows.copy()
         self.layout = layout
         self._end = FootColumns.width * len(layout.feet)
+        self._numbers: tuple[list[float], list[float]] | None = None
 
     @property
     def time(self) -> Array:
@@ -55,16 +57,23 @@ class FeetTruth:
 
         Whatever else touches a foot, such as the other foot, counts as ground.
         """
-        feet = self._feet
-        if feet.size == self._end:
+        if self.rows.size == self.layout.size:
             # A single row, as every step of one environment makes: plain floats are faster than arrays.
-            return np.array([_wrench(foot) for foot in feet.reshape(-1, FootColumns.width).tolist()]).reshape(
-                *feet.shape[:-1], 6
-            )
+            return np.array(self.numbers()[1]).reshape(*self.rows.shape[:-1], -1, 6)
+        feet = self._feet
         force = -feet[..., FootColumns.force]
         arm = feet[..., FootColumns.place] - feet[..., FootColumns.position_sole]
         world = np.stack([force, cross(arm, force) - feet[..., FootColumns.torque]], axis=-2)
         return (world @ self.R_world_sole).reshape(*feet.shape[:-1], 6)
+
+    def numbers(self) -> tuple[list[float], list[float]]:
+        """Return the columns of a single row, and all feet's :attr:`wrench_sole` one after the other."""
+        if self._numbers is None:
+            row, wrenches = self.rows.ravel().tolist(), []
+            for at in range(_FOOT.start, self._end, FootColumns.width):
+                wrenches += _wrench(row[at : at + _FOOT.stop - _FOOT.start])
+            self._numbers = row, wrenches
+        return self._numbers
 
     @property
     def position_sole(self) -> Array:
@@ -183,13 +192,16 @@ class FeetTruth:
             raise ValueError(self.layout.flaw)
 
 
+_FOOT: Final = slice(FootColumns.force.start, FootColumns.axes_sole.stop)
+"""Columns of a foot after its ankle."""
+
 _UP = np.array([-1.0] * 6 + [1.0] * 3)
 """Turns force and torque of a contact sensor on the ground into those on the robot."""
 
 
 def _wrench(foot: list[float]) -> list[float]:
-    """Turn the 27 columns of a foot into the ground's wrench at and in the sole frame, shape (6,)."""
-    fx, fy, fz, tx, ty, tz, px, py, pz, x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz = foot[6:]
+    """Turn a foot's columns after its ankle into the ground's wrench at and in the sole frame, shape (6,)."""
+    fx, fy, fz, tx, ty, tz, px, py, pz, x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz = foot
     ax, ay, az = px - x0, py - y0, pz - z0
     tx, ty, tz = tx + ay * fz - az * fy, ty + az * fx - ax * fz, tz + ax * fy - ay * fx
     return [
@@ -244,30 +256,35 @@ def cop_in_sole(wrench_sole: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def step_truth(truth: FeetTruth) -> dict[str, Array]:
-    """Return what ``info`` holds of a step, as arrays of their own, at the last of rows of shape (S, ...).
+    """Return what ``info`` holds of a step, as arrays of their own, of a single row of shape (1, ...).
 
     ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N, ``cop_world`` (2) m, ``cop_foot``
     (F, 2) m, ``cop_valid`` (1 + F), ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m.
     """
-    layout, wrench = truth.layout, truth.wrench_sole[-1]
+    layout, (row, wrenches) = truth.layout, truth.numbers()
     vgrf: list[float] = []
-    cops, valid = [[0.0, 0.0]], [False]
-    # A few numbers of a single robot: plain floats are faster than arrays.
+    cops, valid = [0.0, 0.0], [False]
+    # A few numbers of a single robot: plain floats are faster than arrays, and one array than many.
     load = moment_x = moment_y = 0.0
-    for foot, contact, own in zip(layout.feet, truth.contacts().tolist(), wrench.tolist(), strict=True):
-        _, _, fz, tx, ty, _, x, y, _ = contact
-        vgrf.append(fz + 0.0)
-        load, moment_x, moment_y = load + fz, moment_x + (tx + y * fz), moment_y + (ty - x * fz)
-        valid.append(own[2] > CONTACT_FORCE and not foot.flaw)
-        cops.append([-own[4] / own[2], own[3] / own[2]] if valid[-1] else [0.0, 0.0])
+    for i, foot in enumerate(layout.feet):
+        contact = FootColumns.width * i + _FOOT.start
+        _, _, fz, tx, ty, _, x, y = row[contact : contact + 8]
+        vgrf.append(0.0 - fz)
+        load, moment_x, moment_y = load - fz, moment_x - (tx + y * fz), moment_y - (ty - x * fz)
+        normal, torque_x, torque_y = wrenches[6 * i + 2 : 6 * i + 5]
+        valid.append(normal > CONTACT_FORCE and not foot.flaw)
+        cops += [-torque_y / normal, torque_x / normal] if valid[-1] else [0.0, 0.0]
     if load > CONTACT_FORCE:
-        cops[0], valid[0] = [-moment_y / load, moment_x / load], True
-    cells = {} if layout.flaw else {"force_cell": wrench.ravel() @ layout.force_of_wrench}
-    return cells | {
-        "vgrf": np.array(vgrf),
-        "cop_world": np.array(cops[0]),
-        "cop_foot": np.array(cops[1:]),
+        cops[:2], valid[0] = [-moment_y / load, moment_x / load], True
+    feet, com = len(vgrf), FootColumns.width * len(vgrf) + TorsoColumns.com.start
+    numbers = np.array([*vgrf, *cops, *row[com : com + 3], *wrenches])
+    wrench = numbers[3 * feet + 5 :]
+    return {
+        **({} if layout.flaw else {"force_cell": wrench @ layout.force_of_wrench}),
+        "vgrf": numbers[:feet],
+        "cop_world": numbers[feet : feet + 2],
+        "cop_foot": numbers[feet + 2 : 3 * feet + 2].reshape(feet, 2),
         "cop_valid": np.array(valid),
-        "com": truth.com[-1].copy(),
-        "wrench_sole": wrench.copy(),
+        "com": numbers[3 * feet + 2 : 3 * feet + 5],
+        "wrench_sole": wrench.reshape(feet, 6),
     }
