@@ -100,7 +100,8 @@ _LET = 2.0
 """Deviations of the limb's mass by the data alone up to which they let a factory matrix draw it away."""
 
 _SIGMAS = 4.0
-"""Deviations between the limb by the readings and as it was given that are worth a warning."""
+"""Deviations between the limb by the readings and as it was given, or of a matrix's scale, that are worth a
+warning."""
 
 _STRAINED = 3.0
 """Sets whose squares are below this multiple of what noise explains agree with each other."""
@@ -229,8 +230,10 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
             ).unless_accepted()
 
 
-def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> None:
+def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> tuple[str, ...]:
     """Raise CalibrationRefused if a factory matrix contradicts the readings, and name how it is to be read.
+
+    Return a warning if its scale is further off than makers' matrices are.
 
     Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are held
     against what hangs there: by a solution that does without it if the limb is determined or known, else by
@@ -252,7 +255,7 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
 
     now = missed(factory)
     if now < _AGED:
-        return
+        return ()
     at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
     readings = [(missed(matrix), words) for words, matrix in _other_readings(factory)]
     least = min(share for share, _ in readings)
@@ -271,15 +274,19 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
             "Compare the matrix with the maker's sheet, its signs and exponents first.",
         ).unless_accepted()
     if expected is None:
-        return
+        return ()
     shown = (factory @ measured)[:3]
     scale = float(np.sum(shown * expected[:3]) / np.sum(expected[:3] ** 2))
+    shows = f"By the factory matrix the readings show {scale:.3g} times the forces that hang there."
+    check = (
+        "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
+        "those of the masses (kg)."
+    )
     if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
-        Contradiction(
-            f"By the factory matrix the readings show {scale:.3g} times the forces that hang there.",
-            "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
-            "those of the masses (kg).",
-        ).unless_accepted()
+        Contradiction(shows, check).unless_accepted()
+    if abs(scale - 1.0) < _SIGMAS * _FACTORY_STD:
+        return ()
+    return (f"{shows} {check}",)
 
 
 def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:

@@ -223,7 +223,7 @@ def _fit(
         # Masses in one plane leave a rotation and its mirror image: the matrix knows which.
         by_data = min(minima(free, starts(free, None, None)), key=partial(_from_factory, problem))
         determined = not data_rank(free, by_data.limb).missing
-        check_factory(factory, problem, by_data, determined=determined)
+        warnings += check_factory(factory, problem, by_data, determined=determined)
         known_alone = determined and not _without_priors(free, by_data, rank, options).missing
         problem, first = _leaning(problem, first, options, by_data if known_alone else None)
     found = minima(problem, first)

@@ -518,3 +518,13 @@ def test_no_tolerance_is_too_wide():
     """So that one can see what a fit without checks would say."""
     wide = dict.fromkeys(("residual_tolerance", "mass_tolerance", "scale_tolerance", "axis_tolerance"), 1e300)
     assert calibrate_in_situ(heavier(leg_sets()), options=InSituOptions(**wide)).refusals == ()
+
+
+@pytest.mark.parametrize(("scale", "doubted"), [(0.59, True), (0.7, False), (1.3, False), (1.5, True)])
+def test_a_factory_matrix_of_a_scale_that_makers_do_not_miss_by_is_warned_about(scale, doubted):
+    # Masses in lb read 0.45 times a matrix that has aged.
+    fit = calibrate_in_situ(leg_sets(), factory_matrix=scale * MATRIX)
+    shown = [
+        re.search(r"By the factory matrix the readings show ([\d.]+) times", text) for text in fit.warnings
+    ]
+    assert [pytest.approx(scale, rel=0.02) == float(one[1]) for one in shown if one] == [True] * doubted
