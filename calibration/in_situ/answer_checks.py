@@ -91,7 +91,13 @@ _ALONE, _MISPRINT = 0.6, 0.7
 change by the second share of the row's largest entry: sensors age by less."""
 
 _FACTORY_SCALE = (0.5, 2.0)
-"""The weight that a factory matrix shows over the true one must lie between these: sensors age by less."""
+"""The loads that a factory matrix shows over the true ones must lie between these: sensors age by less."""
+
+_CLEARLY = 0.5
+"""Another unit is a refusal if it leaves less than this share of that factor's logarithm, else a warning."""
+
+_LOADED = 0.1
+"""Share of the largest load, torques over the lever, from which on an axis shows that scale."""
 
 _FACTORY_STD = 0.1
 """Deviation of a factory matrix's scale, as a share: real sensors were off by 11 and 19 %."""
@@ -100,8 +106,7 @@ _LET = 2.0
 """Deviations of the limb's mass by the data alone up to which they let a factory matrix draw it away."""
 
 _SIGMAS = 4.0
-"""Deviations between the limb by the readings and as it was given, or of a matrix's scale, that are worth a
-warning."""
+"""Deviations between the limb by the readings and as it was given that are worth a warning."""
 
 _STRAINED = 3.0
 """Sets whose squares are below this multiple of what noise explains agree with each other."""
@@ -111,6 +116,15 @@ _SLIGHT = 0.15
 
 _POUND = 0.45359237
 """In kg."""
+
+_UNITS = {
+    "": 1.0,
+    "masses are in lb, and kg are expected": 1.0 / _POUND,
+    "masses in kg were taken for lb and converted": _POUND,
+    "masses are in grams": 1e3,
+    "units of the factory matrix are kgf": GRAVITY,
+}
+"""What loads that hang there may be too large by over those that a factory matrix shows."""
 
 _CULPRIT, _WEIGHED = 0.8, 0.3
 """A set is looked at if another mass in it explains the first share of what is left, and is off by more than
@@ -233,7 +247,7 @@ def check_axes(fit: InSituFit, problem: Problem, solution: Solution, options: In
 def check_factory(factory: Matrix, problem: Problem, solution: Solution, determined: bool) -> tuple[str, ...]:
     """Raise CalibrationRefused if a factory matrix contradicts the readings, and name how it is to be read.
 
-    Return a warning if its scale is further off than makers' matrices are.
+    Return a warning if its scale is nearer to another unit of the masses than to what is expected.
 
     Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are held
     against what hangs there: by a solution that does without it if the limb is determined or known, else by
@@ -275,18 +289,34 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         ).unless_accepted()
     if expected is None:
         return ()
-    shown = (factory @ measured)[:3]
-    scale = float(np.sum(shown * expected[:3]) / np.sum(expected[:3] ** 2))
-    shows = f"By the factory matrix the readings show {scale:.3g} times the forces that hang there."
+    scale = _scale(factory @ measured, expected, weight)
+    left = {words: abs(float(np.log(scale * factor))) for words, factor in _UNITS.items()}
+    unit = min(left, key=left.__getitem__)
+    shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
+    if unit:
+        shows += f" Likeliest: {unit}, which leaves {scale * _UNITS[unit]:.3g} times."
     check = (
         "Check that it is this sensor's, the order of its channels, its units (N and N m per count) and "
         "those of the masses (kg)."
     )
-    if not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
+    if unit and left[unit] < _CLEARLY * left[""]:
+        CalibrationRefused(shows, check).unless_accepted()
+    elif not _FACTORY_SCALE[0] < scale < _FACTORY_SCALE[1]:
         Contradiction(shows, check).unless_accepted()
-    if abs(scale - 1.0) < _SIGMAS * _FACTORY_STD:
+    if not unit:
         return ()
     return (f"{shows} {check}",)
+
+
+def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> float:
+    """Return the factor between loads that a matrix shows and those that hang there, shape (6, n).
+
+    Axes age each by itself, and units change all alike: it is the geometric mean of the axes that are loaded.
+    """
+    load = np.sqrt(np.sum((weight * expected) ** 2, axis=1))
+    loaded = load > _LOADED * np.max(load)
+    of_axis = np.sum(shown * expected, axis=1)[loaded] / np.sum(expected**2, axis=1)[loaded]
+    return float(np.exp(np.mean(np.log(np.maximum(of_axis, _NO_LOAD)))))
 
 
 def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:

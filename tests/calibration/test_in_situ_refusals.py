@@ -520,11 +520,17 @@ def test_no_tolerance_is_too_wide():
     assert calibrate_in_situ(heavier(leg_sets()), options=InSituOptions(**wide)).refusals == ()
 
 
-@pytest.mark.parametrize(("scale", "doubted"), [(0.59, True), (0.7, False), (1.3, False), (1.5, True)])
-def test_a_factory_matrix_of_a_scale_that_makers_do_not_miss_by_is_warned_about(scale, doubted):
-    # Masses in lb read 0.45 times a matrix that has aged.
-    fit = calibrate_in_situ(leg_sets(), factory_matrix=scale * MATRIX)
-    shown = [
-        re.search(r"By the factory matrix the readings show ([\d.]+) times", text) for text in fit.warnings
-    ]
-    assert [pytest.approx(scale, rel=0.02) == float(one[1]) for one in shown if one] == [True] * doubted
+@pytest.mark.parametrize(
+    ("aged", "shown"), [(0.64, 0.64), (0.7, None), (1.3, None), (1.6, 1.6), ([1.7, 1.6, 1.5, 1, 1, 1], None)]
+)
+def test_a_factory_matrix_whose_scale_is_nearer_to_another_unit_is_warned_about(aged, shown):
+    # Masses in lb read 0.45 times a matrix that has aged, each of its axes by itself.
+    fit = calibrate_in_situ(leg_sets(), factory_matrix=np.multiply(np.reshape(aged, (-1, 1)), MATRIX))
+    found = re.search(r"By the factory matrix the readings show ([\d.]+) times", " ".join(fit.warnings))
+    assert (found and float(found[1])) == (shown and pytest.approx(shown, rel=0.02))
+
+
+@pytest.mark.parametrize(("aged", "unit"), [(0.54, "masses are in lb"), (1.9, "converted")])
+def test_a_factory_matrix_whose_scale_is_clearly_that_of_another_unit_is_refused(aged, unit):
+    with pytest.raises(CalibrationRefused, match=f"Likeliest: .*{unit}"):
+        calibrate_in_situ(leg_sets(), factory_matrix=aged * MATRIX)
