@@ -8,6 +8,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from surefoot.extras import not_installed
+
 if TYPE_CHECKING:
     from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
     from surefoot.experiments.logs.table import LogError
@@ -45,12 +47,6 @@ def __getattr__(name: str) -> Any:
             try:
                 home = import_module(f"surefoot.experiments.{module}")
             except ModuleNotFoundError as missing:
-                if (missing.name or "").startswith("surefoot"):
-                    raise
-                raise ModuleNotFoundError(
-                    f"surefoot.experiments.{name} needs a package that is not installed ({missing}): "
-                    'pip install "surefoot[experiments]".',
-                    name=missing.name,
-                ) from missing
+                raise not_installed(f"surefoot.experiments.{name}", missing, "experiments") from None
             return getattr(home, name)
     raise AttributeError(f"module 'surefoot.experiments' has no attribute '{name}'")

@@ -7,6 +7,8 @@ Modules are loaded when something of theirs is asked for: what serves GPU simula
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from surefoot.extras import not_installed
+
 if TYPE_CHECKING:
     from surefoot.wrappers.belief_errors import BeliefErrors
     from surefoot.wrappers.beliefs import Beliefs
@@ -49,7 +51,10 @@ _MODULES = {
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    try:
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    except ModuleNotFoundError as missing:
+        raise not_installed(f"{__name__}.{name}", missing, "sim") from None
 
 
 def __dir__() -> list[str]:

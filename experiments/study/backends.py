@@ -15,6 +15,8 @@ from typing import Any
 
 from joblib.externals import loky
 
+from surefoot.extras import not_installed
+
 BACKENDS = ("local", "dask", "ray", "here")  # here: for debuggers, where a crash ends all
 IDLE_TIMEOUT = 20.0  # s after which an idle local worker leaves, also one whose process was killed
 Task = tuple[Callable[..., Any], tuple[Any, ...]]  # must survive pickling
@@ -108,7 +110,7 @@ def _local(jobs: int) -> Iterator[Callable[..., "Future[Any]"]]:
 
 @contextmanager
 def _dask(jobs: int, address: str | None) -> Iterator[Workers]:
-    dask, distributed = _module("dask"), _module("distributed", "dask[distributed]")
+    dask, distributed = _module("dask"), _module("distributed", "dask")
     # A task whose worker dies is tried again by itself, by us: dask need not.
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), _reached("dask", address):
         local = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
@@ -164,9 +166,8 @@ def _reached(name: str, address: str | None) -> Iterator[None]:
         raise ValueError(f"No {name} cluster is reached at {address}: {error}.") from error
 
 
-def _module(name: str, package: str = "") -> Any:
+def _module(name: str, extra: str = "") -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        what = f"Backend '{name}' needs a package that is not installed: pip install '{package or name}'."
-        raise ValueError(what) from error
+        raise ValueError(str(not_installed(f"Backend '{name}'", error, extra or name))) from None

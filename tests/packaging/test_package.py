@@ -74,6 +74,9 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
 @pytest.mark.parametrize(
     ("statement", "missing", "extra"),
     [
+        ("import surefoot.envs", "gymnasium", "sim"),
+        ("surefoot.wrappers.FootSensors", "mujoco", "sim"),
+        ("import surefoot.wrappers.gpu", "torch", "rl"),
         ("from surefoot.experiments import read_log", "pyarrow", "experiments"),
         ("import surefoot.wrappers.vector.sb3", "stable_baselines3", "rl"),
     ],
@@ -82,6 +85,7 @@ def test_what_an_extra_brings_is_asked_for_by_its_name(statement: str, missing: 
     printed = run_python(
         "import sys\n"
         f"sys.modules['{missing}'] = None\n"
+        "import surefoot\n"
         f"try:\n    {statement}\n"
         "except ModuleNotFoundError as error:\n    print(error)\n"
     )

@@ -13,6 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
+from surefoot.extras import not_installed
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.foot_device import FootDevice
@@ -28,11 +29,7 @@ from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 except ModuleNotFoundError as missing:
-    raise ModuleNotFoundError(
-        "surefoot.wrappers.vector.sb3 needs 'stable_baselines3', which is not installed or is not whole "
-        f'({missing}): pip install "surefoot[rl]".',
-        name=missing.name,
-    ) from missing
+    raise not_installed("surefoot.wrappers.vector.sb3", missing, "rl") from None
 
 
 class VecFootSensors(VecEnvWrapper):
