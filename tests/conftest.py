@@ -1,6 +1,10 @@
 """What holds for all tests."""
 
 import gc
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 def pytest_collection_finish() -> None:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Reference
-from surefoot.calibration.native import Library, ReferenceRecord, c_header, filled_record, installed
+from surefoot.calibration.native import Library, ReferenceRecord, installed
+from surefoot.native import c_header, required
 from surefoot.sensors.transport.link import Packet, Packets
 from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs, SolePose
 from surefoot.wrappers.contacts import planned_window
@@ -56,7 +57,7 @@ class NativeBeliefs:
             "highest": (), "clock": (), "number": (), "seen": (), "run": (), "count": (),
             "planned": (window, 4), "found": (4,), "upright": (),
         }  # fmt: skip
-        found, state = filled_record(library, "timing", timing), library.record("beliefs", shapes)
+        found, state = library.filled("timing", timing), library.record("beliefs", shapes)
         if found is None or state is None:
             raise ValueError("The robot has more joints, or a longer lag, than the library has room for.")
         self._timing, self._state = found, np.zeros((), state)
@@ -79,7 +80,7 @@ class NativeBeliefs:
         """Take over the model, whose masses have changed."""
         tree, library = self.model.tree(), self.library
         sizes = {} if tree is None else {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
-        model = None if tree is None else filled_record(library, "model", {**sizes, **tree})
+        model = None if tree is None else library.filled("model", {**sizes, **tree})
         if (
             model is None
             or model["hinges"] != self._state["angle"].size
@@ -200,10 +201,7 @@ def c_source(beliefs: Beliefs) -> str:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    library = installed()
-    if library is None:
-        raise RuntimeError("The library is missing: run 'python -m surefoot.native' first.")
-    native = NativeBeliefs(library, beliefs)
+    native = NativeBeliefs(required(installed()), beliefs)
     model, timing = native._model, native._timing
     sizes = {
         "BODIES": int(model["bodies"]),

@@ -62,12 +62,11 @@ class NativeTelemetry(Telemetry):
     ) -> None:
         super().__init__(joints, imu_config, encoder_config, link, dt, substeps)
         self._arguments = joints, imu_config, encoder_config, link, dt, substeps
-        values = self._constants(joints, imu_config, encoder_config, substeps)
-        config = library.record("telemetry_config", {name: np.shape(value) for name, value in values.items()})
+        config = library.filled(
+            "telemetry_config", self._constants(joints, imu_config, encoder_config, substeps)
+        )
         assert config is not None
-        self.config = np.zeros((), config)
-        for name, value in values.items():
-            self.config[name] = value
+        self.config = config
         room = library.places["telemetry"]["arrival"][2] // 8
         shapes = dict.fromkeys(("due", "number", "substeps", "first", "waiting"), ())
         state = library.record("telemetry", shapes | {
@@ -93,7 +92,6 @@ class NativeTelemetry(Telemetry):
         arrays = (self.config, self._position, self._inertial, normals, self._arrived)
         self._arrays = np.array([array.ctypes.data for array in arrays], dtype=np.uintp)
         self._at = self._arrays.ctypes.data
-        self._drawn_from: tuple[Any, int] = None, 0
 
     def __reduce__(self) -> tuple[Any, ...]:
         return telemetry_of, self._arguments
@@ -103,7 +101,7 @@ class NativeTelemetry(Telemetry):
     ) -> tuple[Packets, Any]:
         """Switch the robot on; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
         state = NativeTelemetryState(np.zeros((), self._record), 0)
-        fresh, joints, stream = hardware is None, len(position), self._stream(rng)
+        fresh, joints, stream = hardware is None, len(position), _address(rng)
         normals = self._normals[0]
         if hardware is not None:
             self._put(state, hardware)
@@ -124,7 +122,7 @@ class NativeTelemetry(Telemetry):
         if native is None or native.coming < 0 or position.shape != self._shape:
             # More packets are under way than the library has room for, or a step is not as long as others.
             return super().advance(position, inertial, time, self.unpack(state), rng)
-        stream = self._stream(rng)
+        stream = _address(rng)
         if stream is None:
             rng.standard_normal(out=self._normals[native.coming])
         self._position[...], self._inertial[...] = position, inertial
@@ -137,14 +135,6 @@ class NativeTelemetry(Telemetry):
         return tuple(
             [Packet(int(heads[row, 0]), heads[row, 1], contents[row].copy()) for row in range(count)]
         )
-
-    def _stream(self, rng: Any) -> int | None:
-        """Return where the stream of one robot lies, from which C draws; ``None`` for NumPy's generator."""
-        if type(rng) is not Stream:
-            return None
-        if rng.record is not self._drawn_from[0]:
-            self._drawn_from = rng.record, rng.record.ctypes.data
-        return self._drawn_from[1]
 
     def hardware(self, state: Any) -> Hardware:
         """Return what the IMU and the encoders are now."""
@@ -242,6 +232,11 @@ class NativeTelemetry(Telemetry):
             "step": both("resolution"),
             "most": both("range"),
         }
+
+
+def _address(rng: Any) -> int | None:
+    """Return where the stream of one robot lies, from which C draws; ``None`` for NumPy's generator."""
+    return rng.address if type(rng) is Stream else None
 
 
 def telemetry_of(

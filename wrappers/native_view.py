@@ -4,7 +4,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from surefoot.calibration.native import Library, NativeFilter, filled_record
+from surefoot.calibration.native import Library, NativeFilter
 from surefoot.envs.observation import COP_BOUND
 from surefoot.native import Record
 from surefoot.wrappers.foot_view import FootView
@@ -23,8 +23,7 @@ class NativeView:
     def __init__(self, library: Library, view: FootView, calibrator: NativeFilter) -> None:
         self.calibrator, self._view, self._held = calibrator, view, view.held
         shapes = {name: space.shape or () for name, space in view.every.items()}
-        config = filled_record(
-            library,
+        config = library.filled(
             "view",
             {
                 "force_bound": view.force_bound,

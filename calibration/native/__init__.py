@@ -4,7 +4,7 @@ The Python in :mod:`surefoot.calibration.moment` is the specification, and what 
 library also makes the references, for :mod:`surefoot.wrappers`.
 """
 
-from surefoot.calibration.native.config import c_header, c_source, filled_record
+from surefoot.calibration.native.config import c_source
 from surefoot.calibration.native.filter import NativeFilter, NativeState, native_filter
 from surefoot.calibration.native.library import NATIVE, installed
 from surefoot.calibration.native.reference import ReferenceRecord
@@ -16,9 +16,7 @@ __all__ = [
     "NativeFilter",
     "NativeState",
     "ReferenceRecord",
-    "c_header",
     "c_source",
-    "filled_record",
     "installed",
     "native_filter",
 ]

@@ -1,6 +1,5 @@
 """The constants of one robot, as the library wants them."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
 from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
-from surefoot.native import Library
+from surefoot.native import Library, c_header, required
 
 _LIKE = np.zeros(1)
 
@@ -19,19 +18,8 @@ def config_record(library: Library, stream: MomentStream) -> NDArray[Any] | None
     """Return the record of constants, shape (); ``None`` for a robot that the library is not made for."""
     if not stream.unknowns.diagonal:
         return None
-    record = filled_record(library, "config", _values(stream))
+    record = library.filled("config", _values(stream))
     return record if record is not None and library.functions.surefoot_fits(record.ctypes.data) else None
-
-
-def filled_record(library: Library, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
-    """Return a record of the library with these values, shape (); ``None`` if it has no room for one."""
-    dtype = library.record(name, {field: np.shape(value) for field, value in values.items()})
-    if dtype is None:
-        return None
-    record = np.zeros((), dtype)
-    for field, value in values.items():
-        record[field] = value
-    return record
 
 
 def c_source(setup: OnlineSetup, **options: Any) -> str:
@@ -45,10 +33,7 @@ def c_source(setup: OnlineSetup, **options: Any) -> str:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    library = installed()
-    if library is None:
-        raise RuntimeError("The library is missing: run 'python -m surefoot.native' first.")
-    record = config_record(library, MomentStream(setup, MomentFilterConfig(**options)))
+    record = config_record(required(installed()), MomentStream(setup, MomentFilterConfig(**options)))
     if record is None:
         raise ValueError("The library is not made for such a robot; docs/native.md has its limits.")
     sizes = {
@@ -59,29 +44,6 @@ def c_source(setup: OnlineSetup, **options: Any) -> str:
     # An array without an element is none in C.
     sizes |= {name.upper(): max(1, int(record[name])) for name in ("sensors", "parities")}
     return c_header("surefoot_calibration.h", sizes, {"sf_config robot": record})
-
-
-def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArray[Any]]) -> str:
-    """Return a header in C that includes another one with some sizes, and declares constant records.
-
-    Args:
-        header: The other one.
-        sizes: Its sizes, by their names without ``SF_``.
-        records: Records of the library, by their types and names.
-    """
-    lines = [f"#define SF_{name} {size}" for name, size in sizes.items()]
-    lines.append(f'#include "{header}"')
-    for declared, record in records.items():
-        assert record.dtype.names is not None
-        lines += ["", f"static const {declared} = {{"]
-        for name in record.dtype.names:
-            numbers = ", ".join(repr(value) for value in record[name].ravel().tolist())
-            if numbers:
-                lines.append(
-                    f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"
-                )
-        lines.append("};")
-    return "\n".join([*lines, ""])
 
 
 def _values(stream: MomentStream) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """The moment filter of one robot by the library: the same states, the same estimates, to rounding."""
 
-from collections.abc import Iterator
 from operator import attrgetter
 from typing import Any
 
@@ -15,7 +14,7 @@ from surefoot.calibration.native.config import config_record
 from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup
-from surefoot.native import Library, Record
+from surefoot.native import Library, Record, leaves_of, rebuilt
 
 _SHAPE, _DTYPE = attrgetter("shape"), attrgetter("dtype")
 _ARRAYS = (np.ndarray,) * len(Reference._fields)
@@ -84,7 +83,7 @@ class NativeFilter:
             "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2), "nis": (), "nis_rows": (),
             "flags": (K,), "cop_valid": (), "cop_foot_valid": (F,),
         }  # fmt: skip
-        leaves = {name: np.shape(leaf) for name, leaf in leaves_of(self._template)}
+        leaves = {path[-1]: np.shape(leaf) for path, leaf in leaves_of(self._template)}
         state = library.record("state", leaves)
         reference = library.record("reference", {field: tails[field] for field in _OF_REFERENCE})
         estimate = library.record("estimate", shapes)
@@ -114,11 +113,11 @@ class NativeFilter:
         record = np.zeros((), self._dtype)
         try:
             given, wanted = list(leaves_of(state)), list(leaves_of(self._template))
-        except (AttributeError, TypeError):
+        except (TypeError, ValueError):
             return None
         if type(state) is not type(self._template) or len(given) != len(wanted):
             return None
-        for (name, leaf), (_, like) in zip(given, wanted, strict=True):
+        for (path, leaf), (_, like) in zip(given, wanted, strict=True):
             if isinstance(like, int):
                 if not isinstance(leaf, int):
                     return None
@@ -127,23 +126,17 @@ class NativeFilter:
                 like.dtype,
             ):
                 return None
-            record[name] = leaf
+            record[path[-1]] = leaf
         return NativeState(record)
 
     def unpack(self, state: NativeState) -> Any:
         """Return the library's state as a Python state, which shares nothing with it."""
-        return self._unpacked(self._template, state.record)
 
-    def _unpacked(self, like: Any, record: NDArray[Any]) -> Any:
-        parts = []
-        for name, part in zip(like._fields, like, strict=True):
-            if isinstance(part, tuple):
-                parts.append(self._unpacked(part, record))
-            elif isinstance(part, int):
-                parts.append(int(record[name]))
-            else:
-                parts.append(record[name].astype(part.dtype))
-        return type(like)(*parts)
+        def own(path: tuple[str, ...], like: Any) -> Any:
+            part = state.record[path[-1]]
+            return int(part) if isinstance(like, int) else part.astype(like.dtype)
+
+        return rebuilt(self._template, own)
 
     def takes(self, raw: Array, reference: Reference | ReferenceRecord, dt: Any) -> bool:
         """Return whether arguments are as the library wants them; of others Python says what is wrong."""
@@ -201,12 +194,3 @@ def native_filter(
     stream = MomentStream(setup, MomentFilterConfig(**options))
     config = config_record(library, stream)
     return None if config is None else NativeFilter(library, stream, config)
-
-
-def leaves_of(state: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the parts of a state, by their own names alone: no two share one."""
-    for name, part in zip(state._fields, state, strict=True):
-        if isinstance(part, tuple):
-            yield from leaves_of(part)
-        else:
-            yield name, part

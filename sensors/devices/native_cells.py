@@ -5,13 +5,12 @@ average without a clock (``settling`` above 1 and ``rate`` ``None``), more cells
 batches, single precision, and what draws from a generator of NumPy's or torch's.
 """
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.native import Library
+from surefoot.native import Library, leaves_of, rebuilt
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.devices.load_cells import LoadCellState, load_cells
 from surefoot.sensors.native import installed
@@ -59,8 +58,8 @@ class NativeCells:
     def __init__(self, library: Library, config: LoadCells, record: NDArray[Any]) -> None:
         self._config, self._record, self._channels = config, record, config.channels
         self._template = load_cells(config).init((config.channels,), np.random.default_rng(0))
-        leaves = dict(_leaves(self._template))
-        dtype = library.record("cells", {name: leaf.shape for name, leaf in leaves.items()})
+        leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
+        dtype = library.record("cells", leaves)
         assert dtype is not None
         self._dtype, self._step = dtype, library.functions.surefoot_cells_step
         self._counts = np.empty(config.channels)
@@ -75,13 +74,13 @@ class NativeCells:
     def pack(self, state: LoadCellState) -> NativeCellState:
         """Return a Python state as the library's."""
         record = np.zeros((), self._dtype)
-        for name, leaf in _leaves(state):
-            record[name] = leaf
+        for path, leaf in leaves_of(state):
+            record["_".join(path)] = leaf
         return NativeCellState(record, self)
 
     def unpack(self, state: NativeCellState) -> LoadCellState:
         """Return a state of the library's as the Python's, which shares nothing with it."""
-        unpacked: LoadCellState = _rebuilt(self._template, state.record, "")
+        unpacked: LoadCellState = rebuilt(self._template, lambda path, _: state.record["_".join(path)].copy())
         return unpacked
 
     def takes(self, block: Any, rng: Any) -> bool:
@@ -119,18 +118,10 @@ def native_cells(library: Library | None, config: LoadCells) -> NativeCells | No
     """Return the load cells of one robot by a library; ``None`` for those that it is not made for."""
     if library is None or library.real != np.float64:
         return None
-    values = _values(config)
-    dtype = library.record("cells_config", {name: np.shape(value) for name, value in values.items()})
-    if dtype is None:
+    record = library.filled("cells_config", _values(config))
+    if record is None or not library.functions.surefoot_cells_fits(record.ctypes.data):
         return None
-    record = np.zeros((), dtype)
-    for name, value in values.items():
-        record[name] = value
-    return (
-        NativeCells(library, config, record)
-        if library.functions.surefoot_cells_fits(record.ctypes.data)
-        else None
-    )
+    return NativeCells(library, config, record)
 
 
 def native_cells_here(config: LoadCells) -> NativeCells | None:
@@ -191,23 +182,3 @@ def _values(config: LoadCells) -> dict[str, Any]:
         "delay": wire.delay,
         "jitter": wire.jitter,
     }
-
-
-def _leaves(state: Any, path: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays of a state by their ways through its parts, as the library names them."""
-    for name, part in zip(getattr(state, "_fields", ()), state, strict=True):
-        if isinstance(part, tuple):
-            yield from _leaves(part, f"{path}{name}_")
-        else:
-            yield path + name, part
-
-
-def _rebuilt(like: Any, record: NDArray[Any], path: str) -> Any:
-    if not isinstance(like, tuple):
-        return record[path[:-1]].copy()
-    return type(like)(
-        *(
-            _rebuilt(part, record, f"{path}{name}_")
-            for name, part in zip(getattr(like, "_fields", ()), like, strict=True)
-        )
-    )

@@ -61,21 +61,15 @@ SF_API void sf_random_normal_pair(sf_random *stream, double pair[2]) {
     pair[1] = radius * sin(angle);
 }
 
-SF_API void sf_random_uniforms(sf_random *stream, int n, sf_real *out) {
+/* The next n numbers, normal ones or uniform ones; what is left of the last block is dropped. */
+SF_API void sf_random_fill(sf_random *stream, int normal, int n, sf_real *out) {
     double pair[2];
-    for (int i = 0; i < n; i += 2) {
-        sf_random_pair(stream, pair);
-        out[i] = (sf_real)pair[0];
-        if (i + 1 < n) out[i + 1] = (sf_real)pair[1];
-    }
-}
-
-SF_API void sf_random_normals(sf_random *stream, int n, sf_real *out) {
-    double pair[2];
-    for (int i = 0; i < n; i += 2) {
-        sf_random_normal_pair(stream, pair);
-        out[i] = (sf_real)pair[0];
-        if (i + 1 < n) out[i + 1] = (sf_real)pair[1];
+    for (int i = 0; i < n; i++) {
+        if (i % 2 == 0 && normal)
+            sf_random_normal_pair(stream, pair);
+        else if (i % 2 == 0)
+            sf_random_pair(stream, pair);
+        out[i] = (sf_real)pair[i % 2];
     }
 }
 

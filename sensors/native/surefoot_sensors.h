@@ -122,8 +122,8 @@ SF_API void sf_mounting(const sf_cells_config *c, sf_cells *s, sf_random *stream
     sf_real warped[SF_LOAD_CELLS], common[SF_LOAD_CELLS];
     memset(warped, 0, sizeof warped);
     memset(common, 0, sizeof common);
-    if (c->warp_std > 0) sf_random_normals(stream, feet, warped);
-    if (c->common_std > 0) sf_random_normals(stream, feet, common);
+    if (c->warp_std > 0) sf_random_fill(stream, 1, feet, warped);
+    if (c->common_std > 0) sf_random_fill(stream, 1, feet, common);
     for (int foot = 0; foot < feet; foot++) {
         sf_real *cell = load + SF_CELLS_OF_A_FOOT * foot;
         sf_real *offset = s->mechanics_mounting_offset + SF_CELLS_OF_A_FOOT * foot;
@@ -192,8 +192,8 @@ SF_API sf_real sf_settle(const sf_cells_config *c, sf_real *window, sf_real sign
 
 SF_API void sf_spikes(const sf_cells_config *c, sf_random *stream, sf_real dt, sf_real *counts) {
     sf_real hit[SF_LOAD_CELLS], size[SF_LOAD_CELLS], probability = (sf_real)-expm1(-c->spike_rate * dt);
-    sf_random_uniforms(stream, c->channels, hit);
-    sf_random_normals(stream, c->channels, size);
+    sf_random_fill(stream, 0, c->channels, hit);
+    sf_random_fill(stream, 1, c->channels, size);
     for (int i = 0; i < c->channels; i++) {
         sf_real off = counts[i] + c->spike_size * size[i];
         if (c->bits) off = (sf_real)rint(sf_limit(off, c->lowest, c->highest));
@@ -203,8 +203,8 @@ SF_API void sf_spikes(const sf_cells_config *c, sf_random *stream, sf_real dt, s
 
 SF_API void sf_wrong_words(const sf_cells_config *c, sf_random *stream, sf_real *counts) {
     sf_real hit[SF_LOAD_CELLS], which[SF_LOAD_CELLS];
-    sf_random_uniforms(stream, c->channels, hit);
-    sf_random_uniforms(stream, c->channels, which);
+    sf_random_fill(stream, 0, c->channels, hit);
+    sf_random_fill(stream, 0, c->channels, which);
     for (int i = 0; i < c->channels; i++) {
         int number = (int)sf_limit(which[i] * c->bits, 0, (sf_real)(c->bits - 1));
         sf_real place = (sf_real)ldexp(1.0, number);
@@ -217,7 +217,7 @@ SF_API void sf_wrong_words(const sf_cells_config *c, sf_random *stream, sf_real 
 
 SF_API void sf_stale_repeats(const sf_cells_config *c, sf_cells *s, sf_random *stream, sf_real *counts) {
     sf_real drawn, *held = s->wire_stale_repeats_held;
-    sf_random_uniforms(stream, 1, &drawn);
+    sf_random_fill(stream, 0, 1, &drawn);
     for (int i = 0; i < c->channels; i++) {
         if (drawn < c->stale_repeats && !isnan(held[i])) counts[i] = held[i];
         held[i] = counts[i];
@@ -227,7 +227,7 @@ SF_API void sf_stale_repeats(const sf_cells_config *c, sf_cells *s, sf_random *s
 SF_API void sf_burst_gaps(const sf_cells_config *c, sf_real share, sf_real length, sf_real *lost,
                           sf_random *stream, sf_real dt, sf_real *counts) {
     sf_real drawn, decayed = (sf_real)-expm1(-dt / (length * (1 - share)));
-    sf_random_uniforms(stream, 1, &drawn);
+    sf_random_fill(stream, 0, 1, &drawn);
     *lost = drawn < *lost * (1 - decayed) + decayed * share;
     if (*lost > 0)
         for (int i = 0; i < c->channels; i++) counts[i] = (sf_real)NAN;
@@ -236,7 +236,7 @@ SF_API void sf_burst_gaps(const sf_cells_config *c, sf_real share, sf_real lengt
 SF_API void sf_latency(const sf_cells_config *c, sf_cells *s, sf_random *stream, sf_real dt, sf_real *counts) {
     int K = c->channels, D = c->under_way, arrived = 0;
     sf_real drawn, *due = s->wire_latency_due, *row = s->wire_latency_readings, *held = s->wire_latency_held;
-    sf_random_normals(stream, 1, &drawn);
+    sf_random_fill(stream, 1, 1, &drawn);
     drawn = c->jitter * drawn + c->delay;
     if (drawn < 0) drawn = 0;
     sf_real last = due[D - 1] - dt;
@@ -293,7 +293,7 @@ SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stre
     }
     if (acts) sf_mechanics(c, s, stream, dt, load);
     draws = (c->scale_walk > 0) + (c->offset_walk > 0) + (c->noise > 0);
-    if (draws) sf_random_normals(stream, draws * K, drawn);
+    if (draws) sf_random_fill(stream, 1, draws * K, drawn);
     for (int i = 0; i < K; i++) {
         sf_real *scale = s->error + i, *offset = s->error + K + i;
         const sf_real *own = drawn + i;

@@ -76,7 +76,7 @@ typedef struct {
 
 SF_API void sf_draw(sf_normals *normals, int n, sf_real *numbers) {
     if (normals->stream) {
-        sf_random_normals(normals->stream, n, numbers);
+        sf_random_fill(normals->stream, 1, n, numbers);
         return;
     }
     memcpy(numbers, normals->next, (size_t)n * sizeof(sf_real));

@@ -5,6 +5,18 @@ knows which packages have one.
 """
 
 from surefoot.native.build import Sources, compiler
-from surefoot.native.library import ADDRESS, Library, Native, Record
+from surefoot.native.library import ADDRESS, Library, Native, required
+from surefoot.native.records import Record, c_header, leaves_of, rebuilt
 
-__all__ = ["ADDRESS", "Library", "Native", "Record", "Sources", "compiler"]
+__all__ = [
+    "ADDRESS",
+    "Library",
+    "Native",
+    "Record",
+    "Sources",
+    "c_header",
+    "compiler",
+    "leaves_of",
+    "rebuilt",
+    "required",
+]

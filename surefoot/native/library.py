@@ -73,26 +73,15 @@ class Library(NamedTuple):
             {"names": list(shapes), "formats": formats, "offsets": offsets, "itemsize": places[""][2]}
         )
 
-
-class Record:
-    """A record that a library fills over and over.
-
-    Args:
-        dtype: Its layout.
-
-    Attributes:
-        now: What it holds, shape ().
-        address: Where the library finds it.
-    """
-
-    def __init__(self, dtype: np.dtype[Any]) -> None:
-        self.now = np.zeros((), dtype)
-        self.address = self.now.ctypes.data
-        self._bytes = self.now.reshape(1).view(np.uint8)
-
-    def copy(self) -> NDArray[Any]:
-        """Return a copy, of which all fields are views; NumPy's own copies field by field, in 5 us."""
-        return np.ndarray((), self.now.dtype, self._bytes.copy())
+    def filled(self, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
+        """Return one of its records with these values, shape (); ``None`` if it has no room for one."""
+        dtype = self.record(name, {field: np.shape(value) for field, value in values.items()})
+        if dtype is None:
+            return None
+        record = np.zeros((), dtype)
+        for field, value in values.items():
+            record[field] = value
+        return record
 
 
 class Native:
@@ -154,6 +143,17 @@ class Native:
                 problem = f"{path.name} cannot be used, {error}"
         say_once(problem)
         return None
+
+
+def required(library: Library | None) -> Library:
+    """Return a library that there has to be.
+
+    Raises:
+        RuntimeError: If there is none.
+    """
+    if library is None:
+        raise RuntimeError(f"The library is missing: run '{_BY_HAND}' first.")
+    return library
 
 
 @cache

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _matched import ANKLES, on_ankles
+from _native import SANITIZED, compile_program, library_of
 from _robots import BAD
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, walk
 from hypothesis import given, settings
@@ -18,8 +19,7 @@ from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineS
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
 from surefoot.calibration.native import NATIVE, NativeState, c_source, native_filter
-from surefoot.calibration.native.filter import leaves_of
-from surefoot.native import compiler
+from surefoot.native import compiler, leaves_of
 from surefoot.native.build import FLAGS
 
 ROOT = Path(__file__).parents[2]
@@ -199,12 +199,7 @@ TABLE = [
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    here = NATIVE.installed()
-    if here is not None:
-        return here
-    path = tmp_path_factory.mktemp("native") / "double.so"
-    assert NATIVE.sources.compile(path) is None
-    return NATIVE.load(path, NATIVE.sources.fingerprint())
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 def setup_of(layout, lag=2):
@@ -243,8 +238,8 @@ def same(name, expected, found, close=CLOSE):
 def same_state(stream, native, expected, state, close=CLOSE):
     found = native.unpack(state)
     assert type(found) is type(expected)
-    for (name, a), (_, b) in zip(leaves_of(expected), leaves_of(found), strict=True):
-        same(name, a, b, close)
+    for (path, a), (_, b) in zip(leaves_of(expected), leaves_of(found), strict=True):
+        same(path[-1], a, b, close)
 
 
 def same_estimate(expected, found, close=CLOSE):
@@ -355,31 +350,9 @@ def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path)
     np.testing.assert_allclose(found.force, expected.force, atol=0.02)
 
 
-STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
-
-
-def compile_program(source, target, *flags):
-    """Compile one program beside the header, with all warnings as errors."""
-    command = [
-        *compiler(),
-        *STRICT,
-        *flags,
-        f"-I{NATIVE.sources.folder}",
-        "-o",
-        str(target),
-        str(source),
-        "-lm",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
 def play_garbage(library, tmp_path, layout, samples, *flags):
     """Feed garbage to a program with sanitizers; return what it says."""
-    compile_program(
-        Path(__file__).parent / "fuzz_native.c", tmp_path / "fuzz", "-O1", "-g", *flags,
-        "-fsanitize=address,undefined", "-fno-sanitize-recover=all",
-    )  # fmt: skip
+    compile_program(NATIVE, Path(__file__).parent / "fuzz_native.c", tmp_path / "fuzz", *SANITIZED, *flags)
     _, native = robot(library, layout)
     (tmp_path / "config").write_bytes(native.config.tobytes())
     done = subprocess.run(
@@ -413,7 +386,7 @@ def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, la
     )
     sizes = []
     for flags in ([], ["-DSF_SINGLE"]):
-        compile_program(tmp_path / "size.c", tmp_path / "size", "-O0", *flags)
+        compile_program(NATIVE, tmp_path / "size.c", tmp_path / "size", "-O0", *flags)
         done = subprocess.run([tmp_path / "size"], capture_output=True, check=True)
         sizes.append(f"{int(done.stdout):,} bytes")
     page = ROOT / "docs" / "native.md"

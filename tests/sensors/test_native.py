@@ -2,12 +2,12 @@
 
 import copy
 import pickle
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from _native import compile_program, library_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -69,12 +69,7 @@ TABLE: dict[str, LoadCells] = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    here = NATIVE.installed()
-    if here is not None:
-        return here
-    path = tmp_path_factory.mktemp("native") / "double.so"
-    assert NATIVE.sources.compile(path) is None
-    return NATIVE.load(path, NATIVE.sources.fingerprint())
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 def loads(channels: int, rng: np.random.Generator, bad: bool = True) -> np.ndarray[Any, Any]:
@@ -217,13 +212,7 @@ def test_a_wire_that_cannot_hold_its_words_is_refused_in_the_same_words(library:
 
 
 def test_the_headers_compile_alone_without_a_warning(tmp_path: Path) -> None:
-    folder = NATIVE.sources.folder
-    for header in sorted(folder.glob("*.h")):
+    for header in sorted(NATIVE.sources.folder.glob("*.h")):
         (tmp_path / "alone.c").write_text(f'#include "{header.name}"\nint main(void) {{ return 0; }}\n')
         for flags in ([], ["-DSF_SINGLE"]):
-            command = [
-                *compiler(), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", *flags,
-                f"-I{folder}", "-o", str(tmp_path / "alone"), str(tmp_path / "alone.c"), "-lm",
-            ]  # fmt: skip
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, done.stderr
+            compile_program(NATIVE, tmp_path / "alone.c", tmp_path / "alone", "-O1", *flags)

@@ -9,10 +9,11 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+from _native import SANITIZED, compile_program, library_of
 
 from surefoot.calibration import nao_shoe_layout
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.native import NATIVE, Library, filled_record
+from surefoot.calibration.native import NATIVE, Library
 from surefoot.envs import InstrumentedEnv
 from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.native import Record, compiler
@@ -82,12 +83,7 @@ ROBOTS = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory) -> Library:
-    here = NATIVE.installed()
-    if here is not None:
-        return here
-    path = tmp_path_factory.mktemp("native") / "double.so"
-    assert NATIVE.sources.compile(path) is None
-    return NATIVE.load(path)
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 def robot(name: str) -> NominalModel:
@@ -282,8 +278,8 @@ def test_what_does_not_fit_is_found(library):
     sizes = {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
 
     def fits(timing, **changes):
-        model = filled_record(library, "model", {**sizes, **tree, **changes})
-        record = filled_record(library, "timing", timing)
+        model = library.filled("model", {**sizes, **tree, **changes})
+        record = library.filled("timing", timing)
         return library.functions.surefoot_beliefs_fit(model.ctypes.data, record.ctypes.data)
 
     assert fits(timing)
@@ -305,13 +301,7 @@ def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path):
     monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(python(model)))
     (tmp_path / "main.c").write_text(PROGRAM)
-    command = [
-        *compiler(), "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1",
-        "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{NATIVE.sources.folder}",
-        "-o", str(tmp_path / "main"), str(tmp_path / "main.c"), "-lm",
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    compile_program(NATIVE, tmp_path / "main.c", tmp_path / "main", *SANITIZED)
     native, told, lines = NativeBeliefs(library, python(model)), [], []
     for packet in motion(len(model.joint_names))[:400]:
         native.update((packet,))
@@ -386,7 +376,7 @@ class Estimates:
             "force_std": (K,), "cop_covariance": (2, 2), "cop_valid": (), "cop_foot_valid": (2,),
         }  # fmt: skip
         self.estimate = Record(library.record("estimate", shapes))
-        self.config = filled_record(library, "config", {"channels": K})
+        self.config = library.filled("config", {"channels": K})
 
     def draw(self) -> Estimate:
         now, rng = self.estimate.now, self.rng

@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from _native import SANITIZED, compile_program, library_of
 
 from surefoot.native import compiler
 from surefoot.sensors import Encoders, Imu, Link, preset
@@ -44,12 +45,7 @@ TABLE = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    here = NATIVE.installed()
-    if here is not None:
-        return here
-    path = tmp_path_factory.mktemp("native") / "sensors.so"
-    assert NATIVE.sources.compile(path) is None
-    return NATIVE.load(path, NATIVE.sources.fingerprint())
+    return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
 class Motion:
@@ -224,11 +220,7 @@ def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
 def test_garbage_stays_within_the_arrays(library, tmp_path, name: str) -> None:
     source = Path(__file__).parent / "fuzz_telemetry.c"
     (tmp_path / "config").write_bytes(NativeTelemetry(library, *TABLE[name]).config.tobytes())
-    strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1"]
-    clean = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    command = [*compiler(), *strict, *clean, f"-I{NATIVE.sources.folder}", "-o", "fuzz", source, "-lm"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    compile_program(NATIVE, source, tmp_path / "fuzz", *SANITIZED)
     done = subprocess.run(
         [tmp_path / "fuzz", tmp_path / "config"], capture_output=True, text=True, check=False
     )

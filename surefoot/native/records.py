@@ -1,0 +1,81 @@
+"""Records that a library fills or reads, and what they hold: states of Python, and constants written as C."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Path = tuple[str, ...]
+
+
+class Record:
+    """A record that a library fills over and over.
+
+    Args:
+        dtype: Its layout.
+
+    Attributes:
+        now: What it holds, shape ().
+        address: Where the library finds it.
+    """
+
+    def __init__(self, dtype: np.dtype[Any]) -> None:
+        self.now = np.zeros((), dtype)
+        self.address = self.now.ctypes.data
+        self._bytes = self.now.reshape(1).view(np.uint8)
+
+    def copy(self) -> NDArray[Any]:
+        """Return a copy, of which all fields are views; NumPy's own copies field by field, in 5 us."""
+        return np.ndarray((), self.now.dtype, self._bytes.copy())
+
+
+def leaves_of(state: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
+    """Yield the ways through the named tuples of a state, and the parts that are no tuples.
+
+    Raises:
+        TypeError: If it is no tuple.
+        ValueError: If one of its tuples has no names.
+    """
+    for name, part in zip(getattr(state, "_fields", ()), state, strict=True):
+        if isinstance(part, tuple):
+            yield from leaves_of(part, (*path, name))
+        else:
+            yield (*path, name), part
+
+
+def rebuilt(like: Any, leaf: Callable[[Path, Any], Any], path: Path = ()) -> Any:
+    """Return a state like another one with parts of its own.
+
+    Args:
+        like: The other one.
+        leaf: Makes each part, of the way to it and what is there in the other one.
+        path: The way to this state.
+    """
+    if not isinstance(like, tuple):
+        return leaf(path, like)
+    names = getattr(like, "_fields", ())
+    return type(like)(*(rebuilt(part, leaf, (*path, name)) for name, part in zip(names, like, strict=True)))
+
+
+def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArray[Any]]) -> str:
+    """Return a header in C that includes another one with some sizes, and declares constant records.
+
+    Args:
+        header: The other one.
+        sizes: Its sizes, by their names without ``SF_``.
+        records: Records of the library, by their types and names.
+    """
+    lines = [f"#define SF_{name} {size}" for name, size in sizes.items()]
+    lines.append(f'#include "{header}"')
+    for declared, record in records.items():
+        assert record.dtype.names is not None
+        lines += ["", f"static const {declared} = {{"]
+        for name in record.dtype.names:
+            numbers = ", ".join(repr(value) for value in record[name].ravel().tolist())
+            if numbers:
+                lines.append(
+                    f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"
+                )
+        lines.append("};")
+    return "\n".join([*lines, ""])
