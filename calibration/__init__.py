@@ -2,7 +2,8 @@
 
 NumPy, SciPy and the array API standard; no simulator and no Gymnasium, so that it runs on a robot.
 
-* :class:`FootCalibrator` in a robot's loop, :func:`replay` for a log; by name from :data:`METHODS`.
+* :class:`FootCalibrator` in a robot's loop, :func:`replay` for a log; by name from :data:`METHODS`;
+  :func:`register_method` adds one of your own.
 * :func:`online_method` for the pure functions beneath them, batched, on NumPy or torch.
 * :func:`calibrate_in_situ` for six-axis force-torque sensors, from gravity and known masses.
 """
@@ -22,12 +23,12 @@ from surefoot.calibration.in_situ import (
 )
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.moment.bound import posterior_bound
-from surefoot.calibration.online import METHODS, online_method
+from surefoot.calibration.online import METHODS, online_method, register_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.replay import replay
 from surefoot.calibration.results import CalibrationRefused, FitResult
-from surefoot.calibration.setup import OnlineSetup
+from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 from surefoot.calibration.standing import QuietStanding
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.calibration.weights.cop_correction import fit_cop_correction
@@ -48,6 +49,7 @@ __all__ = [
     "InSituTracker",
     "KnownLimb",
     "MovingRobot",
+    "OnlineMethod",
     "OnlineSetup",
     "Parameters",
     "QuietStanding",
@@ -63,6 +65,7 @@ __all__ = [
     "plan_excitation",
     "plan_foot_excitation",
     "posterior_bound",
+    "register_method",
     "replay",
     "standing_start",
     "zero_phase",

@@ -48,7 +48,20 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
     }
 )
-"""Fields that outlive an episode, by the class of the state; its other arrays belong to the stream."""
+"""Fields that outlive an episode, by the class of the state; its other arrays belong to the stream. The class
+of a user's own method names them itself, in an attribute ``LEARNT``."""
+
+
+def _learnt(state: Any) -> tuple[str, ...]:
+    kind = type(state)
+    found: tuple[str, ...] | None = LEARNT.get(kind, getattr(kind, "LEARNT", None))
+    if found is None:
+        raise TypeError(
+            f"What a {kind.__name__} has learnt is not known; states of "
+            f"{[known.__name__ for known in LEARNT]} can begin an episode, and those whose class names such "
+            "fields in an attribute LEARNT; others can only be selected."
+        )
+    return found
 
 
 COUNTERS: Mapping[str, Callable[[int, int], int]] = MappingProxyType(
@@ -122,7 +135,7 @@ def update_frozen(
     if isinstance(state, TareState):
         # A foot that has not been in the air until now shows no offset.
         stopped["airborne"] = state.airborne * 0 - 1
-    kept = {name: getattr(state, name) for name in LEARNT[type(state)]}
+    kept = {name: getattr(state, name) for name in _learnt(state)}
     after, estimate = method.update(state._replace(**stopped), raw, reference, dt)
     if any(getattr(after, name) is not kept[name] for name in ("mean", "theta") if name in kept):
         raise ValueError(
@@ -133,12 +146,7 @@ def update_frozen(
 
 def _merge(mask: Array, fresh: Any, state: Any, *, keep_learnt: bool) -> Any:
     """Merge two trees of the same form, field by field."""
-    if keep_learnt and type(state) not in LEARNT:
-        raise TypeError(
-            f"What a {type(state).__name__} has learnt is not known; states of "
-            f"{[known.__name__ for known in LEARNT]} can begin an episode, others only be selected."
-        )
-    kept = LEARNT[type(state)] if keep_learnt else ()
+    kept = _learnt(state) if keep_learnt else ()
     merged = {}
     for name in state._fields:
         new, old = getattr(fresh, name), getattr(state, name)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.native import (
     NativeFilter,
@@ -23,6 +24,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import setup_from_options
 from surefoot.calibration.state import load_state, save_state
+from surefoot.names import plain_name
 
 
 class FootCalibrator:
@@ -34,7 +36,7 @@ class FootCalibrator:
 
     Args:
         layout: How the channels make up the feet's wrenches.
-        method: A key of :data:`~surefoot.calibration.online.METHODS`.
+        method: A key of :data:`~surefoot.calibration.online.METHODS`, or ``"module:name"`` for one of yours.
         mass: Mass of the robot as it believes it, in kg.
         initial: The map to start from, the nominal one or that of known weights; by default readings are
             taken for newtons.
@@ -139,7 +141,7 @@ class FootCalibrator:
                 return self._native.update(native, raw, reference, dt)
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
-        state = self._pure.init(raw) if self._state is None else self.state
+        state = self._init(raw) if self._state is None else self.state
         self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
 
@@ -162,7 +164,7 @@ class FootCalibrator:
             return
         state = self.state
         if state is not None:
-            everyone = getattr(state, "front", state).known | True
+            everyone = _front(state).known | True
             self._state = self._pure.retract(state, everyone & which)
 
     def reset(self) -> None:
@@ -191,11 +193,18 @@ class FootCalibrator:
             ValueError: If the file is not from this method and setup, or its arrays do not fit.
         """
         if like is None:
-            # The state of a method that learns nothing is that of its front end alone.
             state = self.state
-            front = getattr(state, "front", state)
-            like = np.zeros(self.setup.layout.channels) if front is None else front.raw
-        self._state = load_state(path, self._pure.init(like), **self._notes())
+            like = np.zeros(self.setup.layout.channels) if state is None else _front(state).raw
+        self._state = load_state(path, self._init(like), **self._notes())
+
+    def _init(self, raw: Any) -> Any:
+        state = self._pure.init(raw)
+        if not isinstance(_front(state), FrontState):
+            raise TypeError(
+                f"Method {self.method!r} has a state {type(state).__name__} without a FrontState as 'front'; "
+                "see register_method of surefoot.calibration."
+            )
+        return state
 
     def _notes(self) -> dict[str, str]:
         """Name what a saved state belongs to."""
@@ -204,7 +213,7 @@ class FootCalibrator:
         wrench_map = np.asarray(setup.layout.wrench_map, dtype=np.float64) + 0.0
         maps = zip(Parameters._fields, setup.initial, strict=True)
         return {
-            "method": self.method,
+            "method": plain_name(self.method),
             # Offsets of earlier versions stood behind the scale: their states would be misread.
             **({"unknowns": "F = a (F0 + o)"} if self.method == "moment" else {}),
             "channels": " ".join(setup.layout.channel_names),
@@ -214,3 +223,8 @@ class FootCalibrator:
             **{f"initial.{name}": str(np.asarray(part, dtype=np.float64).tolist()) for name, part in maps},
             "wrench_map": f"{wrench_map.shape} {sha256(wrench_map.tobytes()).hexdigest()[:16]}",
         }
+
+
+def _front(state: Any) -> Any:
+    """Return what a state remembers of the stream; a method that learns nothing has no more than that."""
+    return getattr(state, "front", state)

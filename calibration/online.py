@@ -21,10 +21,12 @@ estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
 | ``"quasi-static"`` | scales and offsets | the centre of mass alone (Han's method) |
 | ``"tare"`` | offsets | feet in the air |
 | ``"none"`` | nothing | |
+
+:func:`register_method` adds one of your own.
 """
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import MISSING, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -34,8 +36,18 @@ from surefoot.calibration.moment.stream import moment_filter
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup, method_name
 from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.stream import quasi_static, window
+from surefoot.names import check_new_name, plain_name
 
-__all__ = ["METHODS", "MethodEntry", "OnlineMethod", "OnlineSetup", "method_name", "online_method"]
+__all__ = [
+    "METHODS",
+    "MethodEntry",
+    "OnlineMethod",
+    "OnlineSetup",
+    "method_entry",
+    "method_name",
+    "online_method",
+    "register_method",
+]
 
 
 class MethodEntry(NamedTuple):
@@ -44,29 +56,101 @@ class MethodEntry(NamedTuple):
     Attributes:
         build: ``build(setup, config) -> OnlineMethod``; a method without options takes no config.
         config: The dataclass of its options, or ``None``.
+        certain: Whether it reports a covariance.
     """
 
     build: Callable[..., OnlineMethod]
-    config: type[Any] | None
+    config: type[Any] | None = None
+    certain: bool = False
 
 
-METHODS = MappingProxyType(
-    {
-        "moment": MethodEntry(moment_filter, MomentFilterConfig),
-        "window": MethodEntry(window, WindowConfig),
-        "quasi-static": MethodEntry(quasi_static, WindowConfig),
-        "tare": MethodEntry(tare, TareConfig),
-        "none": MethodEntry(uncorrected, None),
-    }
-)
-"""All online methods by name."""
+_METHODS = {
+    "moment": MethodEntry(moment_filter, MomentFilterConfig, certain=True),
+    "window": MethodEntry(window, WindowConfig),
+    "quasi-static": MethodEntry(quasi_static, WindowConfig),
+    "tare": MethodEntry(tare, TareConfig),
+    "none": MethodEntry(uncorrected),
+}
+
+METHODS = MappingProxyType(_METHODS)
+"""All online methods by name, registered ones among them."""
+
+SHIPPED = frozenset(METHODS)
+"""Names of the methods of this package."""
+
+
+def register_method(
+    name: str,
+    build: Callable[..., OnlineMethod],
+    config: type[Any] | None = None,
+    *,
+    certain: bool = False,
+    replace: bool = False,
+) -> None:
+    """Give an online method of your own a name, to be used wherever the methods of this package are.
+
+    Where your module is not imported, such as on the command line and in other processes, name it as well:
+    ``"module:name"``. Registering the same function again, as a module that is imported twice does, is no
+    error.
+
+    A method is an :class:`OnlineMethod` of pure functions. Its state is a
+    :class:`~surefoot.calibration.front_end.readings.FrontState`, or a ``NamedTuple`` of arrays with the batch
+    in front that holds one as ``front``: the
+    :class:`~surefoot.calibration.front_end.readings.FrontEnd` checks readings, waits for the reference and
+    makes estimates. If the class has a tuple ``LEARNT``, it names the fields that outlive an episode.
+
+    Args:
+        name: A new name.
+        build: ``build(setup, config)``, or ``build(setup)`` without a config, returns the method.
+        config: A dataclass of options, each with a default.
+        certain: Whether estimates have a covariance, a standard deviation of forces and one of the CoP.
+        replace: Whether a method of yours of that name is replaced.
+
+    Raises:
+        TypeError: If ``build`` cannot be called, or ``config`` is no dataclass.
+        ValueError: If the name is taken or has no letters, or an option has no default.
+    """
+    if not callable(build):
+        raise TypeError(f"'build' must be a function of an OnlineSetup, got {type(build).__name__}.")
+    if config is not None:
+        if not (isinstance(config, type) and is_dataclass(config)):
+            raise TypeError(f"'config' must be a dataclass of options, or None, got {config!r}.")
+        if bare := [field.name for field in fields(config) if _has_no_default(field)]:
+            raise ValueError(f"{config.__name__}.{bare[0]} has no default: a method is built by its name.")
+    if not (name in _METHODS and name not in SHIPPED and (replace or _same(build, _METHODS[name].build))):
+        check_new_name("method", name, METHODS)
+    _METHODS[name] = MethodEntry(build, config, certain)
+
+
+def _has_no_default(field: Any) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Return whether both are one function of one file, under whatever name its module was imported."""
+    where = [(f.__code__.co_filename, f.__qualname__) for f in (one, other) if hasattr(f, "__code__")]
+    return one is other or (len(where) == 2 and where[0] == where[1])
+
+
+def method_entry(name: str) -> MethodEntry:
+    """Return a method's line of the table; ``"module:name"`` imports a module that registers it.
+
+    Raises:
+        ValueError: If no such method exists, or its module cannot be imported.
+    """
+    plain = plain_name(name)
+    if plain not in METHODS:
+        available = ", ".join(repr(key) for key in METHODS)
+        raise ValueError(f"Method {name!r} does not exist. Available: {available}.")
+    return METHODS[plain]
 
 
 def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod:
     """Build a method by its name.
 
     Args:
-        name: A key of :data:`METHODS`, or an old name, with a ``DeprecationWarning``.
+        name: A key of :data:`METHODS`, ``"module:name"`` for one of yours, or an old name, with a
+            ``DeprecationWarning``.
         setup: The robot.
         options: Fields of the method's config.
 
@@ -79,10 +163,7 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     ValueError: Method 'windows' does not exist. Available: 'moment', 'window', ..., 'tare', 'none'.
     """
     name = method_name(name)
-    if name not in METHODS:
-        available = ", ".join(repr(key) for key in METHODS)
-        raise ValueError(f"Method {name!r} does not exist. Available: {available}.")
-    build, config = METHODS[name]
+    build, config, _ = method_entry(name)
     known = [] if config is None else [field.name for field in fields(config)]
     unknown = [option for option in options if option not in known]
     if unknown:

@@ -17,7 +17,7 @@ from surefoot.calibration.front_end.filters import zero_phase as filter_zero_pha
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.online import METHODS, method_name, online_method
+from surefoot.calibration.online import method_entry, method_name, online_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import setup_from_options
@@ -92,7 +92,7 @@ def replay(
     learnt_from, learnt_with = readings, log
     if zero_phase:
         cutoff = options.pop("cutoff", None) or PAPER_CUTOFF
-        if method in METHODS and "cutoff" in getattr(METHODS[method].config, "__dataclass_fields__", {}):
+        if "cutoff" in getattr(method_entry(method).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
         low, high = front_end.plausible
         learnt_from = _filter_plausible(readings, low, high, cutoff, nominal).astype(readings.dtype)

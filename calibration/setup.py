@@ -21,7 +21,10 @@ OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
 
 
 def method_name(name: str) -> str:
-    """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it."""
+    """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it.
+
+    That of a user's method keeps its module, ``"module:name"``, which other processes need.
+    """
     if name not in OLD_NAMES:
         return name
     today = OLD_NAMES[name]

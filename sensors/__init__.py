@@ -15,7 +15,7 @@ from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.devices.strain_gauges import strain_gauges
 from surefoot.sensors.faults.channels import Fault, apply_faults, channel_faults
 from surefoot.sensors.faults.words import parse_fault
-from surefoot.sensors.presets import PRESETS, preset, sized
+from surefoot.sensors.presets import PRESETS, preset, register_preset, sized
 from surefoot.sensors.severity import scaled
 from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
 from surefoot.sensors.stages.converter import quantize, saturate, white_noise
@@ -47,6 +47,7 @@ __all__ = [
     "parse_fault",
     "preset",
     "quantize",
+    "register_preset",
     "saturate",
     "scale",
     "scale_drift",

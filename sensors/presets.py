@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final, TypeVar
 
+from surefoot.names import check_new_name, plain_name
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.devices.encoders import Encoders
 from surefoot.sensors.devices.force_torque import ForceTorque
@@ -212,24 +213,57 @@ PRESETS: dict[type, dict[str, Any]] = {
     Encoders: {"nao-encoders": NAO_ENCODERS, "perfect": Encoders(bits=0, bias_std=0.0, noise_std=0.0)},
     Link: {"nao-wlan": NAO_LINK, "perfect": Link(rate=None, delay=0.0, jitter=0.0)},
 }
-"""Every preset by the class of its configuration and its name."""
+"""Every preset by the class of its configuration and its name; :func:`register_preset` adds to it."""
+
+SHIPPED = frozenset(name for named in PRESETS.values() for name in named)
+"""Names of the presets of this package."""
+
+
+def register_preset(name: str, config: Any, *, replace: bool = False) -> None:
+    """Give a device of your own a name, to be used wherever the presets of this package are.
+
+    Where your module is not imported, such as on the command line and in other processes, name it as well:
+    ``"module:name"``. Registering the same again changes nothing.
+
+    Args:
+        name: A new name.
+        config: :class:`LoadCells`, :class:`ForceTorque`, :class:`StrainGauges`, :class:`Imu`,
+            :class:`Encoders` or :class:`Link` with your numbers.
+        replace: Whether a preset of yours of that name is replaced.
+
+    Raises:
+        TypeError: If it is no such configuration.
+        ValueError: If the name is taken or has no letters.
+    """
+    kind = type(config)
+    if kind not in PRESETS:
+        kinds = ", ".join(known.__name__ for known in PRESETS)
+        raise TypeError(f"A preset must be one of {kinds}, got {kind.__name__}.")
+    own = PRESETS[kind]
+    if name in own and name not in SHIPPED and (replace or own[name] == config):
+        own[name] = config
+        return
+    # A name means one device, of whatever class: under a foot there may be two of them.
+    check_new_name("preset", name, {taken for named in PRESETS.values() for taken in named})
+    own[name] = config
 
 
 def preset(name: str, kind: type[Config] = LoadCells) -> Config:  # type: ignore[assignment]
     """Look a device up by its name.
 
     Args:
-        name: Such as ``"hx711-load-cells"``.
+        name: Such as ``"hx711-load-cells"``, or ``"module:name"`` for one of yours.
         kind: The class of the configuration: :class:`LoadCells`, :class:`ForceTorque`,
             :class:`StrainGauges`, :class:`Imu`, :class:`Encoders` or :class:`Link`.
 
     Raises:
-        ValueError: If there is none of that name; the message lists what there is.
+        ValueError: If there is none of that name, the message lists what there is; or if its module cannot
+            be imported.
 
     >>> preset("hx711-load-cells").adc_bits
     24
     """
-    found = PRESETS[kind]
+    name, found = plain_name(name), PRESETS[kind]
     if name not in found:
         raise ValueError(f"There is no {kind.__name__} preset '{name}'; there are {sorted(found)}.")
     return found[name]  # type: ignore[no-any-return]

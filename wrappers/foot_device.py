@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+from surefoot.names import plain_name
 from surefoot.sensors import PRESETS, Corruption, ForceTorque, LoadCells, force_torque, load_cells, preset
 from surefoot.sensors.configuration import current_names, from_mapping
 from surefoot.sensors.presets import resolve
@@ -26,8 +27,8 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
     """
     if isinstance(config, ForceTorque):
         return config
-    if isinstance(config, str) and config not in PRESETS[LoadCells]:
-        if config in PRESETS[ForceTorque]:
+    if isinstance(config, str) and plain_name(config) not in PRESETS[LoadCells]:
+        if plain_name(config) in PRESETS[ForceTorque]:
             return preset(config, ForceTorque)
         names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
         raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")

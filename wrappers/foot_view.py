@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.online import METHODS, method_entry
 from surefoot.envs.observation import COP_BOUND, FORCE_BOUND
 from surefoot.wrappers.beliefs import SolePose
 
@@ -18,9 +19,6 @@ DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 
 CERTAINTY: Final = ("foot_force_std", "cop_std")
 """Parts that only a method with a covariance has."""
-
-CERTAIN_METHODS: Final = ("moment",)
-"""Methods that report one."""
 
 RAW: Final = "foot_raw"
 """Counts, which :class:`~surefoot.wrappers.FootSensors` shows: millions, hidden unless they are asked for."""
@@ -49,11 +47,11 @@ def seen_below(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, A
 
 def check_certainty(parts: Sequence[str], method: str) -> None:
     """Raise ValueError if parts need a covariance that a method does not report."""
-    unknown = [part for part in parts if part in CERTAINTY and method not in CERTAIN_METHODS]
+    unknown = [part for part in parts if part in CERTAINTY and not method_entry(method).certain]
     if unknown:
+        do = tuple(name for name, entry in METHODS.items() if entry.certain)
         raise ValueError(
-            f"Method {method!r} reports no covariance, so that {unknown} cannot be shown; "
-            f"{CERTAIN_METHODS} do."
+            f"Method {method!r} reports no covariance, so that {unknown} cannot be shown; {do} do."
         )
 
 

@@ -12,6 +12,7 @@ from surefoot.calibration import FootCalibrator, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
+from surefoot.names import plain_name
 from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.chances import Chances
@@ -292,7 +293,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def _notes(self) -> dict[str, str]:
         setup = self.calibrator.setup
         return {
-            "method": f"{self._method} {self._options}",
+            "method": f"{plain_name(self._method)} {self._options}",
             "robot": robot_note(self._sensors.source),
             "channels": " ".join(self.layout.channel_names),
             "timing": f"{setup.dt:.9g} s a sample, {setup.lag} samples late",

@@ -18,6 +18,7 @@ from surefoot.experiments.arena.streams import streams_of
 from surefoot.experiments.arena.walks import log_paths
 from surefoot.experiments.arena.yardsticks import OTHER_WAYS, other_way, trace_of, yardsticks_of
 from surefoot.experiments.logs.format import Log, read_log
+from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case
 from surefoot.experiments.walks.closed_loop import run_loop
 from surefoot.experiments.walks.replay import starting_map
@@ -45,7 +46,8 @@ def score_case(
     changed = dict(changes or {})
     name = " ".join([scenario.name, method, *(f"{key}={value:g}" for key, value in changed.items())])
     arguments = (scenario, method, options, changed)
-    return Case(name, _score, arguments, (method, changed, _depends(scenario, options)))
+    depends = (method, changed, _depends(scenario, options), *own_code(method))
+    return Case(name, _score, arguments, depends)
 
 
 def bound_case(scenario: Scenario, options: ArenaOptions, bound: Bound) -> Case:

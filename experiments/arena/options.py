@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from surefoot.calibration import METHODS
+from surefoot.calibration.online import METHODS, method_entry
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 TRUE_MAP = "floor"
@@ -39,10 +39,9 @@ class ArenaOptions:
                 f"'settle' must lie between {STAND_TIME:g} s of standing and the walk's end at "
                 f"{self.duration:g} s, got {self.settle:g} s."
             )
-        unknown = [name for name in self.methods if name not in METHODS and name != TRUE_MAP]
-        if unknown:
-            available = ", ".join(map(repr, METHODS))
-            raise ValueError(f"Method '{unknown[0]}' does not exist. Available: {available}.")
+        for name in self.methods:
+            if name != TRUE_MAP:
+                method_entry(name)
 
     @property
     def logs(self) -> Path:

@@ -17,7 +17,9 @@ app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=Tr
 @app.command()
 def walk(
     log: Annotated[Path, Argument(help="A log, .parquet, .csv or a ROS bag; docs/log-format.md.")],
-    method: Annotated[str, Option(help="moment, window, quasi-static, tare or none.")] = "moment",
+    method: Annotated[
+        str, Option(help="moment, window, quasi-static, tare, none, or module:name")
+    ] = "moment",
     start: Annotated[str | None, Option(help="Start from the nominal or the calibrated map.")] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,

@@ -16,7 +16,7 @@ def walking(
     out: Out = Path("out/compare-walking"),
     seeds: Annotated[int | None, Option(help="Walks of each; 20 by default, 10 with --full.", min=1)] = None,
     scenario: Annotated[Names, Option(help="A scenario to run; again for more. All by default.")] = None,
-    method: Annotated[Names, Option(help="A method to run; again for more. All by default.")] = None,
+    method: Annotated[Names, Option(help="A method, or module:name; again for more. All by default.")] = None,
     jobs: Jobs = 2,
     quick: Annotated[bool, Option("--quick", help="Two seeds, short walks, only fast scenarios.")] = False,
     full: Annotated[bool, Option("--full", help="The CoP paper's study instead, with closed loops.")] = False,

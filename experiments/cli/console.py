@@ -21,7 +21,10 @@ Names = list[str] | None
 Numbers = list[float] | None
 Paths = list[Path] | None
 Feeds = Annotated[
-    Names, Option(help="true, none (raw), weights, tare, quasi-static, window or moment; again for more.")
+    Names,
+    Option(
+        help="true, none (raw), weights, tare, quasi-static, window, moment, or module:name; again for more."
+    ),
 ]
 Out = Annotated[Path, Option(help="Folder for everything that is made.")]
 Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]

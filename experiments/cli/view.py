@@ -65,12 +65,13 @@ def view(
 def _start(feed: str) -> dict[str, str]:
     """Return which feed and which calibrator a name stands for on the page."""
     from surefoot.experiments.walks.walkers import feed_named
+    from surefoot.names import plain_name
 
     if feed_named(feed) == "weights":
         fail("'weights' is a feed of films; the page begins on the nominal map.")
     if feed in _PAGE_FEEDS:
         return {"feed": _PAGE_FEEDS[feed]}
-    return {"feed": "calibrated", "method": feed}
+    return {"feed": "calibrated", "method": plain_name(feed)}
 
 
 def _show_page(

@@ -201,7 +201,7 @@ def evaluation_plan(
             raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
     return EpisodePlan(
         tuple(sorted(controllers)),
-        tuple(sorted(map(feed_named, feeds), key=list(FEEDS).index)),
+        tuple(sorted(map(feed_named, feeds), key=[*FEEDS, *feeds].index)),
         (task,),
         tuple(sorted(severities, key=str)),
         tuple(range(first_seed, first_seed + seeds)),

@@ -99,7 +99,7 @@ def in_order(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
     """Return episodes sorted: controllers as they come or are named, feeds from the true one on, ..."""
     ranks = {
         "controller": list(dict.fromkeys((*controllers, *frame["controller"]))),
-        "feed": list(FEEDS),
+        "feed": list(dict.fromkeys((*FEEDS, *frame["feed"]))),
         "cop_input": list(COP_INPUTS),
     }
 
@@ -147,7 +147,7 @@ def _names(path: Path, column: Column) -> Column:
             f"'{path}' is no table of episodes: its column '{column.name}' holds {wrong[0]!r} and not a name."
         )
     known = _KNOWN[column.name]
-    if known and (unknown := sorted(set(column) - set(known))):
+    if known and (unknown := sorted(name for name in set(column) - set(known) if ":" not in name)):
         raise ValueError(f"'{path}' holds the {column.name} '{unknown[0]}'. Known: {', '.join(known)}.")
     return pd.Series(list(column), index=column.index)
 

@@ -23,6 +23,7 @@ from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.rows import read_rows
 from surefoot.experiments.study.page import save_frames
 from surefoot.experiments.study.runner import attempt, runner
+from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import PLAN, Case, Store
 from surefoot.experiments.study.tables import Frame
 
@@ -90,7 +91,8 @@ def run_plan(
 
 def case_of(episode: Episode) -> Case:
     """Return an episode as a case of a study."""
-    return Case(f"episode {episode.number}", run_case, (episode,), depends=episode.to_json())
+    depends = "".join((episode.to_json(), *own_code(episode.feed, episode.cells)))
+    return Case(f"episode {episode.number}", run_case, (episode,), depends=depends)
 
 
 def _failed(case: Case, error: str) -> dict[str, list[dict[str, Any]]]:

@@ -5,6 +5,7 @@ counts as an import, and so does the id of an environment.
 """
 
 import ast
+import inspect
 import re
 import sys
 from functools import cache
@@ -13,6 +14,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 import surefoot
+from surefoot.calibration import METHODS, online
+from surefoot.names import plain_name
+from surefoot.sensors import presets
 
 _ROOT = Path(surefoot.__file__).parent
 _DOTTED = re.compile(r"surefoot(\.\w+)+(:\w+)?")
@@ -36,6 +40,21 @@ def code_of(module: str) -> str:
     """Return what decides a module's results: the hash of its sources, and versions of what they use."""
     versions = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mujoco"))
     return f"code {source_hash(module)}, {versions}"
+
+
+def own_code(*names: str) -> tuple[str, ...]:
+    """Return what decides the results of methods and presets that a user registered; nothing for others.
+
+    Of a method it is a hash of its file, of a preset what it holds.
+    """
+    found: list[str] = []
+    for name in map(plain_name, names):
+        if name in METHODS and name not in online.SHIPPED:
+            file = Path(inspect.getsourcefile(inspect.unwrap(METHODS[name].build)) or "")
+            found.append(sha256(file.read_bytes()).hexdigest()[:16] if file.is_file() else name)
+        if name not in presets.SHIPPED:
+            found += [repr(own[name]) for own in presets.PRESETS.values() if name in own]
+    return tuple(found)
 
 
 @cache

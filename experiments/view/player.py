@@ -7,13 +7,12 @@ import numpy as np
 
 from surefoot.calibration import GRAVITY, replay
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.setup import method_name
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
-from surefoot.experiments.view.session import methods
+from surefoot.experiments.view.session import method_chosen, methods
 from surefoot.experiments.view.shown import Reading, Shown, placed
 from surefoot.experiments.walks.replay import starting_map
 
@@ -55,7 +54,7 @@ class LogFeet:
 
     def choose(self, method: str) -> None:
         """Calibrate by another method; ValueError if there is none of that name."""
-        self.method = method_name(method)
+        self.method = method_chosen(method)
         self._estimate = self._raw if self.method == "none" else self._replayed(self.method)
 
     def shown(self, i: int) -> Shown:

@@ -386,7 +386,7 @@ class Session:
         self._feed()
 
     def _choose(self, method: Any) -> None:
-        method = method_name(str(method))
+        method = method_chosen(method)
         if method not in self._lines:
             line = self._lines[method] = _Line(self._env, self._sensors, method)
             line.update(self._raw, self._env.reference, self._env.beliefs.soles(self._sensors.time))
@@ -412,6 +412,14 @@ def repeated(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
     made = {name: view[name] for name in ("controller", "feet", "soles")}
     session = Session(view["env"], seed=int(view["seed"]), start=chosen, **made)
     return session, changes[len(first) :]
+
+
+def method_chosen(name: Any) -> str:
+    """Return a calibrator's name of today; ValueError if there is none: a page's word imports no module."""
+    method = method_name(str(name))
+    if method not in METHODS:
+        raise ValueError(f"Method '{method}' does not exist. Available: {', '.join(map(repr, METHODS))}.")
+    return method
 
 
 def methods() -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
 from surefoot.experiments.walks.replay import starting_map
+from surefoot.names import plain_name
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ def calibrate_log(
     no such method or nothing to score.
     """
     method, about = method_name(method), log.about
+    plain = plain_name(method)  # for files: some systems have no ':' in names
     start = str(about.get("start", "nominal")) if start is None else start
     initial = starting_map(log, start)
     if zero_phase and (np.diff(log.time) > MAX_GAP).any():
@@ -79,12 +81,12 @@ def calibrate_log(
     )
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
     tables = (parameter_table(facts), *shown_tables(facts))
-    walk, parameters, page = (folder / f"{stem}.{method}.{end}" for end in ("parquet", "json", "html"))
+    walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))
     with atomic_path(walk) as part:
         pq.write_table(pa.table(_walk_columns(facts)), part)
     write_text(parameters, json.dumps(_last(facts), indent=1))
     write_walking_page(page, facts)
-    node = _write_ros2(facts, folder / f"{stem}.{method}.ros2.yaml") if ros2 else None
+    node = _write_ros2(facts, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
     return CalibratedLog(walk, parameters, page, tables, notices, node)
 
 

@@ -1,6 +1,6 @@
 """One robot on different feet: the same task, pattern and controller on another feed of its CoP."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -9,12 +9,13 @@ from gymnasium import spaces
 
 from surefoot.calibration.online import METHODS
 from surefoot.envs.nao.env import CONTROL_STEP
+from surefoot.names import plain_name
 from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 
-FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
+_FIRST: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
     {
         "true": None,
         "none": {"method": "none"},
@@ -22,8 +23,29 @@ FEEDS: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
         **{name: {"method": name} for name in reversed(METHODS) if name != "none"},
     }
 )
+
+
+class _Feeds(Mapping[str, Mapping[str, Any] | None]):
+    """The feeds above, and methods that were registered since, or are by their module."""
+
+    def __getitem__(self, name: str) -> Mapping[str, Any] | None:
+        if name in _FIRST:
+            return _FIRST[name]
+        if plain_name(name) not in METHODS:
+            raise KeyError(name)
+        return {"method": name}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*_FIRST, *METHODS)))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+
+FEEDS: Mapping[str, Mapping[str, Any] | None] = _Feeds()
 """Sources of a controller's CoP, with options of SelfCalibration: the truth; drifting readings by the
-nominal map, or by that which known weights gave just before the episode; and each calibration method."""
+nominal map, or by that which known weights gave just before the episode; and each calibration method, those
+that users register among them, also as ``"module:name"``."""
 
 STAND_TIME = 4.0  # s of standing before a walk: a standing start needs three, the filters a while
 

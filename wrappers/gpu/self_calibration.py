@@ -16,6 +16,7 @@ from torch import Tensor
 from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, online_method
 from surefoot.calibration.episodes import begin_episode, select, update_frozen
 from surefoot.calibration.setup import method_name, setup_from_options
+from surefoot.names import plain_name
 from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
 
 
@@ -199,7 +200,7 @@ class SelfCalibrationModule(BatchModule):
     def _identity(self) -> dict[str, Any]:
         setup = self.setup
         return {
-            "method": self.method,
+            "method": plain_name(self.method),
             "options": repr(self._options),
             "channels": " ".join(setup.layout.channel_names),
             "mass": float(setup.mass),

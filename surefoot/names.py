@@ -1,0 +1,39 @@
+"""Names that users give to things of their own.
+
+Wherever a name is looked up, ``"module:name"`` imports the user's module first, which registers the name:
+so that a command, a worker process and a specification read from JSON know it, too.
+"""
+
+from collections.abc import Collection
+from importlib import import_module
+
+
+def plain_name(name: str) -> str:
+    """Return a name without its module, which is imported.
+
+    Raises:
+        ValueError: If the module cannot be imported.
+
+    >>> plain_name("json:mine"), plain_name("moment")
+    ('mine', 'moment')
+    """
+    module, _, plain = name.rpartition(":")
+    if module:
+        try:
+            import_module(module)
+        except ImportError as error:
+            raise ValueError(
+                f"The module of '{name}' cannot be imported ({error}); it must be on the Python path of "
+                "every process that uses it."
+            ) from error
+    return plain
+
+
+def check_new_name(what: str, name: str, taken: Collection[str]) -> None:
+    """Raise TypeError or ValueError if a user's own thing cannot have a name."""
+    if not isinstance(name, str):
+        raise TypeError(f"The name of a {what} must be a str, got {type(name).__name__}.")
+    if not name.strip() or ":" in name:
+        raise ValueError(f"The name of a {what} must not be empty and must hold no ':', got {name!r}.")
+    if name in taken:
+        raise ValueError(f"There is a {what} '{name}' already; choose another name.")
