@@ -1,7 +1,9 @@
 """Compile the libraries in C where there is a C compiler, and say in the wheel's name what is inside."""
 
 import os
+import re
 import runpy
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +16,20 @@ BUILD = runpy.run_path(str(ROOT / "surefoot" / "native" / "build.py"))
 LIBRARIES = list(BUILD["sources_below"](ROOT))
 # `make wheels` names the platform of each wheel; without, it is this machine's.
 PLATFORM = os.environ.get("SUREFOOT_PLATFORM")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 def place(sources: Any) -> Path:
     """Return where a library lies in a wheel."""
     return Path("surefoot", sources.folder.relative_to(ROOT), sources.name + BUILD["ending"](PLATFORM))
+
+
+def readme() -> str:
+    """Return README.md for where there are no files beside it: with links to this version."""
+    home, tag = PROJECT["urls"]["Repository"], f"v{PROJECT['version']}"
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = text.replace("](docs/images/", f"]({home}/raw/{tag}/docs/images/")
+    return re.sub(r"\]\((?!https?:|#)", f"]({home}/blob/{tag}/", text)
 
 
 class BuildWithLibraries(build_py):
@@ -48,4 +59,8 @@ class WheelOfOnePlatform(bdist_wheel):
         return "py3", "none", PLATFORM or super().get_tag()[2]
 
 
-setup(cmdclass={"build_py": BuildWithLibraries, "bdist_wheel": WheelOfOnePlatform})
+setup(
+    cmdclass={"build_py": BuildWithLibraries, "bdist_wheel": WheelOfOnePlatform},
+    long_description=readme(),
+    long_description_content_type="text/markdown",
+)

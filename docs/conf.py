@@ -9,6 +9,9 @@ html_title = f"surefoot {release}"
 html_theme = "sphinx_book_theme"
 html_theme_options = {"navigation_with_keys": False, "navbar_persistent": []}
 html_show_copyright = False
+repository = metadata.metadata("surefoot")["Project-URL"].partition(", ")[2]
+if "/OWNER/" not in repository:
+    html_theme_options |= {"repository_url": repository, "use_repository_button": True}
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["dollarmath"]

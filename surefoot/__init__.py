@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from surefoot import calibration, controllers, envs, experiments, sensors, wrappers
 
+    __version__: str
+
 __all__ = ["calibration", "controllers", "envs", "experiments", "sensors", "wrappers"]
-__version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    """Import a subpackage when it is first asked for."""
+    """Import a subpackage when it is first asked for, and look up which version is installed."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("surefoot")
     if name in __all__:
         return import_module(f"surefoot.{name}")
     raise AttributeError(f"module 'surefoot' has no attribute '{name}'")
