@@ -12,7 +12,7 @@ ifeq ($(shell uname -s)$(DISPLAY),Linux)
 export MUJOCO_GL ?= egl
 endif
 
-.PHONY: demo test slow results check style types pyright imports format docs wheel-test wheels clean
+.PHONY: demo test slow results check style types pyright imports format docs wheel-test wheels release-check linkcheck clean
 
 demo: $(VENV)/.demo
 	$(BIN)/surefoot demo $(DEMO)
@@ -69,6 +69,10 @@ format: $(VENV)/.dev
 docs: $(VENV)/.dev
 	$(BIN)/sphinx-build -q -W --keep-going -E -b html -d build/doctrees $(SPHINX) docs build/docs
 
+# Links to other places, for who has a network.
+linkcheck:
+	$(MAKE) docs SPHINX="-D nb_execution_mode=off -b linkcheck"
+
 # The suite once more, against what a user installs: the built wheel, away from the checkout. Doctests import every
 # module of it; WHEEL_TESTS may name those tests alone that need files which a wheel could lack.
 WHEEL_TESTS ?= tests
@@ -89,6 +93,17 @@ wheels: $(VENV)/.dev
 		rm -rf build/lib build/bdist.*; \
 		SUREFOOT_PLATFORM=$$platform PYTHONPATH=$(CURDIR)/$(ZIG) $(BIN)/python -m build --wheel --no-isolation --outdir dist . || exit 1; \
 	done
+
+# Before a release: twine reads what `make wheels` made, each extra (or EXTRAS) is installed alone and used, and the two
+# commands of README run in the sdist. Half an hour or more, gigabytes; needs an index of packages.
+release-check: wheels
+	test -d build/twine || $(BIN)/pip install --quiet --target build/twine twine
+	PYTHONPATH=build/twine $(BIN)/python -m twine check --strict dist/*
+	nice $(BIN)/python tests/packaging/release.py dist $(EXTRAS)
+	rm -rf build/sdist && mkdir build/sdist && tar xzf dist/*.tar.gz --strip-components 1 -C build/sdist
+	nice $(MAKE) -C build/sdist demo test
+	rm -rf build/sdist
+	! grep -n OWNER pyproject.toml  # the repository's address is to be set
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
