@@ -267,6 +267,7 @@ def test_a_temperature_that_goes_with_time_is_not_told_from_a_drift(cooling):
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
 
 
+@pytest.mark.slow
 def test_a_drift_that_hides_in_the_coefficients_of_single_sets_is_named_and_cured():
     sets, _, _ = warmed(both_ways, drift=10.0)
     with pytest.raises(CalibrationRefused, match="The offset drifted as the temperature changed") as refused:

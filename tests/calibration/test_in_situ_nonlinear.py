@@ -149,6 +149,7 @@ def test_a_constant_product_and_one_axis_alone():
     np.testing.assert_allclose(products.of_components(np.zeros(6)), -products.affine[0], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_moving_limb_and_eight_channels():
     sets, _ = moving_sets(np.random.default_rng(66), 1.0)
     assert calibrate_in_situ(sets, options=AUTO).nonlinear is None
@@ -166,6 +167,7 @@ def test_other_degrees_are_refused(given):
         InSituOptions(nonlinear=given)
 
 
+@pytest.mark.slow
 def test_a_limb_that_bends_is_no_sensor_that_is_not_linear():
     sets, _ = noisy_sets("leg", np.random.default_rng(68), n=1200)
     response = np.linalg.inv(MATRIX)

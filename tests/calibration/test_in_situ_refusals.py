@@ -177,7 +177,13 @@ CAUSES = {
 }
 
 
-@pytest.mark.parametrize(("factory", "make", "cause", "cure"), CAUSES.values(), ids=CAUSES.keys())
+@pytest.mark.parametrize(
+    ("factory", "make", "cause", "cure"),
+    [
+        pytest.param(*row, id=name, marks=() if name in ("a step", "sets exchanged") else pytest.mark.slow)
+        for name, row in CAUSES.items()
+    ],
+)
 def test_the_likeliest_cause_is_named_first(factory, make, cause, cure):
     with pytest.raises(CalibrationRefused, match=re.escape(f"Likeliest: {cause}")) as raised:
         calibrate_in_situ(make(leg_sets()), factory_matrix=factory)

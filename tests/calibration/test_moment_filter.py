@@ -203,6 +203,7 @@ def test_a_plate_alone_is_calibrated_by_who_moves_on_it():
     assert errors(start, log, 8.0)[0] > 4.0
 
 
+@pytest.mark.slow
 def test_a_load_that_is_picked_up_or_put_down_goes_to_the_mass_and_not_to_the_gains():
     faults = replace(BAD, gain_drift=0.0, offset_drift=0.0)
     logs, raw, reference = fleet(range(8), speeds=(0.1,), faults=faults, duration=31.0, stand=2.0)

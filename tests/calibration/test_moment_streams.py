@@ -128,6 +128,7 @@ def test_ankle_sensors_in_a_batch_are_themselves_one_by_one(ankle_fleet, togethe
         np.testing.assert_allclose([nis[i] for nis, _ in blocks], [nis for nis, _ in single], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_torch_gives_the_same_numbers_for_ankle_sensors(ankle_fleet, together):
     torch = pytest.importorskip("torch")
     method, expected = moment_filter(ankle_fleet.setup, ankle_fleet.config), together[0]

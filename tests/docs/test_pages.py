@@ -137,7 +137,13 @@ GIVEN = {
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if page.stem != "simulators"], ids=lambda page: page.stem
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.slow) if page.stem == "calibration-motion" else page
+        for page in PAGES
+        if page.stem != "simulators"
+    ],
+    ids=lambda page: page.stem,
 )
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -429,6 +429,7 @@ def test_bad_calls_are_refused():
         env.step(np.array([0.0, np.nan]))
 
 
+@pytest.mark.slow
 def test_frames_show_the_rig(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "egl")
     env = LegRigEnv(render_mode="rgb_array", width=160, height=120, configuration=6, floor=True)

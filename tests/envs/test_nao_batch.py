@@ -78,7 +78,8 @@ def test_robots_do_what_they_do_alone(task):
     _same(copies.step(actions), batch.step(actions), "after it")
 
 
-@pytest.mark.parametrize("task", ["NaoBalance", pytest.param("NaoCarry", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["NaoBalance", "NaoCarry"])
 def test_sensors_and_calibrators_around_them_see_the_same(task):
     copies, batch = (
         VectorSelfCalibration(VectorFootSensors(env), "moment")
@@ -116,6 +117,7 @@ def test_a_prelude_is_played_before_each_episode():
         _same(copies.step(actions), batch.step(actions), f"step {step}")
 
 
+@pytest.mark.slow
 def test_robots_are_drawn_where_they_are():
     env = NaoVectorEnv(NaoStandEnv, 2, render_mode="rgb_array", width=64, height=48)
     env.reset(seed=0)

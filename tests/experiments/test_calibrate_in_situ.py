@@ -117,6 +117,7 @@ def test_what_is_refused_leaves_nothing_behind(short: Path, tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_refusal_that_is_accepted_is_said_in_every_file(short: Path, tmp_path: Path, undrawn: None) -> None:
     config = config_beside(short)
     strict = changed(config, fit=config.fit.model_dump() | {"residual_tolerance": 1e-4})
@@ -199,6 +200,7 @@ def test_the_sample_is_what_its_script_makes_and_holds_no_truth(
     assert np.abs(factory @ truth.response - np.eye(6)).max() > 0.05
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_not_linear(short: Path, tmp_path: Path, undrawn: None) -> None:
     """The sample bent on purpose: the page says what the polynomial is worth, and JSON holds it."""
     config = config_beside(short)

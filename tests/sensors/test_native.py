@@ -65,6 +65,7 @@ TABLE: dict[str, LoadCells] = {
     "four cells": LoadCells(channels=4, mechanics=ELEMENT, adc_bits=0),
     "sixteen cells": LoadCells(channels=16, mechanics=ELEMENT, adc_bits=0),
 }
+QUICK = ("hx711-load-cells", "whole", "whole, no converter", "slow chips", "words", "four cells")
 
 
 @pytest.fixture(scope="module")
@@ -129,11 +130,14 @@ def play(library: Library, config: LoadCells, seed: int, exchange: int, substeps
         same(expected, state.python())
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in TABLE]
+)
 def test_counts_and_states_are_the_same(library: Library, name: str) -> None:
     play(library, TABLE[name], 1, 700)
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None, derandomize=True)
 @given(data=st.data(), seed=st.integers(0, 1000), exchange=st.integers(0, SAMPLES - 1))
 def test_random_cells_are_the_same(library: Library, data: Any, seed: int, exchange: int) -> None:

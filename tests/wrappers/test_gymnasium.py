@@ -166,6 +166,7 @@ def test_a_robot_without_file_is_copied_without_its_spec() -> None:
     assert data_equivalence(roll(deepcopy(env), moves), roll(env, moves), exact=True)
 
 
+@pytest.mark.slow
 def test_a_scene_that_was_drawn_can_be_copied() -> None:
     env = balance(render_mode="rgb_array", width=32, height=32)
     env.reset(seed=0)

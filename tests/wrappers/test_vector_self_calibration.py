@@ -189,7 +189,10 @@ def test_nothing_is_learnt_from_a_robot_that_is_not_upright():
     assert infos["surefoot"]["reference"]["known"][[0, 2]].all()
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize(
+    "mode",
+    [m if m is AutoresetMode.NEXT_STEP else pytest.param(m, marks=pytest.mark.slow) for m in AutoresetMode],
+)
 def test_old_readings_are_waited_for_alike_in_all_modes(mode):
     cells = {"rate": (10.0, 11.0), "settling": 2}
     copies = SyncVectorEnv(_functions(12), autoreset_mode=mode)
