@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import Corruption, ForceTorque, LoadCells, force_torque, load_cells, sized
+from surefoot.sensors import ForceTorque, LoadCells, sized
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map
-from surefoot.sensors.devices.native_cells import NativeCellState, native_cells_here
+from surefoot.sensors.devices.native_cells import CELLS
+from surefoot.sensors.devices.native_device import NativeState, device_here, plain
+from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers.foot_device import JITTER_BOUND, FootDevice
 
@@ -48,8 +50,11 @@ class InstrumentsState(NamedTuple):
     ankles: Any = ()
 
 
-CellState = LoadCellState | NativeCellState
+CellState = LoadCellState | NativeState
 """State of load cells, as the Python has it or as the library has it."""
+
+AnkleState = ForceTorqueState | NativeState
+"""The same of six-axis sensors."""
 
 
 class CellsUnderFeet:
@@ -92,30 +97,22 @@ class CellsUnderFeet:
             )
             for i, name in enumerate(drawing.feet)
         )
-        self._device: Corruption[LoadCellState] = load_cells(config)
-        self._native = native_cells_here(config)
+        self._device = device_here(CELLS, config)
 
     def init(self, rng: Rng) -> LoadCellState:
         """Draw the cells."""
-        return self._device.init((self.channels,), rng)
+        drawn: LoadCellState = self._device.init((self.channels,), rng)
+        return drawn
 
     def with_load(self, truth: Any, state: CellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
-        return self.plain(state)._replace(previous=truth.force_cell[-1].copy())
+        before: LoadCellState = plain(state)
+        return before._replace(previous=truth.force_cell[-1].copy())
 
     def read(self, truth: Any, state: CellState, rng: Rng, dt: float) -> tuple[Floats, CellState]:
         """Read them after a control step of dt; a state of the library's goes on in place."""
-        block, native = truth.force_cell, self._native
-        if native is None or not native.takes(block, rng):
-            return self._device.apply(block, self.plain(state), rng, dt)
-        if not isinstance(state, NativeCellState):
-            state = native.pack(state)
-        return native.step(state, block, rng, dt), state
-
-    @staticmethod
-    def plain(state: CellState) -> LoadCellState:
-        """Return the state as the Python has it."""
-        return state.python() if isinstance(state, NativeCellState) else state
+        counts, after = self._device.apply(truth.force_cell, state, rng, dt)
+        return counts, after
 
     def force(self, truth: Any) -> Floats:
         """Return the true forces at the end of a control step in N, shape (K,)."""
@@ -124,7 +121,7 @@ class CellsUnderFeet:
 
     def true_map(self, state: CellState) -> Parameters:
         """Return the map that undoes their errors now."""
-        return Parameters(*true_map(self.config, self.plain(state)))
+        return Parameters(*true_map(self.config, plain(state)))
 
 
 class SensorsInAnkles:
@@ -165,41 +162,37 @@ class SensorsInAnkles:
             for i, name in enumerate(drawing.feet)
         )
         self.preload = np.concatenate([_weight(foot) for foot in self.feet])
-        self._device: Corruption[ForceTorqueState] = force_torque(config)
+        self._device = device_here(FORCE_TORQUE, config)
 
     def init(self, rng: Rng) -> ForceTorqueState:
         """Draw the sensors."""
-        return self._device.init((self.channels,), rng)
+        drawn: ForceTorqueState = self._device.init((self.channels,), rng)
+        return drawn
 
-    def with_load(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
+    def with_load(self, truth: Any, state: AnkleState) -> AnkleState:
         """Return the state as it is: readings of an instant have no load before."""
         return state
 
-    def read(
-        self, truth: Any, state: ForceTorqueState, rng: Rng, dt: float
-    ) -> tuple[Floats, ForceTorqueState]:
-        """Read them at the end of a control step of dt."""
-        return self._device.apply(truth.wrench_ankle[-1].ravel(), state, rng, dt)
+    def read(self, truth: Any, state: AnkleState, rng: Rng, dt: float) -> tuple[Floats, AnkleState]:
+        """Read them at the end of a control step of dt; a state of the library's goes on in place."""
+        counts, after = self._device.apply(truth.wrench_ankle[-1].ravel(), state, rng, dt)
+        return counts, after
 
     def force(self, truth: Any) -> Floats:
         """Return the true loads at the end of a control step in N and N m, shape (K,)."""
         force: Floats = truth.wrench_ankle[-1].ravel() + self.preload
         return force
 
-    @staticmethod
-    def plain(state: ForceTorqueState) -> ForceTorqueState:
-        """Return the state as it is."""
-        return state
-
-    def true_map(self, state: ForceTorqueState) -> Parameters:
+    def true_map(self, state: AnkleState) -> Parameters:
         """Return the map that undoes each axis's own errors now; cross-talk is left out."""
-        gain = 1.0 + np.diagonal(state.error, axis1=-2, axis2=-1).ravel()
-        return Parameters(self.nominal.scale / gain, self.preload - state.offset.ravel() / gain)
+        now: ForceTorqueState = plain(state)
+        gain = 1.0 + np.diagonal(now.error, axis1=-2, axis2=-1).ravel()
+        return Parameters(self.nominal.scale / gain, self.preload - now.offset.ravel() / gain)
 
-    def cross_talk(self, state: ForceTorqueState) -> Floats:
+    def cross_talk(self, state: AnkleState) -> Floats:
         """Return what each channel reads of the others' loads, a row a channel, shape (K, K)."""
         scale = self.config.full_scale[:6]
-        off = state.error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
+        off = plain(state).error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
         talk = np.zeros((self.channels, self.channels))
         for i, block in enumerate(off):
             talk[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = block
@@ -311,7 +304,7 @@ class Instruments:
 
     def plain(self, state: InstrumentsState) -> InstrumentsState:
         """Return the state as the Python has it, which later readings do not change."""
-        return InstrumentsState(**{part.name: part.plain(getattr(state, part.name)) for part in self.parts})
+        return InstrumentsState(**{part.name: plain(getattr(state, part.name)) for part in self.parts})
 
     def with_load(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
         """Return the state under the loads of now, at an episode start."""

@@ -211,11 +211,11 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     """
     eye = np.eye(AXES)
     spread = Table(config.initial_scale_std * eye + config.cross_talk_std * (1.0 - eye))
-    diagonal, ratio = Table(eye), Table(_full_scale_ratio(config))
-    offset_std = Table(_pair(config.initial_offset_force_std, config.initial_offset_torque_std))
-    offset_walk = Table(_pair(config.offset_drift_force, config.offset_drift_torque))
+    diagonal, ratio = Table(eye), Table(full_scale_ratio(config))
+    offset_std = Table(per_axis(config.initial_offset_force_std, config.initial_offset_torque_std))
+    offset_walk = Table(per_axis(config.offset_drift_force, config.offset_drift_torque))
     scale_walk = config.scale_drift
-    noise = Table(np.tile(_pair(config.noise_force, config.noise_torque), config.sensors))
+    noise = Table(np.tile(per_axis(config.noise_force, config.noise_torque), config.sensors))
     slope, ends = Table(config.slope), tuple(Table(end) for end in config.code_range)
     rated = config.full_scale * config.slope
     way = wire(config.wire, rated, config.code_range, config.word_bits) if config.wire.acts else None
@@ -257,15 +257,16 @@ def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Ar
     """
     xp = namespace(state.offset)
     slope = Table(config.slope[:AXES]).like(state.offset)
-    eye, ratio = (Table(part).like(state.offset) for part in (np.eye(AXES), _full_scale_ratio(config)))
+    eye, ratio = (Table(part).like(state.offset) for part in (np.eye(AXES), full_scale_ratio(config)))
     return xp.linalg.inv(eye + state.error * ratio) / slope, state.offset * slope
 
 
-def _full_scale_ratio(config: ForceTorque) -> NDArray[np.float64]:
+def full_scale_ratio(config: ForceTorque) -> NDArray[np.float64]:
     """Return what turns E into D E D^-1: the full scale of the row over that of the column, shape (6, 6)."""
     full = config.full_scale[:AXES]
     return full[:, None] / full
 
 
-def _pair(force: float, torque: float) -> NDArray[np.float64]:
+def per_axis(force: float, torque: float) -> NDArray[np.float64]:
+    """Return a number for each axis, shape (6,), of those of forces and of torques."""
     return np.repeat([force, torque], 3)

@@ -179,6 +179,21 @@ class StrainGauges:
         return len(self.matrix[0])
 
     @property
+    def bends(self) -> bool:
+        """Whether the element bends out of proportion."""
+        return self.nonlinearity > 0.0 or self.cross_nonlinearity > 0.0
+
+    @property
+    def noisy(self) -> bool:
+        """Whether readings have noise."""
+        return self.noise_force > 0.0 or self.noise_torque > 0.0
+
+    @property
+    def walks(self) -> bool:
+        """Whether offsets drift at random."""
+        return self.offset_drift_force > 0.0 or self.offset_drift_torque > 0.0
+
+    @property
     def full_scale(self) -> NDArray[np.float64]:
         """Largest component along each axis in N and N m, shape (6,)."""
         return np.repeat([self.full_scale_force, self.full_scale_torque], 3)

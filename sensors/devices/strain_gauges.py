@@ -92,22 +92,17 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     eye, response = Table(np.eye(AXES)), Table(nominal)
     talk = config.scale_error_std * np.eye(AXES) + config.cross_talk_std * (1.0 - np.eye(AXES))
     change = Table(talk * full_scale[:, None] / full_scale / 2.0**DOUBLINGS)
-    offset_map = Table(_gauge_map(config, config.offset_force, config.offset_torque).T)
-    tempco_map = Table(_gauge_map(config, config.offset_tempco_force, config.offset_tempco_torque).T)
+    offset_map = Table(gauge_map(config, config.offset_force, config.offset_torque).T)
+    tempco_map = Table(gauge_map(config, config.offset_tempco_force, config.offset_tempco_torque).T)
     # One matrix for each draw of a step: noise and, where offsets drift, their drift.
-    noisy = config.noise_force > 0.0 or config.noise_torque > 0.0
-    walks = config.offset_drift_force > 0.0 or config.offset_drift_torque > 0.0
-    noise_map = Table(_gauge_map(config, config.noise_force, config.noise_torque).T)
-    walk_map = Table(_gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T)
+    noisy, walks = config.noisy, config.walks
+    noise_map = Table(gauge_map(config, config.noise_force, config.noise_torque).T)
+    walk_map = Table(gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T)
     of_load = config.hysteresis_of == "load"
-    true = np.repeat([config.hysteresis_true_force, config.hysteresis_true_torque], 3)
-    felt = np.eye(AXES) if of_load else np.abs(nominal)
-    most = (felt * full_scale).max(axis=1)
-    lagging = hysteresis(
-        config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=(felt * true).max(axis=1) / most
-    )
+    most, true_at = lag(config)
+    lagging = hysteresis(config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=true_at)
     creeping = creep(config.creep_shares, config.creep_time_constants)
-    bends = config.nonlinearity > 0.0 or config.cross_nonlinearity > 0.0
+    bends = config.bends
     bending = coupled_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
 
     def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> StrainGaugeState:
@@ -229,11 +224,23 @@ def shift_offset(
     """
     check_not_negative(force_std=force_std, torque_std=torque_std)
     drawn = normal(rng, tuple(state.offset.shape), state.offset.dtype)
-    jump = drawn @ Table(_gauge_map(config, force_std, torque_std).T).like(drawn)
+    jump = drawn @ Table(gauge_map(config, force_std, torque_std).T).like(drawn)
     return state._replace(offset=state.offset + jump)
 
 
-def _gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
+def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where each of what lags, the axes or the gauges, is at its full scale, and where it reads true.
+
+    Returns:
+        The largest amplitudes in N and N m or in counts, and those that read true in shares of them.
+    """
+    true = np.repeat([config.hysteresis_true_force, config.hysteresis_true_torque], 3)
+    felt = np.eye(AXES) if config.hysteresis_of == "load" else np.abs(config.nominal_response)
+    most = (felt * config.full_scale).max(axis=1)
+    return most, (felt * true).max(axis=1) / most
+
+
+def gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
     """Return what turns k unit errors into counts that C_0 shows as that force and torque, shape (k, k)."""
     response = config.nominal_response
     image: NDArray[np.float64] = response * np.repeat([force, torque], 3)

@@ -1,5 +1,6 @@
 /* The sensors' headers as a shared library, with a table of where their records' fields lie. */
 
+#include "surefoot_force_torque.h"
 #include "surefoot_random.h"
 #include "surefoot_sensors.h"
 #include "surefoot_telemetry.h"
@@ -9,6 +10,10 @@
 #define C_INT(field) PLACE(cells_config, field, "int")
 #define C_REAL(field) PLACE(cells_config, field, "real")
 #define S_REAL(field) PLACE(cells, field, "real")
+#define F_REAL(field) PLACE(force_torque_config, field, "real")
+#define G_INT(field) PLACE(strain_gauges_config, field, "int")
+#define G_REAL(field) PLACE(strain_gauges_config, field, "real")
+#define H_REAL(field) PLACE(strain_gauges, field, "real")
 #define T_INT(field) PLACE(telemetry_config, field, "int")
 #define T_DOUBLE(field) PLACE(telemetry_config, field, "double")
 #define T_REAL(field) PLACE(telemetry_config, field, "real")
@@ -16,28 +21,56 @@
 #define U_WHOLE(field) PLACE(telemetry, field, "whole")
 #define U_REAL(field) PLACE(telemetry, field, "real")
 
+/* Fields of the wire within a device's record. */
+#define WIRED(record, field, kind)                                                                           \
+    {#record, "wire_" #field, kind, offsetof(sf_##record, wire.field), sizeof(((sf_##record *)0)->wire.field)}
+#define WIRE_CONFIG(record)                                                                                  \
+    WIRED(record, bits, "int"), WIRED(record, offset_binary, "int"), WIRED(record, late, "int"),             \
+        WIRED(record, under_way, "int"), WIRED(record, lowest, "real"), WIRED(record, highest, "real"),      \
+        WIRED(record, spike_size, "real"), WIRED(record, spike_rate, "real"),                                \
+        WIRED(record, wrong_words, "real"), WIRED(record, stale_repeats, "real"),                            \
+        WIRED(record, packet_loss, "real"), WIRED(record, packet_loss_length, "real"),                       \
+        WIRED(record, gap_share, "real"), WIRED(record, gap_length, "real"), WIRED(record, delay, "real"),   \
+        WIRED(record, jitter, "real")
+#define WIRE_STATE(record)                                                                                   \
+    WIRED(record, stale_repeats_held, "real"), WIRED(record, packet_loss_lost, "real"),                      \
+        WIRED(record, gaps_lost, "real"), WIRED(record, latency_due, "real"),                                \
+        WIRED(record, latency_readings, "real"), WIRED(record, latency_held, "real")
+
 /* clang-format off */
 static const place places[] = {
     WHOLE_OF(random), PLACE(random, key, "word"), PLACE(random, count, "word"),
 
     WHOLE_OF(cells_config), WHOLE_OF(cells),
 
-    C_INT(channels), C_INT(clocked), C_INT(settling), C_INT(converts), C_INT(warms), C_INT(plays),
-    C_INT(creeps), C_INT(bits), C_INT(offset_binary), C_INT(late), C_INT(under_way), C_REAL(highest_rate),
-    C_REAL(slope), C_REAL(zero_code), C_REAL(lowest), C_REAL(highest), C_REAL(noise), C_REAL(scale_walk),
+    C_INT(channels), C_INT(clocked), C_INT(settling), C_INT(warms), C_INT(plays), C_INT(creeps),
+    C_REAL(highest_rate), C_REAL(slope), C_REAL(zero_code), C_REAL(noise), C_REAL(scale_walk),
     C_REAL(offset_walk), C_REAL(temperature_ramp), C_REAL(temperature_rise), C_REAL(capacity),
     C_REAL(nonlinearity), C_REAL(hysteresis), C_REAL(hysteresis_excess), C_REAL(slack),
     C_REAL(creep_share), C_REAL(creep_time), C_REAL(impact_threshold), C_REAL(warp_std),
-    C_REAL(common_std), C_REAL(overload_share), C_REAL(safe_load), C_REAL(spike_rate), C_REAL(spike_size),
-    C_REAL(wrong_words), C_REAL(stale_repeats), C_REAL(packet_loss), C_REAL(packet_loss_length),
-    C_REAL(gap_share), C_REAL(gap_length), C_REAL(delay), C_REAL(jitter),
+    C_REAL(common_std), C_REAL(overload_share), C_REAL(safe_load), WIRE_CONFIG(cells_config),
 
     S_REAL(period), S_REAL(due), S_REAL(previous), S_REAL(held), S_REAL(error), S_REAL(thermal),
     S_REAL(window), S_REAL(mechanics_nonlinearity_quadratic), S_REAL(mechanics_hysteresis_plays),
     S_REAL(mechanics_creep_yielded), S_REAL(mechanics_mounting_offset), S_REAL(mechanics_mounting_load),
-    S_REAL(mechanics_mounting_impact), S_REAL(mechanics_overload_excess), S_REAL(wire_stale_repeats_held),
-    S_REAL(wire_packet_loss_lost), S_REAL(wire_gaps_lost), S_REAL(wire_latency_due),
-    S_REAL(wire_latency_readings), S_REAL(wire_latency_held),
+    S_REAL(mechanics_mounting_impact), S_REAL(mechanics_overload_excess), WIRE_STATE(cells),
+
+    WHOLE_OF(force_torque_config), WHOLE_OF(force_torque),
+
+    PLACE(force_torque_config, sensors, "int"), F_REAL(slope), F_REAL(noise), F_REAL(full_scale_ratio),
+    F_REAL(scale_walk), F_REAL(offset_walk), WIRE_CONFIG(force_torque_config),
+
+    PLACE(force_torque, error, "real"), PLACE(force_torque, offset, "real"), WIRE_STATE(force_torque),
+
+    WHOLE_OF(strain_gauges_config), WHOLE_OF(strain_gauges),
+
+    G_INT(channels), G_INT(bends), G_INT(plays), G_INT(of_load), G_INT(creeps), G_INT(walks), G_INT(noisy),
+    G_INT(converts), G_REAL(full_scale), G_REAL(creep_share), G_REAL(creep_time), G_REAL(hysteresis),
+    G_REAL(hysteresis_excess), G_REAL(hysteresis_most), G_REAL(slack), G_REAL(walk_map), G_REAL(noise_map),
+    G_REAL(temperature_ramp), G_REAL(temperature_rise), G_REAL(lowest), G_REAL(highest),
+
+    H_REAL(response), H_REAL(tempco), H_REAL(offset), H_REAL(temperature), H_REAL(creep_yielded),
+    H_REAL(hysteresis_plays), H_REAL(bend_cubic), H_REAL(bend_cross),
 
     WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),
 
@@ -80,6 +113,25 @@ EXPORTED int surefoot_cells_fits(const sf_cells_config *config) { return sf_cell
 EXPORTED void surefoot_cells_step(const sf_cells_config *config, sf_cells *cells, sf_random *stream,
                                   const sf_real *block, int substeps, double dt, sf_real *counts) {
     sf_cells_step(config, cells, stream, block, substeps, (sf_real)dt, counts);
+}
+
+/* Devices that are read at an instant take the last row of a block. */
+EXPORTED int surefoot_force_torque_fits(const sf_force_torque_config *config) {
+    return sf_force_torque_fits(config);
+}
+EXPORTED void surefoot_force_torque_step(const sf_force_torque_config *config, sf_force_torque *sensors,
+                                         sf_random *stream, const sf_real *block, int rows, double dt,
+                                         sf_real *counts) {
+    sf_force_torque_step(config, sensors, stream, block + (rows - 1) * SF_AXES * config->sensors, (sf_real)dt,
+                         counts);
+}
+EXPORTED int surefoot_strain_gauges_fits(const sf_strain_gauges_config *config) {
+    return sf_strain_gauges_fits(config);
+}
+EXPORTED void surefoot_strain_gauges_step(const sf_strain_gauges_config *config, sf_strain_gauges *sensor,
+                                          sf_random *stream, const sf_real *block, int rows, double dt,
+                                          sf_real *counts) {
+    sf_strain_gauges_step(config, sensor, stream, block + (rows - 1) * SF_AXES, (sf_real)dt, counts);
 }
 
 EXPORTED int surefoot_telemetry_fits(const sf_telemetry_config *config) { return sf_telemetry_fits(config); }

@@ -7,16 +7,19 @@ from surefoot.native import ADDRESS, Library, Native, Sources
 
 _SIZE = ctypes.c_size_t
 
+_DEVICES = ("cells", "force_torque", "strain_gauges")
+"""What loads go into and counts come out of."""
+
 NATIVE = Native(
     Sources(Path(__file__).parent),
     {
         "surefoot_philox": (None, (ADDRESS, ADDRESS, ADDRESS)),
         "surefoot_draw": (None, (ADDRESS, ADDRESS, _SIZE, _SIZE, _SIZE, ctypes.c_int, ADDRESS)),
-        "surefoot_cells_fits": (ctypes.c_int, (ADDRESS,)),
-        "surefoot_cells_step": (
-            None,
-            (*(ADDRESS,) * 4, ctypes.c_int, ctypes.c_double, ADDRESS),
-        ),
+        **{f"surefoot_{device}_fits": (ctypes.c_int, (ADDRESS,)) for device in _DEVICES},
+        **{
+            f"surefoot_{device}_step": (None, (*(ADDRESS,) * 4, ctypes.c_int, ctypes.c_double, ADDRESS))
+            for device in _DEVICES
+        },
         "surefoot_telemetry_fits": (ctypes.c_int, (ADDRESS,)),
         "surefoot_telemetry_draws": (ctypes.c_int, (ADDRESS,)),
         "surefoot_telemetry_coming": (ctypes.c_int, (ADDRESS, ADDRESS)),

@@ -11,16 +11,13 @@
    Matrices are stored by rows without gaps, as wide as the robot at hand needs. NaN means that no reading arrived,
    so that -ffast-math is not for this file.
 
-   Before it is included: SF_SINGLE makes numbers floats; SF_LOAD_CELLS, SF_WINDOW, SF_PLAYS, SF_CREEPS and SF_UNDER_WAY are
-   the largest sizes; SF_API is what stands before functions. */
+   Before it is included: SF_SINGLE makes numbers floats; SF_LOAD_CELLS, SF_WINDOW and SF_PLAYS are the largest sizes,
+   as are those of surefoot_stages.h; SF_API is what stands before functions. */
 
 #ifndef SUREFOOT_SENSORS_H
 #define SUREFOOT_SENSORS_H
 
-#include <math.h>
-#include <string.h>
-
-#include "surefoot_random.h"
+#include "surefoot_stages.h"
 
 #ifndef SF_LOAD_CELLS
 #define SF_LOAD_CELLS 16 /* load cells of a robot */
@@ -31,24 +28,16 @@
 #ifndef SF_PLAYS
 #define SF_PLAYS 8 /* play operators of the hysteresis */
 #endif
-#ifndef SF_CREEPS
-#define SF_CREEPS 4 /* exponentials of the creep */
-#endif
-#ifndef SF_UNDER_WAY
-#define SF_UNDER_WAY 16 /* readings under way on the wire */
-#endif
 #define SF_CELLS_OF_A_FOOT 4
 
 typedef struct {
-    int channels, clocked, settling, converts, warms, plays, creeps, bits, offset_binary, late, under_way;
-    sf_real highest_rate, slope[SF_LOAD_CELLS], zero_code, lowest, highest, noise, scale_walk, offset_walk;
+    int channels, clocked, settling, warms, plays, creeps;
+    sf_real highest_rate, slope[SF_LOAD_CELLS], zero_code, noise, scale_walk, offset_walk;
     sf_real temperature_ramp, temperature_rise;
     /* The spring elements. */
     sf_real capacity, nonlinearity, hysteresis, hysteresis_excess, slack[SF_PLAYS], creep_share[SF_CREEPS];
     sf_real creep_time[SF_CREEPS], impact_threshold, warp_std, common_std, overload_share, safe_load;
-    /* The wire. */
-    sf_real spike_rate, spike_size, wrong_words, stale_repeats, packet_loss, packet_loss_length, gap_share;
-    sf_real gap_length, delay, jitter;
+    sf_wire_config wire;
 } sf_cells_config;
 
 /* Fields are those of the Python state, by their way through its parts. */
@@ -59,9 +48,7 @@ typedef struct {
     sf_real mechanics_creep_yielded[SF_CREEPS * SF_LOAD_CELLS], mechanics_mounting_offset[SF_LOAD_CELLS];
     sf_real mechanics_mounting_load[SF_LOAD_CELLS], mechanics_mounting_impact[SF_LOAD_CELLS];
     sf_real mechanics_overload_excess[2 * SF_LOAD_CELLS];
-    sf_real wire_stale_repeats_held[SF_LOAD_CELLS], wire_packet_loss_lost[1], wire_gaps_lost[1];
-    sf_real wire_latency_due[SF_UNDER_WAY], wire_latency_readings[SF_UNDER_WAY * SF_LOAD_CELLS];
-    sf_real wire_latency_held[SF_LOAD_CELLS];
+    sf_wire_state wire;
 } sf_cells;
 
 /* Whether a config that comes from elsewhere lies within the arrays. */
@@ -69,13 +56,8 @@ SF_API int sf_cells_fits(const sf_cells_config *c) {
     int jumps = c->warp_std > 0 || c->common_std > 0;
     return c->channels > 0 && c->channels <= SF_LOAD_CELLS && c->settling >= 1 && c->settling <= SF_WINDOW &&
            (c->settling == 1 || c->clocked) && c->plays >= 0 && c->plays <= SF_PLAYS && c->creeps >= 0 &&
-           c->creeps <= SF_CREEPS && c->under_way >= 1 && c->under_way <= SF_UNDER_WAY && c->bits >= 0 &&
-           c->bits <= 32 && (!jumps || c->channels % SF_CELLS_OF_A_FOOT == 0);
-}
-
-/* Clip; NaN stays. */
-SF_API sf_real sf_limit(sf_real value, sf_real low, sf_real high) {
-    return value < low ? low : value > high ? high : value;
+           c->creeps <= SF_CREEPS && sf_wire_fits(&c->wire, c->channels) &&
+           (!jumps || c->channels % SF_CELLS_OF_A_FOOT == 0);
 }
 
 /* ------------------------------------------------------------------------------------ the spring elements */
@@ -84,35 +66,6 @@ SF_API void sf_nonlinearity(const sf_cells_config *c, const sf_cells *s, sf_real
     for (int i = 0; i < c->channels; i++) {
         sf_real u = sf_limit(load[i] / c->capacity, -1, 1);
         load[i] += 4 * s->mechanics_nonlinearity_quadratic[i] * c->capacity * (u - u * u);
-    }
-}
-
-SF_API void sf_hysteresis(const sf_cells_config *c, sf_cells *s, sf_real *load) {
-    int K = c->channels;
-    for (int i = 0; i < K; i++) {
-        sf_real *plays = s->mechanics_hysteresis_plays + i, sum = 0;
-        /* The smallest play lies within the slack of all others: fed to them, it moves none. */
-        sf_real felt = isfinite(load[i]) ? load[i] / c->capacity : plays[(c->plays - 1) * K];
-        for (int p = 0; p < c->plays; p++) {
-            plays[p * K] = sf_limit(plays[p * K], felt - c->slack[p], felt + c->slack[p]);
-            sum += plays[p * K];
-        }
-        load[i] += c->capacity *
-                   (c->hysteresis * (sum + plays[(c->plays - 1) * K]) - c->hysteresis_excess * felt);
-    }
-}
-
-SF_API void sf_creep(const sf_cells_config *c, sf_cells *s, sf_real dt, sf_real *load) {
-    int K = c->channels;
-    sf_real followed[SF_CREEPS];
-    for (int j = 0; j < c->creeps; j++) followed[j] = (sf_real)expm1(-dt / c->creep_time[j]);
-    for (int i = 0; i < K; i++) {
-        sf_real felt = load[i];
-        for (int j = 0; j < c->creeps; j++) {
-            sf_real *yielded = s->mechanics_creep_yielded + j * K + i;
-            if (isfinite(felt)) *yielded -= followed[j] * (felt - *yielded);
-            load[i] += c->creep_share[j] * *yielded;
-        }
     }
 }
 
@@ -155,8 +108,11 @@ SF_API void sf_mechanics(const sf_cells_config *c, sf_cells *s, sf_random *strea
     for (int i = 0; i < c->channels; i++)
         if (!isfinite(load[i])) load[i] = (sf_real)NAN;
     if (c->nonlinearity > 0) sf_nonlinearity(c, s, load);
-    if (c->plays) sf_hysteresis(c, s, load);
-    if (c->creeps) sf_creep(c, s, dt, load);
+    for (int i = 0; i < c->channels && c->plays; i++)
+        load[i] = sf_hysteresis(c->hysteresis, c->hysteresis_excess, c->capacity, c->slack, c->plays,
+                                s->mechanics_hysteresis_plays + i, c->channels, load[i]);
+    if (c->creeps)
+        sf_creep(c->creep_share, c->creep_time, c->creeps, dt, c->channels, s->mechanics_creep_yielded, load);
     if (c->warp_std > 0 || c->common_std > 0) sf_mounting(c, s, stream, load);
     if (c->overload_share > 0) sf_overload(c, s, load);
 }
@@ -188,87 +144,7 @@ SF_API sf_real sf_settle(const sf_cells_config *c, sf_real *window, sf_real sign
     return sound ? now + sum / n : (sf_real)NAN;
 }
 
-/* ------------------------------------------------------------------------------------------------- the wire */
-
-SF_API void sf_spikes(const sf_cells_config *c, sf_random *stream, sf_real dt, sf_real *counts) {
-    sf_real hit[SF_LOAD_CELLS], size[SF_LOAD_CELLS], probability = (sf_real)-expm1(-c->spike_rate * dt);
-    sf_random_fill(stream, 0, c->channels, hit);
-    sf_random_fill(stream, 1, c->channels, size);
-    for (int i = 0; i < c->channels; i++) {
-        sf_real off = counts[i] + c->spike_size * size[i];
-        if (c->bits) off = (sf_real)rint(sf_limit(off, c->lowest, c->highest));
-        if (hit[i] < probability) counts[i] = off;
-    }
-}
-
-SF_API void sf_wrong_words(const sf_cells_config *c, sf_random *stream, sf_real *counts) {
-    sf_real hit[SF_LOAD_CELLS], which[SF_LOAD_CELLS];
-    sf_random_fill(stream, 0, c->channels, hit);
-    sf_random_fill(stream, 0, c->channels, which);
-    for (int i = 0; i < c->channels; i++) {
-        int number = (int)sf_limit(which[i] * c->bits, 0, (sf_real)(c->bits - 1));
-        sf_real place = (sf_real)ldexp(1.0, number);
-        sf_real worth = number == c->bits - 1 && !c->offset_binary ? -place : place;
-        sf_real above = (sf_real)floor(counts[i] / place);
-        sf_real bit = above - 2 * (sf_real)floor(above / 2);
-        if (hit[i] < c->wrong_words) counts[i] += (1 - 2 * bit) * worth;
-    }
-}
-
-SF_API void sf_stale_repeats(const sf_cells_config *c, sf_cells *s, sf_random *stream, sf_real *counts) {
-    sf_real drawn, *held = s->wire_stale_repeats_held;
-    sf_random_fill(stream, 0, 1, &drawn);
-    for (int i = 0; i < c->channels; i++) {
-        if (drawn < c->stale_repeats && !isnan(held[i])) counts[i] = held[i];
-        held[i] = counts[i];
-    }
-}
-
-SF_API void sf_burst_gaps(const sf_cells_config *c, sf_real share, sf_real length, sf_real *lost,
-                          sf_random *stream, sf_real dt, sf_real *counts) {
-    sf_real drawn, decayed = (sf_real)-expm1(-dt / (length * (1 - share)));
-    sf_random_fill(stream, 0, 1, &drawn);
-    *lost = drawn < *lost * (1 - decayed) + decayed * share;
-    if (*lost > 0)
-        for (int i = 0; i < c->channels; i++) counts[i] = (sf_real)NAN;
-}
-
-SF_API void sf_latency(const sf_cells_config *c, sf_cells *s, sf_random *stream, sf_real dt, sf_real *counts) {
-    int K = c->channels, D = c->under_way, arrived = 0;
-    sf_real drawn, *due = s->wire_latency_due, *row = s->wire_latency_readings, *held = s->wire_latency_held;
-    sf_random_fill(stream, 1, 1, &drawn);
-    drawn = c->jitter * drawn + c->delay;
-    if (drawn < 0) drawn = 0;
-    sf_real last = due[D - 1] - dt;
-    for (int d = 0; d < D - 1; d++) due[d] = due[d + 1] - dt;
-    due[D - 1] = drawn > last ? drawn : last;
-    memmove(row, row + K, (size_t)((D - 1) * K) * sizeof *row);
-    memcpy(row + (D - 1) * K, counts, (size_t)K * sizeof *row);
-    for (int d = 0; d < D; d++) arrived += due[d] <= 0;
-    /* Readings come in order, so their number is the row; none leaves the last that came before. */
-    if (arrived) memcpy(held, row + (arrived - 1) * K, (size_t)K * sizeof *row);
-    memcpy(counts, held, (size_t)K * sizeof *row);
-}
-
-SF_API void sf_wire(const sf_cells_config *c, sf_cells *s, sf_random *stream, sf_real dt, sf_real *counts) {
-    if (c->spike_rate > 0) sf_spikes(c, stream, dt, counts);
-    if (c->wrong_words > 0) sf_wrong_words(c, stream, counts);
-    if (c->stale_repeats > 0) sf_stale_repeats(c, s, stream, counts);
-    if (c->packet_loss > 0)
-        sf_burst_gaps(c, c->packet_loss, c->packet_loss_length, s->wire_packet_loss_lost, stream, dt, counts);
-    if (c->gap_share > 0)
-        sf_burst_gaps(c, c->gap_share, c->gap_length, s->wire_gaps_lost, stream, dt, counts);
-    if (c->late) sf_latency(c, s, stream, dt, counts);
-}
-
 /* ------------------------------------------------------------------------------------------------- the step */
-
-/* Rise of the temperature since power-up in K, after the cells have warmed for dt more. */
-SF_API sf_real sf_warmed(const sf_cells_config *c, sf_real temperature, sf_real dt) {
-    sf_real rise = c->temperature_rise;
-    if (rise == 0) return temperature + c->temperature_ramp * dt;
-    return rise + (temperature - rise) * (sf_real)exp(-c->temperature_ramp * dt / rise);
-}
 
 /* Read the cells: loads in N at the ends of equal substeps that fill dt, a row each, to counts, one a cell. */
 SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stream, const sf_real *block,
@@ -300,20 +176,19 @@ SF_API void sf_cells_step(const sf_cells_config *c, sf_cells *s, sf_random *stre
         if (c->scale_walk > 0) *scale += *own * (root * c->scale_walk), own += K;
         if (c->offset_walk > 0) *offset += *own * (root * c->offset_walk), own += K;
         if (c->warms) {
-            sf_real *rise = s->thermal + 2 * K + i, temperature = sf_warmed(c, *rise, dt);
-            *scale += s->thermal[i] * (temperature - *rise);
-            *offset += s->thermal[K + i] * (temperature - *rise);
-            *rise = temperature;
+            sf_real *rise = s->thermal + 2 * K + i, before = *rise;
+            *rise = sf_warmed(before, c->temperature_ramp, c->temperature_rise, dt);
+            *scale += s->thermal[i] * (*rise - before);
+            *offset += s->thermal[K + i] * (*rise - before);
         }
         sf_real bridge = load[i] * (1 + *scale) + *offset;
         if (c->settling > 1) bridge = sf_settle(c, s->window + i, bridge, number[i] + 1, most);
         sf_real code = bridge * c->slope[i] + c->zero_code;
         if (c->noise > 0) code += c->noise * *own;
-        if (c->converts) code = (sf_real)rint(sf_limit(code, c->lowest, c->highest));
-        if (number[i] >= 0) s->held[i] = code;
+        if (number[i] >= 0) s->held[i] = sf_code(&c->wire, i, code);
         counts[i] = s->held[i];
     }
-    sf_wire(c, s, stream, dt, counts);
+    sf_wire(&c->wire, K, &s->wire, stream, dt, counts);
 }
 
 #endif

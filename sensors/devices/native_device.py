@@ -1,0 +1,205 @@
+"""Devices of one robot by the library: the same states, the same counts, the same random numbers.
+
+The Python is the specification. It alone reads what is larger than the library's room, batches, single
+precision, and what draws from a generator of NumPy's or torch's.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.native import Library, leaves_of, rebuilt
+from surefoot.sensors.corruption import Array, Corruption, Rng, device
+from surefoot.sensors.native import installed
+from surefoot.sensors.randomness import Stream
+from surefoot.sensors.transport.errors import CODINGS
+from surefoot.sensors.transport.wire import ALONE, Wire, check_wire
+
+Floats = NDArray[np.float64]
+
+
+class Kind(NamedTuple):
+    """A kind of device that the library has.
+
+    Attributes:
+        name: Its records are ``sf_<name>_config`` and ``sf_<name>``.
+        build: Makes the Python of a configuration.
+        constants: Returns what is in the first record of a configuration, by its names there.
+        felt: Returns how many loads one reads; its channels are ``config.channels``.
+        blocks: Whether it reads blocks of substeps rather than an instant.
+    """
+
+    name: str
+    build: Callable[[Any], Corruption[Any]]
+    constants: Callable[[Any], dict[str, Any]]
+    felt: Callable[[Any], int]
+    blocks: bool
+
+
+class NativeState:
+    """A device's state as the library holds it; it goes on in place.
+
+    Args:
+        record: All numbers, shape ().
+        owner: Whose state it is.
+    """
+
+    def __init__(self, record: NDArray[Any], owner: "NativeDevice") -> None:
+        self.record, self.address, self._owner = record, record.ctypes.data, owner
+
+    def python(self) -> Any:
+        """Return the state as the Python has it, which shares nothing with it."""
+        return self._owner.unpack(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Another machine may have no library.
+        return _itself, (self.python(),)
+
+
+def _itself(state: Any) -> Any:
+    return state
+
+
+class NativeDevice:
+    """A device of one robot.
+
+    Args:
+        library: The library.
+        kind: What it is.
+        config: The instrument.
+        constants: Its constants, as the library has them.
+    """
+
+    def __init__(self, library: Library, kind: Kind, config: Any, constants: NDArray[Any]) -> None:
+        self._kind, self._config, self.constants = kind, config, constants
+        self._felt, self._dimensions = kind.felt(config), 2 if kind.blocks else 1
+        self._template = kind.build(config).init((config.channels,), np.random.default_rng(0))
+        leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
+        dtype = library.record(kind.name, leaves)
+        assert dtype is not None
+        self._dtype, self._step = dtype, getattr(library.functions, f"surefoot_{kind.name}_step")
+        self._counts = np.empty(config.channels)
+        self._load = np.empty((0, self._felt))
+        self._addresses: tuple[int, ...] = ()
+        self._wire: Wire | None = getattr(config, "wire", None)
+        self._checked: float | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Where there is no library, nothing comes of it.
+        return native_here, (self._kind, self._config)
+
+    def pack(self, state: Any) -> NativeState:
+        """Return a Python state as the library's."""
+        record = np.zeros((), self._dtype)
+        for path, leaf in leaves_of(state):
+            record["_".join(path)] = leaf
+        return NativeState(record, self)
+
+    def unpack(self, state: NativeState) -> Any:
+        """Return a state of the library's as the Python's, which shares nothing with it."""
+        return rebuilt(self._template, lambda path, _: state.record["_".join(path)].copy())
+
+    def takes(self, load: Any, rng: Any) -> bool:
+        """Return whether the library can read loads, with what chance comes from.
+
+        Args:
+            load: Of an instant, shape (L,), or of a block of S substeps, shape (S, L), as the Python has it.
+            rng: Where chance comes from.
+        """
+        return (
+            type(rng) is Stream
+            and not rng.record.ndim
+            and load.dtype == np.float64
+            and load.ndim == self._dimensions
+            and load.shape[-1] == self._felt
+            and len(load) > 0
+        )
+
+    def step(self, state: NativeState, load: Floats, stream: Stream, dt: float) -> Floats:
+        """Read loads that :meth:`takes` has looked at; the state and the stream go on in place.
+
+        Raises:
+            ValueError: If the wire cannot hold what is under way, see
+                :func:`~surefoot.sensors.transport.wire.check_wire`.
+        """
+        if dt != self._checked:
+            if self._wire is not None:
+                check_wire(self._wire, dt)
+            self._checked = dt
+        rows = len(load) if self._kind.blocks else 1
+        if rows != len(self._load):
+            self._load = np.empty((rows, self._felt))
+            self._addresses = tuple(part.ctypes.data for part in (self.constants, self._load, self._counts))
+        self._load[...] = load
+        config, loads, counts = self._addresses
+        self._step(config, state.address, stream.address, loads, rows, dt, counts)
+        return self._counts.copy()
+
+
+def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDevice | None:
+    """Return the device of one robot by a library; ``None`` for one that it is not made for."""
+    if library is None or library.real != np.float64:
+        return None
+    record = library.filled(f"{kind.name}_config", kind.constants(config))
+    fits = getattr(library.functions, f"surefoot_{kind.name}_fits")
+    if record is None or not fits(record.ctypes.data):
+        return None
+    return NativeDevice(library, kind, config, record)
+
+
+def native_here(kind: Kind, config: Any) -> NativeDevice | None:
+    """Return the device of one robot by the library that is installed here; ``None`` without one."""
+    return native_device(installed(), kind, config)
+
+
+@device
+def device_here(kind: Kind, config: Any) -> Corruption[Any]:
+    """Build a device that reads by the library that is installed here where it can, else by the Python.
+
+    Its state may be the library's, a :class:`NativeState`, which goes on in place.
+    """
+    python, native = kind.build(config), native_here(kind, config)
+
+    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> Any:
+        return python.init(shape, rng, dtype)
+
+    def apply(load: Array, state: Any, rng: Rng, dt: float) -> tuple[Array, Any]:
+        if native is None or not native.takes(load, rng):
+            return python.apply(load, plain(state), rng, dt)
+        if not isinstance(state, NativeState):
+            state = native.pack(state)
+        return native.step(state, load, rng, dt), state
+
+    return Corruption(init, apply)
+
+
+def plain(state: Any) -> Any:
+    """Return a state as the Python has it."""
+    return state.python() if isinstance(state, NativeState) else state
+
+
+def wire_constants(
+    wire: Wire, rated: Any, code_range: tuple[Any, Any], bits: int, channels: int, coding: str = CODINGS[1]
+) -> dict[str, Any]:
+    """Return the constants of a wire in a device's record; arguments as of the Python's ``wire``."""
+    low, high = (np.broadcast_to(end, channels) for end in code_range)
+    return {
+        "wire_bits": bits,
+        "wire_offset_binary": coding == CODINGS[0],
+        "wire_late": wire.late,
+        "wire_under_way": wire.under_way,
+        "wire_lowest": low,
+        "wire_highest": high,
+        "wire_spike_size": np.broadcast_to(wire.spike_size * np.abs(rated), channels),
+        "wire_spike_rate": wire.spike_rate,
+        "wire_wrong_words": wire.wrong_words,
+        "wire_stale_repeats": wire.stale_repeats,
+        "wire_packet_loss": wire.packet_loss,
+        "wire_packet_loss_length": ALONE,
+        "wire_gap_share": wire.gap_share,
+        "wire_gap_length": wire.gap_length,
+        "wire_delay": wire.delay,
+        "wire_jitter": wire.jitter,
+    }
