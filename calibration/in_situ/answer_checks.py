@@ -96,6 +96,9 @@ _FACTORY_SCALE = (0.5, 2.0)
 _CLEARLY = 0.5
 """Another unit is a refusal if it leaves less than this share of that factor's logarithm, else a warning."""
 
+_APART = 3.0
+"""Axes whose factors differ by less than this have aged from a common one."""
+
 _LOADED = 0.1
 """Share of the largest load, torques over the lever, from which on an axis shows that scale."""
 
@@ -289,9 +292,9 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
         ).unless_accepted()
     if expected is None:
         return ()
-    scale = _scale(factory @ measured, expected, weight)
-    left = {words: abs(float(np.log(scale * factor))) for words, factor in _UNITS.items()}
-    unit = min(left, key=left.__getitem__)
+    scale, common = _scale(factory @ measured, expected, weight)
+    left = {words: abs(float(np.log(max(scale, _NO_LOAD) * factor))) for words, factor in _UNITS.items()}
+    unit = min(left, key=left.__getitem__) if common else ""
     shows = f"By the factory matrix the readings show {scale:.3g} times the loads that hang there."
     if unit:
         shows += f" Likeliest: {unit}, which leaves {scale * _UNITS[unit]:.3g} times."
@@ -308,15 +311,18 @@ def check_factory(factory: Matrix, problem: Problem, solution: Solution, determi
     return (f"{shows} {check}",)
 
 
-def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> float:
-    """Return the factor between loads that a matrix shows and those that hang there, shape (6, n).
+def _scale(shown: Matrix, expected: Matrix, weight: Matrix) -> tuple[float, bool]:
+    """Return the factor between loads that a matrix shows and those that hang there, and if axes share it.
 
-    Axes age each by itself, and units change all alike: it is the geometric mean of the axes that are loaded.
+    Axes age each by itself, and units change all alike: it is the geometric mean of the axes that are loaded
+    (shape (6, n) each), or that of the forces where these axes differ by more than age.
     """
     load = np.sqrt(np.sum((weight * expected) ** 2, axis=1))
     loaded = load > _LOADED * np.max(load)
     of_axis = np.sum(shown * expected, axis=1)[loaded] / np.sum(expected**2, axis=1)[loaded]
-    return float(np.exp(np.mean(np.log(np.maximum(of_axis, _NO_LOAD)))))
+    if np.min(of_axis) > np.max(of_axis) / _APART:
+        return float(np.exp(np.mean(np.log(of_axis)))), True
+    return float(np.sum(shown[:3] * expected[:3]) / np.sum(expected[:3] ** 2)), False
 
 
 def _hangs(matrix: Matrix, problem: Problem, solution: Solution) -> Matrix | None:
