@@ -21,7 +21,7 @@ from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve
 from surefoot.calibration.reference import GRAVITY
 
-__all__ = ["ON_READINGS", "SLOWLY", "Cause", "Evidence"]
+__all__ = ["ON_READINGS", "SLOWLY", "Cause", "Evidence", "speed"]
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -69,7 +69,7 @@ class Evidence:
         return replace(
             plain,
             sets=parts,
-            channel_lags=columns[0].shape[1],
+            channel_lags=plain.channel_lags + columns[0].shape[1],
             whitening=whitening(parts),
             level=noise_level(parts),
         )
@@ -277,7 +277,7 @@ def _bending(evidence: Evidence) -> Iterator[Cause]:
     )
 
 
-def _speed(evidence: Evidence) -> Iterator[Cause]:
+def speed(evidence: Evidence) -> Iterator[Cause]:
     """Yield a limb that moved too fast: what it turned by, as gravity shows it, acts on the readings."""
     moving = [turning(data) for data in evidence.sets]
     if evidence.problem.moving or not all(data.moves for data in moving):
@@ -299,6 +299,5 @@ ON_READINGS: tuple[Callable[[Evidence], Iterator[Cause]], ...] = (
     _ends,
     _postures,
     _bending,
-    _speed,
 )
 """What may act on the readings, each as it changes the problem."""

@@ -7,6 +7,7 @@ they are, n (1 - rho) / (1 + rho) by the correlation of whitened residuals from 
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
 from surefoot.calibration.in_situ.added_causes import OF_ADDED
-from surefoot.calibration.in_situ.causes import ON_READINGS, SLOWLY, Cause, Evidence
+from surefoot.calibration.in_situ.causes import ON_READINGS, SLOWLY, Cause, Evidence, speed
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.input_checks import TOO_FAST
 from surefoot.calibration.in_situ.solve import Problem, Solution
@@ -23,6 +24,7 @@ from surefoot.calibration.results import CalibrationRefused
 __all__ = ["Likely", "deviance", "explained", "likeliest", "whitened"]
 
 Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
 
 
 class Likely(NamedTuple):
@@ -33,28 +35,38 @@ class Likely(NamedTuple):
 
 
 def likeliest(evidence: Evidence) -> list[Likely]:
-    """Return causes that explain something, the likeliest first."""
-    nothing = Cause("", "", evidence.problem, evidence.solution, 0, 1)
-    tried = [nothing]
+    """Return causes that explain something, the likeliest first.
+
+    A limb that turns is felt at any speed: where that shows, it is beside every other cause, or it would be
+    taken for one that is smaller in the readings and worse for the answer, as a turned IMU.
+    """
+    tried = [Cause("", "", evidence.problem, evidence.solution, 0, 1), *speed(evidence)]
+    felt = tried[int(np.argmin(_scores(tried)))]
+    beside = replace(evidence, problem=felt.problem, solution=felt.solution)
     for look in (*ON_READINGS, *OF_ADDED):
         # What is garbage with one cause left out may have no answer with another.
         with suppress(np.linalg.LinAlgError):
-            tried += look(evidence)
+            tried += [cause._replace(free=cause.free + felt.free) for cause in look(beside)]
+    scores = _scores(tried)
+    weights = np.exp(-0.5 * (scores - scores.min()))
+    weights /= weights.sum()
+    order = np.argsort(scores)
+    return [Likely(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
+
+
+def _scores(tried: Sequence[Cause]) -> Vector:
+    """Return Schwarz's criterion of causes, the first of which is none, shape (c,)."""
     left = [whitened(cause.problem, cause.solution) for cause in tried]
     values = [deviance(cause.problem.sets, one) for cause, one in zip(tried, left, strict=True)]
     share = _independent(left[int(np.argmin(values))])
-    rows = sum(part.rows for part in evidence.problem.sets)
+    rows = sum(map(len, left[0]))
     # Twice the logarithm of the number of alternatives is what the best of them gains by chance.
-    scores = np.array(
+    return np.array(
         [
             share * value + cause.free * np.log(share * rows) + 2.0 * np.log(cause.choices)
             for value, cause in zip(values, tried, strict=True)
         ]
     )
-    weights = np.exp(-0.5 * (scores - scores.min()))
-    weights /= weights.sum()
-    order = np.argsort(scores)
-    return [Likely(tried[i], float(weights[i])) for i in order[: list(order).index(0)]]
 
 
 def deviance(parts: Sequence[CompressedSet], left: Sequence[Matrix]) -> float:

@@ -114,16 +114,17 @@ def with_arrays(one, raw, gravity, added_com=None):
     return InSituSet(raw, gravity, added_mass=one.added_mass, added_com=place, name=one.name)
 
 
-def moving_sets(rng, noise):
-    """A leg that swings at about 1 Hz, its motion known."""
+def moving_sets(rng, noise, slower=1.0):
+    """A leg that swings at about 1 Hz, or so many times slower, its motion known."""
     matrix, mass, com, places = SENSORS["leg"]
     inertia = np.diag([0.3, 0.28, 0.02]) + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    response, time = np.linalg.inv(matrix), np.arange(1500) / 100.0
+    response, time = np.linalg.inv(matrix), slower * np.arange(1500) / 100.0
     sets = []
     for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
         phase = rng.uniform(0.0, 2.0 * np.pi, (2, 3))
 
         def turn(t, phase=phase):
+            t = t / slower
             swing = 0.5 * np.sin(2.0 * np.pi * np.array([0.7, 0.9, 1.1]) * t[:, None] + phase[0])
             return Rotation.from_euler("xyz", swing + 0.2 * np.sin(2.0 * np.pi * 1.7 * t[:, None] + phase[1]))
 
