@@ -40,6 +40,7 @@ __all__ = [
 ]
 
 Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
 
 _RAISES, _LOWERS = 4.0, 30.0
 """Free rows that must speak of the noise along a signal to count for as much as its spectrum: more of them
@@ -50,6 +51,9 @@ UNUSED = 1e-9
 
 _FEW = 10.0
 """Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""
+
+_MOST_DOUBLINGS = 8
+"""A swing is at least so many times half of half the load: smaller loops are not followed."""
 
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
@@ -187,19 +191,35 @@ def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[M
     C = weighted_inverse(A, noise)
     channels = len(A)
     last = problem.sets[-1]
-    lever = last.lever(last.end)
-    load = (transforms(problem, solution)[-1] @ lever)[:AXES]
+    T = transforms(problem, solution)[:, :AXES]
+    load = T[-1] @ last.lever(last.end)
+    loads = [part.source.signals @ t.T for part, t in zip(problem.sets, T, strict=True)]
     shares = loop_shares(problem, solution)
     if problem.hysteresis:
-        changes = [share * np.outer(A[:, a], np.eye(AXES)[a]) for a, share in enumerate(shares)]
+        doubts = shares * _doublings(loads)
+        changes = [doubt * np.outer(A[:, a], np.eye(AXES)[a]) for a, doubt in enumerate(doubts)]
     else:
-        changes = [share * np.outer(np.eye(channels)[c], A[c]) for c, share in enumerate(shares)]
+        doubts = shares * _doublings([one @ A.T for one in loads])
+        changes = [doubt * np.outer(np.eye(channels)[c], A[c]) for c, doubt in enumerate(doubts)]
     of_matrix, of_offset = np.zeros((C.size, C.size)), np.zeros((channels, channels))
     for dA in changes:
         dC = (C @ dA @ C).ravel()
         of_matrix += np.outer(dC, dC)
         of_offset += np.outer(dA @ load, dA @ load)
     return of_matrix, of_offset
+
+
+def _doublings(loads: Sequence[Matrix]) -> Vector:
+    """Return how many times the swing of loads, (n_j, a) a set, may double up to where a slope is asked for.
+
+    It is shown for the swing of the data; how the load came there from zero, where the offset is, and further
+    loads of that size, take the slope of a swing as large as the load. It is one at least.
+    """
+    swing = np.max([np.ptp(one, axis=0) for one in loads], axis=0) / 2.0
+    reach = np.max([np.max(np.abs(one), axis=0) for one in loads], axis=0)
+    smallest = np.maximum(swing, 0.5**_MOST_DOUBLINGS * reach)
+    wider = np.log2(np.divide(reach, smallest, out=np.ones_like(reach), where=smallest > 0.0))
+    return np.asarray(np.maximum(wider, 1.0))
 
 
 def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:

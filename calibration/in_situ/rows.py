@@ -60,6 +60,11 @@ class SetRows(NamedTuple):
     width: int
     spacing: float
 
+    @property
+    def signals(self) -> Matrix:
+        """u, not weighted, shape (m, s)."""
+        return np.asarray(self.columns[:, self.terms : self.terms + self.inputs] / self.weight[:, None])
+
 
 def rows_of(
     data: InSituSet,

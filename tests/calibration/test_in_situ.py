@@ -418,10 +418,10 @@ def test_a_known_limb_counts_for_as_much_as_it_is_sure(walk):
     assert known == pytest.approx(alone / np.sqrt(2.0), rel=0.05)
 
 
-def lagging(wrench, share, scale):
-    """A Prandtl-Ishlinskii element of its own make: plays at thresholds of ratio 3."""
+def lagging(wrench, share, scale, first=None):
+    """A Prandtl-Ishlinskii element of its own make: plays at thresholds of ratio 3, from a first load on."""
     slack = scale * 3.0 ** -np.arange(1.0, 7.0)
-    play, read = wrench[0][:, None] * np.ones(6), np.empty_like(wrench)
+    play, read = (wrench[0] if first is None else first)[:, None] * np.ones(6), np.empty_like(wrench)
     for i, load in enumerate(wrench):
         play = np.clip(play, load[:, None] - slack, load[:, None] + slack)
         read[i] = load + share * np.log2(3.0) * (play - load[:, None]).sum(axis=1)
@@ -454,6 +454,24 @@ def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
     np.testing.assert_allclose(fit.hysteresis[:2], 0.015, rtol=0.4)
     assert abs(fit.limb.mass / mass - 1.0) < 0.5 * abs(plain.limb.mass / mass - 1.0)
     assert fit.stats.residual_rms < 0.5 * plain.stats.residual_rms
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02])
+def test_an_axis_that_swings_little_about_a_large_load_is_unsure_of_its_offset(share):
+    """A foot's vertical force: how it came there from zero, where the offset is, no small swing shows."""
+    matrix, rng = SENSORS["foot"][0], np.random.default_rng(41)
+    response, scale = np.linalg.inv(matrix), np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
+    sets, offset = paper_sets("foot", rng, n=600)
+    read = []
+    for one in sets:
+        load = lagging((one.raw - offset) @ matrix.T, share, scale[:, None], np.zeros(6))
+        load += 0.2 * NOISE * rng.standard_normal(load.shape)
+        read.append(replace(one, raw=load @ response.T + offset, time=np.arange(600) / 10.0))
+    fit = calibrate_in_situ(read)
+    spread = matrix @ fit.covariance[fit.columns.offset, fit.columns.offset] @ matrix.T
+    off = np.abs(matrix @ (fit.offset - offset)) / np.sqrt(np.diag(spread))
+    assert (off < 2.5).all()
+    assert off[2] > 0.4
 
 
 def test_channels_that_lag_are_no_loads_that_lag():
