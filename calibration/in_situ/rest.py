@@ -8,8 +8,9 @@ A slow sweep is no rest: with 12 deg/s a leg feels 2e-3 of its weight from turni
 and an accelerometer that sits at p, and not at the sensor's origin, feels
 :math:`\dot\omega \times p + \omega \times (\omega \times p)` besides gravity. Gravity's own turning shows
 :math:`\omega`, but for what is about its direction, and so the size of these errors; as they follow the sweep
-in every set, no residual shows them. They are no part of the fit but of its covariance: each moves the answer
-by a vector, and the sum of these vectors' squares is added.
+in every set, no residual shows them. A limb is no point: what it has of inertia about its centre of mass is
+nearly as large. They are no part of the fit but of its covariance: each moves the answer by a
+vector, and the sum of these vectors' squares is added.
 """
 
 from collections.abc import Sequence
@@ -23,8 +24,10 @@ from surefoot.calibration.in_situ.input_checks import felt_by_turning, turning
 from surefoot.calibration.in_situ.model import (
     AXES,
     DIRECT,
+    INERTIA,
     MASS,
     MOMENT,
+    PAIRS,
     STATIC,
     inertial_parameters,
     signals,
@@ -40,6 +43,12 @@ _REACH = 2.0
 """Distance of the accelerometer over that of the limb's centre of mass, along any axis: its deviation."""
 
 
+_ROUND = np.array([1.0 if i == j else 0.5 for i, j in PAIRS]) / 3.0
+"""Deviation of each entry of the inertia about the limb's centre of mass, over that of a point there about
+the sensor: for a rod that hangs from it a third. Products are at most half as large."""
+
+_COLUMNS = 1 + 3 + 6
+
 _THIN = 0.1
 """Time in s over which gravity is averaged first."""
 
@@ -49,34 +58,37 @@ steadily."""
 
 
 def rows_of_turning(sets: Sequence[InSituSet], problem: Problem, solution: Solution) -> Matrix:
-    """Return by how much turning may move the rows of the sets, whitened, shape (rows, 4).
+    """Return by how much turning may move the rows of the sets, whitened, shape (rows, 10).
 
-    The limb's own inertia comes first, then the accelerometer's place along each axis. Zero for a limb whose
-    motion was recorded, for sets without times, and for postures that were held.
+    The limb's inertia as a point comes first, then the accelerometer's place along each axis, then the
+    entries of its inertia about its centre of mass. Zero for a limb whose motion was recorded, for sets
+    without times, and for postures that were held.
     """
     limb = solution.limb[:STATIC]
     com = limb[MOMENT] / limb[MASS]
     reach = _REACH * float(np.linalg.norm(com))
     bare = inertial_parameters(float(limb[MASS]), com, True)
+    basis = transform_basis(True)
     found = []
     for data, part in zip(sets, problem.sets, strict=True):
         thin, places = _thinned(replace(data, gravity=data.gravity @ solution.rotation.T))
         moved = turning(thin)
         if data.moves or not moved.moves or not _smooth(moved):
-            found.append(np.zeros((part.uu.shape[0], len(problem.whitening), 1 + 3)))
+            found.append(np.zeros((part.uu.shape[0], len(problem.whitening), _COLUMNS)))
             continue
         body = bare + inertial_parameters(data.added_mass, data.added_com, True)
         u = signals(moved, moving=True)
         u[:, DIRECT] = 0.0
-        own = u @ np.einsum("p,pws->ws", body, transform_basis(True)).T
+        own = u @ np.einsum("p,pws->ws", body, basis).T
         felt = np.moveaxis(reach * felt_by_turning(moved, np.arange(len(u))), 2, 0)
         of_place = [np.concatenate([body[MASS] * a, np.cross(body[MOMENT], a)], axis=1) for a in felt]
-        added = np.concatenate([own, *of_place], axis=1)
+        of_inertia = (limb[MASS] * com @ com * _ROUND)[:, None, None] * (u @ basis[INERTIA].swapaxes(1, 2))
+        added = np.concatenate([own, *of_place, *of_inertia], axis=1)
         rows = np.stack([np.interp(part.index, places, one) for one in added.T], axis=1)
         rows *= part.source.weight[:, None]
         seen = (part.score.T @ part.colour.weigh(rows, part.spacing)).reshape(len(part.uu), -1, AXES)
         found.append(np.moveaxis(seen @ (problem.whitening @ solution.A).T, 1, 2))
-    return np.concatenate(found).reshape(-1, 1 + 3)
+    return np.concatenate(found).reshape(-1, _COLUMNS)
 
 
 def _thinned(data: InSituSet) -> tuple[InSituSet, NDArray[np.float64]]:
