@@ -34,7 +34,6 @@ class FeetTruth:
         self.rows = rows.copy()
         self.layout = layout
         self._end = FootColumns.width * len(layout.feet)
-        self._numbers: tuple[list[float], list[float]] | None = None
 
     @property
     def time(self) -> Array:
@@ -59,21 +58,14 @@ class FeetTruth:
         """
         if self.rows.size == self.layout.size:
             # A single row, as every step of one environment makes: plain floats are faster than arrays.
-            return np.array(self.numbers()[1]).reshape(*self.rows.shape[:-1], -1, 6)
+            row = self.rows.ravel().tolist()
+            wrench = [_wrench(row[at : at + 21]) for at in range(_START, self._end, FootColumns.width)]
+            return np.array(wrench).reshape(*self.rows.shape[:-1], -1, 6)
         feet = self._feet
         force = -feet[..., FootColumns.force]
         arm = feet[..., FootColumns.place] - feet[..., FootColumns.position_sole]
         world = np.stack([force, cross(arm, force) - feet[..., FootColumns.torque]], axis=-2)
         return (world @ self.R_world_sole).reshape(*feet.shape[:-1], 6)
-
-    def numbers(self) -> tuple[list[float], list[float]]:
-        """Return the columns of a single row, and all feet's :attr:`wrench_sole` one after the other."""
-        if self._numbers is None:
-            row, wrenches = self.rows.ravel().tolist(), []
-            for at in range(_FOOT.start, self._end, FootColumns.width):
-                wrenches += _wrench(row[at : at + _FOOT.stop - _FOOT.start])
-            self._numbers = row, wrenches
-        return self._numbers
 
     @property
     def position_sole(self) -> Array:
@@ -192,8 +184,8 @@ class FeetTruth:
             raise ValueError(self.layout.flaw)
 
 
-_FOOT: Final = slice(FootColumns.force.start, FootColumns.axes_sole.stop)
-"""Columns of a foot after its ankle."""
+_START: Final = FootColumns.ankle.stop
+"""First of a foot's 21 columns after its ankle."""
 
 _UP = np.array([-1.0] * 6 + [1.0] * 3)
 """Turns force and torque of a contact sensor on the ground into those on the robot."""
@@ -261,30 +253,37 @@ def step_truth(truth: FeetTruth) -> dict[str, Array]:
     ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N, ``cop_world`` (2) m, ``cop_foot``
     (F, 2) m, ``cop_valid`` (1 + F), ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m.
     """
-    layout, (row, wrenches) = truth.layout, truth.numbers()
+    layout, row, at = truth.layout, truth.rows[-1].tolist(), _START
     vgrf: list[float] = []
+    wrenches: list[float] = []
     cops, valid = [0.0, 0.0], [False]
     # A few numbers of a single robot: plain floats are faster than arrays, and one array than many.
     load = moment_x = moment_y = 0.0
-    for i, foot in enumerate(layout.feet):
-        contact = FootColumns.width * i + _FOOT.start
-        _, _, fz, tx, ty, _, x, y = row[contact : contact + 8]
+    for foot in layout.feet:
+        own = row[at : at + 21]
+        at += FootColumns.width
+        _, _, fz, tx, ty, _, x, y = own[:8]
         vgrf.append(0.0 - fz)
         load, moment_x, moment_y = load - fz, moment_x - (tx + y * fz), moment_y - (ty - x * fz)
-        normal, torque_x, torque_y = wrenches[6 * i + 2 : 6 * i + 5]
-        valid.append(normal > CONTACT_FORCE and not foot.flaw)
-        cops += [-torque_y / normal, torque_x / normal] if valid[-1] else [0.0, 0.0]
+        wrench = _wrench(own)
+        wrenches += wrench
+        valid.append(wrench[2] > CONTACT_FORCE and not foot.flaw)
+        cops += [-wrench[4] / wrench[2], wrench[3] / wrench[2]] if valid[-1] else [0.0, 0.0]
     if load > CONTACT_FORCE:
         cops[:2], valid[0] = [-moment_y / load, moment_x / load], True
     feet, com = len(vgrf), FootColumns.width * len(vgrf) + TorsoColumns.com.start
     numbers = np.array([*vgrf, *cops, *row[com : com + 3], *wrenches])
-    wrench = numbers[3 * feet + 5 :]
-    return {
-        **({} if layout.flaw else {"force_cell": wrench @ layout.force_of_wrench}),
+    wrench_sole = numbers[3 * feet + 5 :]
+    cells = {}
+    if not layout.flaw:
+        cells["force_cell"] = wrench_sole @ layout.force_of_wrench
+        # Load cells are read next, and ask for the same.
+        truth.wrench_sole = wrench_sole.reshape(1, feet, 6).copy()
+    return cells | {
         "vgrf": numbers[:feet],
         "cop_world": numbers[feet : feet + 2],
         "cop_foot": numbers[feet + 2 : 3 * feet + 2].reshape(feet, 2),
         "cop_valid": np.array(valid),
         "com": numbers[3 * feet + 2 : 3 * feet + 5],
-        "wrench_sole": wrench.reshape(feet, 6),
+        "wrench_sole": wrench_sole.reshape(feet, 6),
     }
