@@ -6,6 +6,7 @@ which no robot could do, and the method then filters nothing; use that to compar
 judge a controller.
 """
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ def replay(
     initial: Parameters | None = None,
     lag: int = 2,
     zero_phase: bool = False,
+    watch: Callable[[range], Iterable[int]] = iter,
     **options: Any,
 ) -> Estimate:
     """Run a method over a whole log.
@@ -52,6 +54,7 @@ def replay(
         lag: How many samples before its row a row's reference describes.
         zero_phase: Whether to filter readings and accelerations forwards and backwards before; the forces
             that come out are still those of the unfiltered readings.
+        watch: Iterates over the samples' numbers, and may show how far it is.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
             method.
 
@@ -104,7 +107,7 @@ def replay(
     init, update, _ = online_method(method, setup, **options)
     state, front = init(readings[0]), front_end.init(readings[0])
     estimates = []
-    for k in range(len(readings)):
+    for k in watch(range(len(readings))):
         step = float(steps[k])
         row = Reference(*(part[k] for part in learnt_with))
         state, estimate = update(state, learnt_from[k], row, step)

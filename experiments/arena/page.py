@@ -21,6 +21,7 @@ from surefoot.experiments.study.page import (
     save_tables,
     write_page,
 )
+from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import claim_table, flat, plural, sentence
 from surefoot.experiments.walks.walkers import STAND_TIME
 
@@ -54,7 +55,9 @@ _CAPTIONS = {
 
 def compare_walking(options: ArenaOptions, console: Console | None = None) -> Report:
     """Run the comparison of all scenarios, and write its page; refused is what :func:`run_arena` refuses."""
-    return write_arena_page(run_arena(options, bound=bound_of, console=console))
+    results = run_arena(options, bound=bound_of, console=console)
+    with working("drawing the report"):
+        return write_arena_page(results)
 
 
 def write_arena_page(results: ArenaResults) -> Report:

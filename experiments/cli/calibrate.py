@@ -6,7 +6,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import Paths, console, fail, one_line_errors, show
+from surefoot.experiments.cli.console import Json, Paths, fail, one_line_errors, show
 
 Topics = Annotated[Path | None, Option(help="Mapping file of ROS bags; by default the one beside the log.")]
 Guess = Annotated[bool, Option("--guess", help="Print a mapping file that suits the bag, and end.")]
@@ -28,36 +28,35 @@ def walk(
     topics: Topics = None,
     guess: Guess = False,
     ros2: Annotated[bool, Option("--ros2", help="Write the map as parameters of a ROS 2 node, too.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
     from surefoot.experiments.logs.format import MAX_GAP, read_log
+    from surefoot.experiments.study.progress import working
     from surefoot.experiments.walking.calibrate import calibrate_log
 
     if guess:
         _guess(log, walk=True)
     with one_line_errors():
-        read = read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP, topics=topics)
+        with working("reading the log"):
+            read = read_log(log, max_gap=float("inf") if split_gaps else MAX_GAP, topics=topics)
         where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
         result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, ros2=ros2, **where)
-    _tell(result)
-    typer.echo(f"Calibrated walk: {result.walk}\nParameters:      {result.parameters}")
-    typer.echo(f"Report:          {result.page}")
-    if result.ros2 is not None:
-        typer.echo(f"ROS 2:           {result.ros2}")
+    show(result.tables, result.files, notices=result.notices, as_json=as_json)
 
 
 @app.command()
 def weights(
     weighings: Annotated[Path, Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
     out: Annotated[Path | None, Option(help="Where to write the map as JSON.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
     from surefoot.experiments.weights.calibrate import fit_weighings
 
     with one_line_errors():
         table, path = fit_weighings(weighings, weighings.with_suffix(".map.json") if out is None else out)
-    show([table])
-    typer.echo(f"Map: {path}")
+    show([table], {"map": path}, as_json=as_json)
 
 
 @app.command()
@@ -77,6 +76,7 @@ def ft(
     ] = None,
     topics: Topics = None,
     guess: Guess = False,
+    as_json: Json = False,
 ) -> None:
     """Calibrate a six-axis F/T sensor where it is built in: counts, gravity and known masses in."""
     from surefoot.experiments.force_torque.calibrate import SAMPLE, calibrate_in_situ_log
@@ -98,11 +98,9 @@ def ft(
             for key, names in vectors.items()
         }
         given = given.override(time=time, set=set_, **parts)
-        options: Any = {"folder": folder, "accept": accept or "", "topics": topics, "console": console}
+        options: Any = {"folder": folder, "accept": accept or "", "topics": topics}
         result = calibrate_in_situ_log(paths, given, **options)
-    _tell(result)
-    for what, path in result.files.items():
-        typer.echo(f"{what.capitalize() + ':':<13}{path}")
+    show(result.tables, result.files, notices=result.notices, as_json=as_json)
 
 
 @app.command()
@@ -114,6 +112,7 @@ def motion(
     torque: Annotated[float, Option(help="Largest share of a leg motor's torque.")] = 0.95,
     margin: Annotated[float, Option(help="Least CoP margin to the edge, share of half the sole.")] = 0.12,
     out: Annotated[Path | None, Option(help="Where to write it; by default <robot>_motion.csv.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Plan how a robot should move to calibrate its feet: joint targets over time, and what they bring."""
     from surefoot.experiments.motion.plan import Limits, plan_motion
@@ -123,21 +122,16 @@ def motion(
         least = enough / 1e3 if goal == "cop" else enough
         planned = plan_motion(robot, budget, goal=goal, enough=least, limits=Limits(torque, margin))
         planned.prelude.write(path)
-    show(planned.tables)
-    typer.echo(f"Motion: {path}")
+    show(planned.tables, {"motion": path}, as_json=as_json)
 
 
 def _guess(log: Path, *, walk: bool) -> NoReturn:
     """Print what a mapping file for a bag may look like, and end."""
     from surefoot.experiments.logs.bag_guess import guess_topics
+    from surefoot.experiments.study.progress import working
 
     with one_line_errors():
-        typer.echo(guess_topics(log, walk=walk), nl=False)
+        with working("reading the bag"):
+            topics = guess_topics(log, walk=walk)
+        typer.echo(topics, nl=False)
     raise typer.Exit
-
-
-def _tell(result: Any) -> None:
-    """Print what a log lacks, and the tables of its calibration."""
-    for notice in result.notices:
-        typer.echo(f"Note: {notice}")
-    show(result.tables)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from surefoot.experiments.cli.console import Jobs, Names, Out, fail, one_line_errors, show
+from surefoot.experiments.cli.console import Jobs, Json, Names, Out, fail, one_line_errors, show
 
 app = typer.Typer(help="Compare calibrators in simulation, and report.", no_args_is_help=True)
 
@@ -20,6 +20,7 @@ def walking(
     jobs: Jobs = 2,
     quick: Annotated[bool, Option("--quick", help="Two seeds, short walks, only fast scenarios.")] = False,
     full: Annotated[bool, Option("--full", help="The CoP paper's study instead, with closed loops.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Compare the online calibrators on the same walks, in every scenario."""
     if full:
@@ -39,7 +40,7 @@ def walking(
             chosen: Any = {"scenarios": tuple(scenario or ()), "methods": tuple(method or ())}
             options = ArenaOptions(out=out, seeds=20 if seeds is None else seeds, jobs=jobs, **chosen)
             report = compare_walking(options.quickly() if quick else options)
-    show(report.tables, report.page)
+    show(report.tables, {"report": report.page}, as_json=as_json)
 
 
 @app.command()
@@ -48,17 +49,21 @@ def in_situ(
     seeds: Annotated[int, Option(help="Sensors and IMUs, each with errors of its own.", min=1)] = 50,
     jobs: Jobs = 2,
     quick: Annotated[bool, Option("--quick", help="Two seeds at 10 samples a second.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Compare in-situ methods on a simulated leg with known masses, as the in-situ paper."""
     from surefoot.experiments.in_situ.page import InSituStudyPage
     from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
+    from surefoot.experiments.study.progress import working
 
     with one_line_errors(out):
         options = InSituStudyOptions(out=out, seeds=seeds, jobs=jobs)
         out.mkdir(parents=True, exist_ok=True)
         results = run_in_situ_study(options.quickly() if quick else options)
-    page = InSituStudyPage(results)
-    show(page.tables, page.write())
+    with working("drawing the report"):
+        page = InSituStudyPage(results)
+        report = page.write()
+    show(page.tables, {"report": report}, as_json=as_json)
 
 
 @app.command()
@@ -67,6 +72,7 @@ def robots(
     seeds: Annotated[int, Option(help="Of each robot, motion and kind of sensors.", min=1)] = 5,
     jobs: Jobs = 2,
     quick: Annotated[bool, Option("--quick", help="Two seeds, short runs.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Compare calibrators on robots that others made: standing, moving, falling."""
     from surefoot.experiments.robots.study import RobotOptions, compare_robots
@@ -74,13 +80,14 @@ def robots(
     with one_line_errors(out):
         options = RobotOptions(out=out, seeds=seeds, jobs=jobs)
         report = compare_robots(options.quickly() if quick else options)
-    show(report.tables, report.page)
+    show(report.tables, {"report": report.page}, as_json=as_json)
 
 
 @app.command()
 def weights(
     seed: Annotated[int, Option(help="Of everything random.")] = 0,
     out: Annotated[Path | None, Option(help="Folder for the tables as CSV.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
     from surefoot.experiments.demo.weights import paper_table_2, table_2, table_3
@@ -89,6 +96,6 @@ def weights(
 
     report = run_weighing(seed=seed)
     tables = (paper_table_2()[0], table_2(report), table_3(report))
-    show(tables)
     if out is not None:
         save_tables(out, tables)
+    show(tables, {} if out is None else {"tables": out}, as_json=as_json)

@@ -1,6 +1,7 @@
 """What all commands share: output, one-line errors, common options."""
 
-from collections.abc import Iterable, Iterator
+import json
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -27,6 +28,9 @@ Feeds = Annotated[
     ),
 ]
 Out = Annotated[Path, Option(help="Folder for everything that is made.")]
+Json = Annotated[
+    bool, Option("--json", help="Print tables and paths as JSON, and nothing else; docs/log-format.md.")
+]
 Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]
 
 
@@ -51,9 +55,32 @@ def one_line_errors(out: Path | None = None, cure: str = "give another folder wi
         fail(str(error) if out is None else f"cannot write to '{out}': {error.strerror or error}; {cure}")
 
 
-def show(tables: Iterable[Any], report: Path | None = None) -> None:
-    """Print a study's tables, and where its page is."""
+def show(
+    tables: Iterable[Any],
+    files: Mapping[str, Path],
+    *,
+    as_json: bool,
+    notices: Iterable[str] = (),
+    said: str = "",
+    **facts: Any,
+) -> None:
+    """Print what came of a command: notices, tables, and what each file is and where it lies.
+
+    As JSON it is one object: ``notices``, ``tables`` by name, ``files``, and in place of what is ``said`` the
+    facts.
+    """
+    if as_json:
+        plain = {table.name: table.to_plain() for table in tables}
+        whole = {"notices": list(notices), "tables": plain, **facts}
+        whole["files"] = {what: str(path) for what, path in files.items()}
+        typer.echo(json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False))
+        return
+    for notice in notices:
+        typer.echo(f"Note: {notice}")
     for table in tables:
         console.print(table.to_rich())
-    if report is not None:
-        typer.echo(f"Report: {report}")
+    if said:
+        typer.echo(said)
+    width = max(map(len, files), default=0) + 2
+    for what, path in files.items():
+        typer.echo(f"{what[:1].upper()}{what[1:] + ':':<{width}}{path}")

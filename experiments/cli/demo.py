@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Option
 
-from surefoot.experiments.cli.console import Jobs, Out, one_line_errors, show
+from surefoot.experiments.cli.console import Jobs, Json, Out, one_line_errors, show
 
 
 def demo(
@@ -13,6 +13,7 @@ def demo(
     seeds: Annotated[int, Option(help="Walks, and walks of each closed loop.", min=1)] = 4,
     jobs: Jobs = 2,
     quick: Annotated[bool, Option("--quick", help="Two seeds and short walks.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Walk on bad feet and on calibrated ones; write a page with a film, a figure and tables."""
     from surefoot.experiments.demo.page import run_demo
@@ -21,4 +22,4 @@ def demo(
     with one_line_errors(out):
         options = demo_options(out, seeds, jobs)
         report = run_demo(quick_options(options) if quick else options)
-    show(report.tables, report.page)
+    show(report.tables, {"report": report.page}, as_json=as_json)

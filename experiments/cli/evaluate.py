@@ -10,9 +10,9 @@ from surefoot.experiments.cli.console import (
     CONTROLLERS,
     Feeds,
     Jobs,
+    Json,
     Names,
     Numbers,
-    console,
     fail,
     one_line_errors,
     show,
@@ -33,6 +33,7 @@ def evaluate(
     out: Annotated[Path | None, Option(help="Folder for the results; an interrupted one goes on.")] = None,
     page_of: Annotated[Names, Option(help="Only a page of FILE or CONTROLLER=FILE; again for more.")] = None,
     jobs: Jobs = 1,
+    as_json: Json = False,
 ) -> None:
     """Score controllers on true, drifting and calibrated feet, on the same episodes."""
     from surefoot.experiments.episodes.episode import COP_INPUTS
@@ -45,7 +46,7 @@ def evaluate(
             what = given_too[0].replace("_", "-")
             what = what if what == "controllers" else f"--{what}"
             fail(f"--page-of runs nothing, and {what} says what to run: give one of the two.")
-        _page_of(page_of, out)
+        _page_of(page_of, out, as_json)
         return
     given: dict[str, Any] = {
         "controllers": tuple(controllers or ()),
@@ -56,17 +57,17 @@ def evaluate(
     chosen = {name: value for name, value in given.items() if value}
     with one_line_errors(out, "give another folder with --out, or make room."):
         plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
-        results = run_plan(plan, out, jobs=jobs, retry_failed=True, console=console)
-        _report(in_order(results.rows, chosen.get("controllers", ())), out)
+        results = run_plan(plan, out, jobs=jobs, retry_failed=True)
+        _report(in_order(results.rows, chosen.get("controllers", ())), out, as_json)
 
 
 def _was_given(ctx: typer.Context, name: str) -> bool:
     """Return whether the command names something that is to be run."""
     source = ctx.get_parameter_source(name)
-    return name not in ("page_of", "out") and source is not None and source.name != "DEFAULT"
+    return name not in ("page_of", "out", "as_json") and source is not None and source.name != "DEFAULT"
 
 
-def _page_of(named: list[str], out: Path | None) -> None:
+def _page_of(named: list[str], out: Path | None, as_json: bool) -> None:
     import pandas as pd
 
     from surefoot.experiments.episodes.rows import read_episodes
@@ -77,20 +78,22 @@ def _page_of(named: list[str], out: Path | None) -> None:
         # A path that holds a '=' is a path if it is there.
         parts = [("", "", text) if Path(text).exists() else text.rpartition("=") for text in named]
         frames = [read_episodes(Path(path), controller) for controller, _, path in parts]
-        _report(pd.concat(frames, ignore_index=True), out)
+        _report(pd.concat(frames, ignore_index=True), out, as_json)
 
 
-def _report(frame: Any, out: Path | None) -> None:
+def _report(frame: Any, out: Path | None, as_json: bool) -> None:
     """Print the scores and, into a folder, write them, a page, and the card of a policy that they are of."""
     from surefoot.experiments.episodes.evaluation_page import EvaluationPage
     from surefoot.experiments.episodes.tables import score_table
     from surefoot.experiments.policy.card import own_scores, write_card
     from surefoot.experiments.policy.train import POLICY
+    from surefoot.experiments.study.progress import working
 
     page = EvaluationPage(frame)
-    show([score_table(page.frame)])
-    if out is None:
-        return
-    typer.echo(f"Page: {page.write(out)}")
-    if (out / POLICY).is_file() and own_scores(out) is not None:
-        typer.echo(f"Card: {write_card(out)}")
+    files: dict[str, Path] = {}
+    if out is not None:
+        with working("drawing the page"):
+            files["page"] = page.write(out)
+        if (out / POLICY).is_file() and own_scores(out) is not None:
+            files["card"] = write_card(out)
+    show([score_table(page.frame)], files, as_json=as_json)

@@ -6,7 +6,16 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from surefoot.experiments.cli.console import CONTROLLERS, Feeds, Names, Numbers, fail, one_line_errors, show
+from surefoot.experiments.cli.console import (
+    CONTROLLERS,
+    Feeds,
+    Json,
+    Names,
+    Numbers,
+    fail,
+    one_line_errors,
+    show,
+)
 
 
 def sweep(
@@ -26,14 +35,16 @@ def sweep(
     any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' results.")] = False,
     films: Annotated[int, Option(help="How many of the worst episodes to film.", min=0)] = 0,
     scenarios: Annotated[bool, Option("--scenarios", help="List the scenarios, and end.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
     from surefoot.experiments.episodes.plan import EpisodePlan, plan_from_toml
     from surefoot.experiments.episodes.run import run_plan
     from surefoot.experiments.episodes.sweep_page import SweepPage
+    from surefoot.experiments.study.progress import working
 
     if scenarios:
-        _list_scenarios()
+        show([_scenario_table()], {}, as_json=as_json)
         return
     given: dict[str, Any] = {
         "controllers": tuple(controller or ()),
@@ -50,47 +61,65 @@ def sweep(
         chosen = EpisodePlan(**changes) if plan is None else plan_from_toml(plan, **changes)
         where: Any = {"backend": backend, "jobs": jobs, "address": address}
         results = run_plan(chosen, out, retry_failed=retry_failed, any_version=any_version, **where)
-        page = SweepPage(results, films=films)
-        report = page.write()
-    show(page.tables)
+        with working("drawing and filming" if films else "drawing the report"):
+            page = SweepPage(results, films=films)
+            report = page.write()
     kept = len(results.rows) - results.computed
-    typer.echo(f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed.")
-    typer.echo(f"Report: {report}")
+    episodes = {"run": results.computed, "were there": kept, "failed": len(results.failed)}
+    said = f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed."
+    show(page.tables, {"report": report}, said=said, episodes=episodes, as_json=as_json)
 
 
 def replay(
     results: Annotated[Path, Argument(help="Folder of a sweep or an evaluation, or its episodes.parquet.")],
     case: Annotated[int, Option(help="Number of the episode.", min=0)],
     video: Annotated[Path | None, Option(help="Film it into this .mp4 as well.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""
     from surefoot.experiments.episodes.episode import OUTCOME
     from surefoot.experiments.episodes.run import replay_episode
     from surefoot.experiments.episodes.sweep_page import film_episode
+    from surefoot.experiments.study.progress import working
+    from surefoot.experiments.study.tables import Verdict, laid_out
 
     if video is not None and video.suffix != ".mp4":
         fail(f"'{video}' must end in .mp4.")
-    with one_line_errors():
+    with one_line_errors(), working(f"running case {case} again") as then:
         replayed = replay_episode(results, case)
-        if video is not None:
-            typer.echo(f"Film: {film_episode(video, replayed.episode)}")
-    for name in (*OUTCOME, "error"):
-        then, now = replayed.then[name], replayed.now[name]
-        mark = f"  <- {then!r} then" if name in replayed.different else ""
-        if now != "":
-            typer.echo(f"{name:14s} {now!r}{mark}" if name != "error" else f"{now}{mark}")
+        then("filming it")
+        files = {} if video is None else {"film": film_episode(video, replayed.episode)}
+    columns: dict[str, Any] = {
+        "outcome": lambda name: name,
+        "now": lambda name: _exact(replayed.now[name]),
+        "then": lambda name: _exact(replayed.then[name]),
+        "same": lambda name: Verdict.of(name not in replayed.different),
+    }
+    names = [name for name in (*OUTCOME, "error") if replayed.now[name] != "" or name in replayed.different]
+    said = "Different." if replayed.different else "Identical."
     if replayed.other_versions:
-        typer.echo(f"Versions: {', '.join(replayed.other_versions)}")
-    typer.echo("Different." if replayed.different else "Identical.")
+        said = f"Versions: {', '.join(replayed.other_versions)}\n{said}"
+    facts: Any = {"identical": not replayed.different, "versions": replayed.other_versions}
+    table = laid_out("replay", "The episode, to the last digit", columns, names)
+    show([table], files, said=said, as_json=as_json, **facts)
     if replayed.different:
         raise typer.Exit(1)
 
 
-def _list_scenarios() -> None:
-    from surefoot.experiments.episodes.scenarios import SCENARIOS, scenario_named
+def _exact(value: Any) -> Any:
+    from surefoot.experiments.study.tables import Valued
 
+    return Valued.of(str(value), value)
+
+
+def _scenario_table() -> Any:
+    from surefoot.experiments.episodes.scenarios import SCENARIOS, scenario_named
+    from surefoot.experiments.study.tables import Table
+
+    rows = []
     for name in SCENARIOS:
         try:
-            typer.echo(f"{name:22s} {scenario_named(name).title}")
+            rows.append((name, scenario_named(name).title))
         except ValueError:
             continue
+    return Table("scenarios", "Scenarios of a sweep", ("scenario", "what it is"), tuple(rows))

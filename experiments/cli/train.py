@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from surefoot.experiments.cli.console import console, fail, one_line_errors
+from surefoot.experiments.cli.console import fail, one_line_errors
 
 
 def train(
@@ -38,23 +38,15 @@ def train(
 
 
 def _train(out: Path, options: Any, restart: bool) -> None:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     from surefoot.experiments.policy.card import write_card
     from surefoot.experiments.policy.train import POLICY, Trainer
+    from surefoot.experiments.study.progress import bars
 
     trainer = Trainer(out, options, restart=restart)
     if trainer.updates:
-        console.print(f"Going on after {trainer.updates} of {options.updates} updates.")
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("reward a decision {task.fields[reward]:.3f}, fell {task.fields[fell]:.0%}"),
-    )
+        typer.echo(f"Going on after {trainer.updates} of {options.updates} updates.")
     try:
-        with Progress(*columns, console=console) as bar:
+        with bars("reward a decision {task.fields[reward]:.3f}, fell {task.fields[fell]:.0%}") as bar:
             nothing: Any = {"reward": float("nan"), "fell": float("nan")}
             task = bar.add_task("Training", total=options.updates, completed=trainer.updates, **nothing)
 

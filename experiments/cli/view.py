@@ -95,20 +95,22 @@ def _show_page(
     import gymnasium as gym
 
     from surefoot.experiments.logs.format import read_log
+    from surefoot.experiments.study.progress import working
     from surefoot.experiments.view.session import WALK, Session, repeated
 
+    page: Page | LogPage
     try:
-        page: Page | LogPage
-        if log is not None:
-            feet, more = LogFeet(read_log(log), options["start"].get("method", "moment")), ""
-            page = LogPage(feet, host=host, port=port, name=log.name)
-        else:
-            if repeat is not None:
-                session, changes = repeated(read_log(repeat).about)
+        with working("making ready"):
+            if log is not None:
+                feet, more = LogFeet(read_log(log), options["start"].get("method", "moment")), ""
+                page = LogPage(feet, host=host, port=port, name=log.name)
             else:
-                session, changes = Session(env or WALK, **options), []
-            page = Page(session, host=host, port=port, folder=folder, changes=changes)
-            more = f"; recordings go to '{folder}'"
+                if repeat is not None:
+                    session, changes = repeated(read_log(repeat).about)
+                else:
+                    session, changes = Session(env or WALK, **options), []
+                page = Page(session, host=host, port=port, folder=folder, changes=changes)
+                more = f"; recordings go to '{folder}'"
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
         fail(str(error))
     _serve(page, more)
@@ -127,6 +129,7 @@ def _serve(page: Any, more: str) -> None:
 
 def _walk(video: Path | None, feeds: list[str], **options: Any) -> None:
     """Show a walk in a window, or film it."""
+    from surefoot.experiments.study.progress import working
     from surefoot.experiments.walks.video import ANIMATIONS, film_walks, watch_walk
 
     if video is not None and video.suffix not in (".mp4", *ANIMATIONS):
@@ -137,7 +140,9 @@ def _walk(video: Path | None, feeds: list[str], **options: Any) -> None:
         if video is None:
             watch_walk(feeds[0], **options)
         else:
-            typer.echo(f"Film: {film_walks(video, feeds, **options)}")
+            with working("filming"):
+                film = film_walks(video, feeds, **options)
+            typer.echo(f"Film: {film}")
     except (ValueError, OSError, ImportError) as error:
         fail(str(error))
 
@@ -150,12 +155,14 @@ def _show_feet(name: str, feet: list[str] | None, soles: bool, image: Path) -> N
     import gymnasium as gym
 
     from surefoot.experiments.feet import FeetDrawing
+    from surefoot.experiments.study.progress import working
 
     try:
-        drawing = FeetDrawing(name, feet or None, soles=soles)
+        with working("looking at the feet"):
+            drawing = FeetDrawing(name, feet or None, soles=soles)
+            drawing.draw(image)
         for line in drawing.words():
             typer.echo(line)
-        drawing.draw(image)
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
         fail(str(error))
     typer.echo(f"Picture: {image}")

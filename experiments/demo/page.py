@@ -25,6 +25,7 @@ from surefoot.experiments.study.page import (
     save_tables,
     write_page,
 )
+from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Frame, claim_table, flat, plural
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.walkers import STAND_TIME
@@ -113,7 +114,9 @@ _CAPTIONS = {
 
 def run_demo(options: ArenaOptions, console: Console | None = None) -> Report:
     """Run the demo or the full study, and write its page; what is refused is that of :func:`run_arena`."""
-    return write_demo_page(run_arena(options, console=console))
+    results = run_arena(options, console=console)
+    with working("drawing the report"):
+        return write_demo_page(results)
 
 
 def write_demo_page(results: ArenaResults) -> Report:

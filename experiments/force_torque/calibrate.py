@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, FitResult
@@ -17,6 +16,7 @@ from surefoot.experiments.force_torque.icub import write_icub_matrix
 from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
 from surefoot.experiments.force_torque.page import write_in_situ_page
 from surefoot.experiments.force_torque.tables import Calibrated, shown_tables
+from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import Table
 
 SAMPLE = Path(__file__).resolve().parent / "samples" / "in_situ_leg.parquet"
@@ -43,7 +43,6 @@ def calibrate_in_situ_log(
     accept: str = "",
     stem: str | None = None,
     topics: Path | None = None,
-    console: Console | None = None,
 ) -> CalibratedSensor:
     """Read a log, fit matrix, offsets and limb, and write the result.
 
@@ -54,7 +53,6 @@ def calibrate_in_situ_log(
         accept: Why to go on past what the fit refuses; each file says it, and what was refused. Empty: not.
         stem: How their names begin; by default the first log's name.
         topics: The mapping file of ROS bags; by default the one beside each.
-        console: Where progress is shown; nowhere by default.
 
     Raises:
         LogError: If the log cannot be used; the message has the cure.
@@ -62,16 +60,16 @@ def calibrate_in_situ_log(
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
     stem = paths[0].stem if stem is None else stem
-    with (console or Console(quiet=True)).status("reading the log") as status:
+    with working("reading the log") as then:
         log = read_in_situ_log(paths, config, topics)
-        status.update(f"fitting {len(log.fitted)} sets")
+        then(f"fitting {len(log.fitted)} sets")
         fit = _fit(log, accept)
         notices = [*_doubt_of_weight(log, fit), *log.notices]
         if accept and not fit.accepted:
             notices.append("Nothing was refused, so that no reason was needed to go on.")
-        status.update("writing the calibration")
+        then("writing the calibration")
         files = _write(log, fit, folder / f"{stem}.in_situ", notices)
-        status.update("drawing the report")
+        then("drawing the report")
         found = Calibrated(dataclasses.replace(log, notices=tuple(notices)), fit)
         files["report"] = write_in_situ_page(folder / f"{stem}.in_situ.html", found)
     return CalibratedSensor(fit, files, shown_tables(found), found.notices)

@@ -192,7 +192,7 @@ def matrix_table(found: Calibrated) -> Table:
         for i, name in enumerate(FORCE_TORQUE_NAMES)
     )
     note = "With one standard deviation, each to the decimal that it lets be known."
-    return Table("matrix", f"The matrix, per {of_what}", ("", *found.log.channels), rows, note)
+    return Table("matrix", f"The matrix, per {of_what}", ("axis", *found.log.channels), rows, note)
 
 
 def nonlinear_table(found: Calibrated) -> Table:
@@ -207,7 +207,7 @@ def nonlinear_table(found: Calibrated) -> Table:
         )
         for i, name in enumerate(FORCE_TORQUE_NAMES)
     )
-    columns = ("", "degree", "linear, rms", "polynomial, rms", "linear, worst", "polynomial, worst")
+    columns = ("axis", "degree", "linear, rms", "polynomial, rms", "linear, worst", "polynomial, worst")
     note = (
         "Of stretches of time and of whole sets, each left out in turn, offsets fitted anew. Beyond the "
         "readings of this log the polynomial fades, and the linear map holds."

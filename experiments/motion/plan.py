@@ -17,6 +17,7 @@ from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, Mov
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.exercise.motion import motions_offered
 from surefoot.envs.prelude import Player, Prelude
+from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table
 from surefoot.wrappers.belief_errors import NO_ERRORS
 from surefoot.wrappers.foot_sensors import FootSensors
@@ -122,7 +123,8 @@ def rehearse(
     limits = Limits() if limits is None else limits
     motions: dict[str, FootMotion] = {}
     refused: dict[str, str] = {}
-    for alternatives in motions_offered() if names is None else [[name] for name in names]:
+    offered = motions_offered() if names is None else [[name] for name in names]
+    for alternatives in each("rehearsing motions", offered):
         for name in alternatives:
             try:
                 played = rehearsal.play(rehearsal.env.motion.prelude([name], rehearsal.env.dt))
@@ -167,9 +169,11 @@ def plan_motion(
     able, refused = rehearse(stage, limits=limits)
     if not able.motions:
         raise ValueError(f"The robot can do none of the motions within {limits}: {refused}.")
-    plan = plan_foot_excitation(stage.layout, able, budget, goal=goal, enough=enough, **options)
-    prelude = stage.env.motion.prelude(plan.motions, stage.env.dt)
-    played = stage.play(prelude)
+    with working("choosing motions") as then:
+        plan = plan_foot_excitation(stage.layout, able, budget, goal=goal, enough=enough, **options)
+        then("playing them together")
+        prelude = stage.env.motion.prelude(plan.motions, stage.env.dt)
+        played = stage.play(prelude)
     if reason := played.refusal(limits):
         raise ValueError(
             f"Played together, the motions do not keep to the limits: {reason}. Ask for more margin."

@@ -13,17 +13,11 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 
 import surefoot
 from surefoot.experiments.study.backends import Died, Task, Workers, workers
+from surefoot.experiments.study.progress import bars
 from surefoot.experiments.study.store import Case, Outcome, Store, StudyError
 from surefoot.experiments.study.tables import plural
 
@@ -116,17 +110,8 @@ def runner(
     address: str | None = None,
 ) -> Iterator[Runner]:
     """Lend what runs the stages of a study, and notes seconds of each; one job works in this very process."""
-    bars = Progress(
-        TextColumn("{task.description:28s}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[said]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True) if console is None else console,
-    )
     chosen = backend or ("local" if jobs > 1 else "here")
-    with workers(chosen, jobs, address) as crew, bars as progress:
+    with workers(chosen, jobs, address) as crew, bars("{task.fields[said]}", console=console) as progress:
         yield Runner(crew, progress, {} if seconds is None else seconds)
 
 

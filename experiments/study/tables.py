@@ -1,7 +1,9 @@
 """Tables of a study: one content for the terminal, the page and the files."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -19,6 +21,19 @@ Column = Any  # a pandas series, likewise
 Cell = Callable[[Any], str]  # makes a cell of what its row is about
 
 
+class Valued(str):
+    """A cell that knows the value of what it shows, all digits of it: a number, or a mapping of some."""
+
+    value: Any
+
+    @classmethod
+    def of(cls, text: str, value: Any) -> "Valued":
+        """Return the text with its value."""
+        cell = cls(text)
+        cell.value = value
+        return cell
+
+
 class Verdict(str):
     """A cell that is good or bad, whatever its word; a page colours it by that."""
 
@@ -34,7 +49,10 @@ class Verdict(str):
 
 @dataclass(frozen=True)
 class Table:
-    """A table whose cells are already text; its name is for files, its note says how to read it."""
+    """A table whose cells are already text; its name is for files, its note says how to read it.
+
+    For machines a cell of text is read back: see :func:`value_of`.
+    """
 
     name: str
     title: str
@@ -56,11 +74,75 @@ class Table:
             table.add_row(*map(Text, row))
         return table
 
+    def to_plain(self) -> dict[str, Any]:
+        """Return it for JSON, a mapping a row; a heading that is there twice is numbered."""
+        keys = [
+            name if name not in self.columns[:i] else f"{name} ({self.columns[:i].count(name) + 1})"
+            for i, name in enumerate(self.columns)
+        ]
+        rows = [dict(zip(keys, map(value_of, row), strict=True)) for row in self.rows]
+        return {"title": self.title, "note": self.note, "rows": rows}
+
     def to_frame(self) -> "pd.DataFrame":
         """Return it as a data frame of text."""
         import pandas as pd  # takes half a second, which a log's page does without
 
         return pd.DataFrame(list(self.rows), columns=list(self.columns))
+
+
+_FORMS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = (
+    (re.compile(r"(-?[\d.]+) ± ([\d.]+)"), ("value", "plus_minus")),
+    (re.compile(r"(\d+) of (\d+)"), ("count", "of")),
+    (re.compile(r"(-?[\d.]+) to (-?[\d.]+)"), ("from", "to")),
+    (re.compile(r"(-?[\d.]+) ?%"), ("percent",)),
+)
+"""What cells of more than a bare number look like, and what their values are called."""
+
+_SEVERAL = re.compile(r"-?[\d.]+( / -?[\d.]+)+")
+
+_THOUSANDS = re.compile(r"-?\d{1,3}(,\d{3})+(\.\d+)?")
+
+
+def value_of(cell: str) -> Any:
+    """Return what a cell shows: a number, some with what they are, true or false, nothing, or its text.
+
+    >>> [value_of(cell) for cell in ("1.50", "4.8 ± 0.2", "3 of 5", "yes", "–", "> 8")]
+    [1.5, {'value': 4.8, 'plus_minus': 0.2}, {'count': 3, 'of': 5}, True, None, '> 8']
+    >>> [value_of(cell) for cell in ("0.1 to 0.3", "64 %", "31 / 8.8 / -8.3")]
+    [{'from': 0.1, 'to': 0.3}, {'percent': 64}, [31, 8.8, -8.3]]
+    >>> value_of(number(1 / 3)), value_of(number(float("nan"))), value_of("8,347,750")
+    (0.3333333333333333, None, 8347750)
+    """
+    if isinstance(cell, Valued):
+        value = cell.value
+        return (
+            {key: _finite(part) for key, part in value.items()} if isinstance(value, dict) else _finite(value)
+        )
+    if cell in ("yes", "no"):
+        return cell == "yes"
+    for form, keys in _FORMS:
+        if found := form.fullmatch(cell):
+            return dict(zip(keys, map(_read, found.groups()), strict=True))
+    return [_read(part) for part in cell.split(" / ")] if _SEVERAL.fullmatch(cell) else _read(cell)
+
+
+def _read(text: str) -> Any:
+    """Read one number, also with commas between thousands, or nothing, or else return the text."""
+    digits = text.replace(",", "") if _THOUSANDS.fullmatch(text) else text
+    for kind in (int, float):
+        try:
+            return _finite(kind(digits))
+        except ValueError:
+            continue
+    return None if text in ("", "–") else text
+
+
+def _finite(value: Any) -> Any:
+    """Return a number as JSON has it: nothing in the place of NaN and infinities."""
+    value = value.item() if hasattr(value, "item") else value
+    if isinstance(value, str | bool | int):
+        return value
+    return float(value) if isfinite(value) else None
 
 
 def laid_out(
@@ -87,6 +169,10 @@ def number(value: float, digits: int = 3) -> str:
     >>> number(0.012345), number(123.4), number(float("nan"))
     ('0.0123', '123', '–')
     """
+    return Valued.of(_digits(value, digits), value)
+
+
+def _digits(value: float, digits: int) -> str:
     if value != value:
         return "–"
     if abs(value) < 5e-7:
@@ -118,7 +204,8 @@ def with_deviation(value: float, deviation: float) -> str:
     >>> with_deviation(20.91, 0.0312)
     '20.910 ± 0.031'
     """
-    return " ± ".join(rounded(value, deviation))
+    both = {"value": value, "plus_minus": deviation}
+    return Valued.of(" ± ".join(rounded(value, deviation)), both)
 
 
 def with_interval(values: Sequence[float] | Any, factor: float = 1.0, digits: int = 3) -> str:
@@ -138,11 +225,12 @@ def interval_text(interval: Interval, factor: float = 1.0, digits: int = 3) -> s
     """
     if interval.n == 0:
         return "–"
-    mean = number(factor * interval.mean, digits)
+    both = {"value": factor * interval.mean, "plus_minus": factor * interval.half}
+    mean = _digits(both["value"], digits)
     if interval.n == 1:
-        return mean
+        return Valued.of(mean, both)
     decimals = len(mean.partition(".")[2])
-    return f"{mean} ± {factor * interval.half:.{decimals}f}"
+    return Valued.of(f"{mean} ± {both['plus_minus']:.{decimals}f}", both)
 
 
 def plural(count: int, word: str, words: str = "") -> str:

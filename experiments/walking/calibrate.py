@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.files import atomic_path, write_text
+from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
 from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.page import write_walking_page
@@ -36,6 +38,12 @@ class CalibratedLog:
     tables: tuple[Table, ...]  # what to show at once
     notices: tuple[str, ...]  # what the log lacks
     ros2: Path | None = None  # the map as parameters of a ROS 2 node, if asked for
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """All that was written, by what it is."""
+        files = {"calibrated walk": self.walk, "parameters": self.parameters, "report": self.page}
+        return files if self.ros2 is None else {**files, "ROS 2": self.ros2}
 
 
 def calibrate_log(
@@ -77,6 +85,7 @@ def calibrate_log(
         initial=initial,
         lag=log.lag,
         zero_phase=zero_phase,
+        watch=partial(each, "calibrating"),
         **({"foot_length": float(about["foot_length_m"])} if "foot_length_m" in about else {}),
     )
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
@@ -85,7 +94,8 @@ def calibrate_log(
     with atomic_path(walk) as part:
         pq.write_table(pa.table(_walk_columns(facts)), part)
     write_text(parameters, json.dumps(_last(facts), indent=1))
-    write_walking_page(page, facts)
+    with working("drawing the report"):
+        write_walking_page(page, facts)
     node = _write_ros2(facts, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
     return CalibratedLog(walk, parameters, page, tables, notices, node)
 

@@ -3,20 +3,27 @@
 import ast
 import dataclasses
 import importlib.util
+import io
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 import surefoot
 from surefoot import __main__
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, write_log
+from surefoot.experiments.study import progress
+from surefoot.experiments.study.tables import Table
 
 RUNNER = CliRunner()
 
@@ -94,6 +101,83 @@ def test_calibrating_from_weights(tmp_path: Path) -> None:
     found = json.loads((tmp_path / "scales.map.json").read_text())
     assert found["channels"] == ["left_front_left"]
     assert found["scale_N_per_count"][0] == pytest.approx(-9.81 / 4e5)
+
+
+def as_json(arguments: list[str]) -> dict[str, Any]:
+    """Return what a command prints as JSON: all of its output, and not a word beside it on a pipe."""
+    result = RUNNER.invoke(app, [*arguments, "--json"])
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads(result.stdout, parse_constant=refuse)
+
+
+def test_a_calibrated_walk_as_json(log: Log, tmp_path: Path, undrawn: None) -> None:
+    path = write_log(log, tmp_path / "walk.parquet")
+    said = as_json(["calibrate", "walk", str(path), "--method", "tare"])
+    ends = {"calibrated walk": "parquet", "parameters": "json", "report": "html"}
+    assert said["files"] == {what: str(tmp_path / f"walk.tare.{end}") for what, end in ends.items()}
+    first = said["tables"]["parameters"]["rows"][0]
+    assert first["cell"] == "left, front-left"
+    assert (first["offset (N)"], first["offset changed by (N)"]) == (-160.0, 0.0)
+    assert said["tables"]["flags"]["rows"][0]["on"] is None
+    scores = said["tables"]["score"]["rows"]
+    found = pd.read_parquet(tmp_path / "walk.tare.parquet")["force_right_rear_right_N"]
+    assert log.truth is not None
+    assert scores[0]["single cell (N)"] == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(found, log.truth.force[:, 7], atol=1e-6)
+
+
+def test_weights_as_json(tmp_path: Path) -> None:
+    said = as_json(["compare", "weights"])
+    assert list(said["tables"]) == ["table2_paper", "table2_simulated", "table3"]
+    row = said["tables"]["table2_paper"]["rows"][0]
+    assert (row["cell"], row["no load"], row["c, paper"]) == ("left foot, front left", 8347750, -2.38250654)
+    load = np.array([0.0, 0.01, 0.05, 0.2, 1.0])
+    table = pd.DataFrame({"load_kg": load, "raw_left_front_left_count": 8.3e6 - 4e5 * load})
+    table.to_csv(tmp_path / "scales.csv", index=False)
+    said = as_json(["calibrate", "weights", str(tmp_path / "scales.csv")])
+    (row,) = said["tables"]["weighings"]["rows"]
+    assert row["scale (1e-6 N/count), ± one sigma"]["value"] == pytest.approx(-9.81 / 0.4, rel=1e-12)
+    assert said["files"] == {"map": str(tmp_path / "scales.map.json")}
+
+
+def test_every_command_that_prints_a_table_prints_json() -> None:
+    def named(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+        for name, inner in getattr(command, "commands", {}).items():
+            yield from named(inner, (*path, name))
+        if not hasattr(command, "commands"):
+            yield path, command
+
+    options = {
+        path: {option for parameter in command.params for option in parameter.opts}
+        for path, command in named(typer.main.get_command(app))
+    }
+    assert {path for path, known in options.items() if "--json" not in known} == {("train",), ("view",)}
+    scenarios = as_json(["sweep", "--scenarios"])["tables"]["scenarios"]["rows"]
+    assert {"scenario": "speed-0.04", "what it is": "0.04 m/s"} in scenarios
+    result = RUNNER.invoke(app, ["calibrate", "weights", "gone.csv", "--json"])
+    assert (result.exit_code, result.stdout) == (2, "")
+
+
+def test_headings_that_are_twice_there_are_numbered_in_json() -> None:
+    table = Table("t", "T", ("what", "paper", "paper"), (("a", "1", "inf"),))
+    assert table.to_plain()["rows"] == [{"what": "a", "paper": 1, "paper (2)": None}]
+
+
+def test_progress_is_shown_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    for terminal in (True, False):
+        seen = io.StringIO()
+        shown = Console(file=seen, force_terminal=terminal, width=100)
+        monkeypatch.setattr(progress, "Console", lambda stderr, shown=shown: shown)
+        assert list(progress.each("counting", range(3))) == [0, 1, 2]
+        with progress.working("thinking") as then:
+            then("writing")
+        words = {word for word in ("counting", "3/3", "writing") if word in seen.getvalue()}
+        assert words == ({"counting", "3/3", "writing"} if terminal else set())
 
 
 def fails(arguments: list[str], message: str) -> None:
