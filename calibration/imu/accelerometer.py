@@ -25,7 +25,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
@@ -156,6 +155,8 @@ def calibrate_accelerometer(
     check_gravity_spread(
         force - force.mean(axis=0), float(np.sqrt(len(force))), minimum_spread, "the bias across it", _CURE
     )
+
+    from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
 
     start = _algebraic_start(force, unknowns)
     scale = _spread_of(_distances(start, force), unknowns)

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import skew
@@ -266,6 +265,8 @@ def _rank_of(found: tuple[float, Vector]) -> tuple[bool, float]:
 
 def _search(problem: Problem, start: Vector) -> tuple[float, Vector]:
     """Return the cost and the outer unknowns at the minimum next to a start."""
+    from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
+
     mass = max(abs(float(start[MASS])), _LEAST_MASS)
     scale = np.concatenate([np.full(problem.parameters, mass), np.ones(3 * problem.rotation)])
     residual = _Residual(problem)

@@ -44,9 +44,6 @@ def view(
     if feet is not None:
         _show_feet(feet, foot, soles, image)
         return
-    from surefoot.experiments.walks.video import prepare_rendering
-
-    prepare_rendering()
     feeds = feed or ["window" if window or video else "moment"]
     if window or video is not None:
         if env is not None or foot or soles:
@@ -57,26 +54,16 @@ def view(
         fail("--foot and --soles go with --feet ENV or with ENV, which say whose feet.")
     if len(feeds) > 1:
         fail("the page shows one feed; film several side by side with --video walk.mp4.")
-    start = {"speed": speed, "severity": severity} | _start(feeds[0])
-    made = {"controller": controller, "feet": foot or None, "soles": soles}
-    _show_page(env, {"seed": seed, "start": start, **made}, record, repeat, log, host, port)
-
-
-def _start(feed: str) -> dict[str, str]:
-    """Return which feed and which calibrator a name stands for on the page."""
-    from surefoot.experiments.walks.walkers import feed_named
-    from surefoot.names import plain_name
-
-    if feed_named(feed) == "weights":
-        fail("'weights' is a feed of films; the page begins on the nominal map.")
-    if feed in _PAGE_FEEDS:
-        return {"feed": _PAGE_FEEDS[feed]}
-    return {"feed": "calibrated", "method": plain_name(feed)}
+    start = {"speed": speed, "severity": severity}
+    made = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
+    _show_page(env, feeds[0], start, made, record, repeat, log, host, port)
 
 
 def _show_page(
     env: str | None,
-    options: dict[str, Any],
+    feed: str,
+    start: dict[str, Any],
+    made: dict[str, Any],
     folder: Path,
     repeat: Path | None,
     log: Path | None,
@@ -85,52 +72,86 @@ def _show_page(
 ) -> None:
     """Serve a page until somebody interrupts."""
     try:
-        from surefoot.experiments.view.page import Page
-        from surefoot.experiments.view.player import LogFeet, LogPage
+        from surefoot.experiments.view.server import address_of, close_server, open_server
     except ModuleNotFoundError as error:
         fail(
             f'the page needs {error.name}; install it with `pip install "surefoot[view]"`, or watch with '
             "--window or --video walk.mp4."
         )
-    import gymnasium as gym
-
-    from surefoot.experiments.logs.format import read_log
     from surefoot.experiments.study.progress import working
-    from surefoot.experiments.view.session import WALK, Session, repeated
 
-    page: Page | LogPage
+    name = env if log is None else log.name
+    try:
+        server = open_server(host, port, f"surefoot: {name}" if name else "surefoot")
+    except OSError as error:
+        fail(str(error))
+    more = f"; recordings go to '{folder}'" if log is None else ""
+    # A browser loads the page while the robot gets ready.
+    typer.echo(f"Page: {address_of(server)} (Ctrl+C ends it{more})")
     try:
         with working("making ready"):
             if log is not None:
-                feet, more = LogFeet(read_log(log), options["start"].get("method", "moment")), ""
-                page = LogPage(feet, host=host, port=port, name=log.name)
+                page = _log_page(server, log, feed)
             else:
-                if repeat is not None:
-                    session, changes = repeated(read_log(repeat).about)
-                else:
-                    session, changes = Session(env or WALK, **options), []
-                page = Page(session, host=host, port=port, folder=folder, changes=changes)
-                more = f"; recordings go to '{folder}'"
-    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
-        fail(str(error))
-    _serve(page, more)
-
-
-def _serve(page: Any, more: str) -> None:
-    """Tell where a page is, and serve it until somebody interrupts."""
-    typer.echo(f"Page: {page.address} (Ctrl+C ends it{more})")
-    try:
+                page = _live_page(server, env, feed, {"start": start, **made}, folder, repeat)
         page.run()
     except KeyboardInterrupt:
         typer.echo("Stopped.")
     finally:
-        page.close()
+        close_server(server)
+
+
+def _live_page(
+    server: Any, env: str | None, feed: str, options: dict[str, Any], folder: Path, repeat: Path | None
+) -> Any:
+    """Return a robot on a page, or refuse it."""
+    import gymnasium as gym
+
+    from surefoot.experiments.logs.format import read_log
+    from surefoot.experiments.view.page import Page
+    from surefoot.experiments.view.session import WALK, Session, repeated
+
+    try:
+        if repeat is not None:
+            session, changes = repeated(read_log(repeat).about)
+        else:
+            options["start"] |= _chosen(feed)
+            session, changes = Session(env or WALK, **options), []
+        with server.atomic():  # A browser that waits draws it once, and not part by part.
+            return Page(server, session, folder=folder, changes=changes)
+    except (ValueError, TypeError, OSError, ImportError, RuntimeError, gym.error.Error) as error:
+        fail(str(error))
+
+
+def _log_page(server: Any, log: Path, feed: str) -> Any:
+    """Return a log on a page, or refuse it."""
+    from surefoot.experiments.logs.format import read_log
+    from surefoot.experiments.view.player import LogFeet, LogPage
+
+    try:
+        return LogPage(server, LogFeet(read_log(log), _chosen(feed).get("method", "moment")))
+    except (ValueError, OSError) as error:
+        fail(str(error))
+
+
+def _chosen(feed: str) -> dict[str, str]:
+    """Return which feed and which calibrator a name stands for on the page; ValueError if it has none."""
+    from surefoot.experiments.walks.walkers import feed_named
+    from surefoot.names import plain_name
+
+    if feed_named(feed) == "weights":
+        raise ValueError("'weights' is a feed of films; the page begins on the nominal map.")
+    if feed in _PAGE_FEEDS:
+        return {"feed": _PAGE_FEEDS[feed]}
+    return {"feed": "calibrated", "method": plain_name(feed)}
 
 
 def _walk(video: Path | None, feeds: list[str], **options: Any) -> None:
     """Show a walk in a window, or film it."""
     from surefoot.experiments.study.progress import working
-    from surefoot.experiments.walks.video import ANIMATIONS, film_walks, watch_walk
+    from surefoot.experiments.walks.video import ANIMATIONS, film_walks, prepare_rendering, watch_walk
+
+    prepare_rendering()
 
     if video is not None and video.suffix not in (".mp4", *ANIMATIONS):
         fail(f"'{video}' must end in .mp4, .webp or .gif.")

@@ -7,17 +7,17 @@ Tol's, which people with any kind of colour vision tell apart; lines and markers
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from surefoot.experiments.study.files import atomic_path
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 DPI = 130
 _RC: Any = {
@@ -85,8 +85,12 @@ def short_label(name: str) -> str:
 
 
 @contextmanager
-def figure_at(path: Path, width: float, height: float) -> Iterator[Figure]:
+def figure_at(path: Path, width: float, height: float) -> Iterator["Figure"]:
     """Lend a figure of some size in inches and save it: drawn without pyplot, so that nothing is global."""
+    # Imported late: who wants to know a colour alone draws no figure.
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(_RC):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
@@ -96,7 +100,7 @@ def figure_at(path: Path, width: float, height: float) -> Iterator[Figure]:
             figure.savefig(part, dpi=DPI, metadata=metadata)
 
 
-def grid_of(figure: Figure, rows: int, columns: int, **kwargs: Any) -> Any:
+def grid_of(figure: "Figure", rows: int, columns: int, **kwargs: Any) -> Any:
     """Return rows x columns axes of a figure, always as a two-dimensional array."""
     return figure.subplots(rows, columns, squeeze=False, **kwargs)
 
@@ -109,10 +113,10 @@ def name_axes(panels: Any, below: str, *left: str) -> None:
         axes.set_ylabel(left[row % len(left)])
 
 
-def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6, **options: Any) -> None:
+def legend_below(figure: "Figure", axes: "Axes | Iterable[Axes]", columns: int = 6, **options: Any) -> None:
     """Write one legend for one or all panels under them, with as many columns as there is room."""
     entries: dict[str, Any] = {}
-    for panel in [axes] if isinstance(axes, Axes) else axes:
+    for panel in axes if isinstance(axes, Iterable) else [axes]:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     for count in range(min(columns, len(entries)), 0, -1):
@@ -123,7 +127,7 @@ def legend_below(figure: Figure, axes: Axes | Iterable[Axes], columns: int = 6, 
 
 
 def draw_curve(
-    axes: Axes, x: Any, y: Any, look: Look, low: Any = None, high: Any = None, **options: Any
+    axes: "Axes", x: Any, y: Any, look: Look, low: Any = None, high: Any = None, **options: Any
 ) -> None:
     """Draw a curve in a look, with its markers where it has few points; perhaps a band from low to high."""
     marker = look.marker if len(x) <= 8 else ""
@@ -133,7 +137,9 @@ def draw_curve(
         axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
 
 
-def draw_mean(axes: Axes, values: Any, factor: float, at: float, name: str, *, upright: bool = False) -> None:
+def draw_mean(
+    axes: "Axes", values: Any, factor: float, at: float, name: str, *, upright: bool = False
+) -> None:
     """Draw a mean with its 95 % interval at a place of the other axis: rightwards or upright."""
     interval, look = mean_interval(values), look_of(name)
     # What is nothing, a logarithmic axis cannot show.
@@ -147,13 +153,13 @@ def draw_mean(axes: Axes, values: Any, factor: float, at: float, name: str, *, u
     axes.errorbar(**place, color=look.colour, marker=look.marker, markersize=4.5, capsize=2.0, linewidth=1.2)
 
 
-def draw_steps(axes: Axes, time: Any, share: Any, name: str) -> None:
+def draw_steps(axes: "Axes", time: Any, share: Any, name: str) -> None:
     """Draw a survival curve in the look of a feed."""
     look = look_of(name)
     axes.step(time, share, where="post", color=look.colour, linestyle=look.line, label=look.label)
 
 
-def show_values(axes: Axes, values: Sequence[float], margin: float = 0.5) -> None:
+def show_values(axes: "Axes", values: Sequence[float], margin: float = 0.5) -> None:
     """Make ticks at a few values of the horizontal axis, with room around a value that is alone."""
     axes.set_xticks(list(values), [f"{value:g}" for value in values])
     axes.minorticks_off()
@@ -162,8 +168,10 @@ def show_values(axes: Axes, values: Sequence[float], margin: float = 0.5) -> Non
         axes.set_xlim(values[0] - reach, values[0] + reach)
 
 
-def logarithmic(axes: Axes, label: str = "") -> None:
+def logarithmic(axes: "Axes", label: str = "") -> None:
     """Make the vertical axis logarithmic with plain numbers; or the horizontal one, which has a label."""
+    from matplotlib.ticker import FuncFormatter
+
     if label:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -14,6 +14,7 @@ from surefoot.calibration.estimate import Flag
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import look_of
+from surefoot.experiments.view.server import PLACE
 from surefoot.experiments.view.shown import WAYS, Shown
 
 MAGNIFIED = 5.0
@@ -21,9 +22,6 @@ MAGNIFIED = 5.0
 
 TRAIL = 60
 """Frames that a trail is long: two seconds."""
-
-PLACE = np.array([0.0, -0.95, 0.0])
-"""Where the middle of the soles is drawn beside the robot, in its leg lengths."""
 
 WITHIN = 2.448
 """Standard deviations within which 95 % of a plane's normal distribution lies."""

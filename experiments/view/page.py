@@ -6,11 +6,11 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import viser
 
 from surefoot.experiments.logs.format import write_log
 from surefoot.experiments.view.panel import Panel
 from surefoot.experiments.view.robot import RobotMeshes
-from surefoot.experiments.view.scene import FRAMES_PER_SECOND
 from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.session import Change, Session
 
@@ -19,6 +19,9 @@ TORSO = 0.32
 
 LONGEST_FRAME = 0.1
 """Simulated time in s that one frame makes up for at most: a slower computer shows the walk more slowly."""
+
+HURRY = 0.25
+"""How long in s a robot that stands is stepped between two frames: nobody wants to wait until it walks."""
 
 LYING = 2.0
 """How long a robot lies where it fell before it gets up again, in s."""
@@ -31,32 +34,27 @@ class Page(Served):
     """A session in the browser.
 
     Args:
+        server: An empty page.
         session: What is shown.
-        host: Address that the page is bound to.
-        port: Its port.
         folder: Where recordings go; ``None`` for none.
         changes: What is still to be changed, of a session that is repeated.
 
     Attributes:
         frames: How many were drawn.
-
-    Raises:
-        OSError: If the port is in use.
     """
 
     def __init__(
         self,
+        server: viser.ViserServer,
         session: Session,
         *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
         folder: Path | None = None,
         changes: Iterable[Change] = (),
     ) -> None:
         self.session, self._folder, self._coming = session, folder, list(changes)
         size = float(session.source.data.body(session.drawing.torso).xpos[2]) / TORSO
         weight = session.drawing.weight
-        super().__init__(host, port, session.env_id, layout=session.layout, weight=weight, size=size)
+        super().__init__(server, layout=session.layout, weight=weight, size=size)
         self._paused, self._pace, self._due, self._lies = False, 1.0, 0.0, 0.0
         self.frames, self._simulated, self._rate = 0, 0.0, (0.0, 0.0)
         self._counted = perf_counter(), 0, 0.0
@@ -64,11 +62,6 @@ class Page(Served):
         self._cell = size
         self._panel = Panel(self.server, session, self._ask, bool(folder))
         self._paint(str(session.settings["method"]))
-
-    def close(self) -> None:
-        """Stop serving, and close the session."""
-        super().close()
-        self.session.close()
 
     def draw(self) -> None:
         """Draw the session as it is now."""
@@ -113,8 +106,7 @@ class Page(Served):
         if self._paused:
             return
         if session.standing:
-            # Calibrators begin while the robot stands, which nobody wants to wait for.
-            end = perf_counter() + 0.5 / FRAMES_PER_SECOND
+            end = perf_counter() + HURRY
             while session.standing and perf_counter() < end:
                 self._step()
             return

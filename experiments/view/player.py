@@ -4,6 +4,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import viser
 
 from surefoot.calibration import GRAVITY, replay
 from surefoot.calibration.estimate import Estimate
@@ -93,19 +94,14 @@ class LogPage(Served):
     """A log in the browser, with a slider for its time.
 
     Args:
+        server: An empty page.
         feet: The log.
-        host: Address that the page is bound to.
-        port: Its port.
-        name: What the page is called.
-
-    Raises:
-        OSError: If the port is in use.
     """
 
-    def __init__(self, feet: LogFeet, *, host: str, port: int, name: str) -> None:
+    def __init__(self, server: viser.ViserServer, feet: LogFeet) -> None:
         self.feet, log = feet, feet.log
         weight = log.mass * GRAVITY
-        super().__init__(host, port, name, layout=log.layout, weight=weight, size=SIZE, aside=0.0)
+        super().__init__(server, layout=log.layout, weight=weight, size=SIZE, aside=0.0)
         gui = self.server.gui
         start, end = float(log.time[0]), float(log.time[-1])
         self._time = gui.add_slider("time, s", start, end, log.dt, start)

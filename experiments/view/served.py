@@ -4,10 +4,12 @@ from queue import Empty, SimpleQueue
 from time import perf_counter, sleep
 from typing import Any
 
+import viser
+
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.view.board import FeetBoard, colours
 from surefoot.experiments.view.meters import Meters
-from surefoot.experiments.view.scene import FRAMES_PER_SECOND, close_server, open_server, set_scene
+from surefoot.experiments.view.scene import FRAMES_PER_SECOND, set_scene
 
 _REFUSALS = (ValueError, TypeError, IndexError, KeyError, OverflowError, OSError)
 
@@ -18,9 +20,7 @@ class Served:
     Browsers' requests come from other threads and wait in a queue: whoever calls :meth:`run` does it all.
 
     Args:
-        host: Address that the page is bound to.
-        port: Its port.
-        name: What the page is called.
+        server: An empty page.
         layout: The feet that are drawn.
         weight: Of the robot in N.
         size: Length in m by which the scene is scaled.
@@ -28,33 +28,24 @@ class Served:
 
     Attributes:
         server: The page.
-
-    Raises:
-        OSError: If the port is in use, or there is no such host.
     """
 
     def __init__(
         self,
-        host: str,
-        port: int,
-        name: str,
+        server: viser.ViserServer,
         *,
         layout: FeetLayout,
         weight: float,
         size: float,
         aside: float = 1.0,
     ) -> None:
-        self.server = open_server(host, port, f"surefoot: {name}")
+        self.server = server
+        server.gui.reset()
         self._asked: SimpleQueue[tuple[str, Any]] = SimpleQueue()
         self._stopped, self._told = False, ""
-        self._ground = set_scene(self.server, size, aside)
-        self._board = FeetBoard(self.server, layout, weight, size)
-        self._meters = Meters(self.server, tuple(foot.name for foot in layout.feet), layout.channel_names)
-
-    @property
-    def address(self) -> str:
-        """Where a browser finds the page."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        self._ground = set_scene(server, size, aside)
+        self._board = FeetBoard(server, layout, weight, size)
+        self._meters = Meters(server, tuple(foot.name for foot in layout.feet), layout.channel_names)
 
     def run(self, seconds: float = float("inf")) -> None:
         """Go on and draw for some time in s, until interrupted or stopped."""
@@ -72,10 +63,6 @@ class Served:
     def stop(self) -> None:
         """Let :meth:`run` come back; any thread may call this."""
         self._stopped = True
-
-    def close(self) -> None:
-        """Stop serving."""
-        close_server(self.server)
 
     def draw(self) -> None:
         """Draw what there is to see now."""

@@ -52,13 +52,21 @@ def viser() -> Any:
 
 
 @pytest.fixture
-def page(viser: Any, tmp_path: Path) -> Iterator[Any]:
+def server(viser: Any) -> Iterator[Any]:
+    from surefoot.experiments.view.server import close_server, open_server
+
+    opened = open_server("127.0.0.1", free_port(), "surefoot")
+    yield opened
+    close_server(opened)
+
+
+@pytest.fixture
+def page(server: Any, tmp_path: Path) -> Iterator[Any]:
     from surefoot.experiments.view.page import Page
 
-    session = Session(STAND, seed=1)
-    made = Page(session, port=free_port(), folder=tmp_path / "made")
+    made = Page(server, Session(STAND, seed=1), folder=tmp_path / "made")
     yield made
-    made.close()
+    made.session.close()
 
 
 def test_wrong_arguments_end_in_one_line(viser: Any, log: Log, tmp_path: Path) -> None:
@@ -83,11 +91,14 @@ def test_wrong_arguments_end_in_one_line(viser: Any, log: Log, tmp_path: Path) -
 
 
 def test_it_is_bound_to_the_loopback_and_serves_no_files(page: Any) -> None:
-    assert page.address == f"http://127.0.0.1:{page.server.get_port()}"
-    assert b"<html" in urlopen(page.address, timeout=10).read()
+    from surefoot.experiments.view.server import address_of
+
+    address = address_of(page.server)
+    assert address == f"http://127.0.0.1:{page.server.get_port()}"
+    assert b"<html" in urlopen(address, timeout=10).read()
     for path in ("/../../../../../../etc/passwd", "/%2e%2e/%2e%2e/__init__.py", "//etc/passwd"):
         with pytest.raises(HTTPError):
-            urlopen(page.address + path, timeout=10)
+            urlopen(address + path, timeout=10)
     # The library would open a tunnel for whoever asks.
     assert page.server.request_share_url() is None
 
@@ -162,7 +173,7 @@ def test_a_recording_goes_into_the_folder_of_the_command(page: Any, tmp_path: Pa
     assert f"surefoot view --repeat {files[1]}" in page._panel.commands.content
 
 
-def test_a_log_is_played_and_searched(viser: Any, log: Log) -> None:
+def test_a_log_is_played_and_searched(server: Any, log: Log) -> None:
     from surefoot.experiments.view.player import LogFeet, LogPage
 
     feet = LogFeet(log, "none")
@@ -170,7 +181,7 @@ def test_a_log_is_played_and_searched(viser: Any, log: Log) -> None:
     assert log.truth is not None
     np.testing.assert_allclose(shown.readings["raw"].force, log.truth.force[30], atol=1e-6)
     assert shown.cop_error("raw") < 1e-3
-    page = LogPage(feet, host="127.0.0.1", port=free_port(), name="walk")
+    page = LogPage(server, feet)
     page.run(0.2)
     played = page._drawn
     assert played > 5
@@ -183,7 +194,6 @@ def test_a_log_is_played_and_searched(viser: Any, log: Log) -> None:
     page._asked.put(("method", "guess"))
     page.run(0.1)
     assert page._told.startswith("Method 'guess' does not exist.")
-    page.close()
 
 
 @pytest.mark.slow
@@ -202,7 +212,7 @@ def test_in_a_browser(page: Any) -> None:
             # Few pixels: where there is no graphics card, a frame takes seconds.
             ask_as_a_user(
                 browser.new_page(viewport={"width": 1000, "height": 800}, device_scale_factor=0.4),
-                page.address,
+                f"http://127.0.0.1:{page.server.get_port()}",
             )
             browser.close()
             # The browser has left, and the robot goes on.
