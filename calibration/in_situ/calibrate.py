@@ -280,9 +280,9 @@ def _drift_first(drift: CalibrationRefused | None) -> Iterator[None]:
     except CalibrationRefused as refusal:
         if drift is None:
             raise
+        # Causes are compared, the drift among them as the colour of the noise: a leap of a zero looks alike.
         cure = f"{drift.cure} If that is not it: {refusal.cure}"
-        # A contradiction stays one: causes are compared, the drift among them as the colour of the noise.
-        raise type(refusal)(f"{drift.reason} {refusal.reason}", cure) from refusal
+        raise Contradiction(f"{drift.reason} {refusal.reason}", cure) from refusal
 
 
 def _from_factory(problem: Problem, solution: Solution) -> float:

@@ -112,7 +112,10 @@ def explained(symptom: CalibrationRefused, evidence: Evidence, warnings: Sequenc
     if not found:
         return symptom
     named = [f"{cause.words} ({_percent(share)})" for cause, share in found]
-    return CalibrationRefused(f"{symptom.reason} Likeliest: {'; then '.join(named)}.", found[0].cause.cure)
+    cure = found[0].cause.cure
+    if symptom.__cause__ is not None:  # a drift that may be behind it
+        cure += f" If that is not it: {symptom.cure}"
+    return CalibrationRefused(f"{symptom.reason} Likeliest: {'; then '.join(named)}.", cure)
 
 
 def _percent(share: float) -> str:

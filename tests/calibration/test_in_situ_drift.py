@@ -181,3 +181,16 @@ def test_a_limb_that_turns_slowly_is_no_point():
     nees = normalised_error(fit, np.linalg.inv(matrix), np.full(6, 500.0), Limb(mass, mass * com))
     # As a point it were 6.
     assert 0.5 < nees / len(fit.covariance) < 2.5
+
+
+@pytest.mark.slow
+def test_a_leap_of_a_zero_that_looks_like_a_drift_is_named():
+    sets = rasters("leg", np.random.default_rng(33), drift=0.1)
+    raw = sets[0].raw.copy()
+    raw[600:] += np.linalg.inv(SENSORS["leg"][0]) @ [9.0, 6.0, 10.5, 0.7, 1.0, 0.3]
+    spoilt = [replace(sets[0], raw=raw, name="first"), *sets[1:]]
+    said = r"drifts.*Likeliest: the zero of 'first' leaps at"
+    with pytest.raises(CalibrationRefused, match=said) as refused:
+        calibrate_in_situ(spoilt, options=InSituOptions(robust=False))
+    assert refused.value.cure.startswith("Cut the set there into two")
+    assert "come back to the first ones" in refused.value.cure
