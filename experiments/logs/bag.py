@@ -219,6 +219,8 @@ def whole(path: Path) -> Iterator[None]:
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """Give a reader of a bag that has messages."""
+    if path.exists() and not is_bag(path):
+        raise LogError(f"{path.name}: no bag; one is a folder or ends in {', '.join(SUFFIXES)}.")
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -228,8 +230,6 @@ def opened(path: Path) -> Iterator[Any]:
         ) from None
     if not path.exists():
         raise LogError(f"{path}: no such bag.")
-    if not is_bag(path):
-        raise LogError(f"{path.name}: no bag; one is a folder or ends in {', '.join(SUFFIXES)}.")
     with whole(path):
         # Bags of older releases hold no definitions; those of the common messages have not changed since.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))

@@ -2,7 +2,7 @@
 
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
 from pydantic import AliasChoices, ConfigDict, Field, PlainValidator, model_validator
@@ -57,9 +57,20 @@ class MotionFacts(Settings):
 
 def _layout(given: Any) -> FeetLayout:
     try:
-        return FeetLayout(tuple(_record(FootLayout, foot) for foot in given))
+        return FeetLayout(tuple(map(_foot, given)))
+    except KeyError as lacking:
+        raise ValueError(f"lacks {lacking}, where the load cells of a foot are") from None
     except (AttributeError, TypeError) as error:
         raise ValueError(f"describes no feet: {error}") from None
+
+
+def _foot(given: Any) -> FootLayout:
+    if given.get("wrench_map") is not None:
+        return cast(FootLayout, _record(FootLayout, given))
+    below = {key: given[key + unit] for key, unit in _UNITS.items() if "below" in key and key + unit in given}
+    return FootLayout.load_cells(
+        given["name"], given["position_cell_sole_m"], given.get("channel_names"), **below
+    )
 
 
 def _map(given: Any) -> Parameters:

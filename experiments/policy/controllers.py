@@ -186,7 +186,7 @@ def _imported(name: str) -> Callable[..., Any]:
     except (ImportError, AttributeError) as error:
         raise ValueError(
             f"Controller '{name}' cannot be imported ({error}); its module must be on the Python path of "
-            "every worker."
+            "every worker; PYTHONPATH=. before the command adds this folder."
         ) from error
     if not callable(found):
         raise ValueError(f"Controller '{name}' is {type(found).__name__}, and no function.")

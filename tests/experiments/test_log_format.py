@@ -191,6 +191,27 @@ def test_a_bad_description_is_refused(log: Log, tmp_path: Path, case: str) -> No
     assert str(refused.value) == f"walk.csv: {message}"
 
 
+def test_the_places_of_the_cells_say_what_a_foot_is(log: Log, tmp_path: Path) -> None:
+    path = write_log(log, tmp_path / "walk.csv")
+    side = path.with_suffix(".json")
+    description = json.loads(side.read_text())
+    feet = [
+        {
+            "name": foot["name"],
+            "position_cell_sole_m": foot["position_cell_sole_m"],
+            "mass_below_kg": foot["sensors"][0]["mass_below_kg"],
+            "com_below_sole_m": foot["sensors"][0]["com_below_sole_m"],
+        }
+        for foot in description["layout"]
+    ]
+    side.write_text(json.dumps(description | {"layout": feet}))
+    assert str(read_log(path).layout) == str(log.layout)
+    del feet[1]["position_cell_sole_m"]
+    side.write_text(json.dumps(description | {"layout": feet}))
+    with pytest.raises(LogError, match=r"layout: lacks 'position_cell_sole_m', where the load cells of a"):
+        read_log(path)
+
+
 def test_feet_that_no_robot_has_are_refused(log: Log, tmp_path: Path) -> None:
     path = write_log(log, tmp_path / "walk.csv")
     side = path.with_suffix(".json")

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 WORK = ROOT / "build" / "release"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-SWEEP = "surefoot sweep --controller zero --feed true --scenario nominal --seeds 1 --duration 1 --jobs 1"
+SWEEP = "surefoot sweep --controller zero --feed true --scenario speed-0.04 --seeds 1 --duration 5 --jobs 1"
 SERVES = {
     "": [
         "python -c 'from surefoot.calibration.native import installed; assert installed()'",
