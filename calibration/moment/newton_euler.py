@@ -124,12 +124,13 @@ class NewtonEuler:
 
         height = xp.mean(xp.reshape(height, (*batch, self._groups, -1)), axis=-1)
         given = (by_scale @ mean[..., None, unknowns.scale, None])[..., 0]
-        errors = self._error_columns(given, height, means[..., of_delay])
-        H = xp.concat([by_scale, by_offset, errors], axis=-1)
+        errors, vertical = self._error_columns(given, height, means[..., of_delay])
         # The forces are products of scales and tared readings: H x counts what the offsets do twice.
         asked = asked + (by_offset @ mean[..., None, unknowns.offset, None])[..., 0]
         to_cop = self._to_cop(given)
-        H, y = to_cop @ H, (to_cop @ asked[..., None])[..., 0]
+        H = to_cop @ xp.concat([by_scale, by_offset, errors], axis=-1)
+        H = xp.concat([H[..., :-1], vertical, H[..., -1:]], axis=-1)
+        y = (to_cop @ asked[..., None])[..., 0]
         variance = own.variance * noise[..., None, :] + 0.0 * y
         jitter = to_cop @ means[..., of_speed]
         variance = variance + config.timing_noise**2 / config.average * xp.sum(jitter * jitter, axis=-1)
@@ -190,11 +191,17 @@ class NewtonEuler:
         y = wrench[..., self._moment_x, None, None] / load
         return own.identity + x * own.shift_x + y * own.shift_y
 
-    def _error_columns(self, given: Array, height: Array, late: Array) -> Array:
-        """Return the columns of the reference's own errors, shape (..., groups, kinds, 7).
+    def _error_columns(self, given: Array, height: Array, late: Array) -> tuple[Array, Array]:
+        """Return the columns of the reference's own errors, without and with that of the vertical bias alone.
 
-        Those of the mass and of the centre of mass hold the wrench that the feet give and not the one asked
-        for: a column with the noise of the right-hand side in it would find what explains the noise.
+        A column with the noise of the right-hand side in it would find what explains the noise. So those of
+        the mass and of the centre of mass hold the wrench that the feet give and not the one asked for; and
+        that of the vertical bias is not to be moved to the centre of pressure: the way there has the noise of
+        the believed centre of mass in it, and changes the column by less than a tenth of a millimetre.
+
+        Returns:
+            Centre of mass, mass, forward and sideward bias and delay, shape (..., groups, kinds, 6); and the
+            vertical bias, shape (..., groups, kinds, 1).
         """
         xp, own = namespace_of(given), self._constants.like(given)
         zero, fz = xp.zeros_like(height), given[..., self.vertical]
@@ -204,7 +211,8 @@ class NewtonEuler:
             com = [[zero, zero], [zero, zero], *com, [given[..., _FY], -given[..., _FX]]]
         com_columns = xp.stack([xp.stack(row, axis=-1) for row in com], axis=-2)
         acceleration = own.bias_force + height[..., None, None] * own.bias_moment
-        return xp.concat([com_columns, given[..., None], acceleration, late], axis=-1)
+        level, vertical = acceleration[..., :2], acceleration[..., 2:]
+        return xp.concat([com_columns, given[..., None], level, late], axis=-1), vertical
 
 
 _CROSS: NDArray[np.float64] = np.zeros((3, 9))

@@ -788,6 +788,8 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
         sf_real load = given[fz] > SF_LEAST_LOAD ? given[fz] : SF_LEAST_LOAD;
         sf_real x = -given[fz + 2] / load, ahead_y = given[fz + 1] / load;
         sf_to_cop_rows(c, H, N, x, ahead_y);
+        /* The way there has the reference's noise in it: the column of the vertical bias is not moved. */
+        for (int kind = 0; kind < kinds; kind++) H[kind * N + 2 * K + 5] = kind == fz;
         sf_to_cop_rows(c, y, 1, x, ahead_y);
         sf_to_cop_rows(c, of_speed, K, x, ahead_y);
         sf_to_cop_rows(c, places, K, x, ahead_y);

@@ -32,6 +32,8 @@ def test_the_rows_hold_at_the_truth(layout, cross_talk):
 def draw(rng, name, size):
     count = {"com": 2, "acceleration": 3}.get(name)
     direction = rng.normal(size=count)
+    if name == "acceleration":
+        direction[2] = 0.0  # the vertical bias is told of forces alone, see below
     return size * direction / np.linalg.norm(direction) if count else size * np.sign(direction)
 
 
@@ -70,6 +72,23 @@ def test_each_axis_of_the_centre_of_mass_has_its_own_column(axis):
     error[axis] = 0.01
     assert np.abs(body.residual(com=error)).max() < 1e-12
     assert np.abs(body.residual(com=error, told=0.0)).max() > 0.01
+
+
+@pytest.mark.parametrize(("layout", "cross_talk"), list(bodies()))
+def test_no_column_holds_the_believed_centre_of_mass(layout, cross_talk):
+    # Its noise is on the right side, and a column that had it too would find what explains it.
+    body = Body(layout, 4, cross_talk)
+    there, moved = (body.rows(body.x, body.block(com=com)) for com in ((0.0, 0.0), (0.01, -0.02)))
+    about_level = slice(0, -1) if body.stream.newton_euler.kinds == 6 else slice(None)  # without Mz
+    np.testing.assert_allclose(moved.H[about_level], there.H[about_level], atol=1e-12)
+    assert np.abs(moved.y - there.y).max() > 0.01
+
+
+def test_a_vertical_bias_is_told_of_the_forces():
+    body = Body(LAYOUTS["cells"], 0)
+    forces = [body.residual(told=told, acceleration=np.array([0.0, 0.0, 0.1]))[0] for told in (1.0, 0.0)]
+    assert abs(forces[0]) < 1e-12
+    assert abs(forces[1]) == pytest.approx(0.1 / GRAVITY)
 
 
 def test_every_error_of_the_reference_starts_as_unsure_as_stated():
