@@ -24,12 +24,14 @@ class LiveErrors:
     """Errors that take the place of those of the hardware, and are changed between two readings.
 
     A reading c is undone by the hardware's true map, F = s c + o, and read again by a device with the errors
-    of now: c' = zero + slope ((1 + e) F + b). Both e and b are the hardware's error and a drift, times
-    ``severity``, and each channel's own error on top. Noise, clocks and wires stay those of the hardware.
+    of now: c' = zero + slope ((1 + e) F + b). Both e and b are the hardware's error, a drift and what the
+    temperature does, times ``severity``, and each channel's own error on top. Noise, clocks and wires stay
+    those of the hardware.
 
     Args:
         instruments: What is under the feet; its hardware must not drift by itself.
         walks: Densities of the drift of scale and offset in 1/sqrt(s) and N/sqrt(s), at a ``drift`` of 1.
+        tempcos: Standard deviations of what a kelvin adds to them in 1/K and N/K, each channel its own.
         feet: Names of the feet, for words.
         dt: Time between readings in s.
         rng: Where the drift comes from.
@@ -37,6 +39,7 @@ class LiveErrors:
     Attributes:
         severity: Factor of the errors of the hardware and of the drift.
         drift: Factor of the speed at which errors drift on.
+        temperature: How much warmer the cells are than at power-up in K.
         scale: Each channel's own relative error of the scale, shape (K,).
         offset: Each channel's own error of the offset in N, shape (K,).
         parameters: The map that undoes all of it, as of the last reading: truth.
@@ -46,6 +49,7 @@ class LiveErrors:
         self,
         instruments: Instruments,
         walks: tuple[float, float],
+        tempcos: tuple[float, float],
         feet: tuple[str, ...],
         dt: float,
         rng: np.random.Generator,
@@ -53,7 +57,11 @@ class LiveErrors:
         self._instruments, self._feet, self._dt, self._rng = instruments, feet, dt, rng
         self._spread = np.array(walks)[:, None] * dt**0.5
         self._walk = np.zeros((2, instruments.channels))
+        # Spawned, so that the drift of a seed is the same for whoever asks for other coefficients.
+        drawn = rng.spawn(1)[0].standard_normal(self._walk.shape)
+        self._tempco = np.array(tempcos)[:, None] * drawn
         self._broken: list[_Broken] = []
+        self.temperature = 0.0
         self.severity = self.drift = 1.0
         self.scale, self.offset = np.zeros((2, instruments.channels))
         self.parameters: Parameters = instruments.nominal
@@ -75,8 +83,9 @@ class LiveErrors:
         self._walk += self.drift * self._spread * drawn
         gain = 1.0 / (device.slope * hardware.scale)
         bias = -gain * (hardware.offset + device.zero_code * hardware.scale)
-        scale = 1.0 + self.severity * (gain - 1.0 + self._walk[0]) + self.scale
-        offset = self.severity * (bias + self._walk[1]) + self.offset
+        moved = self._walk + self.temperature * self._tempco
+        scale = 1.0 + self.severity * (gain - 1.0 + moved[0]) + self.scale
+        offset = self.severity * (bias + moved[1]) + self.offset
         force = hardware.scale * raw + hardware.offset
         counts = np.clip(device.zero_code + device.slope * (scale * force + offset), *device.code_range)
         if np.isfinite(device.code_range).all():

@@ -26,7 +26,7 @@ HURRY = 0.25
 LYING = 2.0
 """How long a robot lies where it fell before it gets up again, in s."""
 
-LATEST = ("severity", "drift", "scale", "offset", "payload", "slope", "speed", "pace")
+LATEST = ("severity", "drift", "temperature", "scale", "offset", "payload", "slope", "speed", "pace")
 """What is asked for many times while a slider is drawn: only the last counts."""
 
 

@@ -111,6 +111,7 @@ class Panel:
         session, gui = self._session, self._gui
         self._slider("severity", "severity", 0.0, 5.0, 0.1, "Factor of all errors of the cells.")
         self._slider("drift", "drift", 0.0, 20.0, 0.5, "Factor of the speed of their drift.")
+        self._slider("temperature, K", "temperature", -20, 40, 1, "How much warmer than at power-up.")
         self._cell = gui.add_dropdown("cell", session.channel_names)
         self._cell.on_update(lambda event: self.show_cell())
         self._scale = gui.add_slider("its scale, %", -90, 100, 1, 0, hint="Error on top of its own.")

@@ -22,6 +22,7 @@ from surefoot.experiments.view.recording import Recording
 from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
+from surefoot.sensors.presets import BAR_CELLS_ON_HX711
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView
 from surefoot.wrappers.instruments import layout_options, usual_cells
@@ -41,6 +42,7 @@ ERROR_STREAM = 0x5F02
 START: Mapping[str, Any] = {
     "severity": 1.0,
     "drift": 1.0,
+    "temperature": 0.0,
     "feed": "calibrated",
     "method": "moment",
     "payload": 0.0,
@@ -134,6 +136,9 @@ class Session:
             raise ValueError(f"{source.drawing.flaw} Or give flat soles to feet without area, with --soles.")
         cells = usual_cells(source.drawing)
         self._walk_densities = cells.scale_drift, cells.offset_drift
+        # The usual cells do not warm up; those whose data sheet says what that does are of the same kind.
+        known = BAR_CELLS_ON_HX711
+        self._tempcos = known.scale_tempco, known.offset_tempco * cells.capacity / known.capacity
         # Drift is that of LiveErrors, which can be changed.
         self._sensors = FootSensors(env, replace(cells, scale_drift=0.0, offset_drift=0.0))
         self._env = SelfCalibration(self._sensors, "none")
@@ -147,6 +152,7 @@ class Session:
         self._actions: Mapping[str, Callable[[Any], None]] = {
             "severity": self._set_severity,
             "drift": self._set_drift,
+            "temperature": self._set_temperature,
             "scale": self._set_scale,
             "offset": self._set_offset,
             "fault": lambda words: self.errors.break_channel(str(words)),
@@ -172,10 +178,10 @@ class Session:
         self.changes = [Change(0, what, value) for what, value in self._settings.items()]
         rng = np.random.default_rng([ERROR_STREAM, self.seed])
         self.errors = LiveErrors(
-            self._sensors.instruments, self._walk_densities, self.drawing.feet, self.dt, rng
+            self._sensors.instruments, self._walk_densities, self._tempcos, self.drawing.feet, self.dt, rng
         )
         self._lines: dict[str, _Line] = {}
-        for what in ("severity", "drift", "payload", "slope"):
+        for what in ("severity", "drift", "temperature", "payload", "slope"):
             # A robot without a torso carries nothing, which is no reason to refuse it.
             if what != "payload" or self.world.carries:
                 self._actions[what](self._settings[what])
@@ -188,6 +194,7 @@ class Session:
         |------|-------|
         | ``"severity"`` | factor of the sensors' errors |
         | ``"drift"`` | factor of the speed of their drift |
+        | ``"temperature"`` | how much warmer the cells are than at power-up in K |
         | ``"scale"``, ``"offset"`` | (channel, its own relative error, or its own error in N) |
         | ``"fault"`` | words, such as ``"left/2 dies"`` |
         | ``"repair"`` | nothing is broken any more |
@@ -359,6 +366,9 @@ class Session:
     def _set_drift(self, value: Any) -> None:
         self.errors.drift = _within("drift", value, 0.0, 100.0)
 
+    def _set_temperature(self, value: Any) -> None:
+        self.errors.temperature = _within("temperature", value, -40.0, 60.0)
+
     def _set_scale(self, value: Any) -> None:
         channel, error = self._of_channel(value)
         self.errors.scale[channel] = _within("scale", error, -0.9, 2.0)
@@ -407,11 +417,14 @@ def repeated(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
     if not isinstance(view, Mapping):
         raise ValueError("This log was not recorded by 'surefoot view', so that there is nothing to repeat.")
     changes = [Change(int(step), str(what), value) for step, what, value in view["changes"]]
-    first = dict(START)
-    chosen = {what: value for step, what, value in changes[: len(first)]}
+    chosen: dict[str, Any] = {}
+    # First what was chosen before the power-up, of which older recordings know less.
+    while changes and changes[0].what in START and changes[0].what not in chosen:
+        _, what, value = changes.pop(0)
+        chosen[what] = value
     made = {name: view[name] for name in ("controller", "feet", "soles")}
     session = Session(view["env"], seed=int(view["seed"]), start=chosen, **made)
-    return session, changes[len(first) :]
+    return session, changes
 
 
 def method_chosen(name: Any) -> str:

@@ -13,7 +13,7 @@ from surefoot.calibration.estimate import Flag
 from surefoot.experiments.logs.format import read_log, write_log
 from surefoot.experiments.view.session import Session, repeated
 from surefoot.experiments.walking.calibrate import calibrate_log
-from surefoot.sensors.presets import HX711_LOAD_CELLS
+from surefoot.sensors.presets import BAR_CELLS_ON_HX711, HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 STAND = "surefoot/NaoStand-v0"
@@ -52,7 +52,7 @@ def test_severity_scales_the_errors_of_the_hardware() -> None:
     np.testing.assert_allclose(ratio, 3.0, rtol=0.02)
 
 
-@pytest.mark.parametrize("start", [{}, {"severity": 2.5, "drift": 4.0}])
+@pytest.mark.parametrize("start", [{}, {"severity": 2.5, "drift": 4.0, "temperature": 30.0}])
 def test_the_true_map_undoes_all_errors(start: dict[str, float]) -> None:
     session = Session(STAND, seed=3, start=start)
     session.change("scale", (1, 0.3))
@@ -75,6 +75,20 @@ def test_a_changed_scale_and_offset_move_the_raw_cop() -> None:
     assert after.force[3] == pytest.approx(before.force[3] - 2.0, abs=0.01)
     np.testing.assert_allclose(np.delete(after.force, [0, 3]), np.delete(before.force, [0, 3]))
     assert np.linalg.norm(after.cop_world - before.cop_world) > 0.005
+
+
+def test_warm_cells_err_by_what_a_kelvin_adds_to_each() -> None:
+    usual, warm = (Session(STAND, seed=2, start={"severity": 2.0}, controller="zero") for _ in range(2))
+    tempco = warm.errors._tempco
+    spread = BAR_CELLS_ON_HX711.scale_tempco, BAR_CELLS_ON_HX711.offset_tempco
+    np.testing.assert_allclose(tempco.std(axis=1), spread, rtol=0.6)
+    warm.change("temperature", 40.0)
+    before, after = (run(session, 10).shown().readings["raw"].force for session in (usual, warm))
+    load = warm.shown().readings["true"].force
+    np.testing.assert_allclose(after - before, 2.0 * 40.0 * (tempco[0] * load + tempco[1]), atol=2e-3)
+    # Nothing of it is left where the temperature is that of the power-up.
+    warm.change("temperature", 0.0)
+    np.testing.assert_array_equal(*(run(session, 5)._raw for session in (usual, warm)))
 
 
 def test_drift_is_as_fast_as_it_is_set() -> None:
@@ -196,6 +210,9 @@ def test_a_recording_is_read_back_calibrated_and_repeated(tmp_path: Path, undraw
     result = calibrate_log(log, "moment", folder=tmp_path, stem="stand", file="stand.parquet")
     assert result.walk.is_file()
 
+    # A recording from before there was a temperature is repeated as well.
+    older = [change for change in log.about["view"]["changes"] if change[1] != "temperature"]
+    assert repeated(log.about | {"view": log.about["view"] | {"changes": older}})[1][0].what == "fault"
     again, changes = repeated(log.about)
     assert [change.what for change in changes] == ["fault", "payload", "method"]
     for k in range(120):
@@ -231,6 +248,7 @@ def test_a_recording_ends_with_its_episode() -> None:
         ("scale", (0, float("nan")), "'scale' lies from -0.9 to 2, got nan."),
         ("fault", "left/5 dies", "There is no cell 'left/5'"),
         ("fault", "left/1 sings", ""),
+        ("temperature", 80, "'temperature' lies from -40 to 60, got 80."),
         ("feed", "guess", "There is no feed 'guess'. Available: true, raw, calibrated."),
         ("method", "kalman", "Method 'kalman' does not exist."),
         ("slope", 20, "A slope is at most 10 degrees, got 20."),
