@@ -12,6 +12,7 @@ from surefoot.experiments.study.tables import (
     Cell,
     Frame,
     Table,
+    Valued,
     count_of,
     flat,
     laid_out,
@@ -59,8 +60,9 @@ def _of_methods(cell: Cell) -> Cell:
 def _nees(runs: Frame) -> str:
     if not runs["nees_end"].notna().any():
         return "–"
-    low, high = consistent(runs)
-    return f"{number(float(runs['nees_end'].mean()))} [{number(low)}, {number(high)}]"
+    (low, high), mean = consistent(runs), float(runs["nees_end"].mean())
+    text = f"{number(mean)} [{number(low)}, {number(high)}]"
+    return Valued.of(text, {"value": mean, "from": low, "to": high})
 
 
 def _nis(runs: Frame) -> str:

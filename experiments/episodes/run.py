@@ -22,6 +22,7 @@ from surefoot.experiments.episodes.episode import (
 from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.rows import read_rows
 from surefoot.experiments.study.page import save_frames
+from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.runner import attempt, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import PLAN, Case, Store
@@ -81,7 +82,8 @@ def run_plan(
         missing = [case for case in cases if not store.holds(case, **options)]
         computed = 0
         if missing:
-            _try_out([case.arguments[0] for case in missing])
+            with working("trying out each kind"):
+                _try_out([case.arguments[0] for case in missing])
             crew = stack.enter_context(runner(jobs, console=console, backend=backend, address=address))
             computed = crew.run("Episodes", cases, store, failed=_failed, count={"fell": _fell}, **options)
         rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)

@@ -13,6 +13,7 @@ from surefoot.experiments.study.tables import (
     Column,
     Frame,
     Table,
+    Valued,
     Verdict,
     count_of,
     interval_text,
@@ -28,8 +29,13 @@ MOST_FAILURES = 50  # failed episodes that are listed
 
 
 def percent(share: Sequence[float], form: str = "{:.1f} % ({:.0f} to {:.0f})") -> str:
-    """Return a share with the ends of its interval in percent."""
-    return form.format(*(100 * part for part in share[:3]))
+    """Return a share with the ends of its interval in percent.
+
+    >>> percent((0.64, 0.52, 0.75)), percent((0.64, 0.52, 0.75)).value
+    ('64.0 % (52 to 75)', {'percent': 64.0, 'from': 52.0, 'to': 75.0})
+    """
+    parts = [100 * part for part in share[:3]]
+    return Valued.of(form.format(*parts), dict(zip(("percent", "from", "to"), parts, strict=True)))
 
 
 def _fell(share: Share) -> str:
