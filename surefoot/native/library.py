@@ -5,6 +5,7 @@ import logging
 import os
 from collections.abc import Mapping
 from functools import cache
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,17 @@ ADDRESS = ctypes.c_void_p
 """Type of an argument of a library's function that points to a record or an array."""
 
 _BY_HAND = "python -m surefoot.native"
+
+
+_KINDS: dict[str, np.dtype[Any]] = {
+    "int": np.dtype(np.int32),
+    "whole": np.dtype(np.int64),
+    "word": np.dtype(np.uint64),
+    "byte": np.dtype(np.bool_),
+    "double": np.dtype(np.float64),
+    "single": np.dtype(np.float32),
+    "small": np.dtype(np.int8),
+}
 
 
 class _Place(ctypes.Structure):
@@ -39,11 +51,13 @@ class Library(NamedTuple):
         functions: Its functions.
         real: The dtype of its numbers.
         places: Kind, offset and size in bytes of each field, by record and field; of a whole record under "".
+        found: What :meth:`record` has returned so far, by its arguments: an episode asks for the same again.
     """
 
     functions: Any
     real: np.dtype[Any]
     places: dict[str, dict[str, tuple[str, int, int]]]
+    found: dict[Any, np.dtype[Any] | None]
 
     def record(self, name: str, shapes: Mapping[str, tuple[int, ...]]) -> np.dtype[Any] | None:
         """Return the dtype of a record whose fields are as large as here; ``None`` if one has no room.
@@ -52,20 +66,17 @@ class Library(NamedTuple):
             name: One of the records in its ``library.c``, such as ``config`` or ``state``.
             shapes: The shape of each field.
         """
-        kinds: dict[str, np.dtype[Any]] = {
-            "int": np.dtype(np.int32),
-            "whole": np.dtype(np.int64),
-            "word": np.dtype(np.uint64),
-            "byte": np.dtype(np.bool_),
-            "double": np.dtype(np.float64),
-            "single": np.dtype(np.float32),
-            "small": np.dtype(np.int8),
-        }
+        key = name, *shapes.items()
+        if key not in self.found:
+            self.found[key] = self._layout(name, shapes)
+        return self.found[key]
+
+    def _layout(self, name: str, shapes: Mapping[str, tuple[int, ...]]) -> np.dtype[Any] | None:
         places, formats = self.places[name], []
         for field, shape in shapes.items():
             kind, _, size = places[field]
-            dtype = kinds.get(kind, self.real)
-            if int(np.prod(shape)) * dtype.itemsize > size:
+            dtype = _KINDS.get(kind, self.real)
+            if prod(shape) * dtype.itemsize > size:
                 return None
             formats.append((dtype, shape))
         offsets = [places[field][1] for field in shapes]
@@ -123,7 +134,7 @@ class Native:
         for place in functions.surefoot_places()[: functions.surefoot_places_count()]:
             fields = places.setdefault(place.record.decode(), {})
             fields[place.field.decode()] = place.kind.decode(), place.offset, place.size
-        return Library(functions, np.dtype(f"f{functions.surefoot_real_size()}"), places)
+        return Library(functions, np.dtype(f"f{functions.surefoot_real_size()}"), places, {})
 
     def installed(self) -> Library | None:
         """Return the library of this package; ``None``, with one line in the log, if it cannot be used."""
