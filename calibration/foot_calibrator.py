@@ -135,20 +135,26 @@ class FootCalibrator:
             raw = np.asarray(raw, dtype=np.float64)
         dt = self.setup.dt if dt is None else dt
         if self._native is not None and self._native.takes(raw, reference, dt):
-            native = self._native.state(self._state)
+            native = self.native()
             if native is not None:
-                self._state = native
-                return self._native.update(native, raw, reference, dt)
+                return self._native.update(native[1], raw, reference, dt)
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
         state = self._init(raw) if self._state is None else self.state
         self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
 
-    @property
-    def native(self) -> NativeFilter | None:
-        """The library's filter, if it made the last estimate."""
-        return self._native if type(self._state) is NativeState else None
+    def native(self) -> tuple[NativeFilter, NativeState] | None:
+        """Return the library's filter and its state, begun if there was no sample; ``None`` in Python."""
+        native, state = self._native, self._state
+        if native is None:
+            return None
+        if type(state) is not NativeState:
+            state = native.state(state)
+            if state is None:
+                return None
+            self._state = state
+        return native, state
 
     def retract(self, which: Array | bool = True) -> None:
         """Take back what was learnt in the last seconds, for a robot that has fallen or was seized.

@@ -20,12 +20,15 @@ class Chances:
             upright: Whether it has a reference.
             standing: Whether a foot surely stood.
         """
-        standing = upright and standing
         self._samples += 1
         self._upright += upright
-        self._standing += standing
-        self._run = self._run + 1 if standing else 0
-        self._longest = max(self._longest, self._run)
+        if not (upright and standing):
+            self._run = 0
+            return
+        self._standing += 1
+        self._run += 1
+        if self._run > self._longest:
+            self._longest = self._run
 
     def judge(self, learnt: bool, dt: float) -> None:
         """Warn, once and not before :data:`PATIENCE`, if nothing was learnt.

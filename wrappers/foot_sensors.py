@@ -18,6 +18,7 @@ from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
 from surefoot.wrappers.foot_device import FootDevice, foot_device
 from surefoot.wrappers.instruments import Instruments, InstrumentsState, usual_cells
+from surefoot.wrappers.native_sensing import NativeSensing, native_sensing
 from surefoot.wrappers.native_telemetry import telemetry_of
 from surefoot.wrappers.raw_view import RawView
 from surefoot.wrappers.source import (
@@ -110,7 +111,6 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     Attributes:
         source: What records the truth.
         instruments: What is under the feet.
-        packets: Telemetry that arrived during the last step, in order; only while somebody listens.
         time: The host's time since the reset in s.
         sensors_fresh: Whether the last reset drew fresh sensors.
 
@@ -178,7 +178,8 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         self._listening = self._measures
         self._hardware: HardwareState | None = None
         self.sensors_fresh = True
-        self.packets: Packets = ()
+        self._packets: Packets | None = ()
+        self._sensing: NativeSensing | None = None
         self.time = 0.0
         self._telemetry: Telemetry | None = None
         self._raw: NDArray[np.float64] | None = None
@@ -218,9 +219,15 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         if before is not None:
             check_clock("FootSensors", self.env, self._clock - before, dt)
         self.time += dt
+        sensing = self._by_library(truth)
+        read = None if sensing is None else sensing.step(truth, self.time, observation)
+        if read is not None:
+            self._packets = None  # made of the library's rows when somebody asks
+            self._raw, seen = read
+            return seen, reward, terminated, truncated, info
         self._read(truth, dt)
         if self._telemetry_state is not None:
-            self.packets, self._telemetry_state = self.telemetry.advance(
+            self._packets, self._telemetry_state = self.telemetry.advance(
                 truth.joint_position,
                 truth.inertial,
                 self.time,
@@ -228,6 +235,17 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
                 self._streams["telemetry"],
             )
         return self._view.show(observation, self.raw, self.packets), reward, terminated, truncated, info
+
+    @property
+    def packets(self) -> Packets:
+        """Telemetry that arrived during the last step, in order; only while somebody listens."""
+        if self._packets is None:
+            self._packets = () if self._sensing is None else self._sensing.packets()
+        return self._packets
+
+    def arrived(self) -> tuple[int, int] | None:
+        """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
+        return None if self._packets is not None or self._sensing is None else self._sensing.arrived()
 
     @property
     def raw(self) -> NDArray[np.float64]:
@@ -300,6 +318,23 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
             "telemetry": "none" if self._telemetry_state is None else "an IMU and encoders, which are read",
         }
 
+    def _by_library(self, truth: Any) -> NativeSensing | None:
+        """Return what reads a whole step in one call; ``None`` where Python does it, or its parts."""
+        state, streams, sensing = self._telemetry_state, self._streams, self._sensing
+        if self._broken is not None or state is None:
+            return None
+        now = self._devices.instruments
+        if sensing is None or not sensing.goes_on(now, state, streams):
+            sensing = native_sensing(
+                truth, self.instruments, now, self._telemetry, state, streams, self._view
+            )
+            self._sensing = sensing
+        return sensing
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The library's rows, of which packets are made, stay behind.
+        return {**vars(self), "_packets": self.packets}
+
     def _drawn_streams(self, seed: int | None) -> dict[str, Any]:
         return {device: Stream.of(*stream_key(device, self._stream, seed)) for device in DEVICES}
 
@@ -319,7 +354,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         if self._listening:
             # At the reset a robot hangs just above its footprints; packets before are of one that stood.
             inertial = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
-            self.packets, self._telemetry_state = self.telemetry.init(
+            self._packets, self._telemetry_state = self.telemetry.init(
                 truth.joint_position[-1].copy(), inertial, streams["telemetry"], kept
             )
 

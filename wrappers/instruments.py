@@ -111,8 +111,14 @@ class CellsUnderFeet:
 
     def read(self, truth: Any, state: CellState, rng: Rng, dt: float) -> tuple[Floats, CellState]:
         """Read them after a control step of dt; a state of the library's goes on in place."""
-        counts, after = self._device.apply(truth.force_cell, state, rng, dt)
+        counts, after = self._device.apply(self.load(truth), state, rng, dt)
         return counts, after
+
+    @staticmethod
+    def load(truth: Any) -> Floats:
+        """Return the loads that they read, at the ends of substeps in N, shape (S, K)."""
+        load: Floats = truth.force_cell
+        return load
 
     def force(self, truth: Any) -> Floats:
         """Return the true forces at the end of a control step in N, shape (K,)."""
@@ -175,8 +181,14 @@ class SensorsInAnkles:
 
     def read(self, truth: Any, state: AnkleState, rng: Rng, dt: float) -> tuple[Floats, AnkleState]:
         """Read them at the end of a control step of dt; a state of the library's goes on in place."""
-        counts, after = self._device.apply(truth.wrench_ankle[-1].ravel(), state, rng, dt)
+        counts, after = self._device.apply(self.load(truth), state, rng, dt)
         return counts, after
+
+    @staticmethod
+    def load(truth: Any) -> Floats:
+        """Return the loads that they read, at the end of a control step in N and N m, shape (K,)."""
+        load: Floats = truth.wrench_ankle[-1].ravel()
+        return load
 
     def force(self, truth: Any) -> Floats:
         """Return the true loads at the end of a control step in N and N m, shape (K,)."""

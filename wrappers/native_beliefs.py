@@ -36,7 +36,6 @@ class NativeBeliefs:
         believed: What the last :meth:`sample` found; the next one overwrites it.
         known: Whether it is anything.
         standing: Whether a foot surely stood.
-        soles_address: Where the library finds the soles.
 
     Raises:
         ValueError: If the library is not made for such a robot; docs/native.md has its limits.
@@ -74,10 +73,14 @@ class NativeBeliefs:
         self.known, self.standing = beliefs.known, beliefs.standing
         records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
-        self.soles_address = self._addresses[-1]
+
+    def _keep_up(self) -> None:
+        """Take over the model's masses if they have changed."""
+        if self.model.revision != self._revision:
+            self._adopt()
 
     def _adopt(self) -> None:
-        """Take over the model, whose masses have changed."""
+        """Take over the model."""
         tree, library = self.model.tree(), self.library
         sizes = {} if tree is None else {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
         model = None if tree is None else library.filled("model", {**sizes, **tree})
@@ -99,8 +102,7 @@ class NativeBeliefs:
 
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
-        if self.model.revision != self._revision:
-            self._adopt()
+        self._keep_up()
         timing, state, rows, _, _ = self._addresses
         for start in range(0, len(packets), AT_ONCE):
             some = packets[start : start + AT_ONCE]
@@ -112,13 +114,34 @@ class NativeBeliefs:
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
         timing, state, _, planned, _ = self._addresses
-        if command is not None:
-            self._stance[...], self._swing[...] = command.stance, command.swing
         found = self._functions.surefoot_beliefs_sample(
-            timing, state, time, None if command is None else planned, hold, self.believed.address
+            timing, state, time, planned if self.plan(command) else None, hold, self.believed.address
         )
-        self.known, self.standing = found & 2 > 0, found & 4 > 0
+        self.tell(found)
         return bool(found & 1)
+
+    def addresses(self) -> dict[str, int]:
+        """Return where the library finds its records now, by their names in ``sf_sample_records``."""
+        self._keep_up()
+        timing, state, _, planned, _ = self._addresses
+        return {
+            "model": self._tree,
+            "timing": timing,
+            "beliefs": state,
+            "belief": self.believed.address,
+            "planned": planned,
+        }
+
+    def plan(self, command: Any) -> bool:
+        """Put a plan where the library finds it; return whether there is one."""
+        if command is None:
+            return False
+        self._stance[...], self._swing[...] = command.stance, command.swing
+        return True
+
+    def tell(self, found: int) -> None:
+        """Learn what the library found of a sample."""
+        self.known, self.standing = found & 2 > 0, found & 4 > 0
 
     def info(self) -> dict[str, Any]:
         """As :meth:`Beliefs.info`."""
@@ -130,14 +153,10 @@ class NativeBeliefs:
         self._functions.surefoot_beliefs_reference(timing, state, time, self._other.address)
         return self._other.reference()._replace(stance=stance, swing=swing)
 
-    def find_soles(self, time: float) -> None:
-        """Put :meth:`soles` where :attr:`soles_address` points to."""
-        timing, state, _, _, soles = self._addresses
-        self._functions.surefoot_beliefs_soles(timing, state, time, soles)
-
     def soles(self, time: float) -> tuple[SolePose, SolePose]:
         """As :meth:`Beliefs.soles`."""
-        self.find_soles(time)
+        timing, state, _, _, soles = self._addresses
+        self._functions.surefoot_beliefs_soles(timing, state, time, soles)
         left, right = self._soles.tolist()
         return SolePose(*left), SolePose(*right)
 

@@ -46,6 +46,11 @@ class NativeTelemetry(Telemetry):
         dt: Duration of a control step in s.
         substeps: Rows of truth in a control step.
 
+    Attributes:
+        inputs: What it measures next: joints in rad, shape (S, J), and IMU in m/s^2 and rad/s, shape (S, 6).
+        address: Where the library finds what stays where it is.
+        arrived_address: Where rows lie of the packets that the last step has delivered.
+
     Raises:
         ValueError: If the robot does not fit into the library's arrays.
     """
@@ -91,7 +96,8 @@ class NativeTelemetry(Telemetry):
         self._shape = self._position.shape
         arrays = (self.config, self._position, self._inertial, normals, self._arrived)
         self._arrays = np.array([array.ctypes.data for array in arrays], dtype=np.uintp)
-        self._at = self._arrays.ctypes.data
+        self.inputs = self._position, self._inertial
+        self.address, self.arrived_address = self._arrays.ctypes.data, self._arrived.ctypes.data
 
     def __reduce__(self) -> tuple[Any, ...]:
         return telemetry_of, self._arguments
@@ -110,9 +116,9 @@ class NativeTelemetry(Telemetry):
             noisy = joints if self.config["encoder_noise"] else 0
             normals = rng.standard_normal(drawn + noisy + self.before_start * self._draws)
         self._position[0], self._inertial[0] = position, inertial
-        told = self._init(self._at, state.address, stream, normals.ctypes.data, fresh)
+        told = self._init(self.address, state.address, stream, normals.ctypes.data, fresh)
         state.coming = (told >> 16) - 1
-        return self._come(told & 0xFFFF), state
+        return self.packets(told & 0xFFFF), state
 
     def advance(
         self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
@@ -126,11 +132,12 @@ class NativeTelemetry(Telemetry):
         if stream is None:
             rng.standard_normal(out=self._normals[native.coming])
         self._position[...], self._inertial[...] = position, inertial
-        told = self._advance(self._at, native.address, stream, time)
+        told = self._advance(self.address, native.address, stream, time)
         native.coming = (told >> 16) - 1
-        return self._come(told & 0xFFFF), native
+        return self.packets(told & 0xFFFF), native
 
-    def _come(self, count: int) -> Packets:
+    def packets(self, count: int) -> Packets:
+        """Return the packets that the last step has delivered, so many."""
         heads, contents = self._heads, self._contents
         return tuple(
             [Packet(int(heads[row, 0]), heads[row, 1], contents[row].copy()) for row in range(count)]

@@ -29,6 +29,9 @@ class RawView:
 
     Attributes:
         space: What is shown.
+        bounds: Those of the state, of which parts are measured; of nothing where none are.
+        held: The last reading of each channel that has arrived in counts, shape (K,).
+        newest: Values of the newest packet.
 
     Raises:
         TypeError: If readings are shown already, or truth is where it cannot be taken out.
@@ -51,22 +54,23 @@ class RawView:
                 f"environment that it reads, and one is enough; got {env}."
             )
         kept = {key: part for key, part in parts.items() if key not in TRUE_KEYS}
+        self._alone = list(kept) == ["state"]
         self.space = spaces.Dict(kept | {"foot_raw": instruments.space})
         self._state_layout = state_layout
-        if state_layout is not None:
-            state: Any = kept["state"]
-            self._bounds = state.low, state.high
+        state: Any = spaces.Box(0.0, 0.0, (0,)) if state_layout is None else kept["state"]
+        self.bounds = state.low, state.high
         self._measured: list[tuple[slice, slice]] = []
-        self._newest: NDArray[np.float64]
+        self.newest: NDArray[np.float64]
         self._zero_code = instruments.zero_code.astype(np.float32)
-        self.hold_unloaded()
+        self.held = self._zero_code.copy()
 
     def hold_unloaded(self) -> None:
         """Hold the readings of unloaded sensors until others arrive."""
-        self._held = self._zero_code
+        self.held[:] = self._zero_code
 
     def listen(self, layout: TelemetryLayout) -> None:
         """Learn where the measured parts of the state lie in a packet."""
+        self.newest = np.zeros(layout.size)
         if self._state_layout is not None:
             self._measured = _overwritten(self._state_layout, layout)
 
@@ -78,20 +82,43 @@ class RawView:
             raw: The feet's readings in counts, shape (K,); NaN where none arrived.
             packets: Telemetry that arrived, in order.
         """
-        if not self._was_dict:
-            return {"state": own_copy(observation), "foot_raw": self._counts(raw)}
-        seen = {key: own_copy(part) for key, part in observation.items() if key not in TRUE_KEYS}
+        state = None
         if self._state_layout is not None:
             if packets:
-                self._newest = packets[-1].values
-            state = seen["state"]
+                self.newest[:] = packets[-1].values
+            state = own_copy(observation["state"])
             for where, measured in self._measured:
-                state[where] = self._newest[measured]
-            low, high = self._bounds
+                state[where] = self.newest[measured]
+            low, high = self.bounds
             np.maximum(state, low, out=state)
-            seen["state"] = np.minimum(state, high, out=state)
-        seen["foot_raw"] = self._counts(raw)
+            np.minimum(state, high, out=state)
+        return self.seen(observation, self._counts(raw), state)
+
+    def seen(self, observation: Any, counts: NDArray[np.float32], state: Any) -> dict[str, Any]:
+        """Put together what is seen.
+
+        Args:
+            observation: What the environment shows.
+            counts: What is shown of the readings.
+            state: What is shown as the state; ``None`` for the environment's.
+        """
+        if not self._was_dict:
+            return {"state": own_copy(observation), "foot_raw": counts}
+        if state is not None and self._alone:
+            return {"state": state, "foot_raw": counts}
+        seen = {key: own_copy(part) for key, part in observation.items() if key not in TRUE_KEYS}
+        if state is not None:
+            seen["state"] = state
+        seen["foot_raw"] = counts
         return seen
+
+    def measured(self) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]:
+        """Return room for a state to be shown, and which of its numbers are which ones of a packet."""
+        to, taken = (
+            np.array([i for pair in self._measured for i in range(pair[k].start, pair[k].stop)], np.int32)
+            for k in (0, 1)
+        )
+        return np.zeros_like(self.bounds[0]), to, taken
 
     def _counts(self, raw: NDArray[np.float64]) -> NDArray[np.float32]:
         """Show the last reading of each channel that arrived."""
@@ -99,9 +126,9 @@ class RawView:
         # One number tells whether to look closer, in a third of the time.
         if not raw.dot(raw) < np.inf:
             missing = np.isnan(counts)
-            counts[missing] = self._held[missing]
-        self._held = counts
-        return counts.copy()
+            counts[missing] = self.held[missing]
+        self.held[:] = counts
+        return counts
 
 
 def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:

@@ -17,11 +17,11 @@ from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.chances import Chances
 from surefoot.wrappers.foot_sensors import FootSensors
-from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty, seen_below
+from surefoot.wrappers.foot_view import DEFAULT, RAW, FootView, check_certainty, seen_below
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
 from surefoot.wrappers.native_beliefs import NativeBeliefs, native_beliefs
-from surefoot.wrappers.native_view import NativeView
+from surefoot.wrappers.native_sample import NativeSample
 from surefoot.wrappers.nominal import Masses, NominalModel
 from surefoot.wrappers.source import (
     check_clock,
@@ -112,7 +112,6 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         calibrator: The calibrator.
         beliefs: The robot's beliefs.
         reference_time: The moment that it describes, in s of the host's clock since the reset.
-        estimate: Its last estimate.
         frozen: Whether nothing is learnt for now.
 
     Raises:
@@ -170,7 +169,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         # A calibrator is made at a reset; one now refuses bad options before the first step.
         self._calibrator(start.known, 1.0 / 80.0, lag or 0)
         self._view = FootView(show, self.layout, self._model.mass, drawing.flaw)
-        self._native_view: NativeView | None = None
+        self._native: NativeSample | None = None
         check_certainty(show, method)
         space = env.observation_space
         if not isinstance(space, spaces.Dict):
@@ -185,7 +184,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.calibrator: FootCalibrator
         self.beliefs: Beliefs | NativeBeliefs
         self.reference_time = 0.0
-        self.estimate: Estimate
+        self._estimate: Estimate | None = None
         self.frozen = self._made = False
         self._waiting = 0
         self._chances = Chances()
@@ -226,7 +225,6 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
                 dt=telemetry.dt,
             )
         )
-        self.beliefs.update(sensors.packets)
         self._view.begin_episode()
         return self._calibrate(observation, info), info
 
@@ -235,12 +233,21 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         before = self._sensors.time
         observation, reward, terminated, truncated, info = self.env.step(action)
         check_clock("SelfCalibration", self.env, self._sensors.time - before, self._sensors.telemetry.dt)
-        self.beliefs.update(self._sensors.packets)
         observation = self._calibrate(observation, info)
         if terminated:
-            # Mostly a fall, which began some moments ago.
+            # Mostly a fall, which began some moments ago; the estimate is of before.
+            self._estimate = self.estimate
             self.calibrator.retract()
         return observation, reward, terminated, truncated, info
+
+    @property
+    def estimate(self) -> Estimate:
+        """The calibrator's last estimate."""
+        if self._estimate is None:
+            if self._native is None:
+                raise gym.error.ResetNeeded("There is no estimate before the first reset().")
+            self._estimate = self._native.estimate()
+        return self._estimate
 
     @property
     def reference(self) -> Reference:
@@ -276,6 +283,10 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.calibrator.state = learnt.state
         self._wait_out()
 
+    def __getstate__(self) -> dict[str, Any]:
+        # The library's record, of which an estimate is made, stays behind.
+        return {**vars(self), "_estimate": self.estimate if self._made else None}
+
     def _moved(self) -> bool:
         """Return whether the map is no longer the starting map."""
         start, now = self.calibrator.setup.initial, self.estimate
@@ -310,33 +321,49 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._made, self._waiting = True, 0
 
     def _calibrate(self, observation: dict[str, Any], info: dict[str, Any]) -> dict[str, Any]:
+        """Take in the packets that have arrived and one sample."""
         sensors = self._sensors
         self.reference_time = sensors.time - self._late * sensors.telemetry.dt - self._age
-        beliefs, hold = self.beliefs, self.frozen or self._waiting > 0
+        hold, command = self.frozen or self._waiting > 0, getattr(sensors.source, "command", None)
         self._waiting = max(self._waiting - 1, 0)
-        if beliefs.sample(self.reference_time, getattr(sensors.source, "command", None), hold):
-            self.calibrator.retract()
-        self._chances.add(beliefs.known, beliefs.standing)
-        self.estimate = estimate = self.calibrator.update(sensors.raw, beliefs.believed)
-        info.setdefault("surefoot", {}).update(
+        beliefs, native = self.beliefs, self._by_library()
+        arrived = None if native is None else sensors.arrived()
+        if arrived is None:
+            beliefs.update(sensors.packets)
+        if native is not None:
+            self._estimate = None  # made of the library's record when somebody asks
+            shown, told = native.step(
+                sensors.raw, (self.reference_time, sensors.time), command, hold, arrived
+            )
+        else:
+            if beliefs.sample(self.reference_time, command, hold):
+                self.calibrator.retract()
+            self._estimate = estimate = self.calibrator.update(sensors.raw, beliefs.believed)
+            shown = self._view.show(estimate, beliefs.soles(sensors.time))
             # Copies, as an estimate may hold arrays of the one before.
-            parameters={"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
-            covariance=None if estimate.covariance is None else estimate.covariance.copy(),
-            flags=estimate.flags.copy(),
-            vgrf=estimate.vgrf.copy(),
-            reference=beliefs.info(),
-            lag=self._late,
-        )
-        return seen_below(observation, self._show) | self._shown(estimate)
+            told = {
+                "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
+                "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
+                "flags": estimate.flags.copy(),
+                "vgrf": estimate.vgrf.copy(),
+                "reference": beliefs.info(),
+            }
+        self._chances.add(beliefs.known, beliefs.standing)
+        told["lag"] = self._late
+        info.setdefault("surefoot", {}).update(told)
+        seen = {**observation, **shown}
+        if RAW not in self._show:
+            seen.pop(RAW, None)
+        return seen
 
-    def _shown(self, estimate: Estimate) -> dict[str, Any]:
-        """Return the feet's part of the observation."""
-        beliefs, native, time = self.beliefs, self.calibrator.native, self._sensors.time
+    def _by_library(self) -> NativeSample | None:
+        """Return what takes in a whole sample in one call; ``None`` where Python does it, or its parts."""
+        beliefs, native = self.beliefs, self.calibrator.native()
         if native is None or not isinstance(beliefs, NativeBeliefs):
-            return self._view.show(estimate, beliefs.soles(time))
-        if self._native_view is None or self._native_view.calibrator is not native:
-            self._native_view = NativeView(beliefs.library, self._view, native)
-        return self._native_view.show(beliefs, time)
+            self._native = None
+        elif self._native is None or not self._native.goes_on(beliefs, native[1]):
+            self._native = NativeSample(beliefs, *native, self._view, self.calibrator.setup.dt)
+        return self._native
 
     def _initial(self, rng: np.random.Generator) -> Parameters:
         """Find the map to start from."""

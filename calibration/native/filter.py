@@ -63,7 +63,9 @@ class NativeFilter:
 
     Attributes:
         config: The same.
+        raw: What it reads, shape (K,).
         estimate: The record of the last estimate.
+        addresses: Where the library finds these three.
     """
 
     def __init__(self, library: Library, stream: MomentStream, config: NDArray[Any]) -> None:
@@ -77,7 +79,7 @@ class NativeFilter:
         self._dtypes = tuple(
             contacts if field in ("stance", "swing") else self._real for field in Reference._fields
         )
-        self._raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
+        self.raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
         shapes = {
             "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_foot": (F, 2), "scale": (K,),
             "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2), "nis": (), "nis_rows": (),
@@ -92,9 +94,13 @@ class NativeFilter:
         self._dtype = state
         self._reference, self.estimate = np.zeros((), reference), Record(estimate)
         self._inputs = tuple(self._reference[field] for field in _OF_REFERENCE)
-        self._addresses = (
-            config.ctypes.data, self._raw.ctypes.data, self._reference.ctypes.data, self.estimate.address
-        )  # fmt: skip
+        self.addresses = {
+            "config": config.ctypes.data,
+            "raw": self.raw.ctypes.data,
+            "estimate": self.estimate.address,
+        }
+        config_at, raw_at, out_at = self.addresses.values()
+        self._addresses = config_at, raw_at, self._reference.ctypes.data, out_at
 
     def init(self) -> NativeState:
         """Return the state before any sample."""
@@ -160,7 +166,7 @@ class NativeFilter:
         self, state: NativeState, raw: Array, reference: Reference | ReferenceRecord, dt: float
     ) -> Estimate:
         """Take in one sample that :meth:`takes` has looked at; the state goes on in place."""
-        self._raw[...] = raw
+        self.raw[...] = raw
         config, reading, beliefs, out = self._addresses
         if isinstance(reference, ReferenceRecord):
             beliefs = reference.address
@@ -169,14 +175,17 @@ class NativeFilter:
             com[...], acceleration[...], rate[...] = reference[:3]
             position[...], R[...], stance[...], swing[...] = reference[3:7]
         self._functions.surefoot_step(config, state.address, reading, beliefs, dt, out)
-        one = self.estimate.copy()
-        nis = one["nis"][()]
-        if nis == nis:
+        if self.estimate.now["nis"] == self.estimate.now["nis"]:
             state.changed()
+        return self.read(state)
+
+    def read(self, state: NativeState) -> Estimate:
+        """Return the last estimate, of a robot in this state; its covariance may be the last one's array."""
+        one = self.estimate.copy()
         return Estimate(
             one["force"], one["wrench"], one["vgrf"], one["cop"], one["cop_foot"], one["cop_valid"],
             one["cop_foot_valid"], one["scale"], one["offset"], state.covariance, one["flags"],
-            one["force_std"], one["cop_covariance"], nis, one["nis_rows"][()],
+            one["force_std"], one["cop_covariance"], one["nis"][()], one["nis_rows"][()],
         )  # fmt: skip
 
     def retract(self, state: NativeState) -> None:

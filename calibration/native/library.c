@@ -14,8 +14,34 @@
 #define B_REAL(field) PLACE(beliefs, field, "real")
 #define B_WHOLE(field) PLACE(beliefs, field, "whole")
 #define SHOWN(field) PLACE(shown, field, "single")
+#define R_AT(field) PLACE(sample_records, field, "word")
 #define IN_REFERENCE(field, kind)                                                                            \
     {"belief", #field, kind, offsetof(sf_belief, reference.field), sizeof(((sf_reference *)0)->field)}
+
+/* What a sample tells, side by side, for a copy of all of it in one piece. */
+typedef struct {
+    sf_belief belief;
+    sf_estimate estimate;
+    sf_shown shown;
+    sf_real covariance[4 * SF_CHANNELS * SF_CHANNELS];
+} sf_told;
+
+/* Records that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
+typedef struct {
+    const sf_model *model;
+    const sf_timing *timing;
+    sf_beliefs *beliefs;
+    sf_belief *belief;
+    const unsigned char *planned;
+    const sf_config *config;
+    sf_state *state;
+    const sf_real *raw;
+    sf_estimate *estimate;
+    const sf_view *view;
+    sf_held *held;
+    sf_told *told;
+    double dt;
+} sf_sample_records;
 
 /* clang-format off */
 static const place places[] = {
@@ -79,6 +105,14 @@ static const place places[] = {
     SHOWN(foot_force), SHOWN(foot_load), SHOWN(cop_foot), SHOWN(cop), SHOWN(wrench), SHOWN(vgrf),
     SHOWN(foot_force_std), SHOWN(cop_std), PLACE(shown, foot_flags, "int"),
     PLACE(shown, cop_valid, "small"),
+
+    WHOLE_OF(told), {"told", "belief", "", offsetof(sf_told, belief), sizeof(sf_belief)},
+    {"told", "estimate", "", offsetof(sf_told, estimate), sizeof(sf_estimate)},
+    {"told", "shown", "", offsetof(sf_told, shown), sizeof(sf_shown)}, PLACE(told, covariance, "real"),
+
+    WHOLE_OF(sample_records), R_AT(model), R_AT(timing), R_AT(beliefs), R_AT(belief), R_AT(planned),
+    R_AT(config), R_AT(state), R_AT(raw), R_AT(estimate), R_AT(view), R_AT(held), R_AT(told),
+    PLACE(sample_records, dt, "double"),
 };
 /* clang-format on */
 
@@ -129,4 +163,24 @@ EXPORTED void surefoot_beliefs_soles(const sf_timing *timing, sf_beliefs *belief
 EXPORTED void surefoot_view_show(const sf_config *config, const sf_view *view, sf_held *held,
                                  const sf_estimate *estimate, const sf_real *soles, sf_shown *shown) {
     sf_view_show(config, view, held, estimate, soles, shown);
+}
+
+/* All of one sample: packets that have arrived, beliefs, filter and view. how: 1 if `planned` is one, plus 2 to
+   learn nothing. Returns what surefoot_beliefs_sample does, plus 8 if something was learnt. */
+EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, int count, double time, double now,
+                             int how) {
+    sf_told *told = at->told;
+    sf_real soles[8];
+    if (count) surefoot_beliefs_packets(at->model, at->timing, at->beliefs, rows, count);
+    int found = surefoot_beliefs_sample(at->timing, at->beliefs, time, how & 1 ? at->planned : NULL, how & 2,
+                                        at->belief);
+    if (found & 1) sf_calibrator_retract(at->config, at->state);
+    sf_calibrator_step(at->config, at->state, at->raw, &at->belief->reference, (sf_real)at->dt, at->estimate);
+    sf_beliefs_soles(at->timing, at->beliefs, now, soles);
+    sf_view_show(at->config, at->view, at->held, at->estimate, soles, &told->shown);
+    told->belief = *at->belief;
+    told->estimate = *at->estimate;
+    memcpy(told->covariance, at->state->learnt,
+           sizeof(sf_real) * (size_t)(4 * at->config->channels * at->config->channels));
+    return found + 8 * !isnan(at->estimate->nis);
 }

@@ -21,6 +21,10 @@ NATIVE = Native(
         "surefoot_beliefs_reference": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_soles": (None, (ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_view_show": (None, (ADDRESS,) * 6),
+        "surefoot_sample": (
+            ctypes.c_int,
+            (ADDRESS, ADDRESS, ctypes.c_int, ctypes.c_double, ctypes.c_double, ctypes.c_int),
+        ),
     },
 )
 

@@ -19,13 +19,15 @@ class ReferenceRecord:
 
     Attributes:
         address: Where the library finds it.
+        dtype: Its layout.
         real: The dtype of its numbers.
     """
 
     def __init__(self, library: Library) -> None:
         dtype = library.record("belief", _SHAPES)
         assert dtype is not None
-        self._record, self.real = Record(dtype), library.real
+        self.dtype, self.real = dtype, library.real
+        self._record = Record(dtype)
         self._nothing = Record(dtype)
         self.address = self._record.address
 

@@ -98,10 +98,20 @@ class Truth:
         """Simulated time in s, shape (S,)."""
         return self.rows[:, self.channels.time]
 
+    @property
+    def plate(self) -> NDArray[np.float64]:
+        """What the sensors of both plates read in N and N m, shape (S, 12)."""
+        return self.rows[:, self.channels.plate]
+
+    def cell_map(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return what makes :attr:`force_cell` of :attr:`plate`: factors (12, 8) and N to add (8,)."""
+        return self.channels.force_of_plates, self.channels.preload
+
     @cached_property
     def force_cell(self) -> NDArray[np.float64]:
         """Forces of the load cells in N, (left FL, FR, RL, RR, right FL, FR, RL, RR), shape (S, 8)."""
-        return self.rows[:, self.channels.plate] @ self.channels.force_of_plates + self.channels.preload
+        factors, added = self.cell_map()
+        return self.plate @ factors + added
 
     @cached_property
     def wrench_sole(self) -> NDArray[np.float64]:

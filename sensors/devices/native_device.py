@@ -44,14 +44,17 @@ class NativeState:
     Args:
         record: All numbers, shape ().
         owner: Whose state it is.
+
+    Attributes:
+        owner: The same.
     """
 
     def __init__(self, record: NDArray[Any], owner: "NativeDevice") -> None:
-        self.record, self.address, self._owner = record, record.ctypes.data, owner
+        self.record, self.address, self.owner = record, record.ctypes.data, owner
 
     def python(self) -> Any:
         """Return the state as the Python has it, which shares nothing with it."""
-        return self._owner.unpack(self)
+        return self.owner.unpack(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Another machine may have no library.
@@ -70,10 +73,14 @@ class NativeDevice:
         kind: What it is.
         config: The instrument.
         constants: Its constants, as the library has them.
+
+    Attributes:
+        kind: What it is.
+        constants: Its constants.
     """
 
     def __init__(self, library: Library, kind: Kind, config: Any, constants: NDArray[Any]) -> None:
-        self._kind, self._config, self.constants = kind, config, constants
+        self.kind, self._config, self.constants = kind, config, constants
         self._felt, self._dimensions = kind.felt(config), 2 if kind.blocks else 1
         self._template = kind.build(config).init((config.channels,), np.random.default_rng(0))
         leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
@@ -88,7 +95,7 @@ class NativeDevice:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Where there is no library, nothing comes of it.
-        return native_here, (self._kind, self._config)
+        return native_here, (self.kind, self._config)
 
     def pack(self, state: Any) -> NativeState:
         """Return a Python state as the library's."""
@@ -128,7 +135,7 @@ class NativeDevice:
             if self._wire is not None:
                 check_wire(self._wire, dt)
             self._checked = dt
-        rows = len(load) if self._kind.blocks else 1
+        rows = len(load) if self.kind.blocks else 1
         if rows != len(self._load):
             self._load = np.empty((rows, self._felt))
             self._addresses = tuple(part.ctypes.data for part in (self.constants, self._load, self._counts))

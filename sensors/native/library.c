@@ -19,6 +19,8 @@
 #define T_REAL(field) PLACE(telemetry_config, field, "real")
 #define U_DOUBLE(field) PLACE(telemetry, field, "double")
 #define U_WHOLE(field) PLACE(telemetry, field, "whole")
+#define R_AT(field) PLACE(sense_records, field, "word")
+#define R_INT(field) PLACE(sense_records, field, "int")
 #define U_REAL(field) PLACE(telemetry, field, "real")
 
 /* Fields of the wire within a device's record. */
@@ -36,6 +38,34 @@
     WIRED(record, stale_repeats_held, "real"), WIRED(record, packet_loss_lost, "real"),                      \
         WIRED(record, gaps_lost, "real"), WIRED(record, latency_due, "real"),                                \
         WIRED(record, latency_readings, "real"), WIRED(record, latency_held, "real")
+
+/* Arrays that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
+typedef struct {
+    const sf_telemetry_config *config;
+    const sf_real *position, *inertial, *drawn;
+    sf_real *arrived;
+} telemetry_arrays;
+
+/* The same of what is under one robot's feet, cells or six-axis sensors, of its telemetry, and of what is seen. The
+   load is felt @ map + preload, with `readings` numbers felt a row, or without a map what is felt. Of `numbers` of the
+   observation `shares` are measured, and the number from[i] of the newest packet stands at to[i]. */
+typedef struct {
+    const sf_cells_config *cells_config;
+    sf_cells *cells;
+    const sf_force_torque_config *force_torque_config;
+    sf_force_torque *force_torque;
+    sf_random *feet_stream, *telemetry_stream;
+    const sf_real *felt, *map, *preload;
+    sf_real *load;
+    const telemetry_arrays *telemetry;
+    sf_telemetry *telemetry_state;
+    sf_real *newest, *raw;
+    const float *observed, *low, *high;
+    float *shown, *held, *counts;
+    const int32_t *from, *to;
+    int rows, readings, channels, values, numbers, shares;
+    double dt;
+} sf_sense_records;
 
 /* clang-format off */
 static const place places[] = {
@@ -82,6 +112,12 @@ static const place places[] = {
     U_DOUBLE(due), U_WHOLE(number), U_WHOLE(substeps), U_WHOLE(first), U_WHOLE(waiting), U_REAL(bias),
     U_REAL(matrix), U_REAL(error), U_REAL(up), U_REAL(gyroscope_bias), U_REAL(position), U_REAL(velocity),
     U_REAL(inertial), U_DOUBLE(arrival), U_REAL(ring),
+
+    WHOLE_OF(sense_records), R_AT(cells_config), R_AT(cells), R_AT(force_torque_config),
+    R_AT(force_torque), R_AT(feet_stream), R_AT(telemetry_stream),
+    R_AT(felt), R_AT(map), R_AT(preload), R_AT(load), R_AT(telemetry), R_AT(telemetry_state), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low),
+    R_AT(high), R_AT(shown), R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(readings), R_INT(channels),
+    R_INT(values), R_INT(numbers), R_INT(shares), PLACE(sense_records, dt, "double"),
 };
 /* clang-format on */
 
@@ -141,13 +177,6 @@ EXPORTED int surefoot_telemetry_draws(const sf_telemetry_config *config) {
 EXPORTED int surefoot_telemetry_coming(const sf_telemetry_config *config, const sf_telemetry *state) {
     return sf_telemetry_coming(config, state);
 }
-/* Arrays that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
-typedef struct {
-    const sf_telemetry_config *config;
-    const sf_real *position, *inertial, *drawn;
-    sf_real *arrived;
-} telemetry_arrays;
-
 /* Both return how many packets have arrived, and 2^16 times one more than how many the next step sends. */
 static int with_coming(const telemetry_arrays *at, const sf_telemetry *state, int arrived) {
     return arrived < 0 ? -1 : arrived + 65536 * (sf_telemetry_coming(at->config, state) + 1);
@@ -165,4 +194,50 @@ EXPORTED int surefoot_telemetry_advance(const telemetry_arrays *at, sf_telemetry
     return with_coming(at, state,
                        sf_telemetry_advance(at->config, state, at->position, at->inertial, time, &normals,
                                             at->arrived));
+}
+
+/* RawView.show: the newest packet in place of what is measured, and counts, of which the last ones are held. */
+static void show_raw(const sf_sense_records *at) {
+    memcpy(at->shown, at->observed, (size_t)at->numbers * sizeof(float));
+    for (int i = 0; i < at->shares; i++) at->shown[at->to[i]] = (float)at->newest[at->from[i]];
+    for (int i = 0; i < at->numbers; i++) {
+        float bounded = at->shown[i] < at->low[i] ? at->low[i] : at->shown[i];
+        at->shown[i] = bounded > at->high[i] ? at->high[i] : bounded;
+    }
+    for (int i = 0; i < at->channels; i++) {
+        float count = (float)at->raw[i];
+        at->counts[i] = at->held[i] = isnan(count) ? at->held[i] : count;
+    }
+}
+
+static const sf_real *find_load(const sf_sense_records *at) {
+    if (!at->map) return at->felt;
+    for (int row = 0; row < at->rows; row++) {
+        const sf_real *felt = at->felt + row * at->readings;
+        sf_real *load = at->load + row * at->channels;
+        memset(load, 0, (size_t)at->channels * sizeof(sf_real));
+        for (int i = 0; i < at->readings; i++)
+            for (int k = 0; k < at->channels; k++) load[k] += felt[i] * at->map[i * at->channels + k];
+        for (int k = 0; k < at->channels; k++) load[k] += at->preload[k];
+    }
+    return at->load;
+}
+
+/* A control step of one robot's feet and telemetry, for which there is room, and what is seen of it; returns
+   what surefoot_telemetry_advance does. */
+EXPORTED int surefoot_sense(const sf_sense_records *at, double time) {
+    const sf_real *load = find_load(at);
+    if (at->cells)
+        sf_cells_step(at->cells_config, at->cells, at->feet_stream, load, at->rows, (sf_real)at->dt, at->raw);
+    else
+        sf_force_torque_step(at->force_torque_config, at->force_torque, at->feet_stream, load, (sf_real)at->dt,
+                             at->raw);
+    int told = surefoot_telemetry_advance(at->telemetry, at->telemetry_state, at->telemetry_stream, time);
+    int arrived = told & 0xFFFF;
+    if (told >= 0 && arrived > 0) {
+        const sf_real *last = at->telemetry->arrived + (arrived - 1) * (2 + at->values);
+        memcpy(at->newest, last + 2, (size_t)at->values * sizeof(sf_real));
+    }
+    show_raw(at);
+    return told;
 }

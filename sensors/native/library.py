@@ -24,6 +24,7 @@ NATIVE = Native(
         "surefoot_telemetry_draws": (ctypes.c_int, (ADDRESS,)),
         "surefoot_telemetry_coming": (ctypes.c_int, (ADDRESS, ADDRESS)),
         "surefoot_telemetry_init": (ctypes.c_int, (*(ADDRESS,) * 4, ctypes.c_int)),
+        "surefoot_sense": (ctypes.c_int, (ADDRESS, ctypes.c_double)),
         "surefoot_telemetry_advance": (ctypes.c_int, (ADDRESS, ADDRESS, ADDRESS, ctypes.c_double)),
     },
 )

@@ -23,7 +23,7 @@ from surefoot.wrappers.belief_errors import BeliefErrors
 from surefoot.wrappers.beliefs import Beliefs, nothing
 from surefoot.wrappers.foot_view import PARTS, FootView
 from surefoot.wrappers.native_beliefs import NativeBeliefs, c_source, native_beliefs
-from surefoot.wrappers.native_view import NativeView
+from surefoot.wrappers.native_sample import shown_dtype, view_record
 from surefoot.wrappers.nominal import NominalModel
 from surefoot.wrappers.telemetry import TelemetryLayout
 
@@ -340,7 +340,7 @@ int main(void) {
 
 def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
     """With the library and without, whole episodes are the same; a held reference is NaN."""
-    said = []
+    said, estimates = [], []
     for found in (library, None):
         for module in ("calibration.foot_calibrator", "wrappers.native_beliefs"):
             monkeypatch.setattr(f"surefoot.{module}.installed", lambda found=found: found)
@@ -349,13 +349,21 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
         assert isinstance(env.beliefs, NativeBeliefs) == (found is not None)
         action, rows = np.zeros(env.action_space.shape, np.float32), []
         for step in range(121):
+            if step == 60:
+                env = copy.deepcopy(env)
             if step == 120:
+                before, as_it_was = rows[-1], copy.deepcopy(rows[-1])
                 env.freeze()
             rows.append(env.step(action))
-            assert (env._native_view is not None) == (found is not None)
+            assert (env._native is not None) == (found is not None)
         np.testing.assert_array_equal(env.reference.com, nothing(2).com)
+        np.testing.assert_equal(before, as_it_was, "what was handed out stays as it is")
         said.append(rows)
+        estimates.append(copy.deepcopy(env).estimate)
         env.close()
+    for name, one, two in zip(Estimate._fields, *estimates, strict=True):
+        one, two = np.array(one, np.float64), np.array(two, np.float64)  # of nothing NaN
+        np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-6, err_msg=name)
     for one, two in zip(*said, strict=True):
         assert list(one[0]) == list(two[0])
         for name, part in one[0].items():
@@ -397,19 +405,21 @@ def test_what_is_shown_is_the_python_s(library, model, flaw):
     native = NativeBeliefs(library, python(model))
     native.update(motion(len(model.joint_names))[:60])
     one, two = (FootView(PARTS, nao_shoe_layout(), 5.3, flaw) for _ in range(2))
-    source = Estimates(library, one, 1)
-    shown = NativeView(library, two, source)
+    source, config = Estimates(library, one, 1), view_record(library, one)
+    shown, soles = Record(shown_dtype(library, one)), np.zeros((2, 4))
     for step in range(300):
         estimate, time = source.draw(), 0.5 + 0.001 * step
-        expected, found = one.show(estimate, native.soles(time)), shown.show(native, time)
-        assert list(expected) == list(found)
+        places, (found, held) = native.soles(time), (shown.now, two.held)
+        expected, soles[...] = one.show(estimate, places), places
+        library.functions.surefoot_view_show(
+            source.config.ctypes.data, config.ctypes.data, held.ctypes.data, source.estimate.address,
+            soles.ctypes.data, shown.address,
+        )  # fmt: skip
         for name, part in expected.items():
             assert (part.shape, part.dtype) == (found[name].shape, found[name].dtype), name
             np.testing.assert_allclose(found[name], part, rtol=2e-7, err_msg=name)
         # The one goes on with what the other holds.
         np.testing.assert_allclose(one.held, two.held, rtol=1e-12, atol=1e-12)
         if step == 150:
-            assert copy.deepcopy(shown) is None, "its addresses are those of another object's arrays"
             two = copy.deepcopy(two)
-            shown = NativeView(library, two, source)
     assert np.any(one.held[:6]) == (not flaw)

@@ -205,14 +205,16 @@ def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
             observation, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
             states.append(observation["state"])
         kind = type(env._telemetry_state)
+        assert (env._sensing is not None) == (found is not None)
         seen.append(np.array(states))
+        seen.append([packet.values for packet in copy.deepcopy(env).packets])
         for twin in (copy.deepcopy, lambda part: pickle.loads(pickle.dumps(part))):
             telemetry, state, rng = twin((env.telemetry, env._telemetry_state, Stream.of(5)))
             assert type(state) is kind
             packets, _ = telemetry.advance(*Motion(24, 1 / 80, 10).step(0), 31 / 80, state, rng)
             seen.append([packet.values for packet in packets])
     assert kind is NativeTelemetryState
-    for one, two in zip(seen[:3], seen[3:], strict=True):
+    for one, two in zip(seen[:4], seen[4:], strict=True):
         np.testing.assert_allclose(two, one, rtol=1e-6 if one is seen[0] else CLOSE, atol=1e-12)
 
 

@@ -1,0 +1,186 @@
+"""What a step costs: bare and with each layer around it, by the library and by the specification.
+
+    python benchmarks/step.py
+    python benchmarks/step.py --robots NaoBalance G1 --rounds 400
+    python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
+
+All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
+the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
+the bare step it is, with an interval that holds this median 19 times in 20. Time is that of the process;
+resets do not count. The specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``);
+wrappers of many robots use none of the libraries' steps. G1 needs ``pip install surefoot[robots]``.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from functools import partial
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import gymnasium as gym
+import numpy as np
+from stepping import shares, step
+
+import surefoot  # noqa: F401
+from surefoot.calibration.native import NATIVE as CALIBRATION
+from surefoot.envs import InstrumentedEnv
+from surefoot.sensors.native import NATIVE as SENSORS
+from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
+from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration
+
+CELLS, ANKLES = "hx711-load-cells", "icub-force-torque"
+
+
+class Robot(NamedTuple):
+    """An environment, its options, and what is under the robot's feet."""
+
+    env: str
+    options: dict[str, Any]
+    config: str | None
+
+
+ROBOTS = {
+    "NaoBalance": Robot("surefoot/NaoBalance-v0", {}, CELLS),
+    "NaoWalk": Robot("surefoot/NaoWalk-v0", {"speed": 0.04, "duration": 120.0}, CELLS),
+    "Humanoid": Robot("Humanoid-v5", {}, ANKLES),
+    "G1": Robot("surefoot/Exercise-v0", {"robot": "g1"}, None),
+}
+MANY = ("NaoBalance", "NaoWalk")
+
+
+@contextmanager
+def specification() -> Iterator[None]:
+    """Let Python do what the libraries do."""
+    with patch.object(CALIBRATION, "_found", (None,)), patch.object(SENSORS, "_found", (None,)):
+        yield
+
+
+class Stack:
+    """An environment with layers around it, which steps by the library or without.
+
+    Args:
+        env: The environment.
+        native: Whether it steps by the library.
+    """
+
+    def __init__(self, env: Any, native: bool) -> None:
+        self.env, self._way = env, nullcontext if native else specification
+        shape = env.action_space.shape or ()
+        self._action = np.zeros(shape, np.float32)
+
+    def reset(self) -> None:
+        """Begin an episode, the same in all stacks."""
+        with self._way():
+            self.env.reset(seed=0)
+
+    def run(self, steps: int) -> tuple[float, bool]:
+        """Step on; return the time of one step in s, and whether an episode has ended."""
+        done, taken, end = False, 0, False
+        with self._way():
+            begin = time.process_time()
+            while taken < steps and not end:
+                _, _, terminated, truncated, _ = self.env.step(self._action)
+                taken, done = taken + 1, terminated | truncated
+                end = bool(np.any(done))
+            passed = time.process_time() - begin
+        return passed / taken, end
+
+
+def stacks(robot: Robot, methods: list[str], native: bool) -> dict[str, Stack]:
+    """Make what is wrapped around an environment, each layer around one of its own."""
+
+    def bare() -> gym.Env[Any, Any]:
+        return gym.make(robot.env, disable_env_checker=True, **robot.options)
+
+    def sensed() -> gym.Env[Any, Any]:
+        return FootSensors(bare(), robot.config)
+
+    found: dict[str, gym.Env[Any, Any]] = {}
+    if native:
+        found["bare"] = bare()
+        if not robot.env.startswith("surefoot/"):
+            found["InstrumentedEnv"] = InstrumentedEnv(bare())
+    with nullcontext() if native else specification():
+        found["FootSensors"] = sensed()
+        for method in methods:
+            found[f"+ SelfCalibration({method})"] = SelfCalibration(sensed(), method)
+    return {name + ("" if native else ", specification"): Stack(env, native) for name, env in found.items()}
+
+
+def many(robot: Robot, count: int, methods: list[str]) -> dict[str, Stack]:
+    """Make the same of many robots in native threads."""
+
+    def bare() -> Any:
+        return gym.make_vec(robot.env, count, "vector_entry_point", **robot.options)
+
+    def sensed() -> Any:
+        return VectorFootSensors(bare(), robot.config)
+
+    found = {"bare": bare(), "VectorFootSensors": sensed()}
+    for method in methods:
+        found[f"+ VectorSelfCalibration({method})"] = VectorSelfCalibration(sensed(), method)
+    return {name: Stack(env, True) for name, env in found.items()}
+
+
+def compare(found: dict[str, Stack], rounds: int, steps: int) -> None:
+    """Step all in turns and print their rows of the table."""
+    taken: dict[str, list[float]] = {name: [] for name in found}
+    for number in range(-3, rounds):
+        ended = number == -3
+        if ended:
+            for stack in found.values():
+                stack.reset()
+        for name, stack in found.items():
+            passed, end = stack.run(steps)
+            ended |= end
+            if number >= 0:
+                taken[name].append(passed)
+        if ended and number > -3:
+            for stack in found.values():
+                stack.reset()
+    bare = np.array(taken["bare"])
+    for name, times in taken.items():
+        ratio = np.sort(np.array(times) / bare)
+        # Order statistics around the median: how many of n are below it is binomial.
+        middle, away = len(ratio) / 2, 0.98 * np.sqrt(len(ratio))
+        low, high = (ratio[int(np.clip(middle + off, 0, len(ratio) - 1))] for off in (-away, away))
+        told = f"{1e6 * np.median(times):9.0f} {np.median(ratio):6.2f}"
+        print(f"  {name:44s} {told}  ({low:.2f} to {high:.2f})", flush=True)
+
+
+def main() -> None:
+    """Print the table, and where the time of the last stack goes."""
+    layout = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
+    parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
+    parser.add_argument("--methods", nargs="+", default=["moment"])
+    parser.add_argument("--rounds", type=int, default=200)
+    parser.add_argument("--steps", type=int, default=20, help="steps of each stack in a round")
+    parser.add_argument("--many", type=int, default=64, help="robots of a vector environment; 0 for none")
+    parser.add_argument("--shares", action="store_true", help="also profile the last stack")
+    arguments = parser.parse_args()
+
+    print(f"  {'':44s} {'us/step':>9s} {'of bare':>6s}")
+    for name in arguments.robots:
+        print(f"{name}, 1 robot")
+        try:
+            found = stacks(ROBOTS[name], arguments.methods, True)
+        except ModuleNotFoundError as missing:
+            print(f"  {missing}")
+            continue
+        found |= stacks(ROBOTS[name], arguments.methods, False)
+        compare(found, arguments.rounds, arguments.steps)
+        if arguments.shares:
+            print("Shares of the time, as the profiler sees it:")
+            last = found[f"+ SelfCalibration({arguments.methods[-1]})"].env
+            shares(partial(step, last, 1000))
+    for name in [robot for robot in arguments.robots if robot in MANY and arguments.many]:
+        print(f"{name}, {arguments.many} robots")
+        compare(many(ROBOTS[name], arguments.many, arguments.methods), max(20, arguments.rounds // 8), 5)
+
+
+if __name__ == "__main__":
+    main()
