@@ -70,8 +70,8 @@ docs: $(VENV)/.dev
 	$(BIN)/sphinx-build -q -W --keep-going -E -b html -d build/doctrees $(SPHINX) docs build/docs
 
 # Links to other places, for who has a network.
-linkcheck:
-	$(MAKE) docs SPHINX="-D nb_execution_mode=off -b linkcheck"
+linkcheck: $(VENV)/.dev
+	$(BIN)/sphinx-build -q -E -b linkcheck -D nb_execution_mode=off docs build/links
 
 # The suite once more, against what a user installs: the built wheel, away from the checkout. Doctests import every
 # module of it; WHEEL_TESTS may name those tests alone that need files which a wheel could lack.

@@ -11,6 +11,7 @@ import sys
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import surefoot
@@ -73,15 +74,24 @@ def source_modules(*entries: str) -> frozenset[str]:
 def _file(module: str) -> Path:
     if module.partition(".")[0] != "surefoot":
         return Path(str(getattr(sys.modules.get(module), "__file__", module)))
-    path = _ROOT.joinpath(*module.split(".")[1:])
+    path = _place(module)
     for file in (path / "__init__.py", path.with_suffix(".py")):
         if file.is_file():
             return file
     raise ModuleNotFoundError(f"There is no module '{module}' whose source could be hashed.", name=module)
 
 
+@cache
+def _place(module: str) -> Path:
+    """Return a module's folder, or its file without an ending; an sdist has its packages side by side."""
+    head, *names = module.split(".")[1:] or [""]
+    spec = find_spec(f"surefoot.{head}") if head else None
+    homes = spec.submodule_search_locations if spec is not None else None
+    return (Path(homes[0]) if homes else _ROOT / head).joinpath(*names)
+
+
 def _exists(module: str) -> bool:
-    path = _ROOT.joinpath(*module.split(".")[1:])
+    path = _place(module)
     return (path / "__init__.py").is_file() or path.with_suffix(".py").is_file()
 
 

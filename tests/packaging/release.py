@@ -36,8 +36,8 @@ SERVES = {
     "experiments": ["surefoot --help", "surefoot calibrate ft --sample", "surefoot sweep --scenarios"],
     "ros": ["surefoot calibrate walk no.bag > said 2>&1; cat said; grep -q 'no such bag' said"],
     "view": ["timeout --preserve-status -s INT 60 surefoot view --port 8397"],
-    "dask": [f"{SWEEP} --backend dask"],
-    "ray": [f"{SWEEP} --backend ray"],
+    "dask": [f"{SWEEP} --backend dask --out dask"],
+    "ray": [f"{SWEEP} --backend ray --out ray"],
     "docs": [f"sphinx-build -q -W -D nb_execution_mode=off {ROOT}/docs site"],
 }
 """What each extra serves; "docs" serves the checkout alone."""
