@@ -5,7 +5,8 @@ training that was stopped and resumed ends with the same policy, to the last dig
 """
 
 import json
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
@@ -26,6 +27,9 @@ from surefoot.experiments.study.files import atomic_path, locked, write_text
 
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
 """What a training leaves in its folder."""
+
+BOARD = "tensorboard"
+"""Where in it TensorBoard finds its events, if they are wanted."""
 
 
 Progress = Callable[[int, dict[str, float]], None]  # after each update: how many there were, and the row
@@ -102,18 +106,33 @@ class Trainer:
             view = view.env
         return view
 
-    def run(self, progress: Progress | None = None) -> PolicyNetwork:
-        """Train to the end, with checkpoints; return the policy, which lies in the folder as well."""
+    def run(
+        self, progress: Progress | None = None, *, board: bool = False, callbacks: Sequence[Any] = ()
+    ) -> PolicyNetwork:
+        """Train to the end, with checkpoints; return the policy, which lies in the folder as well.
+
+        Args:
+            progress: Is told of each update.
+            board: Whether the curve and PPO's own figures are written for TensorBoard, which must be there.
+            callbacks: More of Stable-Baselines3's.
+        """
         options = self.options
+        if board:
+            from stable_baselines3.common.logger import configure
+
+            # One for all segments: each would begin its own, and lose PPO's figures of its last update.
+            self._model.set_logger(configure(str(self.out / BOARD), ["tensorboard"]))
         while self.updates < options.updates:
             self._reseed()
             until = min(self.updates + options.every, options.updates)
             self._model.learn(
                 (until - self.updates) * options.steps_per_update,
-                callback=_curve_keeper(self, progress),
+                callback=[_curve_keeper(self, progress), *callbacks],
                 reset_num_timesteps=False,
             )
             self._checkpoint()
+        if board:
+            self._model.logger.close()
         network = network_of(self._model, self.view, self._notes())
         with atomic_path(self.out / POLICY) as part:
             network.save(part)
@@ -233,6 +252,8 @@ def _curve_keeper(trainer: Trainer, progress: Progress | None) -> Any:
                 "fell": float(mean["fell"]),
                 "action_std": float(policy.log_std.detach().exp().mean()),
             }
+            for name, value in row.items():
+                self.logger.record(f"curve/{name}", value)
             trainer.curve.append(row)
             trainer.updates += 1
             if progress is not None:
@@ -245,3 +266,4 @@ def remove_training(out: Path) -> None:
     """Remove what a training left in a folder, and nothing else."""
     for name in (CHECKPOINT, OPTIONS, CURVE, POLICY):
         (out / name).unlink(missing_ok=True)
+    shutil.rmtree(out / BOARD, ignore_errors=True)

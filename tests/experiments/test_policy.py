@@ -4,10 +4,12 @@ import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from surefoot.controllers import PolicyFileError, PolicyNetwork
@@ -64,6 +66,57 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_policy(trained, tmp_pat
     other = Trainer(tmp_path / "seed", dataclasses.replace(SMALL, seed=1, steps=16))
     assert not np.array_equal(weights(other.run()), weights(network))
     other.close()
+
+
+@pytest.mark.slow
+def test_tensorboard_is_given_the_curve_and_ppos_own_figures(trained, tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    trainer = Trainer(tmp_path, SMALL)
+    network = trainer.run(board=True)
+    trainer.close()
+    np.testing.assert_array_equal(weights(network), weights(trained[2]))
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [event.step for event in events.Scalars("curve/action_std")] == [16, 32, 48]
+    stored = [event.value for event in events.Scalars("curve/action_std")]
+    np.testing.assert_allclose(stored, [row["action_std"] for row in trainer.curve], rtol=1e-6)
+    assert [event.step for event in events.Scalars("train/approx_kl")] == [32, 48]
+    remove_training(tmp_path)
+    assert not (tmp_path / "tensorboard").exists()
+
+
+def test_weights_and_biases_follows_a_training_by_its_own_callback(tmp_path, monkeypatch, capsys):
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from surefoot.experiments.cli import train
+
+    class WandbCallback(BaseCallback):
+        def _on_step(self):
+            steps.append(self.num_timesteps)
+            return True
+
+    begun, steps = {}, []
+    stand_ins = {
+        "tensorboard": ModuleType("tensorboard"),
+        "wandb": SimpleNamespace(init=begun.update),
+        "wandb.integration": ModuleType("wandb.integration"),
+        "wandb.integration.sb3": SimpleNamespace(WandbCallback=WandbCallback),
+    }
+    for name, module in stand_ins.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    options = dataclasses.replace(SMALL, steps=16)
+    callback = train._wandb("feet", tmp_path, options)
+    assert (begun["project"], begun["config"]["steps"], begun["sync_tensorboard"]) == ("feet", 16, True)
+    trainer = Trainer(tmp_path, options)
+    trainer.run(callbacks=[callback])
+    trainer.close()
+    assert steps == [2, 4, 6, 8, 10, 12, 14, 16]
+
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(typer.Exit):
+        train._wandb("feet", tmp_path, options)
+    assert "--wandb needs wandb, which is missing: pip install wandb tensorboard." in capsys.readouterr().err
 
 
 def test_one_training_at_a_time_works_in_a_folder(trained, tmp_path):
@@ -230,8 +283,6 @@ def test_seeds_of_training_are_no_seeds_of_evaluation_and_never_twice_the_same()
 
 
 def test_the_commands(trained, tmp_path):
-    import typer
-
     from surefoot.experiments.cli import evaluate, train
 
     app = typer.Typer()
