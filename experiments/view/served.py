@@ -49,7 +49,7 @@ class Served:
 
     def run(self, seconds: float = float("inf")) -> None:
         """Go on and draw for some time in s, until interrupted or stopped."""
-        last = perf_counter()
+        last = due = perf_counter()
         until, self._stopped = last + seconds, False
         while last < until and not self._stopped:
             for what, value in self._waiting():
@@ -58,7 +58,9 @@ class Served:
             self._advance(now - last)
             last = now
             self.draw()
-            sleep(max(last + 1.0 / FRAMES_PER_SECOND - perf_counter(), 0.0))
+            # A sleep that was a little too long makes the next one shorter.
+            due = max(due + 1.0 / FRAMES_PER_SECOND, perf_counter())
+            sleep(max(due - perf_counter(), 0.0))
 
     def stop(self) -> None:
         """Let :meth:`run` come back; any thread may call this."""
