@@ -71,7 +71,7 @@ class Page(Served):
         with self.server.atomic():
             self._robot.move(source.data, origin)
             # The grid repeats itself: so it lies still under a robot that stays in the middle.
-            self._ground.position = -np.fmod(origin, self._cell)
+            self._ground.position = *-np.fmod(origin[:2], self._cell), self._ground.position[2]
             self._board.draw(now)
             self._meters.draw(now, self._line(), self._told)
         self.frames += 1

@@ -41,6 +41,8 @@ def set_scene(server: viser.ViserServer, size: float, aside: float = 1.0) -> Any
     server.on_client_connect(aim)
     return server.scene.add_grid(
         "/ground",
+        # A little lower than soles on it, of which it would cover half.
+        position=(0.0, 0.0, -0.004 * size),
         infinite_grid=True,
         cell_size=0.25 * size,
         section_size=size,
