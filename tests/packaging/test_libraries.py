@@ -5,7 +5,7 @@ import subprocess
 import pytest
 
 from surefoot.calibration.native import NATIVE
-from surefoot.native import Sources, build, compiler
+from surefoot.native import Sources, __main__, build, compiler
 from surefoot.native.__main__ import main
 from surefoot.native.library import say_once
 
@@ -54,3 +54,15 @@ def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
     if compiler() is not None:
         assert "refused: " in str(sources.compile(tmp_path / "x.so", ["-no-such-option"]))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("sdist", [True, False])
+def test_packages_side_by_side_are_found_in_an_sdist_alone(sdist, monkeypatch, tmp_path, capsys):
+    (tmp_path / "calibration" / "native").mkdir(parents=True)
+    (tmp_path / "calibration" / "native" / "library.c").touch()
+    if sdist:
+        (tmp_path / "setup.py").touch()
+    monkeypatch.setattr(__main__, "__file__", str(tmp_path / "surefoot" / "native" / "__main__.py"))
+    monkeypatch.setattr(Sources, "compile", lambda self: None)
+    assert main() is None
+    assert ("surefoot_calibration" in capsys.readouterr().out) is sdist
