@@ -74,8 +74,6 @@ MOTIONS = (
 class _Together:
     """All methods in the place of a wrapper's calibrator, whose references and falls depend on no method."""
 
-    native = None  # no filter of the library's alone made the estimates
-
     def __init__(self, one: FootCalibrator, drawing: RobotDrawing) -> None:
         self.setup = one.setup
         given: dict[str, Any] = {name: getattr(one.setup, name) for name in ("mass", "initial", "dt", "lag")}
@@ -84,6 +82,9 @@ class _Together:
             FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing, name)})
             for name in METHODS
         ]
+
+    def native(self) -> None:
+        """Nothing, as no filter of the library's alone makes the estimates."""
 
     def update(self, raw: Floats, reference: Reference | ReferenceRecord) -> Estimate:
         self.estimates = [method.update(raw, reference) for method in self.methods]
