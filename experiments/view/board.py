@@ -27,6 +27,7 @@ WITHIN = 2.448
 """Standard deviations within which 95 % of a plane's normal distribution lies."""
 
 _BAR, _TALLEST = 0.035, 0.7  # width of a bar, and height of one that bears the whole robot
+_SIDES = 40  # of the polygon that stands for the ellipse
 _SOLE, _BROKEN = (203, 211, 220), (214, 64, 69)
 
 
@@ -66,8 +67,8 @@ class FeetBoard:
                 f"/feet/bars/{way}", corners, faces, still, still[:, :3], lod="off", side="double"
             )
             self._dots[way] = scene.add_icosphere(f"/feet/cop/{way}", radius=0.01 * size, visible=False)
-            self._lines[way] = self._line(f"/feet/trail/{way}")
-        self._ellipse = self._line("/feet/ellipse")
+            self._lines[way] = self._line(f"/feet/trail/{way}", TRAIL - 1)
+        self._ellipse = self._line("/feet/ellipse", _SIDES)
         self._labels = [
             scene.add_label(f"/feet/flag/{i}", "", anchor="bottom-center", visible=False)
             for i in range(len(self._names))
@@ -77,11 +78,15 @@ class FeetBoard:
 
     def paint(self, chosen: Mapping[str, str]) -> None:
         """Give each way to read the feet its colour, ``"#rrggbb"``."""
-        self._colours = {way: ImageColor.getrgb(colour)[:3] for way, colour in chosen.items()}
-        for way, rgb in self._colours.items():
+        fresh = np.linspace(0.3, 1.0, TRAIL)[:, None]
+        for way, colour in chosen.items():
+            rgb = ImageColor.getrgb(colour)[:3]
             self._bars[way].batched_colors = np.tile(_linear(rgb), (len(self._names), 1))
             self._dots[way].color = rgb
-        self._ellipse.colors = _linear(self._colours["calibrated"])
+            shades = fresh * np.array(rgb) + (1.0 - fresh) * np.array(_SOLE)
+            self._lines[way].colors = _linear(_segments(shades))
+            if way == "calibrated":
+                self._ellipse.colors = np.tile(_linear(rgb), (_SIDES, 2, 1))
 
     def forget(self) -> None:
         """Drop the trails, at an episode start."""
@@ -155,10 +160,9 @@ class FeetBoard:
         line.visible = len(trail) > 2
         if len(trail) > 2:
             points = self._on_board(np.array(trail)) + _up((0.02 + 0.003 * layer) * self._size)
-            line.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-            fresh = np.linspace(0.3, 1.0, len(points))[:, None]
-            shades = fresh * np.array(self._colours[way]) + (1.0 - fresh) * np.array(_SOLE)
-            line.colors = _linear(np.stack([shades[:-1], shades[1:]], axis=1))
+            # Always as many as there are colours: a page that has the ones before the others draws grey.
+            points = np.pad(points, ((TRAIL - len(points), 0), (0, 0)), mode="edge")
+            line.points = _segments(points).astype(np.float32)
 
     def _draw_ellipse(self, now: Shown) -> None:
         reading = now.readings["calibrated"]
@@ -170,17 +174,21 @@ class FeetBoard:
         if covariance is None or not known:
             return
         variance, axes = np.linalg.eigh(covariance)
-        turn = np.linspace(0.0, 2.0 * np.pi, 41)
+        turn = np.linspace(0.0, 2.0 * np.pi, _SIDES + 1)
         circle = np.stack([np.cos(turn), np.sin(turn)]) * WITHIN * np.sqrt(np.maximum(variance, 0.0))[:, None]
         around = reading.cop_world + (axes @ circle).T
         points = self._on_board(np.pad(around, ((0, 0), (0, 1)))) + _up(0.032 * self._size)
-        self._ellipse.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        self._ellipse.points = _segments(points).astype(np.float32)
 
-    def _line(self, name: str) -> Any:
-        nothing = np.zeros((1, 2, 3), dtype=np.float32)
-        return self._scene.add_line_segments(
-            name, nothing, np.zeros(3, dtype=np.uint8), thickness=0.008 * self._size, visible=False
-        )
+    def _line(self, name: str, segments: int) -> Any:
+        nothing = np.zeros((segments, 2, 3))
+        black, thickness = nothing.astype(np.uint8), 0.008 * self._size
+        return self._scene.add_line_segments(name, nothing, black, thickness=thickness, visible=False)
+
+
+def _segments(points: Floats) -> Floats:
+    """Return the ends of the lines between points, shape (n - 1, 2, 3)."""
+    return np.stack([points[:-1], points[1:]], axis=1)
 
 
 def words(flag: Flag) -> str:
