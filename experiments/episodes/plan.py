@@ -14,7 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode, episode_row
-from surefoot.experiments.episodes.scenarios import LoopScenario, scenario_named, scenario_of_task
+from surefoot.experiments.episodes.scenarios import (
+    FAULT_AFTER,
+    LoopScenario,
+    scenario_named,
+    scenario_of_task,
+)
 from surefoot.experiments.policy.controllers import Controller, controller_hash, trained_on
 from surefoot.experiments.policy.options import TRAINING_SEEDS
 from surefoot.experiments.policy.tasks import TASKS
@@ -64,10 +69,16 @@ class EpisodePlan:
                 f"{self.duration:g} s."
             )
         resolve(self.cells, LoadCells)
-        of_task = [scenario_named(name, self.own).of_task for name in self.scenarios]
+        found = [scenario_named(name, self.own) for name in self.scenarios]
+        faulty = [scenario.name for scenario in found if scenario.fault_of is not None]
+        if faulty and self.duration is not None and self.duration <= FAULT_AFTER:
+            raise ValueError(
+                f"In scenario '{faulty[0]}' a cell fails after {FAULT_AFTER:g} s or later: 'duration' must "
+                f"be longer, got {self.duration:g} s."
+            )
         if unknown := [name for name in self.cop_inputs if name not in COP_INPUTS]:
             raise ValueError(f"'cop_inputs' must be of {COP_INPUTS}, got {unknown[0]!r}.")
-        if any(of_task):
+        if any(scenario.of_task for scenario in found):
             check_seeds(min(self.seeds), max(self.seeds), self.cop_inputs)
         for name in self.controllers:
             controller_hash(name)

@@ -16,7 +16,8 @@ _WALK, _STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"
 _BALANCE, _CARRY = "surefoot/NaoBalance-v0", "surefoot/NaoCarry-v0"
 
 _SHORTEST_WALK = 2.0  # shortest walk in s that a pattern is planned for
-_FAULT_AFTER = STAND_TIME + 10.0  # time in s from which on a fault that a seed draws may come
+FAULT_AFTER = STAND_TIME + 10.0
+"""Time in s from which on a fault that a seed draws may come, within a stride."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class LoopScenario:
             return {} if self.of_task else None
         drawn = {"severity": severity, **self.sensors}
         if self.fault_of is not None:
-            faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, _FAULT_AFTER)
+            faults = scenarios.SCENARIOS[self.fault_of].faults_of(seed, FAULT_AFTER)
             drawn["faults"] = [asdict(fault) for fault in faults]
         return {k: asdict(v) if is_dataclass(v) else v for k, v in drawn.items()}  # type: ignore[arg-type]
 

@@ -60,6 +60,10 @@ SHORT = EpisodePlan(
         ({"seeds": (-1,)}, "A seed must be a whole number and not negative, got -1."),
         ({"seeds": (0.5,)}, "A seed must be a whole number and not negative, got 0.5."),
         ({"settle": 30.0}, "'settle' must be at least 0 s and less than 'duration', got 30 s and 24 s."),
+        (
+            {"scenarios": ("speed-0.1", "fault-dead"), "duration": 14.0},
+            "In scenario 'fault-dead' a cell fails after 14 s or later: 'duration' must be longer, got 14 s.",
+        ),
         ({"cells": "scales"}, "There is no LoadCells preset 'scales'"),
         ({"cop_inputs": ("given", "guessed")}, "'cop_inputs' must be of ('given', 'frozen', 'swapped'"),
     ],
@@ -83,7 +87,7 @@ def test_true_feet_have_no_severity_and_they_alone_have_other_inputs() -> None:
 
 
 def test_a_fault_is_drawn_by_the_seed_and_survives_writing() -> None:
-    grid = replace(SHORT, scenarios=("fault-dead", "imu-bias"), feeds=("none",)).episodes
+    grid = replace(SHORT, scenarios=("fault-dead", "imu-bias"), feeds=("none",), duration=15.0).episodes
     first, second = ((one.sensors or {})["faults"][0] for one in grid[:2])
     assert first["kind"] == second["kind"] == "dead"
     assert first != second
