@@ -36,7 +36,8 @@ results: $(VENV)/.dev
 			$(BIN)/surefoot evaluate $$part --task $$task --seeds $(EPISODES) --jobs 2 \
 				--out $(RESULTS)/$$task/$${part%% *} || exit 1; \
 		done; \
-		$(BIN)/surefoot evaluate $$(printf -- '--page-of %s ' $(RESULTS)/$$task/*/episodes.parquet) \
+		$(BIN)/surefoot evaluate $$(printf -- "--page-of $(RESULTS)/$$task/%s/episodes.parquet " \
+			shipped shipped-randomised zero) \
 			--out $(RESULTS)/$$task || exit 1; \
 	done
 	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
