@@ -20,12 +20,13 @@ demo: $(VENV)/.demo
 test: $(VENV)/.dev
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow" $(PYTEST)
 
-# All studies and their tables in docs/results.md: an hour on two idle cores; what is finished is not run again. More
+# All studies and their tables in docs: three quarters of an hour on two cores; what is finished is not run again. More
 # walks, rigs and episodes make narrower intervals.
 RESULTS := out/results
 WALKS ?= 10
 RIGS ?= 20
 EPISODES ?= 20
+HARD_EPISODES ?= 50
 ROBOTS ?= 3
 results: $(VENV)/.dev
 	$(BIN)/surefoot compare walking --seeds $(WALKS) --out $(RESULTS)/walking
@@ -40,10 +41,18 @@ results: $(VENV)/.dev
 			shipped shipped-randomised zero) \
 			--out $(RESULTS)/$$task || exit 1; \
 	done
+	for task in balance-hard walk-hard; do \
+		for part in "shipped --severity 1 --severity 2 --feed true --feed none --feed moment" "zero --feed true"; do \
+			$(BIN)/surefoot evaluate $$part --task $$task --seeds $(HARD_EPISODES) --jobs 2 \
+				--out $(RESULTS)/$$task/$${part%% *} || exit 1; \
+		done; \
+		$(BIN)/surefoot evaluate $$(printf -- "--page-of $(RESULTS)/$$task/%s/episodes.parquet " shipped zero) \
+			--out $(RESULTS)/$$task || exit 1; \
+	done
 	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
 	$(BIN)/surefoot compare robots --seeds $(ROBOTS) --jobs 2 --out $(RESULTS)/robots
 	$(BIN)/surefoot compare walking --full --seeds $(WALKS) --out $(RESULTS)/full
-	$(BIN)/python -m surefoot.experiments.study.results docs/results.md docs/in-situ.md
+	$(BIN)/python -m surefoot.experiments.study.results docs/results.md docs/in-situ.md docs/policy-results.md
 
 # Studies that take minutes: a million fuzzed samples, consistency over 200 runs.
 slow: $(VENV)/.dev
