@@ -15,6 +15,7 @@ vector, and the sum of these vectors' squares is added.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,12 +80,15 @@ def rows_of_turning(sets: Sequence[InSituSet], problem: Problem, solution: Solut
         body = bare + inertial_parameters(data.added_mass, data.added_com, True)
         u = signals(moved, moving=True)
         u[:, DIRECT] = 0.0
-        own = u @ np.einsum("p,pws->ws", body, basis).T
         felt = np.moveaxis(reach * felt_by_turning(moved, np.arange(len(u))), 2, 0)
-        of_place = [np.concatenate([body[MASS] * a, np.cross(body[MOMENT], a)], axis=1) for a in felt]
-        of_inertia = (limb[MASS] * com @ com * _ROUND)[:, None, None] * (u @ basis[INERTIA].swapaxes(1, 2))
-        added = np.concatenate([own, *of_place, *of_inertia], axis=1)
-        rows = np.stack([np.interp(part.index, places, one) for one in added.T], axis=1)
+        of_inertia = zip(limb[MASS] * com @ com * _ROUND, basis[INERTIA], strict=True)
+        # One after the other: all of a long set at once take more memory than the set.
+        added = chain(
+            (u @ np.einsum("p,pws->ws", body, basis).T,),
+            (np.concatenate([body[MASS] * a, np.cross(body[MOMENT], a)], axis=1) for a in felt),
+            (size * (u @ entry.T) for size, entry in of_inertia),
+        )
+        rows = np.stack([np.interp(part.index, places, one) for wrench in added for one in wrench.T], axis=1)
         rows *= part.source.weight[:, None]
         seen = (part.score.T @ part.colour.weigh(rows, part.spacing)).reshape(len(part.uu), -1, AXES)
         found.append(np.moveaxis(seen @ (problem.whitening @ solution.A).T, 1, 2))
