@@ -317,7 +317,7 @@ SF_API sf_real sf_dot(const sf_real *a, const sf_real *b, int n) {
 }
 
 /* to += factor * from */
-SF_API void sf_add(sf_real *restrict to, sf_real factor, const sf_real *restrict from, int n) {
+SF_API void sf_add(sf_real *__restrict to, sf_real factor, const sf_real *__restrict from, int n) {
     for (int i = 0; i < n; i++) to[i] += factor * from[i];
 }
 

@@ -23,8 +23,7 @@
 #include <std_msgs/msg/float64_multi_array.hpp>
 #include <std_msgs/msg/int32_multi_array.hpp>
 
-#define restrict __restrict__  // the header is C99
-#include "robot.h"             // sizes and constants of this robot, and the header
+#include "robot.h"  // sizes and constants of this robot, and the header
 
 using Numbers = std_msgs::msg::Float64MultiArray;
 using Flags = std_msgs::msg::Int32MultiArray;

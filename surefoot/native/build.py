@@ -75,10 +75,11 @@ class Sources(NamedTuple):
         """Where the library lies: beside its sources."""
         return self.folder / (self.name + ending())
 
-    def fingerprint(self) -> str:
-        """Return what tells whether a library was compiled from the sources at hand."""
+    def fingerprint(self, flags: Sequence[str] = FLAGS) -> str:
+        """Return what tells whether a library was compiled from the sources at hand, and with these flags."""
         found = (path for folder in (self.folder, SHARED) for path in sorted(folder.glob("*.[ch]")))
-        return sha256(b"".join(path.read_bytes() for path in found)).hexdigest()[:16]
+        parts = (" ".join(flags).encode(), *(path.read_bytes() for path in found))
+        return sha256(b"".join(parts)).hexdigest()[:16]
 
     def compile(
         self, target: Path | None = None, flags: Sequence[str] = FLAGS, platform: str | None = None
@@ -103,7 +104,7 @@ class Sources(NamedTuple):
             # Windows knows no other code, and symbols of a debugger have no place in a wheel.
             *(() if ending(platform) == ".dll" else ("-fPIC",)),
             *(("-s",) if platform else ()),
-            f'-DSF_SOURCE="{self.fingerprint()}"',
+            f'-DSF_SOURCE="{self.fingerprint(flags)}"',
             f"-I{SHARED}",
             "-o",
             str(fresh),

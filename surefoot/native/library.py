@@ -124,7 +124,7 @@ class Native:
             functions.surefoot_places_count.restype = ctypes.c_size_t
             functions.surefoot_real_size.restype = ctypes.c_size_t
             if source is not None and functions.surefoot_source().decode() != source:
-                raise OSError("it was compiled from other sources than those at hand")
+                raise OSError("it was compiled from other sources than those at hand, or otherwise")
             for name, (result, arguments) in self._signatures.items():
                 function = getattr(functions, name)
                 function.restype, function.argtypes = result, arguments

@@ -391,12 +391,12 @@ def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, la
     assert not page.exists() or " | ".join(sizes) in page.read_text()
 
 
-def test_a_robots_own_program_prints_what_python_replays(library, tmp_path, monkeypatch):
+def test_a_robots_own_programs_print_what_python_replays(library, tmp_path, monkeypatch):
     path = ROOT / "examples" / "robot" / "build.py"
     if not path.is_file():
         pytest.skip("the examples are not part of the wheel")
     monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
-    program = runpy.run_path(str(path))["build_robot"](setup_of("cells"), tmp_path)
+    programs = runpy.run_path(str(path))["build_robot"](setup_of("cells"), tmp_path)
     stream, log, lines, expected = MomentStream(setup_of("cells"), MomentFilterConfig()), Log("cells"), [], []
     missing_and_impossible(log)
     state = stream.init(log.force[0])
@@ -408,10 +408,11 @@ def test_a_robots_own_program_prints_what_python_replays(library, tmp_path, monk
         cop_std = np.sqrt(np.diagonal(estimate.cop_covariance))
         answer = np.concatenate([estimate.force, estimate.cop, estimate.force_std, cop_std])
         expected.append("".join(f"{value:.6f} " for value in answer).replace("-nan", "nan"))
-    done = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True)
-    assert done.stdout.replace("-nan", "nan").splitlines() == expected
-    done = subprocess.run([program], input="1 2 3\n", capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (1, "A line needs 46 numbers, got: 1 2 3\n")
+    for program in programs:
+        done = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True)
+        assert done.stdout.replace("-nan", "nan").splitlines() == expected
+        done = subprocess.run([program], input="1 2 3\n", capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (1, "A line needs 46 numbers, got: 1 2 3\n")
 
 
 def test_every_field_of_a_record_is_in_the_table(library):

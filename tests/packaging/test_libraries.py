@@ -18,9 +18,7 @@ def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatc
     wrong, text, old = tmp_path / "wrong.so", tmp_path / "text.so", tmp_path / "old.so"
     subprocess.run([*compiler(), "-shared", "-fPIC", "-o", wrong, other], check=True)
     text.write_text("no library")
-    with monkeypatch.context() as yesterday:
-        yesterday.setattr(Sources, "fingerprint", lambda self: "of yesterday")
-        assert NATIVE.sources.compile(old, ["-std=c99", "-O0"]) is None
+    assert NATIVE.sources.compile(old, ["-std=c99", "-O0"]) is None
     for path, problem in (
         (tmp_path / "missing.so", "there is no missing.so"),
         (wrong, "wrong.so cannot be used, it is another library"),
@@ -39,6 +37,14 @@ def test_a_library_that_cannot_be_used_is_one_line_in_the_log(caplog, monkeypatc
     monkeypatch.setenv("SUREFOOT_NATIVE", "0")
     assert NATIVE.look(tmp_path / "another.so") is None
     assert not caplog.messages
+
+
+def test_a_fingerprint_is_of_the_sources_and_the_flags(tmp_path):
+    sources, found = Sources(tmp_path), set()
+    for text in ("one", "another"):
+        (tmp_path / "library.c").write_text(text)
+        found |= {sources.fingerprint(), sources.fingerprint(["-O0"])}
+    assert len(found) == 4
 
 
 def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
