@@ -52,7 +52,7 @@ results: $(VENV)/.dev
 	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
 	$(BIN)/surefoot compare robots --seeds $(ROBOTS) --jobs 2 --out $(RESULTS)/robots
 	$(BIN)/surefoot compare walking --full --seeds $(WALKS) --out $(RESULTS)/full
-	$(BIN)/python -m surefoot.experiments.study.results docs/results.md docs/in-situ.md docs/policy-results.md
+	$(BIN)/python docs/fill_tables.py docs/results.md docs/in-situ.md docs/policy-results.md
 
 # Studies that take minutes: a million fuzzed samples, consistency over 200 runs.
 slow: $(VENV)/.dev

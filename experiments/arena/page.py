@@ -16,41 +16,16 @@ from surefoot.experiments.study.page import (
     Report,
     ReportFigure,
     Section,
+    Words,
     failure_section,
+    publish,
     repeat_section,
-    save_tables,
-    write_page,
 )
 from surefoot.experiments.study.progress import working
-from surefoot.experiments.study.tables import claim_table, flat, plural, sentence
+from surefoot.experiments.study.tables import claim_table, plural, sentence
 from surefoot.experiments.walks.walkers import STAND_TIME
 
-_INTRODUCTION = """
-    A NAO-class biped walks in MuJoCo on feet whose scales and offsets are wrong and drift. Every walk is
-    recorded once, and the same stream goes through every method. The methods are given what a robot knows
-    of itself, never the truth, which serves to score them. Unless a scenario says otherwise, scales are
-    off by 12 % and offsets by 1.5 N, they drift by 2 % and 1 N per square root of a minute, the assumed
-    centre of mass is off by 3 mm and the mass by 0.5 %, the IMU is noisy and biased, and telemetry comes
-    20 ± 4 ms late."""
-
-_AMOUNT = """
-    {walks} of {duration:g} s a scenario, unless the table says fewer; the first {stand:g} s are standing,
-    and errors count from {settle:g} s on. Intervals are 95 % intervals of the mean over walks (Student t).
-    The row "floor (true map)" is what the map that undoes the errors at every moment would read: what is
-    left of it is the sensors' own noise and age."""
-
-_REPEAT = """
-    All scores are in tables/scores.csv and .parquet, one row a run; tables/summary.csv holds their means,
-    tables/errors.parquet the errors over time, and logs/ the recorded streams."""
-
-_CAPTIONS = {
-    "All scenarios": "Means and 95 % intervals of all scenarios; dashed, what was set out to be reached.",
-    "Error over time": "Rmse of the last 2 s: median over the walks, and quartiles shaded.",
-    "Consistency": "How the errors of scales and offsets at the ends of the walks agree with the covariance "
-    "claimed: 1 is right, to the right of it a method is too sure. Grey, the 95 % interval of a consistent "
-    "estimator.",
-    "Detection": "Every dot is a walk in which the fault was found; dashed, one second.",
-}
+_say, _caption = Words("arena"), Words("arena", "captions")
 
 
 def compare_walking(options: ArenaOptions, console: Console | None = None) -> Report:
@@ -83,24 +58,24 @@ def write_arena_page(results: ArenaResults) -> Report:
     quick = " --quick" if options.quick else ""
     command = f"surefoot compare walking --scenario {scenarios[0].name} --seeds {options.seeds}{quick}"
     sections += failure_section(results.failures)
-    sections.append(repeat_section((_REPEAT,), (f"{command} --out {options.out}",), results.seconds))
+    sections.append(repeat_section(_say("repeat"), (f"{command} --out {options.out}",), results.seconds))
     if targets:
         sections.append(Section("targets", "What was set out to reach", tables=targets))
     _save_summary(results)
-    save_tables(options.out / "tables", [table for section in sections for table in section.tables])
-    amount = _AMOUNT.format(
+    amount = _say(
+        "amount",
         walks=plural(options.seeds, "walk"),
         duration=options.duration,
         stand=STAND_TIME,
         settle=options.settle,
     )
     title = "Calibrators on the same walks"
-    page = write_page(options.out / "report.html", title, (flat(_INTRODUCTION), flat(amount)), sections)
-    return Report(page, (*targets, *summary, *(() if faults is None else (faults,))))
+    report = publish(options.out, title, (_say("introduction"), amount), sections)
+    return report._replace(tables=(*targets, *summary, *(() if faults is None else (faults,))))
 
 
 def _figure(path: Path | None, name: str) -> tuple[ReportFigure, ...]:
-    return () if path is None else (ReportFigure(path, name, _CAPTIONS[name]),)
+    return () if path is None else (ReportFigure(path, name, _caption(name)),)
 
 
 def _scenario_section(results: ArenaResults, scenario: Scenario, folder: Path) -> Section:

@@ -8,13 +8,13 @@ from scipy import stats
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.scenarios import Scenario
 from surefoot.experiments.study.figures import by_way, in_order, look_of, short_label
+from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import (
     Cell,
     Frame,
     Table,
     Valued,
     count_of,
-    flat,
     laid_out,
     mean_of,
     number,
@@ -28,12 +28,6 @@ METRICS = (
     ("cell", 1.0, "single cell rmse (N)", 0.4),
 )
 """Errors with the factor to their unit, what to call them, and what was set out to be reached."""
-
-_SCORES_NOTE = """
-    converged: median time after the walk began from which the error of 2 s stays within twice that of the
-    last 10 s. NEES: of scales and offsets at the end of the walk, over its degrees of freedom, with the 95 %
-    interval of a consistent estimator in brackets. That of the CoP, a mean over time, and NIS are over their
-    degrees of freedom as well."""
 
 
 def consistent(runs: Frame) -> tuple[float, float]:
@@ -103,7 +97,7 @@ def scenario_table(scores: Frame, scenario: Scenario) -> Table:
     """Return all scores of a scenario, from one row a run."""
     title = f"{sentence(scenario.title)}: means over runs and their 95 % intervals"
     parts = by_way(scores[scores["scenario"] == scenario.name])
-    return laid_out(f"scenario_{scenario.name}", title, _SCORES, parts.values(), flat(_SCORES_NOTE))
+    return laid_out(f"scenario_{scenario.name}", title, _SCORES, parts.values(), Words("arena")("scores"))
 
 
 def overview_table(scores: Frame, scenarios: Sequence[Scenario]) -> Table:

@@ -52,18 +52,14 @@ def in_situ(
     as_json: Json = False,
 ) -> None:
     """Compare in-situ methods on a simulated leg with known masses, as the in-situ paper."""
-    from surefoot.experiments.in_situ.page import InSituStudyPage
-    from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_study
-    from surefoot.experiments.study.progress import working
+    from surefoot.experiments.in_situ.page import compare_in_situ
+    from surefoot.experiments.in_situ.study import InSituStudyOptions
 
     with one_line_errors(out):
         options = InSituStudyOptions(out=out, seeds=seeds, jobs=jobs)
         out.mkdir(parents=True, exist_ok=True)
-        results = run_in_situ_study(options.quickly() if quick else options)
-    with working("drawing the report"):
-        page = InSituStudyPage(results)
-        report = page.write()
-    show(page.tables, {"report": report}, as_json=as_json)
+        report = compare_in_situ(options.quickly() if quick else options)
+    show(report.tables, {"report": report.page}, as_json=as_json)
 
 
 @app.command()

@@ -20,16 +20,18 @@ from surefoot.experiments.study.page import (
     Report,
     ReportFigure,
     Section,
+    Words,
     failure_section,
+    publish,
     repeat_section,
-    save_tables,
-    write_page,
 )
 from surefoot.experiments.study.progress import working
-from surefoot.experiments.study.tables import Frame, claim_table, flat, plural
+from surefoot.experiments.study.tables import Frame, claim_table, plural
 from surefoot.experiments.walks.record import CONDITIONS, Condition
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.experiments.weights.weighing import run_weighing
+
+_say, _caption = Words("demo"), Words("demo", "captions")
 
 PAPER, BAD = CONDITIONS
 PAPER_FIGURES = {0.02: (10, 11), 0.04: (12, 13), 0.1: (14, 15)}
@@ -38,78 +40,6 @@ YARDSTICKS = (
     (PAPER, "truth", f"{PAPER.title}, against the truth"),
     (BAD, "truth", f"{BAD.title}, against the truth"),
 )
-
-_TEXTS = {
-    "introduction": """
-        A NAO-class biped of 5.3 kg walks in MuJoCo on eight load cells, four under each foot, whose scales
-        and offsets are wrong and drift. Every walk was recorded once, and the same stream of readings went
-        through every calibration method: the moment filter, the sliding window of the CoP paper, the
-        quasi-static method (Han), a tare in swing, and none at all. The methods were given what a robot
-        knows (late and noisy encoders and IMU, and a model of itself whose mass and centre of mass are
-        off), never the truth; the truth is used here to score them.""",
-    "amount": """
-        {seeds} at each speed ({speeds} m/s), walks of {duration:g} s of which the first {stand:g} s are
-        standing; errors count from {settle:g} s on. All intervals are 95 % intervals of the mean over
-        seeds (Student t).""",
-    "conditions": """
-        Two conditions. {paper}: the cells were calibrated from known weights before the walk and drift
-        mildly since (0.5 % in scale and 0.2 N in offset per square root of a minute); methods start from
-        that calibration. {bad}: never calibrated (scales off by 12 %, offsets by 1.5 N, one standard
-        deviation) and drifting by 2 % and 1 N per square root of a minute; methods start from the data
-        sheet.""",
-    "yardsticks": """
-        Two yardsticks. Against the baseline, as the paper scores: the calibration from known weights,
-        applied to the same readings, stands for the truth. In that scoring doing nothing is perfect by
-        construction where a method starts from these weights, and a method is charged for following the
-        drift. Against the truth: MuJoCo's cell forces at the moment at which the host reads.""",
-    "definitions": """
-        CoP is the centre of pressure of both feet in the world, sqrt(mean(ex² + ey²)), with the true poses
-        of the soles on both sides, wherever more than 5 N press on the ground; vGRF is the vertical force
-        of both feet together; a single cell is the error over all cells. The floor is the map that would
-        undo each cell's scale and offset at every moment: what it leaves comes from noise and from chips
-        that convert at times of their own, so that readings are up to 13 ms old, and no calibration of
-        scales and offsets can remove it. The reference is what the robot's motion asks for (Eqs. 9-11),
-        against the truth of the moment that it describes.""",
-    "loop": """
-        The stabiliser holds the centre of pressure in its observation against the planned one and moves
-        the ankles. It is the same controller every time and begins with the first step, after {stand:g} s
-        of standing; only the feet it feels differ. Severity 1 is the bad start,
-        severity 3 three times that; there are small pushes, and the ground's friction is drawn. What the
-        walker tolerates depends on the controller: it balances on its tilt as well.""",
-    "sensitivity": """
-        The paper scales each of the window's weights (Eq. 14) by 0.2 to 5 and reports that little changes.
-        So did we, on the same logs: w_F of the vertical force, w_P of the centre of pressure, w_S of the
-        parameters' smoothness.""",
-    "repeat": """
-        A row of any table is made of seeded walks. The logs hold everything that the tables were made of;
-        docs/log-format.md describes their columns. All single numbers are in tables/*.csv, and
-        results.json says how this was run.""",
-}
-
-_CAPTIONS = {
-    "overview": """
-        Mean errors with their 95 % intervals on logarithmic axes; bars without a marker are the numbers
-        that the paper prints. Left as the paper scores; the other two against the truth.""",
-    "errors_over_time": """
-        Error of the centre of pressure against the truth over the last 2 s; lines are medians and bands
-        quartiles over seeds. A curve that falls and stays down is a calibrator that converges; the dotted
-        floor is what the best map of each moment leaves.""",
-    "cop": """
-        Centre of pressure at {speed:g} m/s, seed 0: forward, to the left, and its distance to the truth on
-        a logarithmic axis. Black is MuJoCo's truth. The nearer a colour stays to black, and the lower it
-        lies in the last row, the better.""",
-    "vgrf": """
-        Vertical force at {speed:g} m/s, seed 0: both feet together above, the left foot alone below. A
-        foot in the air should read zero; where a colour does not, its offset is wrong.""",
-    "film": """
-        The same robot and seed twice (severity {severity:g}, {speed:g} m/s, seed {seed}): left on drifting
-        raw feet, right on feet that the moment filter calibrates. Below, the soles from above: the black
-        dot is the true centre of pressure, the coloured one that which the controller is given.""",
-    "closed_loop": """
-        Above, the share still walking; below, every single walk, a cross where it fell and a ring where it
-        reached the end.""",
-    "weights": "Errors against the factor on one weight; bands are 95 % intervals.",
-}
 
 
 def run_demo(options: ArenaOptions, console: Console | None = None) -> Report:
@@ -139,9 +69,6 @@ def write_demo_page(results: ArenaResults) -> Report:
         Section("targets", "What was set out to reach", tables=(targets,)),
     ]
     lead = _lead(results, folder) if len(results.loop) else None
-    shown = [lead, *sections] if lead else sections
-    all_tables = tuple(table for section in shown for table in section.tables)
-    save_tables(options.out / "tables", all_tables)
     amount = _say(
         "amount",
         seeds=plural(options.seeds, "seed"),
@@ -152,16 +79,11 @@ def write_demo_page(results: ArenaResults) -> Report:
     )
     introduction = (_say("introduction"), amount)
     title = "Walking on bad feet, and on calibrated ones"
-    page = write_page(options.out / "report.html", title, introduction, sections, lead=lead)
-    return Report(page, all_tables)
-
-
-def _say(text: str, **values: Any) -> str:
-    return flat(_TEXTS[text]).format(**values)
+    return publish(options.out, title, introduction, sections, lead=lead)
 
 
 def _figure(path: Path, name: str, caption: str, **values: Any) -> ReportFigure:
-    return ReportFigure(path, name, flat(_CAPTIONS[caption]).format(**values))
+    return ReportFigure(path, name, _caption(caption, **values))
 
 
 def _lead(results: ArenaResults, folder: Path) -> Section:
@@ -177,7 +99,7 @@ def _lead(results: ArenaResults, folder: Path) -> Section:
         paragraphs.append(f"There is no film in this report: {film.problem.rstrip('.')}.")
     else:
         severity, at, seed = results.filmed
-        caption = flat(_CAPTIONS["film"]).format(severity=severity, speed=at, seed=seed)
+        caption = _caption("film", severity=severity, speed=at, seed=seed)
         video = {"video": film.path.name, "poster": film.still.name, "video_caption": caption}
     own = results.yardsticks[results.yardsticks["speed"] == speed]
     return Section(
@@ -280,4 +202,4 @@ def _repeat_section(results: ArenaResults) -> Section:
         f"--duration {options.loop_duration:g} --video walk.mp4",
         f"surefoot compare walking --full --seeds 10 --jobs {options.jobs}",
     )
-    return repeat_section((_TEXTS["repeat"],), commands, results.seconds)
+    return repeat_section(_say("repeat"), commands, results.seconds)

@@ -10,24 +10,11 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.demo.tables import TABLE_2, TABLE_3
 from surefoot.experiments.study.figures import figure_at, grid_of, logarithmic, look_of
-from surefoot.experiments.study.page import ReportFigure, Section
-from surefoot.experiments.study.tables import Table, flat, laid_out, number
+from surefoot.experiments.study.page import ReportFigure, Section, Words
+from surefoot.experiments.study.tables import Table, laid_out, number
 from surefoot.experiments.weights.weighing import WeighingReport
 
-_TEXT = """
-    Before a robot walks, known weights stand on each cell and then at holes 1 cm apart on each foot's
-    plate. A line per cell (Eqs. 1, 2) and a correction of the centre of pressure (Eqs. 3-5) are fitted,
-    and scored at holes that the fit never saw."""
-
-_COP = """
-    Measured centres of pressure (dots) against the holes in which the weights stood (rings): left foot,
-    held-out holes, weights from 1 kg on. Left by the data sheet's coefficients, right after the
-    calibration: the dots sit in their rings."""
-
-_VGRF = """
-    Vertical force of held-out placements on both feet, sorted by weight; below, the size of the error on a
-    logarithmic axis."""
-
+_say = Words("demo")
 _BEFORE, _AFTER = "initial coefficients", "calibrated from weights"
 
 
@@ -89,10 +76,10 @@ def weights_section(report: WeighingReport, folder: Path) -> Section:
     """Return the section about known weights, and draw its figures into a folder."""
     tables = (paper_table_2()[0], table_2(report), table_3(report))
     shown = (
-        ReportFigure(cop_figure(folder / "figure07_cop.svg", report), "Figure 7", flat(_COP)),
-        ReportFigure(vgrf_figure(folder / "figure08_vgrf.svg", report), "Figure 8", flat(_VGRF)),
+        ReportFigure(cop_figure(folder / "figure07_cop.svg", report), "Figure 7", _say("figure_7")),
+        ReportFigure(vgrf_figure(folder / "figure08_vgrf.svg", report), "Figure 8", _say("figure_8")),
     )
-    return Section("weights", "Known weights", (flat(_TEXT),), tables=tables, figures=shown)
+    return Section("weights", "Known weights", (_say("weights"),), tables=tables, figures=shown)
 
 
 def cop_figure(path: Path, report: WeighingReport) -> Path:

@@ -5,8 +5,11 @@ from dataclasses import dataclass
 
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of
 from surefoot.experiments.study.figures import short_label
+from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import Interval
-from surefoot.experiments.study.tables import Frame, Verdict, flat
+from surefoot.experiments.study.tables import Frame, Verdict
+
+_say = Words("episodes")
 
 CALIBRATED = "moment"  # the feed that is compared with the others
 NOBODY = "zero"  # the controller that does nothing
@@ -63,15 +66,6 @@ def _inputs(frame: Frame, who: str) -> Iterator[Pair]:
         yield Run("true", "given", who), Run("true", other, who), f"given less {other}", None, False
 
 
-_NOBODY = """
-    Returns less those of the zero action, which leaves the robot to its pattern: who acts on wrong readings
-    may do worse than nobody."""
-
-_OTHER_INPUTS = """
-    True feet, but the controller is given a CoP that is held (frozen), that of another episode (swapped), or
-    that of another episode in random order (shuffled). Who uses the CoP loses by it."""
-
-
 @dataclass(frozen=True)
 class Comparison:
     """A kind of differences: one table, one figure and one section of a page."""
@@ -94,7 +88,7 @@ class Comparison:
 
 COMPARISONS = (
     Comparison("differences", "Paired differences of returns", "Feet against feet", (), _feeds),
-    Comparison("nobody", "What acting is worth", "Is acting worth it?", (flat(_NOBODY),), _acting),
-    Comparison("inputs", "What another CoP costs", "Is the CoP used?", (flat(_OTHER_INPUTS),), _inputs),
+    Comparison("nobody", "What acting is worth", "Is acting worth it?", (_say("nobody"),), _acting),
+    Comparison("inputs", "What another CoP costs", "Is the CoP used?", (_say("inputs"),), _inputs),
 )
 """All comparisons, in the order of the page."""

@@ -23,49 +23,14 @@ from surefoot.experiments.policy.card import SCORES, WHOSE
 from surefoot.experiments.policy.controllers import BUILT_IN, labels
 from surefoot.experiments.policy.tasks import task_named
 from surefoot.experiments.study.files import atomic_path
-from surefoot.experiments.study.page import ReportFigure, Section, save_tables, write_page
-from surefoot.experiments.study.tables import Frame, Table, flat
+from surefoot.experiments.study.page import ReportFigure, Section, Words, save_tables, write_page
+from surefoot.experiments.study.tables import Frame, Table
 
-_INTRODUCTION = """
-    Controllers on {env_id}. What they are given for the centre of pressure (CoP) differs, and nothing else:
-    the same seed is the same command, load, pushes, ground and sensors for all of them. Severity is a factor
-    of all errors of the feet's load cells; true feet have none, and are run once. Scores begin when the quiet
-    stand is over."""
-
-_FEEDS = """
-    What is fed back: 'true', the simulator's own; 'none', readings of drifting feet as they are; 'weights',
-    by the map that known weights gave just before the episode; 'quasi-static', Han's method; 'window', that
-    of the CoP paper; and 'moment'. What was not run is left out."""
-
-_AMOUNT = """
-    {episodes} episodes of {count} seeds ({seeds}). {paired} Intervals are 95 %: of means Student's t, of the
-    loss won back a bootstrap over seeds, of survival Greenwood's."""
-
-_PAIRED = "Every row is of the same seeds."
-
-_UNPAIRED = """
-    Not all rows are of the same seeds: differences are taken over those that both sides have, and say how
-    many there are; means beside each other are not of the same episodes."""
+_say = Words("episodes")
 
 _KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomised feet"}
 
 _LEARNT_NOTHING = {"stabiliser": ": feedback of the CoP, no learning", "zero": ": nobody acts"}
-
-_FOREST = (
-    "Differences of returns between episodes of the same seed, with 95 % intervals. What crosses the line at "
-    "zero may be nothing."
-)
-
-_RANDOMISATION = """
-    A policy that was trained on randomised sensors has learnt to live with their errors; a calibration makes
-    the errors smaller. Either can be had without the other. All intervals are over the episodes of these two
-    trained policies: how far another training of the same kind, by another seed, would come out from them is
-    in none."""
-
-_AGAIN = (
-    "An episode that is run again comes out the same to the last digit with the same versions on the same "
-    "kind of machine."
-)
 
 
 class EvaluationPage:
@@ -134,13 +99,14 @@ class EvaluationPage:
 
     def _introduction(self) -> tuple[str, ...]:
         seeds = self.frame["seed"]
-        amount = _AMOUNT.format(
+        amount = _say(
+            "amount",
             episodes=len(self.frame),
             count=seeds.nunique(),
             seeds=seeds_text(seeds),
-            paired=_PAIRED if same_seeds(self.frame) else _UNPAIRED,
+            paired=_say("paired" if same_seeds(self.frame) else "unpaired"),
         )
-        return flat(_INTRODUCTION.format(env_id=self.task.env_id)), flat(_FEEDS), flat(amount)
+        return _say("introduction", env_id=self.task.env_id), _say("feeds"), amount
 
     def _sections(self, drawn: Path) -> list[Section]:
         findings = [text for name in self.controllers for text in controller_findings(self.frame, name)]
@@ -154,17 +120,17 @@ class EvaluationPage:
         sections.append(Section("scores", "Scores", tables=self.scores, figures=outcomes))
         for (comparison, found), table in zip(self.compared, self.differences, strict=True):
             path = figures.forest(drawn / f"{table.name}.svg", found)
-            shown: Any = {"tables": (table,), "figures": (ReportFigure(path, table.title, _FOREST),)}
+            shown: Any = {"tables": (table,), "figures": (ReportFigure(path, table.title, _say("forest")),)}
             sections.append(Section(table.name, comparison.title, comparison.text, **shown))
         if self.randomisation:
             title, shown = "Is domain randomisation enough?", {"tables": self.randomisation}
-            text = (flat(_RANDOMISATION),)
+            text = (_say("randomisation"),)
             sections.append(Section("randomisation", title, text, self.answers, **shown))
         sections.append(self._repeat())
         return sections
 
     def _repeat(self) -> Section:
-        text = [*self._versions(), _AGAIN]
+        text = [*self._versions(), _say("again")]
         if given := [self.labels[name] for name, origin in self.origins.items() if not origin.runs]:
             text.append(f"No command runs {', '.join(given)}: the episodes were given as files.")
         return Section("repeat", "Repeat it", (" ".join(text),), commands=tuple(self.commands()))

@@ -7,14 +7,9 @@ from surefoot.experiments.episodes.randomisation import Answer
 from surefoot.experiments.episodes.scores import Run, controllers_of, difference, severities_of, won_back
 from surefoot.experiments.episodes.tables import percent
 from surefoot.experiments.policy.controllers import labels
+from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import Interval, mean_interval
-from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, claim_table, flat, interval_text
-
-_NOTE = """
-    Survival and the share of the loss that is won back are judged by the number itself, wherever its interval
-    ends; all else by 95 % intervals. An interval leaves out what is true in one of twenty cases: among many
-    differences, some are clear, and some targets met or missed, by chance. Of what both together are compared
-    with, the one is shown that decides."""
+from surefoot.experiments.study.tables import Claim, Frame, Table, at_least, claim_table, interval_text
 
 
 def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] = ()) -> Table:
@@ -30,7 +25,7 @@ def target_table(frame: Frame, controller: str, randomisation: Sequence[Answer] 
     if used is not None:
         claims.append(_clearly("true CoP given less shuffled", used))
     title = f"Set out to reach, by {labels(controllers_of(frame))[controller]}"
-    return claim_table(claims, title, flat(_NOTE))
+    return claim_table(claims, title, Words("episodes")("targets"))
 
 
 def _claims(own: Frame) -> Iterator[Claim]:

@@ -13,10 +13,12 @@ from surefoot.experiments.episodes.episode import Episode, episode_moments
 from surefoot.experiments.episodes.run import EpisodeResults
 from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.study.page import ReportFigure, Section, save_tables, write_page
-from surefoot.experiments.study.tables import Frame, Table, flat, plural, sentence
+from surefoot.experiments.study.page import ReportFigure, Section, Words, save_tables, write_page
+from surefoot.experiments.study.tables import Frame, Table, plural, sentence
 from surefoot.experiments.walks.closed_loop import Moment
 from surefoot.experiments.walks.video import HEIGHT, WIDTH, headed, mark_cop, pictures, write_film
+
+_say = Words("episodes")
 
 LAST_SECONDS = 12.0  # what is kept of a long episode, in s: its end, where the fall is
 
@@ -36,24 +38,6 @@ def film_episode(path: Path, episode: Episode, *, until: float | None = None) ->
     drawn = pictures(lambda: episode_moments(episode, render_mode="rgb_array", **size), draw, begin)
     return write_film(path, [frame for frame, _ in drawn], quality=6)
 
-
-_INTRODUCTION = """
-    Every episode is one case: a controller, what it is fed for the centre of pressure, a scenario, a severity
-    and a seed. Severity is a factor of all errors of the load cells "{cells}": 0 leaves none of them, 1 is
-    the device as it is. Seeds are paired: the same seed is the same ground, pushes, starting state and
-    sensors, scaled, for every controller and feed. True feet have no errors and so no severity."""
-
-_AMOUNT = """
-    {cases} of at most {duration:g} s; the controller is asked from {settle:g} s on, and before that the
-    robot stands by its pattern alone, which calibrators need. {failed} failed: left out of everything below
-    but the table of failures."""
-
-_REPEAT = """
-    episodes.parquet has one row a case, with all that makes it in the column 'spec' and the versions that
-    made it beside it. A case that is run again comes out the same to the last digit with the same versions on
-    the same kind of machine."""
-
-_HEAT = "Share of episodes that end in a fall; what was not run is blank."
 
 _FILM = f"Its last {LAST_SECONDS:g} s; dots: the true centre of pressure (black) and the one fed back."
 
@@ -85,7 +69,8 @@ class SweepPage:
         """Draw the figures, save the tables as CSV, film, and write ``index.html``."""
         save_tables(self.folder / "tables", self.tables)
         plan, failed = self.results.plan, len(self.results.failed)
-        amount = _AMOUNT.format(
+        amount = _say(
+            "sweep_amount",
             cases=plural(len(self.results.rows), "case"),
             duration=plan.duration,
             settle=plan.settle,
@@ -101,14 +86,14 @@ class SweepPage:
             sections += [self._film(row) for row in self.worst.head(self.films).to_dict("records")]
         shown = self.worst if self.titles else self.results.rows
         command = f"surefoot replay {self.folder} --case {int(shown['case'].iloc[0])}"
-        sections.append(Section("repeat", "Repeat any part", (flat(_REPEAT),), commands=(command,)))
-        introduction = (flat(_INTRODUCTION.format(cells=plan.cells)), flat(amount))
+        sections.append(Section("repeat", "Repeat any part", (_say("sweep_repeat"),), commands=(command,)))
+        introduction = (_say("sweep", cells=plan.cells), amount)
         return write_page(self.folder / "index.html", "surefoot sweep", introduction, sections)
 
     def _summary(self) -> Section:
         path = figures.heat_maps(self.folder / "figures" / "heat.svg", self.rows, self.titles)
         shown = () if self.half is None else (self.half,)
-        drawn = (ReportFigure(path, "Falls", _HEAT),)
+        drawn = (ReportFigure(path, "Falls", _say("heat")),)
         return Section("summary", "In short", tables=shown, figures=drawn)
 
     def _scenario(self, name: str) -> Section:

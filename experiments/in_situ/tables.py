@@ -9,18 +9,20 @@ from surefoot.experiments.in_situ.cases import KINDS, MOTIONS
 from surefoot.experiments.in_situ.claims import Limit, consistency, limits_of, over_bound
 from surefoot.experiments.in_situ.methods import METHODS
 from surefoot.experiments.in_situ.study import InSituStudyResults
+from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import (
     Cell,
     Frame,
     Table,
     Verdict,
-    flat,
     laid_out,
     mean_of,
     number,
     with_interval,
 )
+
+_say = Words("in_situ")
 
 Triple = tuple[float, float, float]
 
@@ -158,19 +160,6 @@ _EXACT: Mapping[str, Cell] = {
     "first moment": lambda row: f"{row.first_moment:.1e}",
 }
 
-_LIMB_NOTE = """
-    Forces and torques: rms of (C A - I) w over that of w, under the loads of the sets that were not fitted.
-    The manufacturer's matrix weighs no limb: it is beside the paper's."""
-
-_BOUND_NOTE = """
-    Limb at rest, gravity exact. The Cramér-Rao bound is that of white noise and offsets that do not drift;
-    what else a sensor suffers is reported, not bounded. Part of that is a matter of words: with hysteresis a
-    sensor has no one slope, and the truth is that at the ends of a large swing."""
-
-_REFUSALS_NOTE = """
-    Errors of the answer or, where it was refused, of a fit without that check (a dash where there is no such
-    answer), and those of the paper's III-C, which has but the rank to go by."""
-
 
 def _place(found: tuple[float, ...] | None) -> str:
     return " / ".join(f"{x:g}" for x in found or ()) or "–"
@@ -232,10 +221,10 @@ def all_tables(results: InSituStudyResults) -> dict[str, Table]:
     listed = (
         laid_out("targets", "What it must show", _TARGETS, limits_of(results), seen),
         *(_by_set(results.sets, *table) for table in _BY_SET),
-        laid_out("limb", "Absolute weight of the limb, and the matrix", _LIMB, of_limb, flat(_LIMB_NOTE)),
-        laid_out("bound", bound, _BOUND, of_bound, flat(_BOUND_NOTE)),
+        laid_out("limb", "Absolute weight of the limb, and the matrix", _LIMB, of_limb, _say("limb_note")),
+        laid_out("bound", bound, _BOUND, of_bound, _say("bound_note")),
         laid_out("motion", "Slow and fast motion", _MOTION, of_motion, motions),
-        laid_out("refusals", "Experiments that went wrong (leg)", _REFUSALS, spoilt, flat(_REFUSALS_NOTE)),
+        laid_out("refusals", "Experiments that went wrong (leg)", _REFUSALS, spoilt, _say("refusals_note")),
         laid_out("exact", "Relative errors without noise", _EXACT, results.exact.itertuples()),
     )
     return {table.name: table for table in listed}

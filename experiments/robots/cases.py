@@ -17,8 +17,8 @@ import numpy as np
 from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, Reference
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.envs import InstrumentedEnv, RobotDrawing
+from surefoot.envs.exercise.held import HeldRobot
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.robots.held import HeldRobot
 from surefoot.experiments.walks.score import held, rms
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.instruments import layout_options

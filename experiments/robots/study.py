@@ -12,11 +12,11 @@ from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.page import (
     Report,
     Section,
+    Words,
     failure_section,
+    publish,
     repeat_section,
     save_frames,
-    save_tables,
-    write_page,
 )
 from surefoot.experiments.study.runner import runner
 from surefoot.experiments.study.statistics import mean_interval
@@ -28,12 +28,12 @@ from surefoot.experiments.study.tables import (
     Table,
     at_most,
     claim_table,
-    flat,
     laid_out,
     plural,
     with_interval,
 )
 
+_say = Words("robots")
 _KEYS = ["robot", "name"]
 
 
@@ -69,7 +69,7 @@ def compare_robots(options: RobotOptions, console: Console | None = None) -> Rep
     with store.opened(), runner(options.jobs, seconds, console) as run:
         run.run("robots", cases, store)
     scores, failures = store.rows("scores", cases), store.failures(cases)
-    claims = claim_table(claims_of(scores), note=flat(_CLAIM)) if len(scores) else None
+    claims = claim_table(claims_of(scores), note=_say("claim")) if len(scores) else None
     tables = tuple(robot_table(scores, sensors) for sensors in SENSORS if len(scores))
     summary = (*tables, *(() if claims is None else (claims,)))
     left_out = (f"Robots of the package are left out: {without}",) if without else ()
@@ -78,13 +78,11 @@ def compare_robots(options: RobotOptions, console: Console | None = None) -> Rep
     sections = (
         Section("robots", "Robots, motions and sensors", findings=left_out, tables=summary),
         *failure_section(failures),
-        repeat_section((_REPEAT,), (command,), seconds),
+        repeat_section(_say("repeat"), (command,), seconds),
     )
     save_frames(options.out / "tables", {"scores": scores}, (".csv",))
-    save_tables(options.out / "tables", summary)
     title = "Calibrators on robots that others made"
-    page = write_page(options.out / "report.html", title, (flat(_INTRODUCTION), amount, *left_out), sections)
-    return Report(page, summary)
+    return publish(options.out, title, (_say("introduction"), amount, *left_out), sections)
 
 
 def claims_of(scores: Frame) -> list[Claim]:
@@ -117,17 +115,3 @@ def robot_table(scores: Frame, sensors: str) -> Table:
     }
     parts = [part for _, part in scores[scores["sensors"] == sensors].groupby(_KEYS, sort=False)]
     return laid_out(sensors.replace(" ", "_"), f"Feet with {sensors}", columns, parts)
-
-
-_INTRODUCTION = """
-    Robots that others made stand, exercise, shake and fall on emulated feet: load cells of the robot's size
-    whose scales are off by 12 %, or six-axis sensors in the ankles. All methods hear the same readings and
-    the same beliefs of the robot; errors are root mean squares over a run, its falls included, and of
-    centres of pressure those of single feet in their soles' frames, while a foot bears a tenth of the weight
-    or more."""
-
-_CLAIM = """
-    Differences from raw readings are taken seed by seed; one counts if its mean is above zero by more than
-    the half width of its 95 % interval."""
-
-_REPEAT = "All numbers are in tables/scores.csv, one row a robot, motion, kind of sensors, seed and method."

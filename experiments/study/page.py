@@ -5,6 +5,7 @@ import json
 import shlex
 import sys
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -55,6 +56,18 @@ class Section:
     video_caption: str = ""
     figures: tuple[ReportFigure, ...] = ()
     commands: tuple[str, ...] = ()
+
+
+class Words:
+    """What a page says, by its name in ``words.toml`` of a room, or in a part of it."""
+
+    def __init__(self, room: str, part: str = "") -> None:
+        text = files(f"surefoot.experiments.{room}").joinpath("words.toml").read_text(encoding="utf-8")
+        self._texts = tomllib.loads(text)[part] if part else tomllib.loads(text)
+
+    def __call__(self, name: str, **values: Any) -> str:
+        """Return a text as one line, with values for what stands in braces."""
+        return flat(self._texts[name]).format(**values)
 
 
 class Report(NamedTuple):
@@ -111,6 +124,22 @@ def write_log_page(
         return write_page(path, title, (introduction,), (first, *sections(Path(folder))), made=made)
 
 
+def publish(
+    out: Path,
+    title: str,
+    introduction: tuple[str, ...],
+    sections: Sequence[Section],
+    *,
+    lead: Section | None = None,
+    prefix: str = "",
+) -> Report:
+    """Save the tables of all sections as CSV, write ``report.html``, and return both."""
+    shown = sections if lead is None else (lead, *sections)
+    tables = tuple(table for section in shown for table in section.tables)
+    save_tables(out / "tables", tables, prefix)
+    return Report(write_page(out / "report.html", title, introduction, sections, lead=lead), tables)
+
+
 def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None:
     """Save tables as CSV files of their names, and beside them how, by which code and when they were made."""
     for table in tables:
@@ -134,11 +163,11 @@ def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:
     return (Section("failed", "Cases that failed", tables=(table,)),)
 
 
-def repeat_section(texts: Sequence[str], commands: Sequence[str], seconds: Mapping[str, float]) -> Section:
+def repeat_section(text: str, commands: Sequence[str], seconds: Mapping[str, float]) -> Section:
     """Return the section about how to repeat a study whose stages took some seconds."""
     took = ", ".join(f"{what} {time:.0f} s" for what, time in seconds.items())
     kept = f"This run took: {took}. What is finished is kept, so that a run goes on where it stopped."
-    return Section("repeat", "Repeat any part", (*map(flat, texts), kept), commands=tuple(commands))
+    return Section("repeat", "Repeat any part", (text, kept), commands=tuple(commands))
 
 
 def save_frames(

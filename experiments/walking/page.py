@@ -3,14 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from surefoot.experiments.study.page import ReportFigure, Section, write_log_page
-from surefoot.experiments.study.tables import flat
+from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
 from surefoot.experiments.walking import figures, tables
-
-_AGREEMENT = """
-    Mass, joints and IMU give what the ground must exert. A calibration brings the feet nearer to that; what
-    is left are the errors of both. If the robot's mass or centre of mass is wrong, the feet agree with a
-    motion that is wrong: weigh the robot, and check the model."""
 
 _CAPTIONS = (
     "Centre of pressure of all feet from the middle between the soles, and its distance from the one that "
@@ -42,7 +36,7 @@ def _sections(folder: Path, facts: tables.Facts) -> Iterator[Section]:
 
     cop = figure(1, figures.cop_against_motion(folder / "cop.svg", facts))
     table, title = tables.agreement_table(facts), "Agreement with the robot's own motion"
-    yield Section("agreement", title, (flat(_AGREEMENT),), tables=(table,), figures=(cop,))
+    yield Section("agreement", title, (Words("walking")("agreement"),), tables=(table,), figures=(cop,))
     if facts.log.truth is not None:
         yield Section("truth", "Errors against the truth", tables=(tables.score_table(facts),))
     feet = figure(2, figures.force_of_feet(folder / "feet.svg", facts))

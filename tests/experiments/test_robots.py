@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from surefoot.envs.exercise.held import HeldRobot
 from surefoot.experiments.robots import study
 from surefoot.experiments.robots.cases import METHODS, SENSORS, Motion, run_robot
-from surefoot.experiments.robots.held import HeldRobot
 from surefoot.experiments.robots.study import RobotOptions, claims_of, compare_robots
 from surefoot.wrappers import FootSensors, SelfCalibration
 

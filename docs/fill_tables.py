@@ -1,6 +1,6 @@
 """Put the tables that studies wrote into the pages of docs/.
 
-    python -m surefoot.experiments.study.results docs/results.md
+    python docs/fill_tables.py docs/results.md
 
 A page marks where a table goes: ``<!-- table out/results/walking/tables/overview.csv -->``, later
 ``<!-- end -->``. What stands between them is replaced by that table and a line that says how and with which
@@ -21,13 +21,7 @@ _MARK = re.compile(r"(<!-- table (\S+\.csv) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def markdown(lines: Sequence[Sequence[str]]) -> str:
-    """Return a table, headings first, for a page.
-
-    >>> print(markdown([["method", "CoP (mm)"], ["tare", "5.1 ± 1.3"]]))
-    | method | CoP (mm) |
-    |---|---|
-    | tare | 5.1 ± 1.3 |
-    """
+    """Return a table, headings first, for a page."""
     first, *others = ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
     return "\n".join([first, "|" + "---|" * len(lines[0]), *others])
 
