@@ -2,6 +2,7 @@
 
 * :func:`calibrate_in_situ`: the fit to use; :class:`InSituTracker` keeps its offset up to date.
 * :class:`NonlinearMap`: what a fit adds to the linear map of a sensor that is not linear.
+* :func:`read_calibration`: a fit that ``surefoot calibrate ft`` wrote.
 * :func:`plan_excitation`: which posture or mass to take next.
 * :func:`estimate_offset` and :func:`estimate_matrix`: the paper's own method, III-B and III-C (Traversaro,
   Pucci and Nori, 2015).
@@ -25,6 +26,7 @@ from surefoot.calibration.in_situ.nonlinear import NonlinearMap
 from surefoot.calibration.in_situ.options import InSituOptions, InSituTrackerConfig, KnownLimb
 from surefoot.calibration.in_situ.paper_matrix import PaperMatrixFit, estimate_matrix
 from surefoot.calibration.in_situ.paper_offset import OffsetFit, estimate_offset
+from surefoot.calibration.in_situ.saved import read_calibration
 from surefoot.calibration.in_situ.stream import InSituEstimate
 from surefoot.calibration.in_situ.tracker import InSituTracker, in_situ_tracker
 
@@ -51,4 +53,5 @@ __all__ = [
     "plan_excitation",
     "prior_from_factory",
     "prior_from_fit",
+    "read_calibration",
 ]

@@ -8,11 +8,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.envs import load_robot_spec
 from surefoot.envs.exercise.env import CONTROL_STEP, FALLEN_HEIGHT, FALLEN_TILT
 from surefoot.envs.exercise.robot import STANDING_STIFFNESS
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.robot import measure_robot
+from surefoot.envs.robots.library import load_robot_spec
 
 _SUBSTEPS = 10  # of a control step
 _NOISE = 0.01  # of the first velocities, in m/s and rad/s

@@ -12,11 +12,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from surefoot.calibration.in_situ import read_calibration
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque import calibrate as module
 from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
 from surefoot.experiments.force_torque.config import InSituConfig, config_beside
-from surefoot.experiments.force_torque.export import read_calibration
 from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.force_torque.table import WRENCH
 

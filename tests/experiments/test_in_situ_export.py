@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 import yaml
 
-from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb
+from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb, read_calibration
 from surefoot.calibration.in_situ.nonlinear import NonlinearMap, Products
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.force_torque.export import (
     offset_wrench,
-    read_calibration,
     write_json,
     write_ros2_parameters,
     write_yaml,
 )
 from surefoot.experiments.force_torque.icub import read_matrix, write_icub_matrix
 from surefoot.experiments.force_torque.tables import Calibrated
-from surefoot.experiments.logs.format import LogError
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142
 
 FULL_SCALE = np.array([1500.0, 1500.0, 2000.0, 35.0, 35.0, 25.0])
@@ -131,7 +129,7 @@ def test_yaml_says_the_same_as_json(tmp_path: Path) -> None:
 
 
 def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no such file"):
+    with pytest.raises(ValueError, match="no such file"):
         read_calibration(tmp_path / "nothing.json")
     path = write_json(fit(), tmp_path / "sensor.json")
     told = json.loads(path.read_text())
@@ -143,7 +141,7 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
         (json.dumps({**told, "result": "perfect"}), "'perfect' is not a valid FitResult"),
     ):
         path.write_text(change)
-        with pytest.raises(LogError, match=said):
+        with pytest.raises(ValueError, match=said):
             read_calibration(path)
 
 
@@ -196,9 +194,9 @@ def test_what_is_no_icub_matrix_is_refused(tmp_path: Path) -> None:
         (["XY", *lines[1:]], "36 entries of up to four hexadecimal digits"),
     ):
         path.write_text("\n".join(bad))
-        with pytest.raises(LogError, match=said):
+        with pytest.raises(ValueError, match=said):
             read_matrix(path)
-    with pytest.raises(LogError, match="no such file"):
+    with pytest.raises(ValueError, match="no such file"):
         read_matrix(tmp_path / "nothing.txt")
 
 

@@ -1,0 +1,158 @@
+"""A fit as values that JSON can hold, and back: what a robot reads of a sensor that was calibrated before."""
+
+import dataclasses
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.nonlinear import NonlinearMap, Products
+from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+
+FORMAT = "surefoot-in-situ-calibration"
+VERSION = 1
+
+_CONVENTIONS = (
+    "wrench = matrix (raw - offset), raw as it was read, in raw_unit, which stands for 'count' in all names",
+    "wrench = (fx, fy, fz, tx, ty, tz) in N and N m, exerted by the limb on the robot through the sensor, "
+    "at and in the sensor's frame: at rest f = m g with g pointing down",
+    "response is counts per N and N m: raw = response wrench + offset",
+    "offset is that of the last set at its end, offset_of_each_set_count those in the middle of each set; "
+    "with a temperature coefficient, raw = response wrench + offset + coefficient (temperature_degC - "
+    "temperature_reference_degC); with a temperature gain each axis of the wrench counts for 1 + gain times "
+    "that difference",
+    "with nonlinear, z = scale (raw - offset) - centre; its products of two (then three) components in order "
+    "of their numbers, less affine (1, z), times coefficients are added to the wrench where |ellipsoid z| <= "
+    "1; from there to 1.25 they are those of z / |ellipsoid z| and fade linearly to zero",
+    "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
+)
+_NAMES = {
+    "matrix": "matrix_N_Nm_per_count",
+    "offset": "offset_count",
+    "offsets": "offset_of_each_set_count",
+    "response": "response_count_per_N_Nm",
+    "noise": "noise_covariance_count2",
+    "temperature_coefficient": "temperature_coefficient_count_per_K",
+    "temperature_gain": "temperature_gain_per_K",
+    "hysteresis": "hysteresis_share_of_swing",
+    "channel_hysteresis": "hysteresis_share_of_swing_of_each_channel",
+    "rotation": "R_sensor_accelerometer",
+    "affine_residual": "affine_residual_of_each_set",
+    "covariance": "covariance",
+    "data_share": "data_share_of_covariance",
+}
+
+
+def facts_of(
+    fit: InSituFit,
+    channels: tuple[str, ...] = (),
+    sensor: str = "",
+    notices: tuple[str, ...] = (),
+    raw_unit: str = "counts",
+) -> Any:
+    """Return a calibration as values that JSON can hold, with the sensor's name and what the log lacked."""
+    return _plain(
+        {
+            "format": FORMAT,
+            "format_version": VERSION,
+            "made_with": f"surefoot {version('surefoot')}",
+            "sensor": sensor,
+            "channels": channels,
+            "raw_unit": raw_unit,
+            "conventions": _CONVENTIONS,
+            "result": fit.result.value,
+            "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
+            "accepted": fit.accepted,
+            "warnings": fit.warnings,
+            "notices": notices,
+            **{name: getattr(fit, field) for field, name in _NAMES.items()},
+            "matrix_std_N_Nm_per_count": fit.matrix_std,
+            "offset_std_count": fit.offset_std,
+            "temperature_reference_degC": fit.temperature_reference,
+            "nonlinear": None if fit.nonlinear is None else dataclasses.asdict(fit.nonlinear),
+            "limb": {
+                "mass_kg": fit.limb.mass,
+                "mass_std_kg": fit.limb_mass_std,
+                "mass_com_kg_m": fit.limb.mass_com,
+                "inertia_kg_m2": fit.limb.inertia,
+            },
+            "sets": [
+                {"name": name, **dataclasses.asdict(stats)}
+                for name, stats in zip(fit.set_names, fit.set_stats, strict=True)
+            ],
+            "all_sets": dataclasses.asdict(fit.stats),
+        }
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Turn arrays into lists and what is not finite into null."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def read_calibration(path: Path) -> InSituFit:
+    """Read what ``surefoot calibrate ft`` wrote as JSON, to the last digit.
+
+    Raises:
+        ValueError: If the file is not there, is no calibration, or one of another version.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file; 'surefoot calibrate ft' writes one.")
+    try:
+        given = json.loads(path.read_text(encoding="utf-8"))
+        if (given["format"], given["format_version"]) != (FORMAT, VERSION):
+            raise ValueError(f"{given['format']} {given['format_version']}")
+        return _fit_of(given)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path.name}: is no {FORMAT} {VERSION}, which this surefoot reads ({error!r}); calibrate again."
+        ) from None
+
+
+def _fit_of(given: dict[str, Any]) -> InSituFit:
+    values = {field: _array(given[name]) for field, name in _NAMES.items() if given[name] is not None}
+    limb = given["limb"]
+    return InSituFit(
+        limb=Limb(_number(limb["mass_kg"]), _array(limb["mass_com_kg_m"]), _array(limb["inertia_kg_m2"])),
+        result=FitResult(given["result"]),
+        refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in given["refusals"]),
+        accepted=given["accepted"],
+        warnings=tuple(given["warnings"]),
+        stats=_stats_of(given["all_sets"]),
+        set_stats=tuple(_stats_of(one) for one in given["sets"]),
+        set_names=tuple(one["name"] for one in given["sets"]),
+        temperature_reference=float(given["temperature_reference_degC"]),
+        nonlinear=_nonlinear_of(given.get("nonlinear")),
+        **{"temperature_coefficient": None, **values},
+    )
+
+
+def _nonlinear_of(given: dict[str, Any] | None) -> NonlinearMap | None:
+    if given is None:
+        return None
+    arrays = {name: _array(value) for name, value in given.items() if name not in ("products", "degrees")}
+    products = Products(**{name: _array(value) for name, value in given["products"].items()})
+    return NonlinearMap(**arrays, products=products, degrees=tuple(given["degrees"]))
+
+
+def _array(value: Any) -> Any:
+    return None if value is None else np.array(value, dtype=object).astype(np.float64)
+
+
+def _number(value: float | None, absent: float = np.nan) -> float:
+    return absent if value is None else float(value)
+
+
+def _stats_of(given: dict[str, Any]) -> FitStats:
+    rms, condition = _number(given["residual_rms"]), _number(given["condition"], np.inf)
+    rest = {key: value for key, value in given.items() if key != "name"}
+    return FitStats(**rest | {"residual_rms": rms, "condition": condition})
