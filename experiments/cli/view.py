@@ -1,5 +1,7 @@
 """``surefoot view``: a robot in the browser, in a window, on film, or its feet alone."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -54,22 +56,17 @@ def view(
         fail("--foot and --soles go with --feet ENV or with ENV, which say whose feet.")
     if len(feeds) > 1:
         fail("the page shows one feed; film several side by side with --video walk.mp4.")
-    start = {"speed": speed, "severity": severity}
-    made = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
-    _show_page(env, feeds[0], start, made, record, repeat, log, host, port)
+    made: dict[str, Any] = {"seed": seed, "controller": controller, "feet": foot or None, "soles": soles}
+    made["start"] = {"speed": speed, "severity": severity}
+    if log is not None:
+        _show_page(lambda server: _log_page(server, log, feeds[0]), log.name, "", host, port)
+    else:
+        more = f"; recordings go to '{record}'"
+        live = partial(_live_page, env=env, feed=feeds[0], options=made, folder=record, repeat=repeat)
+        _show_page(live, env, more, host, port)
 
 
-def _show_page(
-    env: str | None,
-    feed: str,
-    start: dict[str, Any],
-    made: dict[str, Any],
-    folder: Path,
-    repeat: Path | None,
-    log: Path | None,
-    host: str,
-    port: int,
-) -> None:
+def _show_page(make: Callable[[Any], Any], name: str | None, more: str, host: str, port: int) -> None:
     """Serve a page until somebody interrupts."""
     try:
         from surefoot.experiments.view.server import address_of, close_server, open_server
@@ -80,20 +77,15 @@ def _show_page(
         )
     from surefoot.experiments.study.progress import working
 
-    name = env if log is None else log.name
     try:
         server = open_server(host, port, f"surefoot: {name}" if name else "surefoot")
     except OSError as error:
         fail(str(error))
-    more = f"; recordings go to '{folder}'" if log is None else ""
     # A browser loads the page while the robot gets ready.
     typer.echo(f"Page: {address_of(server)} (Ctrl+C ends it{more})")
     try:
         with working("making ready"):
-            if log is not None:
-                page = _log_page(server, log, feed)
-            else:
-                page = _live_page(server, env, feed, {"start": start, **made}, folder, repeat)
+            page = make(server)
         page.run()
     except KeyboardInterrupt:
         typer.echo("Stopped.")

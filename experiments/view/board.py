@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import trimesh
 import viser
 from numpy.typing import NDArray
 from PIL import ImageColor
@@ -17,15 +18,9 @@ from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.view.server import PLACE
 from surefoot.experiments.view.shown import WAYS, Shown
 
-MAGNIFIED = 5.0
-"""How much larger than life the soles are drawn."""
-
-TRAIL = 60
-"""Frames that a trail is long: two seconds."""
-
-WITHIN = 2.448
-"""Standard deviations within which 95 % of a plane's normal distribution lies."""
-
+MAGNIFIED = 5.0  # how much larger than life the soles are drawn
+TRAIL = 60  # frames that a trail is long: two seconds
+WITHIN = 2.448  # standard deviations within which 95 % of a plane's normal distribution lies
 _BAR, _TALLEST = 0.035, 0.7  # width of a bar, and height of one that bears the whole robot
 _SIDES = 40  # of the polygon that stands for the ellipse
 _SOLE, _BROKEN = (203, 211, 220), (214, 64, 69)
@@ -40,11 +35,7 @@ def colours(method: str) -> dict[str, str]:
 class FeetBoard:
     """Draws the feet of one sample beside the robot.
 
-    Args:
-        server: Where they are drawn.
-        layout: The feet and their cells.
-        weight: Of the robot in N: the unit of the bars.
-        size: Length in m by which all is scaled: about a leg.
+    The unit of the bars is the robot's weight in N; ``size``, about a leg, in m scales all.
     """
 
     def __init__(self, server: viser.ViserServer, layout: FeetLayout, weight: float, size: float) -> None:
@@ -166,12 +157,9 @@ class FeetBoard:
 
     def _draw_ellipse(self, now: Shown) -> None:
         reading = now.readings["calibrated"]
-        covariance = reading.cop_covariance
-        known = (
-            covariance is not None and np.isfinite(covariance).all() and np.isfinite(reading.cop_world).all()
-        )
-        self._ellipse.visible = bool(known)
-        if covariance is None or not known:
+        covariance = np.full((2, 2), np.nan) if reading.cop_covariance is None else reading.cop_covariance
+        self._ellipse.visible = bool(np.isfinite(covariance).all() and np.isfinite(reading.cop_world).all())
+        if not self._ellipse.visible:
             return
         variance, axes = np.linalg.eigh(covariance)
         turn = np.linspace(0.0, 2.0 * np.pi, _SIDES + 1)
@@ -222,8 +210,5 @@ def _plate(cells: Floats) -> tuple[Floats, Any]:
 
 def _box() -> tuple[Floats, Any]:
     """Return a box from 0 to 1 in z with sides of 1 around it, as vertices and faces."""
-    corners = np.array(
-        [(x, y, z) for z in (0.0, 1.0) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
-    )
-    quads = ((3, 2, 1, 0), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-    return corners, np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))])
+    box = trimesh.creation.box()
+    return np.asarray(box.vertices + _up(0.5)), box.faces

@@ -14,20 +14,12 @@ from surefoot.experiments.view.board import words
 from surefoot.experiments.view.scene import FRAMES_PER_SECOND
 from surefoot.experiments.view.shown import WAYS, Shown
 
-SPAN = 10.0
-"""Time in s that the chart shows."""
-
+SPAN = 10.0  # time in s that the chart shows
 _EVERY = 3  # samples are drawn for one that the chart takes in
 
 
 class Meters:
-    """A table and a chart of the last seconds.
-
-    Args:
-        server: Where they are shown.
-        feet: Names of the feet.
-        channels: Names of the channels.
-    """
+    """A table and a chart of the last seconds, for feet and channels of these names."""
 
     def __init__(self, server: viser.ViserServer, feet: tuple[str, ...], channels: tuple[str, ...]) -> None:
         self._gui, self._feet, self._channels = server.gui, feet, channels

@@ -14,33 +14,20 @@ from surefoot.experiments.view.robot import RobotMeshes
 from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.session import Change, Session
 
-TORSO = 0.32
-"""Height in m of the torso of a robot whose scene has size 1: the NAO's."""
-
-LONGEST_FRAME = 0.1
-"""Simulated time in s that one frame makes up for at most: a slower computer shows the walk more slowly."""
-
-HURRY = 0.25
-"""How long in s a robot that stands is stepped between two frames: nobody wants to wait until it walks."""
-
-LYING = 2.0
-"""How long a robot lies where it fell before it gets up again, in s."""
+TORSO = 0.32  # height in m of the torso of a robot whose scene has size 1: the NAO's
+LONGEST_FRAME = 0.1  # simulated s that one frame makes up for at most: a slower computer shows it more slowly
+HURRY = 0.25  # s that a robot that stands is stepped between two frames: nobody wants to wait until it walks
+LYING = 2.0  # s that a robot lies where it fell before it gets up again
 
 LATEST = ("severity", "drift", "temperature", "scale", "offset", "payload", "slope", "speed", "pace")
 """What is asked for many times while a slider is drawn: only the last counts."""
 
 
 class Page(Served):
-    """A session in the browser.
+    """A session in the browser, on an empty page.
 
-    Args:
-        server: An empty page.
-        session: What is shown.
-        folder: Where recordings go; ``None`` for none.
-        changes: What is still to be changed, of a session that is repeated.
-
-    Attributes:
-        frames: How many were drawn.
+    Recordings go into the folder, ``None`` for none; of a session that is repeated ``changes`` are still to
+    come. ``frames`` says how many were drawn.
     """
 
     def __init__(
@@ -83,15 +70,8 @@ class Page(Served):
 
     def _line(self) -> str:
         session = self.session
-        state = (
-            "fallen"
-            if session.fell
-            else "paused"
-            if self._paused
-            else "stands"
-            if session.standing
-            else "runs"
-        )
+        states = {"fallen": session.fell, "paused": self._paused, "stands": session.standing, "runs": True}
+        state = next(word for word, holds in states.items() if holds)
         rate, real = self._rate
         return f"{state} at {session.time:.1f} s, {rate:.0f} frames a second, {real:.2f} of real time"
 

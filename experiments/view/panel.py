@@ -5,9 +5,9 @@ from typing import Any
 
 import viser
 
-from surefoot.calibration import GRAVITY
+from surefoot.calibration import GRAVITY, METHODS
 from surefoot.experiments.view.scene import when_changed
-from surefoot.experiments.view.session import Session, methods
+from surefoot.experiments.view.session import Session
 
 Ask = Callable[[str, Any], None]
 """Takes what is asked for and its value; called from other threads than the one that steps the robot."""
@@ -20,13 +20,9 @@ PUSHES = {"forward": (1.0, 0.0), "back": (-1.0, 0.0), "left": (0.0, 1.0), "right
 
 
 class Panel:
-    """The controls of a session; each asks for one thing, and nothing else can be asked for.
+    """The controls of a session, at which it only looks; nothing but what they ask for can be asked for.
 
-    Args:
-        server: Where they are shown.
-        session: Whose they are; it is only looked at.
-        ask: Where what is asked for goes.
-        records: Whether there is a folder for recordings.
+    ``records`` says whether there is a folder for recordings.
     """
 
     def __init__(self, server: viser.ViserServer, session: Session, ask: Ask, records: bool) -> None:
@@ -99,7 +95,7 @@ class Panel:
         )
         method = self._gui.add_dropdown(
             "calibrator",
-            methods(),
+            tuple(METHODS),
             initial_value=session.settings["method"],
             hint="It learns from when it is first chosen.",
         )

@@ -6,31 +6,25 @@ from typing import Any
 import numpy as np
 import viser
 
-from surefoot.calibration import GRAVITY, replay
+from surefoot.calibration import GRAVITY, METHODS, replay
 from surefoot.calibration.estimate import Estimate
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
-from surefoot.experiments.view.session import method_chosen, methods
+from surefoot.experiments.view.session import method_chosen
 from surefoot.experiments.view.shown import Reading, Shown, placed
 from surefoot.experiments.walks.replay import starting_map
 
-SIZE = 1.0
-"""Length in m by which the scene of a log is scaled: its robot is not known."""
+SIZE = 1.0  # length in m by which the scene of a log is scaled: its robot is not known
 
 
 class LogFeet:
-    """A log, read by its sensors' data sheet and by a method, sample by sample.
+    """A log, read by its sensors' data sheet and by a method, sample by sample, from its beginning.
 
-    Args:
-        log: The log.
-        method: The calibrator, which begins at the log's beginning.
-
-    Raises:
-        LogError: If its feet are not two with load cells, or it never says where they are.
-        ValueError: If there is no such method.
+    Raises LogError if its feet are not two with load cells, or it never says where they are, ValueError if
+    there is no such method.
     """
 
     def __init__(self, log: Log, method: str) -> None:
@@ -91,12 +85,7 @@ class LogFeet:
 
 
 class LogPage(Served):
-    """A log in the browser, with a slider for its time.
-
-    Args:
-        server: An empty page.
-        feet: The log.
-    """
+    """A log in the browser, on an empty page, with a slider for its time."""
 
     def __init__(self, server: viser.ViserServer, feet: LogFeet) -> None:
         self.feet, log = feet, feet.log
@@ -105,7 +94,7 @@ class LogPage(Served):
         gui = self.server.gui
         start, end = float(log.time[0]), float(log.time[-1])
         self._time = gui.add_slider("time, s", start, end, log.dt, start)
-        self._method = gui.add_dropdown("calibrator", methods(), initial_value=feet.method)
+        self._method = gui.add_dropdown("calibrator", tuple(METHODS), initial_value=feet.method)
         self._play = gui.add_checkbox("play", initial_value=True)
         self._pace = gui.add_slider("pace", 0.1, 10.0, 0.1, 1.0, hint="1 is real time.")
         for what, handle in (("time", self._time), ("method", self._method)):

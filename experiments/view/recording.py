@@ -8,16 +8,11 @@ from surefoot.calibration import Parameters, Reference
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log, LogTruth
 
-LONGEST_RECORDING = 600.0
-"""Time in s after which a recording ends by itself."""
+LONGEST_RECORDING = 600.0  # time in s after which a recording ends by itself
 
 
 class Recording:
-    """Samples of one episode.
-
-    Args:
-        dt: Time between them in s.
-    """
+    """Samples of one episode, ``dt`` s apart."""
 
     def __init__(self, dt: float) -> None:
         self._dt = dt
@@ -31,12 +26,8 @@ class Recording:
     def keep(self, time: float, raw: Floats, reference: Reference, truth: Any, undone: Parameters) -> None:
         """Keep one sample, unless the robot does not know yet where it is.
 
-        Args:
-            time: Since the episode start in s.
-            raw: Counts, shape (K,).
-            reference: What the robot believes.
-            truth: What the simulator knows of the last step.
-            undone: The map that undoes the errors of the readings.
+        Time is since the episode start in s, ``raw`` are counts, shape (K,), ``truth`` is what the simulator
+        knows of the last step, and ``undone`` the map that undoes the errors of the readings.
         """
         if np.isfinite(reference.com).all():
             self._rows.append(
@@ -52,14 +43,7 @@ class Recording:
             )
 
     def log(self, **known: Any) -> Log:
-        """Return the log.
-
-        Args:
-            **known: What else it says: of its robot, its feet and how it was recorded.
-
-        Raises:
-            ValueError: If there is nothing recorded yet.
-        """
+        """Return the log, with what is known of robot and recording; ValueError if nothing is recorded."""
         if len(self._rows) < 2:
             raise ValueError("Nothing was recorded yet: record, and let the robot go on for a while.")
         time, raw, reference, force, position, R, scale, offset = zip(*self._rows, strict=True)

@@ -9,19 +9,13 @@ import viser
 
 from surefoot.experiments.arrays import Floats
 
-VISIBLE_GROUPS = 3
-"""Geoms of groups below this one are drawn, as MuJoCo's viewers do."""
+VISIBLE_GROUPS = 3  # geoms of groups below this one are drawn, as MuJoCo's viewers do
 
 _GEOM = mujoco.mjtGeom
 
 
 class RobotMeshes:
-    """The bodies of a model.
-
-    Args:
-        server: Where they are drawn.
-        model: The model. Planes and height fields are left out: the page has a ground of its own.
-    """
+    """The bodies of a model, without planes and height fields: the page has a ground of its own."""
 
     def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
         self._handles: list[tuple[int, Any]] = []

@@ -7,8 +7,7 @@ import viser
 
 from surefoot.experiments.view.server import show_from, view_of
 
-FRAMES_PER_SECOND = 30
-"""How often everything is drawn."""
+FRAMES_PER_SECOND = 30  # how often everything is drawn
 
 
 def when_changed(handle: Any, tell: Callable[[Any], None]) -> None:
@@ -22,13 +21,7 @@ def when_changed(handle: Any, tell: Callable[[Any], None]) -> None:
 
 
 def set_scene(server: viser.ViserServer, size: float, aside: float = 1.0) -> Any:
-    """Set the ground, the light and the camera, behind the robot; return the ground.
-
-    Args:
-        server: The page.
-        size: Length in m by which all is scaled.
-        aside: 1 has the robot and its feet in view, 0 the feet alone.
-    """
+    """Set the ground and the camera, behind the robot, as :func:`view_of`; return the ground."""
     show_from(server, size, aside)
 
     def aim(client: viser.ClientHandle) -> None:

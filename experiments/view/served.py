@@ -17,17 +17,9 @@ _REFUSALS = (ValueError, TypeError, IndexError, KeyError, OverflowError, OSError
 class Served:
     """What pages have in common: subclasses say what is done, how time goes on, and what is drawn.
 
-    Browsers' requests come from other threads and wait in a queue: whoever calls :meth:`run` does it all.
-
-    Args:
-        server: An empty page.
-        layout: The feet that are drawn.
-        weight: Of the robot in N.
-        size: Length in m by which the scene is scaled.
-        aside: 1 has the robot and its feet in view, 0 the feet alone.
-
-    Attributes:
-        server: The page.
+    Browsers' requests come from other threads and wait in a queue: whoever calls :meth:`run` does it all. An
+    empty page is given, the feet that are drawn, the robot's weight in N, and ``size`` and ``aside`` of
+    :func:`~surefoot.experiments.view.server.view_of`.
     """
 
     def __init__(

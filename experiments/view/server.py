@@ -8,16 +8,11 @@ from io import StringIO
 import numpy as np
 import viser
 
-PLACE = np.array([0.0, -0.95, 0.0])
-"""Where the middle of the soles is drawn beside the robot, in its leg lengths."""
+PLACE = np.array([0.0, -0.95, 0.0])  # of the middle of the soles, beside the robot, in its leg lengths
 
 
 def open_server(host: str, port: int, label: str) -> viser.ViserServer:
-    """Return a server of an empty page.
-
-    Raises:
-        OSError: If the port is in use, or there is no such host.
-    """
+    """Return a server of an empty page; OSError if the port is in use, or there is no such host."""
     # The library would take the next free port without a word.
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -66,10 +61,7 @@ def show_from(server: viser.ViserServer, size: float = 1.0, aside: float = 1.0) 
 def view_of(size: float, aside: float, narrow: bool = False) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return where the camera is and where it looks: what is shown lies where the panel leaves room.
 
-    Args:
-        size: Length in m by which all is scaled.
-        aside: 1 has the robot and its feet in view, 0 the feet alone.
-        narrow: Whether the window is narrower than high.
+    All is scaled by ``size`` in m; ``aside`` 1 has the robot and its feet in view, 0 the feet alone.
     """
     x, y, z = PLACE
     if narrow:  # The panel covers the lower right.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -30,14 +31,9 @@ from surefoot.wrappers.raw_view import TRUE_KEYS
 from surefoot.wrappers.self_calibration import SelfCalibration
 from surefoot.wrappers.source import find_source, with_source
 
-WALK = "surefoot/NaoWalk-v0"
-"""The environment that is shown unless another is named."""
-
-WALK_TIME = 60.0
-"""How long a plan of a walk is in s, standing included."""
-
-ERROR_STREAM = 0x5F02
-"""Number of the random stream that live errors draw from."""
+WALK = "surefoot/NaoWalk-v0"  # the environment that is shown unless another is named
+WALK_TIME = 60.0  # how long a plan of a walk is in s, standing included
+ERROR_STREAM = 0x5F02  # number of the random stream that live errors draw from
 
 START: Mapping[str, Any] = {
     "severity": 1.0,
@@ -50,6 +46,8 @@ START: Mapping[str, Any] = {
     "speed": 0.04,
 }
 """What can be chosen before the power-up, and what it is unless somebody chooses."""
+
+_RANGES = {"severity": (0.0, 10.0), "drift": (0.0, 100.0), "temperature": (-40.0, 60.0)}
 
 
 class Change(NamedTuple):
@@ -145,16 +143,16 @@ class Session:
         self.source, self.drawing, self.layout = source, source.drawing, self._env.layout
         self.dt = float(source.dt)
         self.world = LiveWorld(source)
-        self.feeds = WAYS if set(TRUE_KEYS) <= set(_keys(self._tap)) else WAYS[1:]
+        seen = self._tap.observation_space
+        true = isinstance(seen, gym.spaces.Dict) and set(TRUE_KEYS) <= set(seen.spaces)
+        self.feeds = WAYS if true else WAYS[1:]
         if self._settings["feed"] not in self.feeds:
             raise ValueError(f"There is no feed '{self._settings['feed']}'. Available: {self.feeds}.")
         self._controller = self._load_controller(controller)
         self._actions: Mapping[str, Callable[[Any], None]] = {
-            "severity": self._set_severity,
-            "drift": self._set_drift,
-            "temperature": self._set_temperature,
-            "scale": self._set_scale,
-            "offset": self._set_offset,
+            **{what: partial(self._set, what) for what in _RANGES},
+            "scale": partial(self._set_channel, "scale", -0.9, 2.0),
+            "offset": partial(self._set_channel, "offset", -self.drawing.weight, self.drawing.weight),
             "fault": lambda words: self.errors.break_channel(str(words)),
             "repair": lambda _: self.errors.repair(),
             "push": self.world.push,
@@ -215,11 +213,7 @@ class Session:
         self.changes.append(Change(self.steps, what, value))
 
     def step(self) -> None:
-        """Step the robot once, by what the controller makes of its feed.
-
-        Raises:
-            RuntimeError: If the episode has ended.
-        """
+        """Step the robot once, by what the controller makes of its feed; RuntimeError after the end."""
         if self.over:
             raise RuntimeError("The episode has ended; change('reset') or power_up(seed) begins another.")
         action = self._controller(self._fed)
@@ -284,11 +278,7 @@ class Session:
         self._recording = Recording(self.dt)
 
     def recorded(self) -> Log:
-        """Stop recording and return what was recorded.
-
-        Raises:
-            ValueError: If there is nothing recorded yet.
-        """
+        """Stop recording and return what was recorded; ValueError if nothing was."""
         recording, self._recording = self._recording or Recording(self.dt), None
         setup = self._env.calibrator.setup
         about: dict[str, Any] = {"surefoot": surefoot.__version__, "start": "nominal", "fell": self.fell}
@@ -360,29 +350,14 @@ class Session:
             return lambda observation: still
         return load_controller(name, self._env)
 
-    def _set_severity(self, value: Any) -> None:
-        self.errors.severity = _within("severity", value, 0.0, 10.0)
+    def _set(self, what: str, value: Any) -> None:
+        setattr(self.errors, what, _within(what, value, *_RANGES[what]))
 
-    def _set_drift(self, value: Any) -> None:
-        self.errors.drift = _within("drift", value, 0.0, 100.0)
-
-    def _set_temperature(self, value: Any) -> None:
-        self.errors.temperature = _within("temperature", value, -40.0, 60.0)
-
-    def _set_scale(self, value: Any) -> None:
-        channel, error = self._of_channel(value)
-        self.errors.scale[channel] = _within("scale", error, -0.9, 2.0)
-
-    def _set_offset(self, value: Any) -> None:
-        channel, error = self._of_channel(value)
-        weight = self.drawing.weight
-        self.errors.offset[channel] = _within("offset", error, -weight, weight)
-
-    def _of_channel(self, value: Any) -> tuple[int, float]:
+    def _set_channel(self, what: str, low: float, high: float, value: Any) -> None:
         channel, error = int(value[0]), float(value[1])
         if not 0 <= channel < self.layout.channels:
             raise ValueError(f"There is no channel {channel}; they are 0 to {self.layout.channels - 1}.")
-        return channel, error
+        getattr(self.errors, what)[channel] = _within(what, error, low, high)
 
     def _check_speed(self, value: Any) -> None:
         if not self._walks:
@@ -405,13 +380,9 @@ class Session:
 
 
 def repeated(about: Mapping[str, Any]) -> tuple[Session, list[Change]]:
-    """Return the session that a recording describes, powered up, and the changes that are still to come.
+    """Return the session that a log describes, powered up, and the changes that are still to come.
 
-    Args:
-        about: What a log says of itself.
-
-    Raises:
-        ValueError: If it was not recorded by a session.
+    Raises ValueError if it was not recorded by a session.
     """
     view = about.get("view")
     if not isinstance(view, Mapping):
@@ -435,11 +406,6 @@ def method_chosen(name: Any) -> str:
     return method
 
 
-def methods() -> tuple[str, ...]:
-    """Return the calibrators that can be chosen."""
-    return tuple(METHODS)
-
-
 def _plan(speed: float, duration: float) -> Any:
     return plan_walk(speed, 0.0, duration, timing=GaitTiming(stand_time=STAND_TIME))
 
@@ -449,8 +415,3 @@ def _within(name: str, value: Any, low: float, high: float) -> float:
     if not low <= number <= high:
         raise ValueError(f"'{name}' lies from {low:g} to {high:g}, got {number:g}.")
     return number
-
-
-def _keys(env: gym.Env[Any, Any]) -> Sequence[str]:
-    space = env.observation_space
-    return list(space.spaces) if isinstance(space, gym.spaces.Dict) else []

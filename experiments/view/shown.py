@@ -15,39 +15,23 @@ WAYS = ("true", "raw", "calibrated")
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One way to read the feet at one sample.
+    """One way to read the feet at one sample."""
 
-    Attributes:
-        force: Channels in N, shape (K,).
-        vgrf: Vertical force on each foot in N, shape (2,).
-        cop_world: Centre of pressure in the world in m, placed under the true soles, shape (2,); NaN where
-            there is none.
-        cop_covariance: Its covariance in the world's axes in m^2, shape (2, 2), or ``None``.
-    """
-
-    force: Floats
-    vgrf: Floats
-    cop_world: Floats
-    cop_covariance: Floats | None = None
+    force: Floats  # channels in N, shape (K,)
+    vgrf: Floats  # vertical force on each foot in N, shape (2,)
+    cop_world: Floats  # in the world in m, placed under the true soles, shape (2,); NaN where there is none
+    cop_covariance: Floats | None = None  # in the world's axes in m^2, shape (2, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What there is to draw of one sample.
+    """What there is to draw of one sample."""
 
-    Attributes:
-        time: Since the episode start in s.
-        position_sole: Origins of the soles in the world in m, shape (2, 3).
-        R_world_sole: Their axes, shape (2, 3, 3).
-        readings: By :data:`WAYS`; the truth may be missing.
-        flags: :class:`~surefoot.calibration.estimate.Flag` bits of each channel, shape (K,).
-    """
-
-    time: float
-    position_sole: Floats
-    R_world_sole: Floats
-    readings: Mapping[str, Reading]
-    flags: Any
+    time: float  # since the episode start in s
+    position_sole: Floats  # origins of the soles in the world in m, shape (2, 3)
+    R_world_sole: Floats  # their axes, shape (2, 3, 3)
+    readings: Mapping[str, Reading]  # by :data:`WAYS`; the truth may be missing
+    flags: Any  # :class:`~surefoot.calibration.estimate.Flag` bits of each channel, shape (K,)
 
     @property
     def heading(self) -> Floats:

@@ -9,24 +9,16 @@ import numpy as np
 from surefoot.calibration import GRAVITY
 from surefoot.envs.nao.disturbances import PUSH_TIME, Payload
 
-LARGEST_PUSH = 20.0
-"""Largest impulse of a push in N s for each kilogram of the robot."""
-
-STEEPEST = 10.0
-"""Steepest slope in degrees."""
+LARGEST_PUSH = 20.0  # impulse of a push in N s for each kilogram of the robot
+STEEPEST = 10.0  # slope in degrees
 
 
 class LiveWorld:
     """Changes a simulated robot's surroundings between two steps.
 
     The slope turns gravity and not the ground: physics are the same, and coordinates stay those of the
-    ground.
-
-    Args:
-        source: The environment that records the truth, with its ``model`` and ``data``.
-
-    Attributes:
-        carries: Whether there is a torso that a payload can be fixed to.
+    ground. ``source`` is the environment that records the truth, with its ``model`` and ``data``; a robot
+    ``carries`` if there is a torso that a payload can be fixed to.
     """
 
     def __init__(self, source: Any) -> None:
@@ -38,11 +30,7 @@ class LiveWorld:
         self._mass = 0.0
 
     def push(self, impulse: Sequence[float]) -> None:
-        """Push the torso for 0.1 s with an impulse (forward, left) in N s.
-
-        Raises:
-            ValueError: If it is none.
-        """
+        """Push the torso for 0.1 s with an impulse (forward, left) in N s; ValueError if it is none."""
         forward, left = (float(part) for part in impulse)
         model, dt = self._source.model, float(self._source.dt)
         largest = LARGEST_PUSH * float(model.body_subtreemass[self._torso])
@@ -60,11 +48,7 @@ class LiveWorld:
                 self._source.data.xfrc_applied[self._torso, :3] = 0.0
 
     def tilt(self, degrees: float) -> None:
-        """Let the ground rise in the walking direction, or fall at negative angles.
-
-        Raises:
-            ValueError: If it is steeper than 10 degrees.
-        """
+        """Let the ground rise in the walking direction, or fall; ValueError beyond 10 degrees."""
         if not abs(degrees) <= STEEPEST:
             raise ValueError(f"A slope is at most {STEEPEST:g} degrees, got {degrees:g}.")
         angle = radians(degrees)
@@ -73,8 +57,7 @@ class LiveWorld:
     def load(self, mass: float) -> None:
         """Fix a mass in kg before the chest, in place of the last one; 0 for none.
 
-        Raises:
-            ValueError: If it is negative, or heavier than the robot, or nothing can be fixed to the robot.
+        Raises ValueError if it is negative, heavier than the robot, or nothing can be fixed to the robot.
         """
         heaviest = self._source.drawing.weight / GRAVITY
         if self._payload is None:
