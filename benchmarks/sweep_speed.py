@@ -46,7 +46,7 @@ def timed_row(episode: Episode) -> dict[str, Any]:
 
 def sweep_once(plan: EpisodePlan, jobs: int) -> Swept:
     """Sweep a plan by workers who are up already."""
-    with runner(jobs, console=Console(quiet=True), backend="local") as crew:
+    with runner(jobs, backend="local") as crew:
         work = [(timed_row, (episode,)) for episode in plan.episodes]
         crew.do("warm up", work[:4])
         began = time.perf_counter()

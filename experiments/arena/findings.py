@@ -113,8 +113,9 @@ def _fault(runs: Frame, method: str) -> str:
     return f"{text}; CoP afterwards {with_interval(runs['after'], 1e3)} mm."
 
 
-def claims_of(scores: Frame, timing: Frame, method: str = "moment") -> list[Claim]:
-    """Return the claims about a method, from one row a run and one a method; none if it was not run."""
+def claims_of(scores: Frame, timing: Frame) -> list[Claim]:
+    """Return the claims about the moment filter, of a row a run and one a method; none if it was not run."""
+    method = "moment"
     own = scores[scores["method"] == method]
     if not len(own):
         return []

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pandas as pd
-from rich.console import Console
 
 from surefoot.experiments.arena import figures, tables
 from surefoot.experiments.arena.bound import bound_of
@@ -28,9 +27,9 @@ from surefoot.experiments.walks.walkers import STAND_TIME
 _say, _caption = Words("arena"), Words("arena", "captions")
 
 
-def compare_walking(options: ArenaOptions, console: Console | None = None) -> Report:
+def compare_walking(options: ArenaOptions) -> Report:
     """Run the comparison of all scenarios, and write its page; refused is what :func:`run_arena` refuses."""
-    results = run_arena(options, bound=bound_of, console=console)
+    results = run_arena(options, bound=bound_of)
     with working("drawing the report"):
         return write_arena_page(results)
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
 from surefoot.experiments.arena.cases import Bound, bound_case, loop_case, score_case, time_method
 from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
@@ -52,9 +51,7 @@ class ArenaResults:
         return tuple(dict.fromkeys(scenario.walk.speed for scenario in self.scenarios if scenario.paper))
 
 
-def run_arena(
-    options: ArenaOptions, *, bound: Bound | None = None, console: Console | None = None
-) -> ArenaResults:
+def run_arena(options: ArenaOptions, *, bound: Bound | None = None) -> ArenaResults:
     """Walk, record, replay, score, time, close the loop, film, and save; without a bound there is none.
 
     Raises ValueError if there is no scenario of a name, nothing could be scored, or the folder cannot be
@@ -85,7 +82,7 @@ def run_arena(
         ],
     }
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, results.seconds, console) as run:
+    with store.opened(), runner(options.jobs, results.seconds) as run:
         walks = {(s.walk.name, seed): (s.walk, seed) for s in chosen for seed in s.seeds(options.seeds)}
         recordings = [(*walk, options.duration, options.logs) for walk in walks.values()]
         run.do("walk and record", [(record_missing, recording) for recording in recordings])

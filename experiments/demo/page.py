@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from rich.console import Console
 
 from surefoot.calibration import METHODS
 from surefoot.experiments.arena.figures import error_curves
@@ -42,9 +41,9 @@ YARDSTICKS = (
 )
 
 
-def run_demo(options: ArenaOptions, console: Console | None = None) -> Report:
+def run_demo(options: ArenaOptions) -> Report:
     """Run the demo or the full study, and write its page; what is refused is that of :func:`run_arena`."""
-    results = run_arena(options, console=console)
+    results = run_arena(options)
     with working("drawing the report"):
         return write_demo_page(results)
 

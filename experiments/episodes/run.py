@@ -7,8 +7,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rich.console import Console
-
 from surefoot.experiments.episodes.episode import (
     OUTCOME,
     TABLE,
@@ -58,7 +56,6 @@ def run_plan(
     address: str | None = None,
     retry_failed: bool = False,
     any_version: bool = False,
-    console: Console | None = None,
 ) -> EpisodeResults:
     """Run every episode of a plan that has no row yet, seed by seed, keep them in a folder, or nowhere.
 
@@ -84,7 +81,7 @@ def run_plan(
         if missing:
             with working("trying out each kind"):
                 _try_out([case.arguments[0] for case in missing])
-            crew = stack.enter_context(runner(jobs, console=console, backend=backend, address=address))
+            crew = stack.enter_context(runner(jobs, backend=backend, address=address))
             computed = crew.run("Episodes", cases, store, failed=_failed, count={"fell": _fell}, **options)
         rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)
         save_frames(folder, {TABLE: rows}, (".parquet",))

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from rich.console import Console
 
 from surefoot.experiments.in_situ.cases import (
     BATCH,
@@ -94,13 +93,13 @@ def study_cases(options: InSituStudyOptions) -> dict[str, list[Case]]:
     }
 
 
-def run_in_situ_study(options: InSituStudyOptions, *, console: Console | None = None) -> InSituStudyResults:
+def run_in_situ_study(options: InSituStudyOptions) -> InSituStudyResults:
     """Do everything but the page, and save it; StudyError if the folder is in use or the disk full."""
     results = InSituStudyResults(options)
     stages = study_cases(options)
     cases = [case for listed in stages.values() for case in listed]
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, results.seconds, console) as run:
+    with store.opened(), runner(options.jobs, results.seconds) as run:
         for what, listed in stages.items():
             run.run(what, listed, store)
     for name in (*FRAMES, "shown"):

@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
-from rich.console import Console
-
 from surefoot.envs import load_robot_spec
 from surefoot.experiments.robots.cases import METHODS, MOTIONS, SENSORS, Motion, run_robot
 from surefoot.experiments.study.figures import look_of
@@ -52,7 +50,7 @@ class RobotOptions:
         return replace(self, seeds=min(self.seeds, 2), duration=3.0)
 
 
-def compare_robots(options: RobotOptions, console: Console | None = None) -> Report:
+def compare_robots(options: RobotOptions) -> Report:
     """Run the study and write its page; without the package of robots it has the others, and says so."""
     motions, without = options.motions, ""
     try:
@@ -66,7 +64,7 @@ def compare_robots(options: RobotOptions, console: Console | None = None) -> Rep
     ]
     seconds: dict[str, float] = {}
     store = Store(options.out / "results")
-    with store.opened(), runner(options.jobs, seconds, console) as run:
+    with store.opened(), runner(options.jobs, seconds) as run:
         run.run("robots", cases, store)
     scores, failures = store.rows("scores", cases), store.failures(cases)
     claims = claim_table(claims_of(scores), note=_say("claim")) if len(scores) else None

@@ -159,12 +159,12 @@ def draw_steps(axes: "Axes", time: Any, share: Any, name: str) -> None:
     axes.step(time, share, where="post", color=look.colour, linestyle=look.line, label=look.label)
 
 
-def show_values(axes: "Axes", values: Sequence[float], margin: float = 0.5) -> None:
+def show_values(axes: "Axes", values: Sequence[float]) -> None:
     """Make ticks at a few values of the horizontal axis, with room around a value that is alone."""
     axes.set_xticks(list(values), [f"{value:g}" for value in values])
     axes.minorticks_off()
     if len(values) == 1:
-        reach = margin * (abs(values[0]) or 1.0)
+        reach = 0.5 * (abs(values[0]) or 1.0)
         axes.set_xlim(values[0] - reach, values[0] + reach)
 
 

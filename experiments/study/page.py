@@ -182,8 +182,7 @@ def save_frames(
 
 def save_facts(path: Path, options: Any, **facts: Any) -> None:
     """Save how a study was run: its options, a dataclass, and what it ran on."""
-    plain = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
-    write_text(path, json.dumps({"options": plain, **facts}, indent=1))
+    write_text(path, json.dumps({"options": vars(options), **facts}, indent=1, default=str))
 
 
 def _kinds(table: Table) -> list[str]:

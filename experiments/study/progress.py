@@ -18,9 +18,9 @@ from rich.progress import (
 Item = TypeVar("Item")
 
 
-def bars(*beside: str, console: Console | None = None, **options: Any) -> Progress:
+def bars(*beside: str, **options: Any) -> Progress:
     """Return bars to enter; each task has its description, and what is to be said of it beside the bar."""
-    chosen = Console(stderr=True) if console is None else console
+    console = Console(stderr=True)
     columns = (
         TextColumn("{task.description:28s}"),
         BarColumn(),
@@ -29,7 +29,7 @@ def bars(*beside: str, console: Console | None = None, **options: Any) -> Progre
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    return Progress(*columns, console=chosen, disable=not chosen.is_terminal, **options)
+    return Progress(*columns, console=console, disable=not console.is_terminal, **options)
 
 
 def each(what: str, items: Sequence[Item]) -> Iterator[Item]:

@@ -11,14 +11,12 @@ from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-from rich.console import Console
 from rich.progress import Progress
 
 import surefoot
 from surefoot.experiments.study.backends import Died, Task, Workers, workers
 from surefoot.experiments.study.progress import bars
-from surefoot.experiments.study.store import Case, Outcome, Store, StudyError
+from surefoot.experiments.study.store import Case, Outcome, Store, StudyError, as_kept
 from surefoot.experiments.study.tables import plural
 
 LONGEST_ERROR = 4000  # characters of a failed case's traceback that are kept, its end
@@ -85,7 +83,7 @@ class Runner:
                         "Install the same on all of them and give the same command to go on."
                     )
                 if result.error and failed is not None:
-                    result = replace(result, tables=_plain(failed(case, result.error)))
+                    result = replace(result, tables=as_kept(failed(case, result.error)))
                 store.add(result)
                 for word, of in counters.items():
                     counted[word] += of(result)
@@ -104,14 +102,13 @@ class Runner:
 def runner(
     jobs: int,
     seconds: dict[str, float] | None = None,
-    console: Console | None = None,
     *,
     backend: str = "",
     address: str | None = None,
 ) -> Iterator[Runner]:
     """Lend what runs the stages of a study, and notes seconds of each; one job works in this very process."""
     chosen = backend or ("local" if jobs > 1 else "here")
-    with workers(chosen, jobs, address) as crew, bars("{task.fields[said]}", console=console) as progress:
+    with workers(chosen, jobs, address) as crew, bars("{task.fields[said]}") as progress:
         yield Runner(crew, progress, {} if seconds is None else seconds)
 
 
@@ -119,7 +116,7 @@ def attempt(case: Case) -> Outcome:
     """Run a case; whatever goes wrong in it is part of the outcome."""
     began = time.perf_counter()
     try:
-        tables, error = _plain(case.run(*case.arguments)), ""
+        tables, error = as_kept(case.run(*case.arguments)), ""
     except Exception:
         tables, error = {}, traceback.format_exc().strip()[-LONGEST_ERROR:]
     return Outcome(case.key, case.name, case.code, tables, error, time.perf_counter() - began)
@@ -132,16 +129,3 @@ def machine() -> str:
         f"surefoot {surefoot.__version__}, Python {platform.python_version()}, {packages}; "
         f"{os.cpu_count()} cores, {platform.machine()}"
     )
-
-
-def _plain(tables: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    return {
-        name: [
-            {
-                key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-                for key, value in row.items()
-            }
-            for row in (rows.to_dict("records") if hasattr(rows, "to_dict") else rows)
-        ]
-        for name, rows in tables.items()
-    }

@@ -14,8 +14,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from surefoot.experiments.study.files import locked, write_text
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import Frame
@@ -81,7 +79,7 @@ class Store:
         busy = StudyError(f"Another study is at work in '{self.folder}'; wait for it.")
         with self._explained(), locked(self.folder, busy):
             if plan is not None:
-                self._claim(json.loads(_dump(plan)), dict(versions or {}), any_version)
+                self._claim(as_kept(plan), dict(versions or {}), any_version)
             self.read()
             path = self.folder / JOURNAL
             if self.damaged:
@@ -176,12 +174,17 @@ class Store:
             ) from error
 
 
+def as_kept(data: Any) -> Any:
+    """Return data as they come back from the disk; data frames are rows."""
+    return json.loads(_dump(data))
+
+
 def _dump(data: Any) -> str:
     def plain(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return dict(value)
-        if isinstance(value, np.ndarray | np.generic):
+        if hasattr(value, "to_dict"):
+            return value.to_dict("records")
+        if hasattr(value, "tolist"):
             return value.tolist()
-        return str(value)
+        return dict(value) if isinstance(value, Mapping) else str(value)
 
     return json.dumps(data, default=plain)

@@ -233,13 +233,13 @@ def interval_text(interval: Interval, factor: float = 1.0, digits: int = 3) -> s
     return Valued.of(f"{mean} ± {both['plus_minus']:.{decimals}f}", both)
 
 
-def plural(count: int, word: str, words: str = "") -> str:
+def plural(count: int, word: str) -> str:
     """Return a count with its word.
 
-    >>> plural(1, "walk"), plural(2, "walk"), plural(2, "study", "studies")
-    ('1 walk', '2 walks', '2 studies')
+    >>> plural(1, "walk"), plural(2, "walk")
+    ('1 walk', '2 walks')
     """
-    return f"{count} {word if count == 1 else words or word + 's'}"
+    return f"{count} {word if count == 1 else word + 's'}"
 
 
 def sentence(title: str) -> str:

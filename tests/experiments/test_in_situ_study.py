@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
 from surefoot.calibration.in_situ.bound import cramer_rao, normalised_error, offset_bounds
@@ -34,8 +33,6 @@ from surefoot.experiments.in_situ.study import InSituStudyOptions, run_in_situ_s
 from surefoot.experiments.in_situ.tables import PRINTED
 from surefoot.experiments.study.store import JOURNAL
 
-QUIET = Console(quiet=True)
-
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
@@ -43,7 +40,7 @@ def results(tmp_path_factory):
         out=tmp_path_factory.mktemp("study"), seeds=2, jobs=1, rate=2.0, white_rate=1.0, moving_seeds=1,
         refused_seeds=1, kinds=("still",), motions=(0,), spoilt=(0, 1, 2),
     )  # fmt: skip
-    return run_in_situ_study(options, console=QUIET)
+    return run_in_situ_study(options)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +76,7 @@ def test_everything_is_in_files(results):
 def test_finished_cases_are_read_and_give_the_same(results):
     journal = results.options.out / "results" / JOURNAL
     before = journal.read_bytes()
-    again = run_in_situ_study(results.options, console=QUIET)
+    again = run_in_situ_study(results.options)
     assert journal.read_bytes() == before
     for name in ("fits", "sets", "white", "refusals"):
         pd.testing.assert_frame_equal(getattr(again, name), getattr(results, name))

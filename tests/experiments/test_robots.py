@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from surefoot.envs.exercise.held import HeldRobot
 from surefoot.experiments.robots import study
@@ -81,7 +80,7 @@ def test_without_the_package_the_others_are_compared_and_the_page_says_so(tmp_pa
     monkeypatch.setattr(study, "load_robot_spec", missing)
     motions = (FALLS, Motion("g1", "standing"))
     options = RobotOptions(tmp_path, seeds=2, jobs=1, duration=1.2, motions=motions)
-    report = compare_robots(options, Console(quiet=True))
+    report = compare_robots(options)
     cells, ankles, claims = report.tables
     assert [row[0] for row in (*cells.rows, *ankles.rows)] == ["Walker2d-v5"] * 2
     assert len(claims.rows) == 2 * len(METHODS[1:])
