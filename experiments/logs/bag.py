@@ -172,7 +172,7 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
             mine = [(received, message_of(path, reader, *one)) for *one, received in _of(messages, topic)]
             received = 1e-9 * (np.array([time for time, _ in mine], dtype=np.int64) - origin)
             stamps = _stamps([message for _, message in mine], origin)
-            columns = _Fields(path.name, topic, fields).of([message for _, message in mine])
+            columns = _numbers(f"{path.name}: '{topic}'", fields, [message for _, message in mine])
             time, clock = _clock(received, stamps, topics.offsets_s.get(topic))
             kept = np.unique(time, return_index=True)[1]
             parts = {name: values[kept] for name, values in columns.items()}
@@ -251,64 +251,39 @@ def message_of(path: Path, reader: Any, connection: Any, data: bytes) -> Any:
         ) from None
 
 
-class _Fields:
-    """Takes numbers out of a topic's messages."""
+def _numbers(where: str, fields: Mapping[FieldPath, str], messages: list[Any]) -> dict[str, Floats]:
+    """Return columns of messages; LogError if one lacks a field, or no message has a number in it."""
+    columns: dict[str, Floats] = {}
+    for path, column in fields.items():
+        columns[column] = np.array([_number(where, message, path) for message in messages])
+        if not np.isfinite(columns[column]).any():
+            names = getattr(messages[0], "name", ())
+            cure = f" Its names are {', '.join(names)}." if names else ""
+            raise LogError(f"{where} holds no number under '{'.'.join(path)}' in any message.{cure}")
+    return columns
 
-    def __init__(self, file: str, topic: str, fields: Mapping[FieldPath, str]) -> None:
-        self._where = f"{file}: '{topic}'"
-        self._fields = fields
-        self._owners: dict[
-            FieldPath, list[tuple[str, str]]
-        ] = {}  # last names and columns, by what holds them
-        for path, column in fields.items():
-            self._owners.setdefault(path[:-1], []).append((path[-1], column))
 
-    def of(self, messages: list[Any]) -> dict[str, Floats]:
-        """Return columns of messages; LogError if one lacks a field, or no message has a number in it."""
-        columns = {column: np.full(len(messages), np.nan) for column in self._fields.values()}
-        for row, message in enumerate(messages):
-            for owner, parts in self._owners.items():
-                holder = message
-                for name in owner:
-                    holder = self._part(message, holder, name)
-                for name, column in parts:
-                    value = self._part(message, holder, name)
-                    if value is not None:
-                        columns[column][row] = self._number(message, value, (*owner, name))
-        for path, column in self._fields.items():
-            if not np.isfinite(columns[column]).any():
-                names = getattr(messages[0], "name", ())
-                cure = f" Its names are {', '.join(names)}." if names else ""
-                raise LogError(
-                    f"{self._where} holds no number under '{'.'.join(path)}' in any message.{cure}"
-                )
-        return columns
-
-    def _part(self, message: Any, holder: Any, name: str) -> Any:
-        """Return a field, an element by its number, or that of a joint by its name; ``None`` if absent."""
-        if holder is None:
-            return None
-        if isinstance(holder, np.ndarray | list | tuple):
-            if name.isdigit():
-                place = int(name)
-            else:
-                names = list(getattr(message, "name", ()))
-                place = names.index(name) if name in names else len(holder)
-            return holder[place] if place < len(holder) else None
-        if not hasattr(holder, name):
+def _number(where: str, message: Any, path: FieldPath) -> float:
+    """Return a field, an element by its number, or that of a joint by its name; NaN if absent."""
+    value = message
+    for name in path:
+        if isinstance(value, np.ndarray | list | tuple):
+            names = list(getattr(message, "name", ()))
+            place = int(name) if name.isdigit() else names.index(name) if name in names else len(value)
+            value = value[place] if place < len(value) else None
+        elif value is not None and not hasattr(value, name):
             raise LogError(
-                f"{self._where} holds {_type(message)}, which has no field '{name}'; there are "
-                f"{', '.join(_field_names(holder))}."
+                f"{where} holds {_type(message)}, which has no field '{name}'; there are "
+                f"{', '.join(_field_names(value))}."
             )
-        return getattr(holder, name)
-
-    def _number(self, message: Any, value: Any, path: FieldPath) -> float:
-        if isinstance(value, bool | int | float | np.number | np.bool_):
-            return float(value)
+        else:
+            value = getattr(value, name, None)
+    if not isinstance(value, bool | int | float | np.number | np.bool_ | None):
         raise LogError(
-            f"{self._where} holds {_type(message)}, in which '{'.'.join(path)}' is no number; name one "
-            "of its parts, or another topic."
+            f"{where} holds {_type(message)}, in which '{'.'.join(path)}' is no number; name one of its "
+            "parts, or another topic."
         )
+    return float("nan") if value is None else float(value)
 
 
 def _type(message: Any) -> str:

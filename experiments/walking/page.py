@@ -6,14 +6,7 @@ from pathlib import Path
 from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
 from surefoot.experiments.walking import figures, tables
 
-_CAPTIONS = (
-    "Centre of pressure of all feet from the middle between the soles, and its distance from the one that "
-    "the motion asks for.",
-    "Vertical force of all feet and of each.",
-    "Every channel by the map that the calibration started from, and calibrated.",
-    "Scale and offset of every channel against the map that the calibration started from",
-    "When each flag was raised.",
-)
+_say, _caption = Words("walking"), Words("walking", "captions")
 
 
 def write_walking_page(path: Path, facts: tables.Facts) -> Path:
@@ -32,11 +25,11 @@ def write_walking_page(path: Path, facts: tables.Facts) -> Path:
 
 def _sections(folder: Path, facts: tables.Facts) -> Iterator[Section]:
     def figure(number: int, path: Path, more: str = "") -> ReportFigure:
-        return ReportFigure(path, f"Figure {number}", _CAPTIONS[number - 1] + more)
+        return ReportFigure(path, f"Figure {number}", _caption(f"{number}") + more)
 
     cop = figure(1, figures.cop_against_motion(folder / "cop.svg", facts))
     table, title = tables.agreement_table(facts), "Agreement with the robot's own motion"
-    yield Section("agreement", title, (Words("walking")("agreement"),), tables=(table,), figures=(cop,))
+    yield Section("agreement", title, (_say("agreement"),), tables=(table,), figures=(cop,))
     if facts.log.truth is not None:
         yield Section("truth", "Errors against the truth", tables=(tables.score_table(facts),))
     feet = figure(2, figures.force_of_feet(folder / "feet.svg", facts))

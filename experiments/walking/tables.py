@@ -10,28 +10,12 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameters
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
+from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import Table, number, with_deviation
 from surefoot.experiments.walking.agreement import agreement, asked_of, carried_by
 from surefoot.experiments.walks.score import held, score_forces
 
-FLAG_WORDS = {
-    "MISSING": "no reading arrived; the last one is held",
-    "OUT_OF_RANGE": "a reading that no foot can give; the last one is held",
-    "REFERENCE": "the motion is not known or not physical; nothing is learnt",
-    "GAP": "the clock jumped; filters start again",
-    "NO_CONTACT": "too little weight on the feet to learn from",
-    "SINGULAR": "the data do not separate the parameters; they stay",
-    "STANDING": "still collecting the standing start",
-    "REJECTED": "the data ask for what no sensor does; refused",
-    "SPIKE": "a single reading far off",
-    "STUCK": "the channel keeps one value",
-    "DEAD": "the channel does not follow the load",
-    "FLIPPED": "the channel has the wrong sign",
-    "SWAPPED": "the channel reads another one's load",
-    "LOST": "the channel is out; its force comes from the others",
-    "SATURATED": "the channel is at the end of its range",
-}
-"""What each bit of a flag means to a reader of the page."""
+_flag_words = Words("walking", "flags")
 
 
 class MapChange(NamedTuple):
@@ -194,8 +178,7 @@ def flag_table(facts: Facts) -> Table:
         names = [log.layout.channel_names[i].replace("/", ", ") for i in channels]
         where = "all channels" if len(names) == raised.shape[1] else "; ".join(names)
         span = f"{log.time[when[0]]:.2f} to {log.time[when[-1]]:.2f}"
-        words = FLAG_WORDS.get(str(flag.name), str(flag.name).lower().replace("_", " "))
-        rows.append((words, f"{100 * len(when) / len(flags):.2f} %", span, where))
+        rows.append((_flag_words(str(flag.name)), f"{100 * len(when) / len(flags):.2f} %", span, where))
     if not rows:
         rows.append(("nothing was flagged", "0 %", "–", "–"))
     return Table("flags", "Flags", ("flag", "of the samples", "between (s)", "on"), tuple(rows))
