@@ -89,7 +89,7 @@ def launchers(name: str, count: int, methods: list[str]) -> dict[str, VectorEnv]
     found = {
         "AsyncVectorEnv": gym.vector.AsyncVectorEnv([one] * count),
         "SyncVectorEnv": gym.vector.SyncVectorEnv([one] * count),
-        "NaoVectorEnv": batch(),
+        "BatchVectorEnv": batch(),
     }
     for method in methods:
         felt = VectorFootSensors(batch(), SENSORS[name])

@@ -1,11 +1,17 @@
-"""What a robot on two feet shows that follows a pattern: its state and its feet, part by part with bounds."""
+"""What a robot on two feet shows that follows a pattern: its state and the true forces under its feet.
 
-from typing import Any, Final
+Everything is made from the last row of the control step's sensor data, for one robot or for many.
+"""
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.envs.command import Command, command_state, turned
+from surefoot.envs.instrumentation.truth import CONTACT_FORCE
 from surefoot.envs.numbers import ONE, Number, Numbers
 
 Observation = dict[str, NDArray[Any]]
@@ -17,20 +23,64 @@ COP_BOUND: Final = 1.0
 """Largest coordinate of a centre of pressure that is shown in m."""
 
 
-class ObservationTable:
-    """The parts of an observation in their order, with their bounds.
+class Places(NamedTuple):
+    """Where in a row of sensor data things are that are shown: of each foot, the first of its numbers.
+
+    Attributes:
+        contact: Force, torque and the place at which they act, in the world (9 numbers).
+        up: 1 if they are the ground's on the robot, -1 if the robot's on the ground.
+        position_sole: Origin of the sole frame in the world (3).
+        axes_sole: Its axes one after another (9).
+        axes_torso: The torso's (9).
+        position_torso: Its origin (3).
+        gyroscope: Its angular velocity in its own axes (3).
+        com: Centre of mass (3).
+        joints: Angles of the J hinge joints.
+        joint_dofs: Where their speeds are in ``qvel``.
+        force_cell: Makes forces of the cells in N, shape (..., 8), of a row and of the wrenches at the soles,
+            shape (..., 12).
+    """
+
+    contact: tuple[int, int]
+    up: float
+    position_sole: tuple[int, int]
+    axes_sole: tuple[int, int]
+    axes_torso: int
+    position_torso: int
+    gyroscope: int
+    com: int
+    joints: slice
+    joint_dofs: NDArray[np.intp]
+    force_cell: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+    def level(self, row: Any, m: Numbers) -> tuple[Number, Number, Number]:
+        """Return where the level frame of the true soles is (x, y) in m, and its heading in rad."""
+        (left, right), (i, j) = self.position_sole, self.axes_sole
+        return (
+            0.5 * (row[left] + row[right]),
+            0.5 * (row[left + 1] + row[right + 1]),
+            m.atan2(row[i + 1] + row[j + 1], row[i] + row[j]),
+        )
+
+
+class FeetObserver:
+    """Turns truth and command into an observation; holds the last valid centres of pressure.
 
     Args:
-        joints: Number J of hinge joints.
+        places: Where things are in a row.
         force_bound: Largest force of a cell that is shown in N.
 
     Attributes:
         space: The observation space.
         state_layout: Where each part lies in the state vector.
-        size: Length of the state vector.
+        numbers: Whether it sees one robot, or many.
     """
 
-    def __init__(self, joints: int, force_bound: float) -> None:
+    numbers: Numbers = ONE
+
+    def __init__(self, places: Places, force_bound: float) -> None:
+        self._places = places
+        joints = places.joint_dofs.size
         bounds = {
             "joint_position": (joints, np.pi),
             "joint_velocity": (joints, 50.0),
@@ -47,7 +97,6 @@ class ObservationTable:
         for name, (size, _) in bounds.items():
             self.state_layout[name] = slice(end, end + size)
             end += size
-        self.size = end
         self._high = np.concatenate([np.full(n, high, dtype=np.float32) for n, high in bounds.values()])
         self._low = -self._high
         self._low[self.state_layout["stance"]] = 0.0
@@ -61,38 +110,115 @@ class ObservationTable:
                 "cop_valid": spaces.MultiBinary(3),
             }
         )
+        self._cop: list[Number] = [0.0, 0.0]
+        self._cop_foot: list[list[Number]] = [[0.0, 0.0], [0.0, 0.0]]
 
-    def bounded(
-        self,
-        state: NDArray[np.float32],
-        force_cell: NDArray[np.float64],
-        cop_foot: list[list[Number]],
-        cop: list[Number],
-        valid: list[Any],
-        m: Numbers = ONE,
-    ) -> Observation:
-        """Bring what is shown into its bounds.
+    def reset(self, robots: Any = True) -> None:
+        """Start with centres of pressure at the origin; of many robots, for those of a mask."""
+        cop, where = [self._cop, *self._cop_foot], self.numbers.where
+        self._cop, *self._cop_foot = [[where(robots, 0.0, part) for part in place] for place in cop]
+
+    def observe(
+        self, last: NDArray[np.float64], row: Any, qvel: NDArray[np.float64], command: Command
+    ) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
+        """Show the last row of a control step.
 
         Args:
-            state: Its parts in the units of their names, shape (..., size); it is changed.
-            force_cell: Forces of the cells in N, shape (..., 8).
-            cop_foot: Centres of pressure of both feet in the sole frames in m, shape (2, 2).
-            cop: Centre of pressure of both feet in the level frame in m, shape (2,).
-            valid: Whether the total, the left and the right centre of pressure are defined, shape (3,).
-            m: Whether these are numbers of one robot, or of many.
+            last: The row, shape (..., columns).
+            row: Its parts.
+            qvel: MuJoCo's velocities at that instant, shape (..., nv).
+            command: What the robot commands at its end.
+
+        Returns:
+            The observation, and the truth at the control rate for ``info``.
         """
-        np.maximum(state, self._low, out=state)
-        np.minimum(state, self._high, out=state)
+        m, places, choose = self.numbers, self._places, self.numbers.where
+        up = places.up
+        wrench, vgrf, cop_foot, foot_valid = [], [], [], []
+        load = moment_x = moment_y = 0.0
+        for foot in (0, 1):
+            i, j, k = places.contact[foot], places.position_sole[foot], places.axes_sole[foot]
+            fx, fy, fz, tx, ty, tz = (up * part for part in row[i : i + 6])
+            px, py, pz = row[i + 6 : i + 9]
+            x0, y0, z0 = row[j : j + 3]
+            xx, xy, xz, yx, yy, yz, zx, zy, zz = row[k : k + 9]
+            load += fz
+            moment_x += tx + py * fz
+            moment_y += ty - px * fz
+            rx, ry, rz = px - x0, py - y0, pz - z0
+            tx, ty, tz = tx + ry * fz - rz * fy, ty + rz * fx - rx * fz, tz + rx * fy - ry * fx
+            normal = zx * fx + zy * fy + zz * fz
+            torque_x = xx * tx + xy * ty + xz * tz
+            torque_y = yx * tx + yy * ty + yz * tz
+            wrench.append(
+                [
+                    xx * fx + xy * fy + xz * fz,
+                    yx * fx + yy * fy + yz * fz,
+                    normal,
+                    torque_x,
+                    torque_y,
+                    zx * tx + zy * ty + zz * tz,
+                ]
+            )
+            vgrf.append(fz)
+            valid = normal > CONTACT_FORCE
+            foot_valid.append(valid)
+            safe = choose(valid, normal, 1.0)
+            x, y = -torque_y / safe, torque_x / safe
+            held_x, held_y = self._cop_foot[foot]
+            cop_foot.append([choose(valid, x, 0.0), choose(valid, y, 0.0)])
+            self._cop_foot[foot] = [choose(valid, x, held_x), choose(valid, y, held_y)]
+
+        valid = load > CONTACT_FORCE
+        safe = choose(valid, load, 1.0)
+        cop_world = [choose(valid, -moment_y / safe, 0.0), choose(valid, moment_x / safe, 0.0)]
+        middle_x, middle_y, heading = places.level(row, m)
+        x, y = turned(cop_world[0] - middle_x, cop_world[1] - middle_y, heading, m)
+        held_x, held_y = self._cop
+        self._cop = [choose(valid, x, held_x), choose(valid, y, held_y)]
+
+        wrench_sole, valids = m.array(wrench), [valid, *foot_valid]
+        force_cell = places.force_cell(last, wrench_sole.reshape(*last.shape[:-1], 12))
+        truth = {
+            "force_cell": force_cell,
+            "vgrf": m.array(vgrf),
+            "cop_world": m.array(cop_world),
+            "cop_foot": m.array(cop_foot),
+            "cop_valid": m.array(valids),
+            "com": last[..., places.com : places.com + 3].copy(),
+            "wrench_sole": wrench_sole,
+        }
         force = force_cell.astype(np.float32)
         np.maximum(force, -self._force_bound, out=force)
         np.minimum(force, self._force_bound, out=force)
         return {
-            "state": state,
+            "state": self._state(last, row, qvel, command),
             "foot_force": force,
-            "cop_foot": m.array([_bounded(place, m) for place in cop_foot], dtype=np.float32),
-            "cop": m.array(_bounded(cop, m), dtype=np.float32),
-            "cop_valid": m.array(valid, dtype=np.int8),
-        }
+            "cop_foot": m.array([_bounded(place, m) for place in self._cop_foot], dtype=np.float32),
+            "cop": m.array(_bounded(self._cop, m), dtype=np.float32),
+            "cop_valid": m.array(valids, dtype=np.int8),
+        }, truth
+
+    def _state(
+        self, last: NDArray[np.float64], row: Any, qvel: NDArray[np.float64], command: Command
+    ) -> NDArray[np.float32]:
+        m, places, torso, gyro = self.numbers, self._places, self._places.axes_torso, self._places.gyroscope
+        x_up, y_up, z_up = row[torso + 2], row[torso + 5], row[torso + 8]
+        joints = places.joint_dofs.size
+        state = np.empty((*last.shape[:-1], self._high.size), dtype=np.float32)
+        state[..., :joints] = last[..., places.joints]
+        state[..., joints : 2 * joints] = qvel[..., places.joint_dofs]
+        state[..., 2 * joints :] = m.array(
+            [
+                m.atan2(y_up, z_up),
+                -m.asin(m.clip(x_up, -1.0, 1.0)),
+                *row[gyro : gyro + 3],
+                *command_state(command, m),
+            ]
+        )
+        np.maximum(state, self._low, out=state)
+        np.minimum(state, self._high, out=state)
+        return state
 
 
 def _bounded(place: list[Number], m: Numbers) -> list[Number]:

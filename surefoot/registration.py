@@ -36,9 +36,9 @@ def register_environments() -> None:
     """Register ``surefoot/...``; doing so again changes nothing."""
     from gymnasium.envs.registration import register, registry
 
-    many = "surefoot.envs.nao.batch:"
+    many = "surefoot.envs.batch:"
     for name, (entry_point, vector, max_episode_steps) in {
-        "surefoot/Exercise-v0": ("surefoot.envs.exercise.env:ExerciseEnv", None, None),
+        "surefoot/Exercise-v0": ("surefoot.envs.exercise.env:ExerciseEnv", f"{many}exercise", None),
         "surefoot/LegRig-v0": ("surefoot.envs.leg_rig.env:LegRigEnv", None, 3000),
         "surefoot/NaoBalance-v0": ("surefoot.envs.nao.balance:NaoBalanceEnv", f"{many}balance", None),
         "surefoot/NaoCarry-v0": ("surefoot.envs.nao.carry:NaoCarryEnv", f"{many}carry", None),

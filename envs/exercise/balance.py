@@ -39,7 +39,7 @@ class AnkleBalance:
         mujoco.mj_forward(model, data)
         moments = motor_moments(model, data)
         stiffness = model.actuator_gainprm[robot.leg_motors, :1]
-        self._of_shift = []
+        of_shift = []
         for leg in robot.legs:
             torque = np.zeros((model.nv, 2))
             for joint in leg[-2:]:
@@ -47,23 +47,27 @@ class AnkleBalance:
                 x, y, _ = data.xaxis[joint]
                 torque[model.jnt_dofadr[joint]] = robot.weight * y, -robot.weight * x
             exerted = np.linalg.lstsq(moments[robot.leg_motors].T, torque, rcond=None)[0]
-            self._of_shift.append(exerted / stiffness)
+            of_shift.append(exerted / stiffness)
+        self._left, self._right = np.array(of_shift).swapaxes(-1, -2)
 
     def correction(self, truth: FeetTruth, command: Command) -> NDArray[np.float64]:
         """Answer the last row of truth.
 
         Args:
-            truth: The last control step.
+            truth: The last control step, of one robot or with many in front.
             command: What was planned for its end.
 
         Returns:
-            What to add to the targets of the leg motors in rad, shape (L,).
+            What to add to the targets of the leg motors in rad, shape (..., L).
         """
         share = self._motion.shares(command)
-        slid = share @ (truth.position_sole[-1] - command.position_sole)[:, :2]
-        error = truth.com[-1, :2] - command.com[:2] - slid
-        error += self._time * (truth.com_velocity[-1, :2] - command.com_velocity[:2])
+        left, right = share[..., :1], share[..., 1:]
+        slid = (truth.position_sole[..., -1, :, :] - command.position_sole)[..., :2]
+        error = truth.com[..., -1, :2] - command.com[..., :2]
+        error -= left * slid[..., 0, :] + right * slid[..., 1, :]
+        error += self._time * (truth.com_velocity[..., -1, :2] - command.com_velocity[..., :2])
         shift = np.minimum(np.maximum(GAIN * error, -self._half), self._half)
-        left, right = self._of_shift
-        corrected: NDArray[np.float64] = (share[0] * left + share[1] * right) @ shift
+        forward, aside = shift[..., :1], shift[..., 1:]
+        corrected: NDArray[np.float64] = left * (forward * self._left[0] + aside * self._left[1])
+        corrected += right * (forward * self._right[0] + aside * self._right[1])
         return corrected

@@ -1,6 +1,7 @@
 """A humanoid with flat feet sways, squats and lifts its feet: what a robot does to calibrate them."""
 
 from collections.abc import Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -8,18 +9,20 @@ from typing import Any, Final
 import gymnasium as gym
 import mujoco
 import numpy as np
-from gymnasium import spaces
 from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from numpy.typing import NDArray
 
+from surefoot.envs.biped import BipedEnv
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.balance import AnkleBalance
-from surefoot.envs.exercise.motion import plan_motion
-from surefoot.envs.exercise.observation import ExerciseObserver
+from surefoot.envs.exercise.motion import Motion, plan_motion
+from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
+from surefoot.envs.instrumentation.spec import Instrumentation
 from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.envs.observation import FORCE_BOUND, Observation
-from surefoot.envs.options import check_render_mode, checked_action, checked_range, positive
-from surefoot.envs.prelude import Player, Prelude
+from surefoot.envs.numbers import Number
+from surefoot.envs.observation import FORCE_BOUND, Observation, Places
+from surefoot.envs.options import check_render_mode, checked_range, positive
+from surefoot.envs.prelude import Prelude
 from surefoot.envs.rendering import check_size
 
 CONTROL_STEP: Final = 0.02
@@ -39,7 +42,7 @@ COP_WIDTH: Final = 0.08
 """Error of the centre of pressure that costs 63 % of its reward, as a share of the robot's height (CoM)."""
 
 
-class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
+class ExerciseEnv(BipedEnv):
     """Calibration exercises of a biped under position control; docs/exercise.md has the tables.
 
     A step lasts 0.02 s. The action is a residual on the targets of the leg motors, zero for the exercise
@@ -89,6 +92,9 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
 
+    truth: FeetTruth
+    _neutral = "zeros leave the exercise alone"
+
     def __init__(
         self,
         robot: str | Path | mujoco.MjSpec = "g1",
@@ -107,52 +113,40 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         self._amplitude = _up_to("amplitude", amplitude, 1.0)
         self._tempo = _up_to("tempo", tempo, 1.5)
-        self._action_scale = positive("action_scale", action_scale)
         self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
         self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
-        length = None if duration is None else positive("duration", duration)
         check_render_mode(render_mode, self.metadata["render_modes"])
 
         self.motion = plan_motion(robot, feet, boxes=render_mode is None)
         prepared = self.motion.robot
-        self.model, self.drawing = prepared.model, prepared.instrumentation.drawing
-        self.data = mujoco.MjData(self.model)
-        self._instrumentation = prepared.instrumentation
-        self._substeps = round(CONTROL_STEP / self.model.opt.timestep)
-        if self._substeps < FEWEST_SUBSTEPS:
+        model, self._instrumentation = prepared.model, prepared.instrumentation
+        self.drawing = self._instrumentation.drawing
+        substeps = round(CONTROL_STEP / model.opt.timestep)
+        if substeps < FEWEST_SUBSTEPS:
             raise ValueError(
                 f"The model's timestep must be at most {CONTROL_STEP / FEWEST_SUBSTEPS} s, got "
-                f"{self.model.opt.timestep} s; set spec.option.timestep."
+                f"{model.opt.timestep} s; set spec.option.timestep."
             )
-        self.dt = self._substeps * float(self.model.opt.timestep)
-        self._steps = None if length is None else max(round(length / self.dt), 1)
-        self._balance = AnkleBalance(prepared, self.motion)
-        self._torso, self._leg_motors = prepared.torso, prepared.leg_motors
         self.joint_names = self.drawing.joint_names
-        self.leg_motor_names = tuple(self.model.actuator(i).name for i in self._leg_motors)
-        joints = [self.model.joint(name).id for name in self.joint_names]
-        self._joint_dofs = self.model.jnt_dofadr[joints]
-        motors = [self.model.actuator(i).name for i in range(self.model.nu)]
-        self.prelude = Player(prelude, motors, self.dt)
-        limited = self.model.actuator_ctrllimited.astype(bool)
-        self._low, self._high = np.where(limited, self.model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
-        self._fraction = np.arange(1, self._substeps + 1)[:, None] / self._substeps
+        self.leg_motor_names = tuple(model.actuator(i).name for i in prepared.leg_motors)
+        super().__init__(
+            model,
+            _places(self._instrumentation, model),
+            substeps=substeps,
+            legs=prepared.leg_motors,
+            leg_motors=self.leg_motor_names,
+            force_bound=max(FORCE_BOUND, 10.0 * prepared.weight),
+            duration=duration,
+            action_scale=action_scale,
+            prelude=prelude,
+        )
+        self._balance = AnkleBalance(prepared, self.motion)
         self._cop_width = COP_WIDTH * self.motion.height
         self._first_height = float(self.motion.qpos[2])
-
-        bound = max(FORCE_BOUND, 10.0 * prepared.weight)
-        self._observer = ExerciseObserver(len(self.joint_names), bound)
-        self.observation_space = self._observer.space
-        self.state_layout = self._observer.state_layout
-        self.action_space = spaces.Box(-1.0, 1.0, (len(self._leg_motors),), dtype=np.float32)
         self.render_mode = render_mode
-        check_size(self.model, width, height)
+        check_size(model, width, height)
         self._size = width, height
         self._renderer: MujocoRenderer | None = None
-        self.truth: FeetTruth
-        self.command: Command
-        self._target: NDArray[np.float64]
-        self._tick: int | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         given = {} if self.spec is None else self.spec.kwargs
@@ -160,107 +154,51 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         spec = None if isinstance(given.get("robot"), mujoco.MjSpec) else self.spec
         return vars(self) | {"_renderer": None, "spec": spec}
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Stand the robot up and draw an exercise.
+    def _start(self, options: dict[str, Any]) -> None:
+        self.motion.begin(self.np_random, self._amplitude, self._tempo)
 
-        Args:
-            seed: Seeds all that the environment draws.
-            options: Not used.
-        """
-        super().reset(seed=seed)
+    def _join(self, robots: Sequence[Any]) -> None:
+        self.motion = Motion.join([robot.motion for robot in robots])
+
+    def _command(self, tick: Any) -> Command:
+        return self.motion.command(tick * self.dt)
+
+    def _place(self) -> None:
         model, data, rng = self.model, self.data, self.np_random
-        self.motion.begin(rng, self._amplitude, self._tempo)
-        mujoco.mj_resetData(model, data)
-        self._tick = 0
-        self.command = self.motion.command(0.0)
-        self.prelude.begin(self.command)
-        self._target = self._limited(self.command.joint_target)
-        data.ctrl[:] = self._target
+        joints = self._places.joint_dofs
         data.qpos[:] = self.motion.qpos
         noise = np.zeros(model.nv)
-        noise[self._joint_dofs] = rng.uniform(-self._joint_noise, self._joint_noise, self._joint_dofs.size)
+        noise[joints] = rng.uniform(-self._joint_noise, self._joint_noise, joints.size)
         mujoco.mj_integratePos(model, data.qpos, noise, 1.0)
         data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
-        mujoco.mj_forward(model, data)
-        rows = np.tile(data.sensordata, (self._substeps, 1))
-        self.truth = self._instrumentation.read_rows(model, rows)
-        self._observer.reset()
-        observation, truth = self._observer.observe(self.truth, data.qvel[self._joint_dofs], self.command)
-        return observation, {"surefoot": {"truth": truth}}
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Go on for one control step.
+    def _read(self, rows: NDArray[np.float64]) -> FeetTruth:
+        return self._instrumentation.read_rows(self.model, rows)
 
-        Args:
-            action: Residuals on the leg motors' targets as shares of ``action_scale``, shape (L,).
+    def _observe(
+        self, rows: NDArray[np.float64], qvel: NDArray[np.float64]
+    ) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
+        seen = super()._observe(rows, qvel)
+        # The ankles answer what the last step ended with.
+        self._correction = self._balance.correction(self.truth, self.command)
+        return seen
 
-        Raises:
-            ValueError: If the action has another shape or is not finite.
-            gymnasium.error.ResetNeeded: If the environment has not been reset.
-        """
-        if self._tick is None:
-            raise gym.error.ResetNeeded("Call reset() before the first step().")
-        residual = checked_action(
-            action,
-            self.leg_motor_names,
-            "a residual for each leg motor",
-            "zeros leave the exercise alone",
-        )
-        correction = self._balance.correction(self.truth, self.command)
-        if self.prelude.playing:
-            self.command = self.prelude.next()
-        else:
-            self._tick += 1
-            self.command = self.motion.command(self._tick * self.dt)
-        target = self.command.joint_target.copy()
-        target[self._leg_motors] += self._action_scale * residual + correction
-        target = self._limited(target)
-
-        model, data, mj_step = self.model, self.data, mujoco.mj_step
-        sensordata, ctrl = data.sensordata, data.ctrl
-        rows = np.empty((self._substeps, model.nsensordata))
-        for row, substep_target in zip(
-            rows, self._target + self._fraction * (target - self._target), strict=True
-        ):
-            joint_velocity = data.qvel[self._joint_dofs]
-            ctrl[:] = substep_target
-            mj_step(model, data)
-            row[:] = sensordata
-        self._target = target
-
-        self.truth = self._instrumentation.read_rows(model, rows)
-        observation, truth = self._observer.observe(self.truth, joint_velocity, self.command)
-        terms = self._reward(truth, residual)
-        truncated = self._steps is not None and self._tick >= self._steps
-        return (
-            observation,
-            sum(terms.values()),
-            self._fallen(),
-            truncated,
-            {"surefoot": {"truth": truth}, **terms},
-        )
-
-    def _reward(self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]) -> dict[str, float]:
-        """Return the terms of a step's reward, which is their sum, by name."""
-        error = truth["cop_world"] - self.command.cop
-        square = float(error @ error)
+    def _reward(
+        self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
+    ) -> dict[str, Number]:
         return {
             "reward_alive": 1.0,
-            "reward_cop": float(np.exp(-square / self._cop_width**2)) if truth["cop_valid"][0] else 0.0,
-            "reward_action": -0.1 * float(action @ action) / action.size,
+            "reward_cop": self._paid_cop(truth, self._cop_width),
+            "reward_action": self._effort(action),
         }
 
-    def _fallen(self) -> bool:
-        """Return whether the robot has fallen."""
-        up = float(self.truth.R_world_torso[-1, 2] @ self.motion.up_torso)
-        height = float(self.truth.position_torso[-1, 2])
-        return not (up > np.cos(FALLEN_TILT) and height > FALLEN_HEIGHT * self._first_height)
-
-    def _limited(self, target: NDArray[np.float64]) -> NDArray[np.float64]:
-        limited: NDArray[np.float64] = np.minimum(np.maximum(target, self._low), self._high)
-        return limited
+    def _fallen(self) -> Any:
+        row, places, where = self._row, self._places, self._numbers.where
+        up_x, up_y, up_z = self.motion.up_torso.tolist()
+        axes, height = places.axes_torso, row[places.position_torso + 2]
+        up = row[axes + 2] * up_x + row[axes + 5] * up_y + row[axes + 8] * up_z
+        stands = where(up > np.cos(FALLEN_TILT), height > FALLEN_HEIGHT * self._first_height, False)
+        return where(stands, False, True)
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the robot: a frame (height, width, 3); nothing without a render mode."""
@@ -284,6 +222,34 @@ class ExerciseEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._renderer is not None:
             self._renderer.close()  # type: ignore[no-untyped-call]
             self._renderer = None
+
+
+def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
+    """Return where in the sensor data of a robot with two feet things are that are shown."""
+    layout, start = instrumentation.layout, instrumentation.columns(model).start
+    left, right = start, start + FootColumns.width
+    torso = right + FootColumns.width
+    joints = torso + TorsoColumns.width
+    return Places(
+        contact=(left + FootColumns.contact.start, right + FootColumns.contact.start),
+        up=-1.0,
+        position_sole=(left + FootColumns.position_sole.start, right + FootColumns.position_sole.start),
+        axes_sole=(left + FootColumns.axes_sole.start, right + FootColumns.axes_sole.start),
+        axes_torso=torso + TorsoColumns.axes.start,
+        position_torso=torso + TorsoColumns.position.start,
+        gyroscope=torso + TorsoColumns.gyroscope.start,
+        com=torso + TorsoColumns.com.start,
+        joints=slice(joints, joints + len(layout.joint_names)),
+        joint_dofs=np.array([model.joint(name).dofadr[0] for name in instrumentation.drawing.joint_names]),
+        force_cell=partial(_shared, layout.force_of_wrench),
+    )
+
+
+def _shared(
+    shares: NDArray[np.float64], last: NDArray[np.float64], wrench: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    force: NDArray[np.float64] = (wrench[..., None, :] @ shares)[..., 0, :]
+    return force
 
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:

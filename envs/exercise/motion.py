@@ -12,7 +12,6 @@ scale of a falling pendulum: a sway of amplitude :math:`A` in 4.5 of them asks f
 leads by at most 0.29 :math:`A`.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
@@ -125,6 +124,60 @@ class Move(NamedTuple):
     end: float
     time: float
     ends: bool = False
+
+
+class Paths(NamedTuple):
+    """P paths, as arrays: see :class:`Path`; ``piece`` has the cubics of the targets between knots.
+
+    Attributes:
+        com, along: Shape (P, 3).
+        lift, rise: Shape (P, 2).
+        first: Shape (P,).
+        pieces: Number of the last cubic of each path, shape (P,).
+        piece: Coefficients, that of the third power first, shape (P, pieces, 4, 3, M).
+    """
+
+    com: NDArray[np.float64]
+    along: NDArray[np.float64]
+    lift: NDArray[np.float64]
+    rise: NDArray[np.float64]
+    first: NDArray[np.float64]
+    pieces: NDArray[np.intp]
+    piece: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, paths: Sequence[Path]) -> "Paths":
+        """Put paths into arrays; those with fewer knots are filled up."""
+        cubics = [np.moveaxis(path.target.c, 0, 1) for path in paths]
+        pieces = np.array([len(cubic) - 1 for cubic in cubics])
+        piece = np.zeros((len(paths), pieces.max() + 1, *cubics[0].shape[1:]))
+        for row, cubic in zip(piece, cubics, strict=True):
+            row[: len(cubic)] = cubic
+        lines = zip(
+            *((path.com, path.along, path.lift, path.rise, path.first) for path in paths), strict=True
+        )
+        com, along, lift, rise, first = map(np.array, lines)
+        return cls(com, along, lift, rise, first, pieces, piece)
+
+
+class Schedule(NamedTuple):
+    """An episode's moves one after another, shape (moves,), or (N, moves) of N robots.
+
+    Attributes:
+        end: When each ends in s; infinite after the last.
+        total: When the last one ends.
+        path: Number of its path.
+        start: Where on it the move starts.
+        way: How far it goes.
+        length: How long it takes in s.
+    """
+
+    end: NDArray[np.float64]
+    total: Any
+    path: NDArray[np.intp]
+    start: NDArray[np.float64]
+    way: NDArray[np.float64]
+    length: NDArray[np.float64]
 
 
 def motions_of(name: str) -> list[Move]:
@@ -264,9 +317,26 @@ class Motion:
             f"{refusal} A keyframe 'home' with the feet closer together or the knees less straight may help."
         )
 
+    @classmethod
+    def join(cls, motions: Sequence["Motion"]) -> "Motion":
+        """Return the motion of many robots of one kind, each in its own episode."""
+        joined, plans = copy(motions[0]), [motion._schedule for motion in motions]
+        most = max(plan.end.size for plan in plans)
+        joined._schedule = Schedule(
+            *(
+                np.array([np.pad(row, (0, most - row.size), constant_values=filled) for row in rows])
+                if name != "total"
+                else np.array(rows)
+                for name, rows, filled in zip(
+                    Schedule._fields, zip(*plans, strict=True), (np.inf, 0, 0, 0, 0, 1), strict=True
+                )
+            )
+        )
+        return joined
+
     def shares(self, command: Command) -> NDArray[np.float64]:
-        """Return how much of the weight each foot is to bear, shape (2,)."""
-        return self._postures.shares(command.cop, command.position_sole[:, 2])
+        """Return how much of the weight each foot is to bear, shape (..., 2)."""
+        return self._postures.shares(command.cop, command.position_sole[..., 2])
 
     def _plan(self, postures: Postures) -> None:
         self.robot = robot = postures.robot
@@ -301,6 +371,8 @@ class Motion:
             y = ONE_LEG_ASIDE * robot.half[1] * postures.left
             for name, along in (("pitch", x), ("roll", y)):
                 self._add(f"{name} {foot}", above, along, rise, still, -1.0, start)
+        self._number = {name: i for i, name in enumerate(self._paths)}
+        self._table = Paths.of(list(self._paths.values()))
 
     def _add(
         self,
@@ -369,7 +441,7 @@ class Motion:
         on_one_leg(1 - first, "pitch", "roll")
         for sway in sways[2:]:
             out_and_back(*sway)
-        self._schedule(moves)
+        self._plan_moves(moves)
 
     def prelude(self, names: Sequence[str], dt: float) -> Prelude:
         """Plan motions one after another.
@@ -390,49 +462,65 @@ class Motion:
                     f"goes from {least:g} to {most:g}; give it a smaller extent."
                 )
         self._scale = self._unit
-        self._schedule(moves)
-        rows = ceil(self._ends[-1] / dt - 1e-9)
-        times = np.minimum(dt * np.arange(1, rows + 1), self._ends[-1] - 1e-9)
+        self._plan_moves(moves)
+        total = self._schedule.total
+        rows = ceil(total / dt - 1e-9)
+        times = np.minimum(dt * np.arange(1, rows + 1), total - 1e-9)
         rest = np.zeros(rows, dtype=bool)
-        ends = [end for end, move in zip(self._ends, moves, strict=True) if move.ends]
+        ends = [end for end, move in zip(self._schedule.end, moves, strict=True) if move.ends]
         rest[np.minimum(np.searchsorted(times, ends), rows - 1)] = True
         model = self.robot.model
         motors = tuple(model.actuator(i).name for i in range(model.nu))
         return Prelude.of_commands(dt, motors, [self.command(float(time)) for time in times], rest)
 
-    def _schedule(self, moves: list[Move]) -> None:
-        self._moves = moves
-        self._ends = (self._scale * np.cumsum([move.time for move in moves])).tolist()
+    def _plan_moves(self, moves: list[Move]) -> None:
+        length = self._scale * np.array([move.time for move in moves])
+        end = np.cumsum(length)
+        self._schedule = Schedule(
+            end=end,
+            total=end[-1],
+            path=np.array([self._number[move.path] for move in moves]),
+            start=np.array([move.start for move in moves]),
+            way=np.array([move.end - move.start for move in moves]),
+            length=length,
+        )
 
-    def command(self, time: float) -> Command:
-        """Return what is planned at a time in s after the episode start."""
-        cycle = time % self._ends[-1]
-        k = min(bisect_right(self._ends, cycle), len(self._moves) - 1)
-        move, length = self._moves[k], self._scale * self._moves[k].time
-        t = 1.0 - (self._ends[k] - cycle) / length
-        way = move.end - move.start
-        s = move.start + way * t**3 * (10.0 + t * (6.0 * t - 15.0))
-        speed = way * 30.0 * t**2 * (1.0 - t) ** 2 / length
-        surge = way * 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / length**2
-        path = self._paths[move.path]
-        target, damped, pushed = path.target(s)
-        com, acceleration = path.com + s * path.along, surge * path.along
-        lift = path.lift + s * path.rise
-        cop = com[:2] - com[2] / (self._gravity + acceleration[2]) * acceleration[:2]
-        share = self._postures.shares(cop, lift)
-        position_sole = self.position_sole.copy()
-        position_sole[:, 2] += lift
+    def command(self, time: Any) -> Command:
+        """Return what is planned at a time in s after the episode start; of many robots at (N,) times."""
+        plan, table = self._schedule, self._table
+        cycle = np.remainder(time, plan.total)
+        k = (plan.end <= cycle[..., None]).sum(axis=-1)
+        at = (k,) if plan.end.ndim == 1 else (np.arange(k.size), k)
+        path, way, length = plan.path[at], plan.way[at], plan.length[at]
+        t = 1.0 - (plan.end[at] - cycle) / length
+        s = (plan.start[at] + way * (t * t * t) * (10.0 + t * (6.0 * t - 15.0)))[..., None]
+        speed = (way * 30.0 * (t * t) * ((1.0 - t) * (1.0 - t)) / length)[..., None]
+        surge = (way * 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / (length * length))[..., None]
+        since = (s[..., 0] - table.first[path]) / KNOT_SPACING
+        piece = np.minimum(np.maximum(since, 0.0), table.pieces[path]).astype(np.intp)
+        x = ((since - piece) * KNOT_SPACING)[..., None, None]
+        cubic = table.piece[path, piece]
+        targets = cubic[..., 0, :, :]
+        for power in (1, 2, 3):
+            targets = targets * x + cubic[..., power, :, :]
+        along = table.along[path]
+        com, acceleration = table.com[path] + s * along, surge * along
+        lift = table.lift[path] + s * table.rise[path]
+        cop = com[..., :2] - com[..., 2:] / (self._gravity + acceleration[..., 2:]) * acceleration[..., :2]
+        position_sole = np.empty((*lift.shape, 3))
+        position_sole[:] = self.position_sole
+        position_sole[..., 2] += lift
         return Command(
-            joint_target=target + speed * damped + surge * pushed,
+            joint_target=targets[..., 0, :] + speed * targets[..., 1, :] + surge * targets[..., 2, :],
             com=com,
-            com_velocity=speed * path.along,
+            com_velocity=speed * along,
             com_acceleration=acceleration,
             cop=cop,
             position_sole=position_sole,
             yaw_sole=self.yaw_sole,
-            stance=(lift < 1e-9) & (share > SURELY_BEARS),
+            stance=(lift < 1e-9) & (self._postures.shares(cop, lift) > SURELY_BEARS),
             swing=lift > SURELY_UP * self._lift,
-            phase=cycle / self._ends[-1],
+            phase=cycle / plan.total,
         )
 
 

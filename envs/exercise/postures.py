@@ -144,16 +144,18 @@ class Postures:
         """Share the load between the soles so that it acts at a centre of pressure.
 
         Args:
-            cop: Centre of pressure in m, shape (2,).
-            lift: Heights of the soles in m, shape (2,); who is lifted bears nothing.
+            cop: Centre of pressure in m, shape (..., 2).
+            lift: Heights of the soles in m, shape (..., 2); who is lifted bears nothing.
 
         Returns:
-            Shares of the weight, shape (2,).
+            Shares of the weight, shape (..., 2).
         """
         left, right = self.stand
-        share = float((cop - right) @ (left - right) / ((left - right) @ (left - right)))
-        share = 0.0 if lift[0] > 0.0 else 1.0 if lift[1] > 0.0 else min(max(share, 0.0), 1.0)
-        return np.array([share, 1.0 - share])
+        off, apart = cop - right, left - right
+        share = (off[..., 0] * apart[0] + off[..., 1] * apart[1]) / (apart @ apart)
+        share = np.where(lift[..., 1] > 0.0, 1.0, np.minimum(np.maximum(share, 0.0), 1.0))
+        share = np.where(lift[..., 0] > 0.0, 0.0, share)
+        return np.stack([share, 1.0 - share], axis=-1)
 
     def leads(
         self, qpos: NDArray[np.float64], slope: NDArray[np.float64], share: NDArray[np.float64]

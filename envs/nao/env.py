@@ -4,28 +4,23 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
-import gymnasium as gym
-import mujoco
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.envs.command import Command
+from surefoot.envs.biped import BipedEnv
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
 from surefoot.envs.nao.disturbances import Payload, Pushes
-from surefoot.envs.nao.observation import NaoObserver
 from surefoot.envs.nao.truth import Truth, TruthChannels
-from surefoot.envs.numbers import ONE, Number, Numbers
-from surefoot.envs.observation import Observation
+from surefoot.envs.numbers import Number
+from surefoot.envs.observation import FORCE_BOUND, Observation
 from surefoot.envs.options import (
     check_render_mode,
-    checked_action,
     checked_range,
     checked_stiffness,
     checked_time_constant,
     positive,
 )
-from surefoot.envs.prelude import Player, Prelude
+from surefoot.envs.prelude import Prelude
 from surefoot.envs.rendering import Marker, SceneRenderer
 from surefoot.envs.robots.nao import (
     LEG_MOTORS,
@@ -65,7 +60,7 @@ DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
 """Relative stiffnesses of the eight cells, uneven by up to 18 %: no two corners of a real shoe are alike."""
 
 
-class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
+class NaoEnv(BipedEnv):
     r"""A position-controlled NAO-class biped; subclasses supply what it commands itself.
 
     ## Action
@@ -185,11 +180,8 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 80}  # noqa: RUF012
 
-    _numbers: Numbers = ONE
-    """Whether this is one robot, or all those of a :class:`~surefoot.envs.nao.batch.NaoVectorEnv`."""
-
-    _quiet_ticks = 0
-    """Control steps at the beginning of an episode in which residuals are checked, and not applied."""
+    truth: Truth
+    _neutral = "a policy that returns NaN has diverged, zeros leave the pattern alone"
 
     def __init__(
         self,
@@ -212,110 +204,76 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         stiffness = DEFAULT_STIFFNESS if cell_stiffness is None else checked_stiffness(cell_stiffness)
         self._friction = checked_range("friction", friction)
-        self._action_scale = positive("action_scale", action_scale)
         self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
         self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
-        self._steps = None if duration is None else round(positive("duration", duration) / CONTROL_STEP)
         check_render_mode(render_mode, self.metadata["render_modes"])
 
-        self.model = nao_model()
-        self.data = mujoco.MjData(self.model)
-        self._renderer = SceneRenderer(self.model, self.data, camera, width, height)
-        self.joint_names = hinge_joint_names(self.model)
-        self.motor_names = motor_names(self.model)
-        self.position_cell_sole = cell_positions(self.model)
-        self.channels = TruthChannels(self.model, stiffness)
-        self._observer = NaoObserver(self.model, self.channels)
+        model = nao_model()
+        self.channels = TruthChannels(model, stiffness)
+        super().__init__(
+            model,
+            self.channels.places,
+            substeps=SUBSTEPS,
+            legs=slice(0, len(LEG_MOTORS)),
+            leg_motors=LEG_MOTORS,
+            force_bound=FORCE_BOUND,
+            duration=duration,
+            action_scale=action_scale,
+            prelude=prelude,
+        )
+        self._renderer = SceneRenderer(model, self.data, camera, width, height)
+        self.joint_names = hinge_joint_names(model)
+        self.motor_names = motor_names(model)
+        self.position_cell_sole = cell_positions(model)
         give = checked_time_constant("ground_time_constant", ground_time_constant)
-        self.model.pair_solref[:, 0] = give
+        model.pair_solref[:, 0] = give
         self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
-        self._payload = Payload(self.model, payload, CONTROL_STEP)
-        self._pushes = Pushes(self.model, push_impulse, push_interval, CONTROL_STEP)
-        self.prelude = Player(prelude, self.motor_names, CONTROL_STEP)
-        self._motor_of_joint = motor_of_joint(self.model)
-        self._low, self._high = self.model.actuator_ctrlrange.T.copy()
-        self._fastest = self.model.actuator_user[:, 0] * CONTROL_STEP
-        self._fastest_back = -self._fastest
-        self._fraction = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
-        self._leg = slice(0, len(LEG_MOTORS))
-        self._torso = self.model.body("torso").id
+        self._payload = Payload(model, payload, CONTROL_STEP)
+        self._pushes = Pushes(model, push_impulse, push_interval, CONTROL_STEP)
+        self._motor_of_joint = motor_of_joint(model)
+        self._fastest = model.actuator_user[:, 0] * CONTROL_STEP
+        self._torso = model.body("torso").id
         self._lowest_torso_z = float(np.cos(FALLEN_TILT))
-
-        self.observation_space = self._observer.space
-        self.state_layout = self._observer.state_layout
-        self.action_space = spaces.Box(-1.0, 1.0, (len(LEG_MOTORS),), dtype=np.float32)
         self.render_mode = render_mode
         self.markers: list[Marker] = []
-        self.truth: Truth
-        self.command: Command
-        self._target: NDArray[np.float64]
-        self._row: Any
-        self._tick: Any = None
-
-    @property
-    def dt(self) -> float:
-        """Duration of a step in s."""
-        return CONTROL_STEP
 
     @property
     def drawing(self) -> RobotDrawing:
         """What the robot's maker hands out: nao.xml without what an episode changes."""
         return draw_nao()
 
-    def _command(self, tick: Any) -> Command:
-        """Return what the robot commands itself at control step ``tick`` of this episode, 0 at its start.
+    def _disturb(self, data: Any, tick: int, prepares: bool) -> bool:
+        if not prepares:
+            self._pushes.apply(data, self.np_random)
+        return self._payload.apply(tick)
 
-        During a step the targets move to the ``joint_target`` of its end. What an episode draws is
-        drawn in :meth:`_start`. Steps may exceed the pattern's length.
-        """
-        raise NotImplementedError
-
-    def _start(self, options: dict[str, Any]) -> None:
-        """Prepare an episode: called at every reset, after seeding and before ``_command(0)``."""
-
-    def _join(self, robots: Sequence[Any]) -> None:
-        """Take over what the episodes of robots have drawn, for :meth:`_command` to command all of them."""
+    def _read(self, rows: NDArray[np.float64]) -> Truth:
+        return Truth(rows, self.channels)
 
     def _reward(
         self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
-        """Return the terms of a step's reward, which is their sum, by name."""
-        m = self._numbers
-        (x, y), (reference_x, reference_y) = m.parts(truth["cop_world"]), m.parts(self.command.cop)
-        x, y = x - reference_x, y - reference_y
-        close = m.exp(-(x * x + y * y) / COP_SCALE**2)
         return {
             "reward_alive": 1.0,
-            "reward_cop": m.where(truth["cop_valid"][..., 0], close, 0.0),
+            "reward_cop": self._paid_cop(truth, COP_SCALE),
             "reward_action": self._effort(action),
         }
 
-    def _effort(self, action: NDArray[np.float64]) -> Number:
-        """Return what an action costs: -0.1 times its mean square."""
-        return -0.1 * self._numbers.parts(np.vecdot(action, action)) / action.shape[-1]
-
     def _fallen(self) -> Any:
-        """Return whether the robot has fallen."""
         row, channels, where = self._row, self.channels, self._numbers.where
         upright = row[channels.axes_torso.stop - 1] > self._lowest_torso_z
         high = row[channels.position_torso.stop - 1] > FALLEN_HEIGHT
         return where(high, where(upright, False, True), True)
 
-    def _targets(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the motors' targets at the substeps of a control step, shape (..., S, M), in rad."""
-        target = self.command.joint_target.astype(np.float64)
-        target[..., self._leg] += self._action_scale * residual
-        target = np.minimum(np.maximum(target, self._low), self._high)
-        move = np.minimum(np.maximum(target - self._target, self._fastest_back), self._fastest)
-        targets: NDArray[np.float64] = self._target[..., None, :] + self._fraction * move[..., None, :]
-        return targets
-
-    def _observe(self, rows: NDArray[np.float64]) -> tuple[Observation, dict[str, NDArray[np.float64]]]:
-        """Take in the rows of a control step, shape (..., S, channels); return observation and truth."""
-        self.truth = Truth(rows, self.channels)
-        last = rows[..., -1, :]
-        self._row = self._numbers.parts(last)
-        return self._observer.observe(last, self._row, self.command)
+    def _place(self) -> None:
+        model, data, rng = self.model, self.data, self.np_random
+        model.pair_friction[:, :2] = rng.uniform(*self._friction)
+        noise = rng.uniform(-self._joint_noise, self._joint_noise, self._target.size)
+        data.qpos[7:] = (self._target + noise)[self._motor_of_joint]
+        place_on_ground(model, data, self.command.position_sole, self.command.yaw_sole)
+        data.qpos[2] -= self._sink
+        data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
+        self._pushes.reset(rng)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -326,79 +284,18 @@ class NaoEnv(gym.Env[Observation, NDArray[np.float32]]):
             seed: Seeds all that the environment draws.
             options: Handed to the task.
         """
-        super().reset(seed=seed)
-        model, data, rng = self.model, self.data, self.np_random
         self._payload.reset()
-        mujoco.mj_resetData(model, data)
-        self._start(options or {})
-        self.command = self._command(0)
-        self.prelude.begin(self.command)
-        self._tick = 0
-        model.pair_friction[:, :2] = rng.uniform(*self._friction)
-        self._target = np.clip(self.command.joint_target, self._low, self._high)
-        noise = rng.uniform(-self._joint_noise, self._joint_noise, self._target.size)
-        data.ctrl[:] = self._target
-        data.qpos[7:] = (self._target + noise)[self._motor_of_joint]
-        place_on_ground(model, data, self.command.position_sole, self.command.yaw_sole)
-        data.qpos[2] -= self._sink
-        data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
-        self._pushes.reset(rng)
-        mujoco.mj_forward(model, data)
-        self._observer.reset()
-        observation, truth = self._observe(np.tile(data.sensordata, (SUBSTEPS, 1)))
+        shown = super().reset(seed=seed, options=options)
         if self.render_mode == "human":
             self.render()
-        return observation, {"surefoot": {"truth": truth}}
+        return shown
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Walk on for 1/80 s.
-
-        Args:
-            action: Residuals on the leg motors' targets as shares of ``action_scale``, shape (11,).
-
-        Raises:
-            ValueError: If the action has another shape or is not finite.
-            gymnasium.error.ResetNeeded: If the environment has not been reset.
-        """
-        if self._tick is None:
-            raise gym.error.ResetNeeded("Call reset() before the first step().")
-        residual = self._checked(action)
-        prepares = self.prelude.playing
-        if self._tick < self._quiet_ticks and not prepares:
-            residual = np.zeros_like(residual)
-        if not prepares:
-            self._tick += 1
-        self.command = self.prelude.next() if prepares else self._command(self._tick)
-        targets = self._targets(residual)
-
-        model, data, mj_step = self.model, self.data, mujoco.mj_step
-        sensordata, ctrl = data.sensordata, data.ctrl
-        rows = np.empty((SUBSTEPS, self.channels.size))
-        if not prepares:
-            self._pushes.apply(data, self.np_random)
-        self._payload.apply(self._tick)
-        for row, substep_target in zip(rows, targets, strict=True):
-            ctrl[:] = substep_target
-            mj_step(model, data)
-            row[:] = sensordata
-        self._target = targets[-1]
-
-        observation, truth = self._observe(rows)
-        terms = self._reward(truth, residual)
-        truncated = self._steps is not None and self._tick >= self._steps
+        """Walk on for 1/80 s, as :meth:`BipedEnv.step` says."""
+        seen = super().step(action)
         if self.render_mode == "human":
             self.render()
-        info = {"surefoot": {"truth": truth}, **terms}
-        return observation, sum(terms.values()), self._fallen(), truncated, info
-
-    def _checked(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
-        return checked_action(
-            action,
-            LEG_MOTORS,
-            "a residual for each leg motor",
-            "a policy that returns NaN has diverged, zeros leave the pattern alone",
-            robots,
-        )
+        return seen
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the robot and the markers: a frame (height, width, 3), or a window in "human" mode."""

@@ -11,7 +11,6 @@ quantities of a row belong together; the last row lies one substep before the en
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.envs.instrumentation.truth import centre_of_pressure, cross
-from surefoot.envs.numbers import Number, Numbers
+from surefoot.envs.observation import Places
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
 
@@ -70,15 +69,24 @@ class TruthChannels:
             arm = body.ipos - model.site(f"{foot}_sole").pos
             preload[6 * i : 6 * i + 6] = np.concatenate([load, np.cross(arm, load)])
         self.preload: NDArray[np.float64] = -preload @ self.force_of_plates
-
-    def level(self, row: Any, m: Numbers) -> tuple[Number, Number, Number]:
-        """Return where the level frame of the true soles is (x, y) in m, and its heading in rad."""
-        origin, axes = self.position_sole.start, self.axes_sole.start
-        return (
-            0.5 * (row[origin] + row[origin + 3]),
-            0.5 * (row[origin + 1] + row[origin + 4]),
-            m.atan2(row[axes + 1] + row[axes + 10], row[axes] + row[axes + 9]),
+        contact, sole, axes = self.ground.start, self.position_sole.start, self.axes_sole.start
+        self.places = Places(
+            contact=(contact, contact + 9),
+            up=1.0,
+            position_sole=(sole, sole + 3),
+            axes_sole=(axes, axes + 9),
+            axes_torso=self.axes_torso.start,
+            position_torso=self.position_torso.start,
+            gyroscope=self.gyroscope.start,
+            com=self.com.start,
+            joints=self.joint_position,
+            joint_dofs=np.array([model.joint(name).dofadr[0] for name in joints]),
+            force_cell=self._force_cell,
         )
+
+    def _force_cell(self, last: NDArray[np.float64], wrench: NDArray[np.float64]) -> NDArray[np.float64]:
+        force: NDArray[np.float64] = (last[..., None, self.plate] @ self.force_of_plates)[..., 0, :]
+        return force + self.preload
 
 
 class Truth:

@@ -45,7 +45,7 @@ class NaoPatternEnv(NaoEnv):
         self, truth: dict[str, NDArray[np.float64]], action: NDArray[np.float64]
     ) -> dict[str, Number]:
         m, row, where, command = self._numbers, self._row, self.channels, self.command
-        x, y, heading = where.level(row, m)
+        x, y, heading = self._places.level(row, m)
         (left_x, left_y, _), (right_x, right_y, _) = m.parts(command.position_sole)
         left, right = m.parts(command.yaw_sole)
         planned_heading = 0.5 * (left + right)

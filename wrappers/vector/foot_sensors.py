@@ -9,7 +9,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
-from surefoot.envs.nao.batch import NaoVectorEnv
+from surefoot.envs.batch import BatchVectorEnv
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.wrappers.foot_device import FootDevice
 from surefoot.wrappers.foot_sensors import SENSOR_STREAM
@@ -26,7 +26,7 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
     It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around
-    them, or around a :class:`~surefoot.envs.nao.batch.NaoVectorEnv` as it is. The observation is a ``Dict``
+    them, or around a :class:`~surefoot.envs.batch.BatchVectorEnv` as it is. The observation is a ``Dict``
     without truth and with ``"foot_raw"`` (N, K) counts, and where copies have a ``state_layout``, telemetry
     takes the place of ``joint_position``, ``joint_velocity``, ``tilt`` and ``gyroscope`` in ``"state"``: as
     :class:`~surefoot.wrappers.FootSensors` does for one robot, but for three simplifications. Loads are known
@@ -73,7 +73,7 @@ class VectorFootSensors(VectorWrapper[Any, Any, Any, Any, Any]):
         fresh: bool = False,
         stream: int = SENSOR_STREAM,
     ) -> None:
-        if isinstance(env.unwrapped, NaoVectorEnv) and not isinstance(env, VectorTruthRow):
+        if isinstance(env.unwrapped, BatchVectorEnv) and not isinstance(env, VectorTruthRow):
             env = VectorTruthRow(env)
         super().__init__(env)
         copies: Any = env if isinstance(env, VectorTruthRow) else env.unwrapped

@@ -156,7 +156,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
 
 class VectorTruthRow(VectorWrapper[Any, Any, Any, Any, Any]):
-    """Put the rows of truth of a :class:`~surefoot.envs.nao.batch.NaoVectorEnv` beside its observations.
+    """Put the rows of truth of a :class:`~surefoot.envs.batch.BatchVectorEnv` beside its observations.
 
     They are those of :class:`TruthRow` around each robot. ``VectorFootSensors`` puts this wrapper around such
     an environment itself.

@@ -16,12 +16,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import SyncVectorEnv
 from numpy.typing import NDArray
 
+from surefoot.envs.biped import BipedEnv
 from surefoot.envs.command import Command
+from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.nao.balance import NaoBalanceEnv
 from surefoot.envs.nao.carry import NaoCarryEnv
-from surefoot.envs.nao.env import SUBSTEPS, NaoEnv
 from surefoot.envs.nao.stand import NaoStandEnv
-from surefoot.envs.nao.truth import Truth
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.numbers import MANY
 from surefoot.envs.observation import Observation
@@ -30,11 +30,11 @@ from surefoot.envs.options import check_render_mode
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that MuJoCo's next step depends on."""
 
-RECORD = ("sensordata",)
+RECORD = ("sensordata", "qvel")
 """What is noted at each substep."""
 
 
-class NaoVectorEnv(SyncVectorEnv):
+class BatchVectorEnv(SyncVectorEnv):
     """N robots of one task: what ``SyncVectorEnv`` of its environments does, bit for bit, in less time.
 
     Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in its ``NEXT_STEP`` mode. What
@@ -45,7 +45,7 @@ class NaoVectorEnv(SyncVectorEnv):
     at once.
 
     Args:
-        task: A subclass of :class:`NaoEnv`.
+        task: A subclass of :class:`BipedEnv`.
         num_envs: Number of robots N.
         threads: Number of threads that step MuJoCo; 0 for one a core.
         **options: Of the task.
@@ -57,26 +57,28 @@ class NaoVectorEnv(SyncVectorEnv):
         ImportError: If this MuJoCo has no ``mujoco.batch``, which came with 3.17.
     """
 
-    envs: list[NaoEnv]  # type: ignore[assignment]
+    envs: list[BipedEnv]  # type: ignore[assignment]
 
-    def __init__(self, task: type[NaoEnv], num_envs: int = 1, *, threads: int = 0, **options: Any) -> None:
+    def __init__(self, task: type[BipedEnv], num_envs: int = 1, *, threads: int = 0, **options: Any) -> None:
         try:
             from mujoco.batch import Batch
         except ImportError as error:
             raise ImportError(
-                f"NaoVectorEnv needs mujoco.batch, and MuJoCo {mujoco.__version__} has none; install MuJoCo "
-                "3.17 or later, or make the environments with vectorization_mode='sync'."
+                f"BatchVectorEnv needs mujoco.batch, and MuJoCo {mujoco.__version__} has none; install "
+                "MuJoCo 3.17 or later, or make the environments with vectorization_mode='sync'."
             ) from error
         check_render_mode(options.get("render_mode"), ["rgb_array"])
         super().__init__([partial(task, **options)] * num_envs)
         first = self.envs[0]
-        self._rows = np.empty((num_envs, SUBSTEPS, first.channels.size))
+        self._substeps, model = first._substeps, first.model
+        self._rows = np.empty((num_envs, self._substeps, model.nsensordata))
+        self._qvel = np.empty((num_envs, self._substeps, model.nv))
         self.robots = copy(first)
         self.robots._numbers = MANY
         self.robots._observer = copy(first._observer)
         self.robots._observer.numbers = MANY
-        self.robots._target = np.empty((num_envs, len(first.motor_names)))
-        self._batch = Batch(first.model, num_envs, threads)
+        self.robots._target = np.empty((num_envs, model.nu))
+        self._batch = Batch(model, num_envs, threads)
         # A robot's pushes write into its own row of all robots' forces.
         self._pushed = [SimpleNamespace(xfrc_applied=force) for force in self._batch.xfrc_applied]
 
@@ -121,10 +123,11 @@ class NaoVectorEnv(SyncVectorEnv):
         robots._target = targets[:, -1]
         who = None if stepping.all() else np.flatnonzero(stepping)
         if who is None:
-            self._batch.rollout(SUBSTEPS, targets, record=RECORD, out={"sensordata": self._rows})
+            out = {"sensordata": self._rows, "qvel": self._qvel}
+            self._batch.rollout(self._substeps, targets, record=RECORD, out=out)
         else:
-            recorded = self._batch.rollout(SUBSTEPS, targets[who], record=RECORD, ids=who)
-            self._rows[who] = recorded["sensordata"]
+            recorded = self._batch.rollout(self._substeps, targets[who], record=RECORD, ids=who)
+            self._rows[who], self._qvel[who] = recorded["sensordata"], recorded["qvel"]
 
         if who is not None:
             for i in np.flatnonzero(starting).tolist():
@@ -161,7 +164,8 @@ class NaoVectorEnv(SyncVectorEnv):
         for i in np.flatnonzero(starting).tolist():
             env = self.envs[i]
             mujoco.mj_getState(env.model, env.data, self._batch.state[i], STATE)
-            self._rows[i], robots._target[i], robots._tick[i] = env.truth.rows, env._target, 0
+            self._rows[i], self._qvel[i] = env.data.sensordata, env.data.qvel
+            robots._target[i], robots._tick[i] = env._target, 0
             self._set_commands(i, env.command)
         self._batch.set_models([env.model for env in self.envs])
         robots._join(self.envs)
@@ -174,20 +178,21 @@ class NaoVectorEnv(SyncVectorEnv):
 
     def _disturb(self, stepping: NDArray[np.bool_], prepares: NDArray[np.bool_]) -> None:
         """Push robots, and hand payloads to them, as their own environments have drawn it."""
-        picked = False
-        ticks = self.robots._tick.tolist()
+        changed = False
         for env, pushed, tick, steps, prepare in zip(
-            self.envs, self._pushed, ticks, stepping.tolist(), prepares.tolist(), strict=True
+            self.envs,
+            self._pushed,
+            self.robots._tick.tolist(),
+            stepping.tolist(),
+            prepares.tolist(),
+            strict=True,
         ):
-            if steps:
-                if not prepare:
-                    env._pushes.apply(pushed, env.np_random)
-                picked |= env._payload.apply(tick)
-        if picked:
+            changed |= steps and env._disturb(pushed, tick, prepare)
+        if changed:
             self._batch.set_models([env.model for env in self.envs])
 
     def _observe(self) -> tuple[Observation, dict[str, NDArray[Any]]]:
-        observation, truth = self.robots._observe(self._rows)
+        observation, truth = self.robots._observe(self._rows, self._qvel[:, -2])
         return {key: observation[key] for key in self.single_observation_space}, truth  # type: ignore
 
     def _share(self) -> None:
@@ -201,7 +206,7 @@ class NaoVectorEnv(SyncVectorEnv):
             mujoco.mj_forward(env.model, env.data)
             env._tick, env._target = int(robots._tick[i]), robots._target[i].copy()
             env.command = Command._make(part[i].copy() for part in commanded)
-            env.truth = Truth(self._rows[i].copy(), env.channels)
+            env.truth = env._read(self._rows[i].copy())
 
 
 def _masked(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
@@ -209,7 +214,8 @@ def _masked(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[st
     return arrays | {f"_{name}": mask for name in arrays}
 
 
-balance = partial(NaoVectorEnv, NaoBalanceEnv)
-carry = partial(NaoVectorEnv, NaoCarryEnv)
-stand = partial(NaoVectorEnv, NaoStandEnv)
-walk = partial(NaoVectorEnv, NaoWalkEnv)
+exercise = partial(BatchVectorEnv, ExerciseEnv)
+balance = partial(BatchVectorEnv, NaoBalanceEnv)
+carry = partial(BatchVectorEnv, NaoCarryEnv)
+stand = partial(BatchVectorEnv, NaoStandEnv)
+walk = partial(BatchVectorEnv, NaoWalkEnv)

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 import surefoot
-from surefoot.envs.nao.batch import NaoVectorEnv
+from surefoot.envs.batch import BatchVectorEnv
 from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.wrappers import TruthRow, VectorFootSensors, VectorSelfCalibration
 
 ROBOTS, STEPS = 3, 200
 
 TASKS: dict[str, dict[str, Any]] = {
+    "Exercise": {"robot": "nao", "duration": 2.0, "action_scale": 0.3},
     "NaoBalance": {"stand_time": 0.3, "duration": 1.2, "payload_time": (0.2, 0.5), "push_interval": 0.4},
     "NaoCarry": {"stand_time": 0.5, "duration": 1.4, "payload_time": (0.1, 0.3), "push_interval": 0.4},
     "NaoStand": {"sway": (0.02, 0.03), "sway_period": 1.0, "duration": 1.5, "payload": (0.5, 0.4)},
@@ -39,11 +40,11 @@ def _same(one: Any, other: Any, where: str) -> None:
         assert np.array_equal(one, other, equal_nan=np.asarray(one).dtype.kind == "f"), where
 
 
-def _steps(rng: np.random.Generator) -> Any:
+def _steps(rng: np.random.Generator, motors: int = 11) -> Any:
     """Actions under which some robots fall and others do not."""
     for _ in range(STEPS):
         size = np.linspace(0.05, 1.0, ROBOTS)[:, None]
-        yield (size * rng.standard_normal((ROBOTS, 11))).astype(np.float32)
+        yield (size * rng.standard_normal((ROBOTS, motors))).astype(np.float32)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_robots_do_what_they_do_alone(task):
     _same(seen, its, "reset")
     assert list(seen[0]) == list(its[0])
     begun = 0
-    for step, actions in enumerate(_steps(np.random.default_rng(1))):
+    for step, actions in enumerate(_steps(np.random.default_rng(1), batch.single_action_space.shape[0])):
         seen = copies.step(actions)
         _same(seen, batch.step(actions), f"step {step}")
         begun += int((seen[2] | seen[3]).sum())
@@ -74,12 +75,12 @@ def test_robots_do_what_they_do_alone(task):
     for env in (copies, batch):
         seen, its = its, env.reset(options={"reset_mask": mask.copy()})
     _same(seen, its, "masked reset")
-    actions = np.zeros((ROBOTS, 11), dtype=np.float32)
+    actions = np.zeros_like(actions)
     _same(copies.step(actions), batch.step(actions), "after it")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", ["NaoBalance", "NaoCarry"])
+@pytest.mark.parametrize("task", ["Exercise", "NaoBalance", "NaoCarry"])
 def test_sensors_and_calibrators_around_them_see_the_same(task):
     copies, batch = (
         VectorSelfCalibration(VectorFootSensors(env), "moment")
@@ -87,7 +88,7 @@ def test_sensors_and_calibrators_around_them_see_the_same(task):
     )
     assert batch.observation_space == copies.observation_space
     _same(copies.reset(seed=2), batch.reset(seed=2), "reset")
-    for step, actions in enumerate(_steps(np.random.default_rng(3))):
+    for step, actions in enumerate(_steps(np.random.default_rng(3), batch.single_action_space.shape[0])):
         _same(copies.step(actions), batch.step(actions), f"step {step}")
 
 
@@ -119,7 +120,7 @@ def test_a_prelude_is_played_before_each_episode():
 
 @pytest.mark.slow
 def test_robots_are_drawn_where_they_are():
-    env = NaoVectorEnv(NaoStandEnv, 2, render_mode="rgb_array", width=64, height=48)
+    env = BatchVectorEnv(NaoStandEnv, 2, render_mode="rgb_array", width=64, height=48)
     env.reset(seed=0)
     first = env.render()
     env.step(np.zeros((2, 11)))
@@ -133,7 +134,7 @@ def test_robots_are_drawn_where_they_are():
 
 
 def test_what_is_refused():
-    env = NaoVectorEnv(NaoStandEnv, 2)
+    env = BatchVectorEnv(NaoStandEnv, 2)
     with pytest.raises(gym.error.ResetNeeded, match=r"reset\(\)"):
         env.step(np.zeros((2, 11)))
     env.reset(seed=0)
@@ -142,4 +143,4 @@ def test_what_is_refused():
     with pytest.raises(ValueError, match="must be finite"):
         env.step(np.full((2, 11), np.nan))
     with pytest.raises(ValueError, match="no render mode 'human'"):
-        NaoVectorEnv(NaoStandEnv, 2, render_mode="human")
+        BatchVectorEnv(NaoStandEnv, 2, render_mode="human")
