@@ -20,8 +20,10 @@
 #ifndef SUREFOOT_CALIBRATION_H
 #define SUREFOOT_CALIBRATION_H
 
+#ifndef SF_NO_LIBC /* see device.h */
 #include <math.h>
 #include <string.h>
+#endif
 
 /* -------------------------------------------------------------------------------------- sizes and numbers */
 

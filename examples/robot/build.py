@@ -1,4 +1,4 @@
-"""Build ``main.c`` and ``main.cpp`` for one robot: writes its constants as ``robot.h`` and calls the compilers.
+"""Build ``main.c`` and ``main.cpp`` for one robot: writes its constants as ``robot.h`` and compiles.
 
     python examples/robot/build.py            # a NAO on two four-cell shoes, into out/robot/
 

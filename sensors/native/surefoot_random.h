@@ -9,8 +9,10 @@
 #ifndef SUREFOOT_RANDOM_H
 #define SUREFOOT_RANDOM_H
 
+#ifndef SF_NO_LIBC /* see device.h */
 #include <math.h>
 #include <stdint.h>
+#endif
 
 #ifdef SF_SINGLE
 typedef float sf_real;

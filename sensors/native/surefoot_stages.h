@@ -8,8 +8,10 @@
 #ifndef SUREFOOT_STAGES_H
 #define SUREFOOT_STAGES_H
 
+#ifndef SF_NO_LIBC /* see device.h */
 #include <math.h>
 #include <string.h>
+#endif
 
 #include "surefoot_random.h"
 

@@ -74,6 +74,8 @@ def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArra
         for name in record.dtype.names:
             # C++ complains of fields that are left out, C of braces with nothing in them.
             numbers = ", ".join(repr(value) for value in record[name].ravel().tolist()) or "0"
-            lines.append(f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},")
+            lines.append(
+                f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"
+            )
         lines.append("};")
     return "\n".join([*lines, ""])

@@ -3,6 +3,7 @@
 import copy
 import pickle
 import subprocess
+from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -315,6 +316,17 @@ def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path):
     found = np.array([float(word) for word in done.stdout.split()]).reshape(-1, 6)
     same(np.array([(*row.com, *row.com_acceleration) for row in told]), found)
     assert np.isfinite(found).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flags", [(), ("-DSF_SINGLE",)])
+def test_a_million_samples_of_garbage_are_survived(model, library, monkeypatch, tmp_path, flags):
+    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    (tmp_path / "robot.h").write_text(c_source(python(model)))
+    source = Path(__file__).parent / "fuzz_beliefs.c"
+    compile_program(NATIVE, source, tmp_path / "fuzz", f"-I{tmp_path}", *SANITIZED, *flags)
+    done = subprocess.run([tmp_path / "fuzz", "1000000"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 PROGRAM = """
