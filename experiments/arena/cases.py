@@ -1,15 +1,16 @@
 """The cases of a study of walks: one method on one scenario, a scenario's bound, one closed loop."""
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import FootCalibrator, Reference
+from surefoot.calibration import FootCalibrator, OnlineSetup, Parameters, Reference, posterior_bound
+from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.scenarios import Scenario
@@ -30,11 +31,6 @@ PHASES = 4  # the window solves at every fourth sample: one of four samples is t
 Tables = dict[str, list[dict[str, Any]]]
 
 
-Bound = Callable[[Log, NDArray[np.bool_], Mapping[str, Any]], dict[str, float]]
-"""Computes the bound of a log over the samples that are judged, for an estimator that is given the options of
-a scenario, see :func:`~surefoot.experiments.arena.bound.bound_of`; must survive pickling."""
-
-
 def score_case(
     scenario: Scenario, method: str, options: ArenaOptions, changes: Mapping[str, Any] | None = None
 ) -> Case:
@@ -50,18 +46,43 @@ def score_case(
     return Case(name, _score, arguments, depends)
 
 
-def bound_case(scenario: Scenario, options: ArenaOptions, bound: Bound) -> Case:
+def bound_case(scenario: Scenario, options: ArenaOptions) -> Case:
     """Return the case of a scenario's bound: ``bounds``, a row a run (``bound_cop`` in m, others in N)."""
-    which = f"{bound.__module__}.{bound.__qualname__}"
-    return Case(
-        f"{scenario.name} bound", _bound, (scenario, options, bound), (which, _depends(scenario, options))
-    )
+    return Case(f"{scenario.name} bound", _bound, (scenario, options), _depends(scenario, options))
 
 
 def loop_case(severity: float, feed: str, speed: float, seed: int, duration: float) -> Case:
     """Return the case of one closed loop; its table ``loop`` has one row."""
     name = f"closed loop, severity {severity:g}, {feed}, {speed:g} m/s, seed {seed}"
     return Case(name, _loop, (severity, feed, speed, seed, duration))
+
+
+def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) -> dict[str, float]:
+    """Return the posterior Cramér-Rao bounds on errors of CoP (m), vGRF and cells (N) over judged samples.
+
+    NaN for what is no walk of the NAO.
+    """
+    walks = log.truth is not None and bool(log.about.get("speed_m_s"))
+    if not walks or not judged.any() or not np.isfinite(log.raw).all():
+        return dict.fromkeys(("cop", "vgrf", "cell"), float("nan"))
+    assert log.truth is not None
+    model = {field.name for field in fields(MomentFilterConfig)}
+    setup = OnlineSetup(
+        layout=log.layout,
+        mass=log.mass,
+        initial=starting_map(log),
+        dt=log.dt,
+        lag=log.lag,
+        **{name: value for name, value in options.items() if name not in model},
+    )
+    config = MomentFilterConfig(**{name: value for name, value in options.items() if name in model})
+    truth = Parameters(log.truth.scale, log.truth.offset)
+    bound = posterior_bound(setup, log.raw, log.reference, truth, config)
+    return {
+        "cop": float(np.sqrt(np.nanmean((bound.cop[judged] ** 2).sum(axis=-1)))),
+        "vgrf": float(np.sqrt(np.mean(bound.vgrf[judged] ** 2))),
+        "cell": float(np.sqrt(np.mean(bound.force[judged] ** 2))),
+    }
 
 
 def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -120,12 +141,12 @@ def _score(scenario: Scenario, method: str, options: ArenaOptions, changes: dict
     return found
 
 
-def _bound(scenario: Scenario, options: ArenaOptions, bound: Bound) -> Tables:
+def _bound(scenario: Scenario, options: ArenaOptions) -> Tables:
     rows = []
     for stream in streams_of(scenario, options)[0]:
         # A bound knows of no fault: what it says of a channel that fails would mean nothing.
         if not stream.faults:
-            limit = bound(stream.log, stream.judged, scenario.options_of("moment"))
+            limit = bound_of(stream.log, stream.judged, scenario.options_of("moment"))
             named = {f"bound_{part}": value for part, value in limit.items()}
             rows.append({"scenario": scenario.name, "seed": stream.seed, **named})
     return {"bounds": rows}

@@ -5,7 +5,6 @@ from pathlib import Path
 import pandas as pd
 
 from surefoot.experiments.arena import figures, tables
-from surefoot.experiments.arena.bound import bound_of
 from surefoot.experiments.arena.findings import claims_of, scenario_findings, summary_findings
 from surefoot.experiments.arena.options import ArenaOptions
 from surefoot.experiments.arena.run import ArenaResults, run_arena
@@ -29,7 +28,7 @@ _say, _caption = Words("arena"), Words("arena", "captions")
 
 def compare_walking(options: ArenaOptions) -> Report:
     """Run the comparison of all scenarios, and write its page; refused is what :func:`run_arena` refuses."""
-    results = run_arena(options, bound=bound_of)
+    results = run_arena(options, bounds=True)
     with working("drawing the report"):
         return write_arena_page(results)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from surefoot.experiments.arena.cases import Bound, bound_case, loop_case, score_case, time_method
+from surefoot.experiments.arena.cases import bound_case, loop_case, score_case, time_method
 from surefoot.experiments.arena.options import TRUE_MAP, ArenaOptions
 from surefoot.experiments.arena.scenarios import Scenario, scenarios_named
 from surefoot.experiments.arena.walks import log_paths, record_missing
@@ -51,8 +51,8 @@ class ArenaResults:
         return tuple(dict.fromkeys(scenario.walk.speed for scenario in self.scenarios if scenario.paper))
 
 
-def run_arena(options: ArenaOptions, *, bound: Bound | None = None) -> ArenaResults:
-    """Walk, record, replay, score, time, close the loop, film, and save; without a bound there is none.
+def run_arena(options: ArenaOptions, *, bounds: bool = False) -> ArenaResults:
+    """Walk, record, replay, score, time, close the loop, film, and save; bounds on errors if asked for.
 
     Raises ValueError if there is no scenario of a name, nothing could be scored, or the folder cannot be
     used.
@@ -71,7 +71,7 @@ def run_arena(options: ArenaOptions, *, bound: Bound | None = None) -> ArenaResu
     }
     stages = {
         "replay and score": scored,
-        "compute the bounds": [] if bound is None else [bound_case(s, options, bound) for s in chosen],
+        "compute the bounds": [bound_case(s, options) for s in chosen] if bounds else [],
         "scale the window's weights": [case for cases in scaled.values() for case in cases],
         "close the loop": [
             loop_case(severity, feed, speed, seed, options.loop_duration)

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.experiments.study.figures import by_way, look_of
 from surefoot.experiments.study.statistics import mean_interval, survival
 from surefoot.experiments.study.tables import (
@@ -38,10 +39,8 @@ class MethodErrors(NamedTuple):
     vgrf: float
 
 
-_CELLS = ("front-left", "front-right", "rear-left", "rear-right")
-
 TABLE_2 = WeightTable(
-    channel_names=tuple(f"{foot}/{cell}" for foot in ("left", "right") for cell in _CELLS),
+    channel_names=nao_shoe_layout().channel_names,
     load=np.array([0.0, 0.01, 0.05, 0.2]),
     code=np.array(
         [

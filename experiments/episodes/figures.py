@@ -171,11 +171,8 @@ def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
 
 def _heat(axes: Axes, rows: Frame, titles: dict[str, str]) -> None:
     severities = sorted(rows["severity"].unique()) or [0.0]
-    share = np.full((len(titles), len(severities)), np.nan)
-    for i, scenario in enumerate(titles):
-        for j, severity in enumerate(severities):
-            found = rows[(rows["scenario"] == scenario) & (rows["severity"] == severity)]
-            share[i, j] = fall_share(found["fell"]).share
+    fell = rows.astype({"fell": float}).pivot_table("fell", "scenario", "severity")
+    share = fell.reindex(index=list(titles), columns=severities).to_numpy(dtype=np.float64)
     axes.imshow(share, vmin=0.0, vmax=1.0, cmap="magma_r", aspect="auto")
     for (i, j), value in np.ndenumerate(share):
         if np.isfinite(value):

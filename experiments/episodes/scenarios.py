@@ -8,7 +8,7 @@ from typing import Any
 from gymnasium.envs.registration import registry
 
 from surefoot.experiments.arena import scenarios
-from surefoot.experiments.arena.walks import INSTANT, Walk
+from surefoot.experiments.arena.walks import INSTANT
 from surefoot.experiments.policy.tasks import EXPECTED_LOADS, task_named
 from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
 
@@ -67,7 +67,8 @@ def scenario_of_task(name: str) -> LoopScenario:
     return LoopScenario(task.name, task.name, task.env_id, methods={"moment": dict(task.loads)}, of_task=True)
 
 
-def _from_arena(scenario: scenarios.Scenario, walk: Walk) -> LoopScenario:
+def _from_arena(scenario: scenarios.Scenario) -> LoopScenario:
+    walk = scenario.walk
     return LoopScenario(
         scenario.name,
         scenario.title,
@@ -81,11 +82,9 @@ def _from_arena(scenario: scenarios.Scenario, walk: Walk) -> LoopScenario:
 def _table() -> dict[str, LoopScenario]:
     """Return what the arena walks on load cells, and more; a clock's error has no place in a closed loop."""
     walked = [
-        _from_arena(scenario, scenario.walk)
+        _from_arena(scenario)
         for scenario in scenarios.SCENARIOS.values()
-        if scenario.walk is not None
-        and scenario.condition == INSTANT.name
-        and not (scenario.long or scenario.walk.clock_error)
+        if scenario.condition == INSTANT.name and not (scenario.long or scenario.walk.clock_error)
     ]
     hard = {"push_impulse": (1.0, 2.5), "push_interval": 3.0}
     loads = {"moment": dict(EXPECTED_LOADS)}

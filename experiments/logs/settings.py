@@ -63,7 +63,7 @@ def must_be(what: str, holds: Callable[[Any], Any]) -> AfterValidator:
 
 
 def array_of(*shape: int | None) -> PlainValidator:
-    """Return what makes finite numbers an array of a shape: ``None`` is any length, no shape any shape."""
+    """Return what makes finite numbers an array of a shape, in which ``None`` is any length."""
 
     def check(value: Any) -> NDArray[np.float64]:
         try:
@@ -75,7 +75,7 @@ def array_of(*shape: int | None) -> PlainValidator:
         fits = array.ndim == len(shape) and all(
             wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
         )
-        if shape and not fits:
+        if not fits:
             raise ValueError(f"must have shape {shape}, and has {array.shape}")
         return array
 

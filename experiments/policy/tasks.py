@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.walks.walkers import FEEDS
 
 SENSORS = ("true", "randomised")
 """What a policy may be trained on: the true centre of pressure, or drifting sensors of every severity."""
@@ -95,14 +94,6 @@ def task_named(name: str) -> Task:
 def task_in(env_id: Any) -> Task | None:
     """Return the task of an environment, by its id; ``None`` if there is none in it."""
     return next((task for task in TASKS.values() if task.env_id == env_id), None)
-
-
-def calibration_of(feed: str, task: str = "balance") -> dict[str, Any] | None:
-    """Return the options of a feed's calibration in a task; ``None`` for the true centre of pressure."""
-    options = FEEDS[feed]
-    if options is None:
-        return None
-    return {**options, **(task_named(task).loads if feed == "moment" else {})}
 
 
 def shipped_file(task: str, sensors: str) -> Traversable:

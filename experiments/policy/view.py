@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robots.nao import motor_of_joint
-from surefoot.experiments.policy.tasks import Task, calibration_of, task_named
-from surefoot.experiments.walks.walkers import TruthTap, feed_named, on_feet
+from surefoot.experiments.policy.tasks import Task, task_named
+from surefoot.experiments.walks.walkers import FEEDS, TruthTap, feed_named, on_feet
 
 PARTS = ("state", "cop", "cop_valid")  # parts of an observation that a policy sees, in this order
 _LEGS = 12  # hinge joints of both legs, which come first
@@ -27,8 +27,9 @@ def make_task(
     feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any
 ) -> tuple[gym.Env[Any, Any], TruthTap]:
     """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath."""
-    calibration = calibration_of(feed_named(feed), task)
-    bare = gym.make(task_named(task).env_id, disable_env_checker=True, **env_options)
+    options, chosen = FEEDS[feed_named(feed)], task_named(task)
+    calibration = None if options is None else {**options, **(chosen.loads if feed == "moment" else {})}
+    bare = gym.make(chosen.env_id, disable_env_checker=True, **env_options)
     return on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
 
 

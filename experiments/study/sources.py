@@ -74,11 +74,14 @@ def source_modules(*entries: str) -> frozenset[str]:
 def _file(module: str) -> Path:
     if module.partition(".")[0] != "surefoot":
         return Path(str(getattr(sys.modules.get(module), "__file__", module)))
-    path = _place(module)
-    for file in (path / "__init__.py", path.with_suffix(".py")):
-        if file.is_file():
-            return file
+    if file := _found(module):
+        return file
     raise ModuleNotFoundError(f"There is no module '{module}' whose source could be hashed.", name=module)
+
+
+def _found(module: str) -> Path | None:
+    path = _place(module)
+    return next((file for file in (path / "__init__.py", path.with_suffix(".py")) if file.is_file()), None)
 
 
 @cache
@@ -90,11 +93,6 @@ def _place(module: str) -> Path:
     return (Path(homes[0]) if homes else _ROOT / head).joinpath(*names)
 
 
-def _exists(module: str) -> bool:
-    path = _place(module)
-    return (path / "__init__.py").is_file() or path.with_suffix(".py").is_file()
-
-
 @cache
 def _needs(module: str) -> frozenset[str]:
     needed: set[str] = set()
@@ -104,7 +102,7 @@ def _needs(module: str) -> frozenset[str]:
         elif isinstance(node, ast.Import):
             needed.update(alias.name for alias in node.names if alias.name.startswith("surefoot."))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if _DOTTED.fullmatch(node.value) and _exists(name := node.value.partition(":")[0]):
+            if _DOTTED.fullmatch(node.value) and _found(name := node.value.partition(":")[0]):
                 needed.add(name)
             elif _ENVIRONMENT.fullmatch(node.value):
                 needed.add("surefoot.registration")
@@ -113,7 +111,7 @@ def _needs(module: str) -> frozenset[str]:
 
 def _defining(module: str, name: str) -> str:
     """Return the module in which ``from module import name`` ends."""
-    if _exists(f"{module}.{name}"):
+    if _found(f"{module}.{name}"):
         return f"{module}.{name}"
     if _file(module).name == "__init__.py":
         return _passed_on(module).get(name, module)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from surefoot.calibration import GRAVITY, METHODS, replay
+from surefoot.calibration import GRAVITY, METHODS
 from surefoot.calibration.estimate import Estimate
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
@@ -15,7 +15,7 @@ from surefoot.experiments.view.scene import when_changed
 from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.session import method_chosen
 from surefoot.experiments.view.shown import Reading, Shown, placed
-from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.replay import replay_log, starting_map
 
 SIZE = 1.0  # length in m by which the scene of a log is scaled: its robot is not known
 
@@ -76,12 +76,7 @@ class LogFeet:
         return Reading(force, vgrf, cop)
 
     def _replayed(self, method: str) -> Estimate:
-        log = self.log
-        step = np.diff(log.time, prepend=log.time[0] - log.dt)
-        initial = starting_map(log, "nominal")
-        return replay(
-            log.layout, method, log.raw, log.reference, step, mass=log.mass, initial=initial, lag=log.lag
-        )
+        return replay_log(self.log, method, starting_map(self.log, "nominal"))
 
 
 class LogPage(Served):

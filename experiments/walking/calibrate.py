@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 import surefoot
-from surefoot.calibration import Estimate, Parameters, replay
+from surefoot.calibration import Estimate, Parameters
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.columns import channel_slugs
 from surefoot.experiments.logs.format import MAX_GAP, Log
@@ -24,7 +24,7 @@ from surefoot.experiments.study.tables import Table, flat
 from surefoot.experiments.walking.notices import check_weight, log_notices
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, shown_tables
-from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.replay import replay_log, starting_map
 from surefoot.names import plain_name
 
 
@@ -75,19 +75,9 @@ def calibrate_log(
         )
     check_weight(log, start, initial, file)
     notices = log_notices(log, file)
-    estimate = replay(
-        log.layout,
-        method,
-        log.raw,
-        log.reference,
-        np.diff(log.time, prepend=log.time[0] - log.dt),
-        mass=log.mass,
-        initial=initial,
-        lag=log.lag,
-        zero_phase=zero_phase,
-        watch=partial(each, "calibrating"),
-        **({"foot_length": float(about["foot_length_m"])} if "foot_length_m" in about else {}),
-    )
+    options = {"foot_length": float(about["foot_length_m"])} if "foot_length_m" in about else {}
+    watch = partial(each, "calibrating")
+    estimate = replay_log(log, method, initial, zero_phase=zero_phase, watch=watch, **options)
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
     tables = (parameter_table(facts), *shown_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Parameters, Reference, replay
+from surefoot.calibration import Estimate, Parameters, Reference, replay
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
@@ -41,6 +41,13 @@ def batches_of(logs: Sequence[Log], starts: Sequence[Parameters]) -> Iterator[Lo
             Reference(*(np.stack(part, axis=1) for part in parts)),
             np.diff(np.mean([log.time for log in batch], axis=0), prepend=start),
         )
+
+
+def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
+    """Run one method over a log, N samples at once, from a map; options as of :func:`replay`."""
+    steps = np.diff(log.time, prepend=log.time[0] - log.dt)
+    known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag}
+    return replay(log.layout, method, log.raw, log.reference, steps, **known, **options)
 
 
 class Replayed(NamedTuple):

@@ -45,7 +45,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> ArenaResults:
         duration=STAND_TIME + 5.5,
         settle=STAND_TIME + 1.0,
     )
-    return run_arena(options, bound=bound)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cases, "bound_of", bound)
+        return run_arena(options, bounds=True)
 
 
 @pytest.mark.slow
@@ -75,7 +77,7 @@ def test_walks_are_shared_and_kept(results: ArenaResults, monkeypatch: pytest.Mo
     assert len(list(logs.iterdir())) == 8
     monkeypatch.setattr(walks, "record_walk", _must_not_run)
     monkeypatch.setattr(cases, "play", _must_not_run)
-    again = run_arena(results.options, bound=bound)
+    again = run_arena(results.options, bounds=True)
     pd.testing.assert_frame_equal(again.scores, results.scores)
     assert again.left_out == results.left_out
 
@@ -98,7 +100,7 @@ def test_a_new_method_leaves_old_scores_alone(
     folder = shutil.copytree(results.options.out, tmp_path / "arena")
     methods = ("none", "tare", "quasi-static")
     more = dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",), methods=methods)
-    assert set(run_arena(more, bound=bound).scores["method"]) == {TRUE_MAP, "none", "tare", "quasi-static"}
+    assert set(run_arena(more, bounds=True).scores["method"]) == {TRUE_MAP, "none", "tare", "quasi-static"}
     assert played == ["quasi-static"]
 
 

@@ -113,7 +113,7 @@ class TestUncertainty:
             nis_rows=count,
             matrix=np.tile(np.eye(8), (len(log), 1, 1)),
         )
-        monkeypatch.setattr(module, "replay", lambda *_, **__: estimate)
+        monkeypatch.setattr(module, "replay_log", lambda *_, **__: estimate)
         result = calibrate(log, tmp_path)
         told = json.loads(result.parameters.read_text())
         np.testing.assert_allclose(told["scale_std_N_per_count"], np.full(8, 0.01 * 2e-5))
