@@ -8,6 +8,7 @@ try:
     from surefoot.envs.gait.pattern import plan_walk
     from surefoot.envs.instrumentation.drawing import RobotDrawing
     from surefoot.envs.instrumentation.env import InstrumentedEnv
+    from surefoot.envs.instrumentation.picture import FeetDrawing
     from surefoot.envs.instrumentation.reader import FeetReader
     from surefoot.envs.instrumentation.spec import instrument
     from surefoot.envs.instrumentation.truth import FeetTruth
@@ -29,6 +30,7 @@ __all__ = [
     "ADDED_MASSES",
     "Command",
     "ExerciseEnv",
+    "FeetDrawing",
     "FeetReader",
     "FeetTruth",
     "InstrumentedEnv",

@@ -167,7 +167,7 @@ def _show_feet(name: str, feet: list[str] | None, soles: bool, image: Path) -> N
     prepare_rendering()
     import gymnasium as gym
 
-    from surefoot.experiments.feet import FeetDrawing
+    from surefoot.envs import FeetDrawing
     from surefoot.experiments.study.progress import working
 
     try:

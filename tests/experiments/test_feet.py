@@ -7,9 +7,8 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from surefoot.envs import NaoStandEnv
+from surefoot.envs import FeetDrawing, NaoStandEnv
 from surefoot.experiments.cli.app import app
-from surefoot.experiments.feet import FeetDrawing
 
 
 def test_words_tell_what_was_guessed_and_what_is_under_it() -> None:

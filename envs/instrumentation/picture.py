@@ -8,12 +8,12 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from surefoot.envs import InstrumentedEnv, RobotDrawing, load_robot_spec
+from surefoot.envs.instrumentation.drawing import RobotDrawing
+from surefoot.envs.instrumentation.env import InstrumentedEnv
 from surefoot.envs.instrumentation.feet import pose_name, standing_pose
 from surefoot.envs.instrumentation.robot import MeasuredRobot, measure_robot
-from surefoot.envs.robots.library import ROBOTS
+from surefoot.envs.robots.library import ROBOTS, load_robot_spec
 
 SIZE = 640, 480
 """Width and height of each of two pictures in pixels: what every model has room for."""
@@ -68,6 +68,8 @@ class FeetDrawing:
         Edges of soles are blue, their x axes, to the toes, red, and cells yellow. Raises RuntimeError if
         nothing here can draw.
         """
+        from PIL import Image  # comes with Gymnasium's imageio
+
         width, height = SIZE
         try:
             renderer = mujoco.Renderer(self.model, height, width)
