@@ -21,6 +21,5 @@ A whole study (the tests hold it)::
         draw_curve(grid_of(figure, 1, 1)[0, 0], rows["seed"], rows["time"], look_of("none"))
     shown = ReportFigure(out / "time.svg", "Figure 1", "Time on its feet.")
     sections = (Section("walks", "Walks", tables=(table,), figures=(shown,)), *failure_section(failures))
-    write_page(out / "report.html", "Walks", ("What was done.",), sections)
-    save_tables(out / "tables", (table,))
+    publish(out, "Walks", ("What was done.",), sections)
 """

@@ -18,7 +18,6 @@ from surefoot.envs.gait.pattern import plan_walk
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.policy.controllers import load_controller
-from surefoot.experiments.view.errors import LiveErrors
 from surefoot.experiments.view.recording import Recording
 from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
 from surefoot.experiments.view.world import LiveWorld
@@ -27,6 +26,7 @@ from surefoot.sensors.presets import BAR_CELLS_ON_HX711
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.foot_view import DEFAULT, FootView
 from surefoot.wrappers.instruments import layout_options, usual_cells
+from surefoot.wrappers.live_errors import LiveErrors
 from surefoot.wrappers.raw_view import TRUE_KEYS
 from surefoot.wrappers.self_calibration import SelfCalibration
 from surefoot.wrappers.source import find_source, with_source

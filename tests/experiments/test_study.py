@@ -22,7 +22,7 @@ from surefoot.experiments.study.figures import (
     short_label,
     show_values,
 )
-from surefoot.experiments.study.page import ReportFigure, Section, failure_section, save_tables, write_page
+from surefoot.experiments.study.page import ReportFigure, Section, failure_section, publish, write_page
 from surefoot.experiments.study.runner import attempt, runner
 from surefoot.experiments.study.statistics import survival
 from surefoot.experiments.study.store import JOURNAL, Case, Store, StudyError
@@ -69,8 +69,9 @@ def test_a_whole_study(tmp_path: Path) -> None:
     shown = ReportFigure(tmp_path / "time.svg", "Figure 1", "Time on its feet.")
     lead = Section("lead", "What was done", ("One sentence.",), video="walk.mp4", figures=(shown,))
     sections = (Section("walks", "Walks", tables=(table,), figures=(shown,)), *failure_section(failures))
-    text = write_page(tmp_path / "report.html", "Walks", ("Introduced.",), sections, lead=lead).read_text()
-    save_tables(tmp_path / "tables", (table,))
+    report = publish(tmp_path, "Walks", ("Introduced.",), sections, lead=lead)
+    assert report.tables == (table,)
+    text = report.page.read_text()
     assert text.count("data:image/svg+xml;base64,") == 2
     assert text.index("walk.mp4") < text.index("One sentence.") < text.index("Introduced.")
     for cell in ('<td class="good">yes</td>', '<td class="bad">no</td>'):

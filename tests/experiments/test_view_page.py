@@ -36,7 +36,7 @@ def fails(arguments: list[str], message: str) -> None:
 
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.startswith("surefoot.experiments.view.")]:
-        if name.rpartition(".")[2] not in ("session", "errors", "recording", "world"):
+        if name.rpartition(".")[2] not in ("session", "recording", "world"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "viser", None)
     fails(

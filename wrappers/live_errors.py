@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
-from surefoot.experiments.arrays import Floats
 from surefoot.sensors import Corruption, channel_faults, parse_fault
 from surefoot.wrappers.instruments import Instruments
 
@@ -71,7 +71,7 @@ class LiveErrors:
         """What is broken, in words, in the order in which it broke."""
         return tuple(broken.words for broken in self._broken)
 
-    def read(self, raw: Floats, hardware: Parameters) -> Floats:
+    def read(self, raw: NDArray[np.float64], hardware: Parameters) -> NDArray[np.float64]:
         """Return what the host reads in place of the hardware's readings, in counts, shape (K,).
 
         Args:
