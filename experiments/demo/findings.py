@@ -1,5 +1,7 @@
 """Sentences that follow from the numbers: nothing in them is written before but their grammar."""
 
+from collections.abc import Iterator
+
 from scipy import stats
 
 from surefoot.experiments.demo.tables import METRICS, WALKING_TABLES
@@ -23,9 +25,8 @@ def errors_of(scores: Frame, condition: str, against: str, speed: float, metric:
     return scores[chosen].pivot(index="seed", columns="method", values=metric)
 
 
-def baseline_findings(scores: Frame, condition: str) -> tuple[str, ...]:
-    """Return how the window and the quasi-static method compare in the paper's conditions and scoring."""
-    said = []
+def baseline_findings(scores: Frame, condition: str) -> Iterator[str]:
+    """Say how the window and the quasi-static method compare in the paper's conditions and scoring."""
     for speed in sorted(scores["speed"].unique()):
         cop, vgrf = (errors_of(scores, condition, "baseline", speed, metric) for metric in ("cop", "vgrf"))
         if not {"window", "quasi-static"} <= set(cop.columns):
@@ -35,18 +36,16 @@ def baseline_findings(scores: Frame, condition: str) -> tuple[str, ...]:
             printed = WALKING_TABLES[speed]["window"].cop
             word = "under" if float(cop["window"].mean()) <= printed else "over"
             against_paper = f" ({word} the paper's {number(1e3 * printed)} mm)"
-        said.append(
+        yield (
             f"{speed:g} m/s, the paper's conditions and scoring: the window is {_mm(cop['window'])} from the "
             f"baseline from weights{against_paper}; the quasi-static method lies "
             f"{_difference(cop['quasi-static'] - cop['window'], 1e3, 'mm')} in CoP and "
             f"{_difference(vgrf['quasi-static'] - vgrf['window'], 1.0, 'N')} in vGRF."
         )
-    return tuple(said)
 
 
-def truth_findings(scores: Frame, condition: str, title: str) -> tuple[str, ...]:
-    """Return which methods are better and which are worse than doing nothing, against the truth."""
-    said = []
+def truth_findings(scores: Frame, condition: str, title: str) -> Iterator[str]:
+    """Say which methods are better and which are worse than doing nothing, against the truth."""
     for speed in sorted(scores["speed"].unique()):
         cop = errors_of(scores, condition, "truth", speed, "cop")
         if "none" not in cop:
@@ -71,13 +70,11 @@ def truth_findings(scores: Frame, condition: str, title: str) -> tuple[str, ...]
             off = f"{'itself ' if astray else ''}{_mm(cop['reference'])} off"
             why = ", further than the readings: following it leads away from the truth" if astray else ""
             text += f" The reference that window and quasi-static follow is {off}{why}."
-        said.append(text)
-    return tuple(said)
+        yield text
 
 
-def loop_findings(runs: Frame, horizon: float) -> tuple[str, ...]:
-    """Return who fell within a time in s, paired by seed."""
-    said = []
+def loop_findings(runs: Frame, horizon: float) -> Iterator[str]:
+    """Say who fell within a time in s, paired by seed."""
     for severity, walks in runs.groupby("severity", sort=False):
         for feed, part in by_way(walks, "feed").items():
             text = (
@@ -86,16 +83,15 @@ def loop_findings(runs: Frame, horizon: float) -> tuple[str, ...]:
             )
             if feed not in ("true", "none") and "none" in set(walks["feed"]):
                 text += _saved(walks, feed)
-            said.append(text + ".")
+            yield text + "."
         # How wrong the raw CoP was for those who fell and for those who did not.
         raw = walks[walks["feed"] == "none"]
         fell, stood = raw[raw["fell"]]["cop_error"], raw[~raw["fell"]]["cop_error"]
         if len(fell) and len(stood):
-            said.append(
+            yield (
                 f"Severity {severity:g}: the drifting raw CoP of walkers that fell was {_mm(fell)} off up to "
                 f"the fall, that of walkers that did not {_mm(stood)}."
             )
-    return tuple(said)
 
 
 def _saved(walks: Frame, feed: str) -> str:
@@ -110,18 +106,16 @@ def _saved(walks: Frame, feed: str) -> str:
     )
 
 
-def sensitivity_findings(runs: Frame) -> tuple[str, ...]:
-    """Return how far each weight moves the window's CoP error."""
-    said = []
+def sensitivity_findings(runs: Frame) -> Iterator[str]:
+    """Say how far each weight moves the window's CoP error."""
     for weight, part in runs.groupby("weight", sort=False):
         means = part.groupby(["speed", "factor"])["cop"].mean().unstack()
         if 1.0 in means:
             ratio = means.div(means[1.0], axis=0).to_numpy()
-            said.append(
+            yield (
                 f"{weight} from × {means.columns.min():g} to × {means.columns.max():g} moves the CoP error "
                 f"by {100 * (ratio.min() - 1):+.0f} to {100 * (ratio.max() - 1):+.0f} % over all speeds."
             )
-    return tuple(said)
 
 
 def lead_finding(loop: Frame) -> str:

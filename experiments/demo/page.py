@@ -167,7 +167,7 @@ def _loop_section(results: ArenaResults, folder: Path) -> Section:
         path = folder / f"closed_loop_severity{severity:g}.svg"
         figures.closed_loop_survival(path, runs, horizon)
         drawn.append(_figure(path, f"Who falls when, severity {severity:g}", "closed_loop"))
-    said = findings.loop_findings(results.loop, horizon)
+    said = tuple(findings.loop_findings(results.loop, horizon))
     shown: Any = {"tables": (tables.loop_table(results.loop, horizon),), "figures": tuple(drawn)}
     return Section("closed-loop", "Closing the loop", (_say("loop", stand=STAND_TIME),), said, **shown)
 

@@ -58,22 +58,21 @@ def _clearly(what: str, gap: Interval) -> Claim:
     return Claim(what, "> 0, clearly", interval_text(gap), gap.apart and gap.mean > 0.0)
 
 
-def controller_findings(frame: Frame, controller: str) -> tuple[str, ...]:
-    """Return sentences on what a controller loses on drifting feet and gets back on calibrated ones."""
+def controller_findings(frame: Frame, controller: str) -> Iterator[str]:
+    """Say what a controller loses on drifting feet and gets back on calibrated ones."""
     name = labels(controllers_of(frame))[controller]
     own = frame[(frame["controller"] == controller) & (frame["cop_input"] == "given")]
-    found = []
     true = own[own["feed"] == "true"]
     if len(true):
         mean = interval_text(mean_interval(true["return"]), digits=4)
-        found.append(f"{name}, true CoP: return {mean}, {int(true['fell'].sum())} of {len(true)} fall.")
+        yield f"{name}, true CoP: return {mean}, {int(true['fell'].sum())} of {len(true)} fall."
     for severity in severities_of(own):
         loss = difference(own, Run("true"), Run("none"), severity)
         if loss is None:
             continue
         text = f"{name}, severity {severity:g}: drifting feet cost {interval_text(loss)}"
         if not (loss.apart and loss.mean > 0.0):
-            found.append(f"{text}, which is no clear loss, so that there is nothing to win back.")
+            yield f"{text}, which is no clear loss, so that there is nothing to win back."
             continue
         falls = own[(own["feed"] == "none") & (own["severity"] == severity)]["fell"]
         text += f" and {int(falls.sum())} of {len(falls)} fall"
@@ -83,5 +82,4 @@ def controller_findings(frame: Frame, controller: str) -> tuple[str, ...]:
             for feed, share in shares.items()
             if share is not None
         ]
-        found.append("; ".join([text, *won]) + ".")
-    return tuple(found)
+        yield "; ".join([text, *won]) + "."

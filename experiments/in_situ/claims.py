@@ -1,5 +1,6 @@
 """What the simulated in-situ experiment is to reach, whether it did, and what else it shows, in sentences."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -97,17 +98,17 @@ def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
     )
 
 
-def summary_findings(results: InSituStudyResults) -> tuple[str, ...]:
-    """Return which limits all seeds kept, and how many kept the others."""
+def summary_findings(results: InSituStudyResults) -> Iterator[str]:
+    """Say which limits all seeds kept, and how many kept the others."""
     limits = limits_of(results)
     met = sum(limit.met for limit in limits)
-    found = [f"{met} of {plural(len(limits), 'target')} were reached by every seed, sensor and set."]
+    yield f"{met} of {plural(len(limits), 'target')} were reached by every seed, sensor and set."
     for limit in limits:
         if limit.met:
             continue
         worst = number(float(np.max(limit.values)), 4) if len(limit.values) else "–"
         missing = f", and {limit.refused} have none: refused." if limit.refused else "."
-        found.append(
+        yield (
             f"Not by all: {limit.name}. {100.0 * limit.share:.1f} % stay within {limit.most:g}; the worst is "
             f"{worst}{missing}"
         )
@@ -115,91 +116,83 @@ def summary_findings(results: InSituStudyResults) -> tuple[str, ...]:
     if len(clipped):
         ours = clipped[clipped["method"] == OURS]
         sensors = len(results.fits) // results.fits["method"].nunique()
-        found.append(
+        yield (
             f"{len(ours)} of {plural(sensors, 'sensor')} reached the end of their converter; "
             f"{int((ours['refusal'] != '').sum())} of these were refused, as they must be."
         )
-    return tuple(found)
 
 
-def limb_findings(results: InSituStudyResults) -> tuple[str, ...]:
-    """Return how heavy the limb comes out by each method, and what the loop model is worth."""
-    found = []
+def limb_findings(results: InSituStudyResults) -> Iterator[str]:
+    """Say how heavy the limb comes out by each method, and what the loop model is worth."""
     for sensor, part in results.fits.groupby("sensor", sort=False):
         errors = part.pivot(index="seed", columns="method", values="limb_error")
         mean, rms = 100.0 * errors.mean(), 100.0 * np.sqrt((errors**2).mean())
-        found.append(
+        yield (
             f"{str(sensor).capitalize()}: III-C finds the limb {_signed(mean['paper'])} % off its weight in "
             f"the mean, the measurement-space fit {_signed(mean[OURS])} %, and without its hysteresis "
             f"{_signed(mean['no-loop'])} %; the root mean squares are {number(rms['paper'])}, "
             f"{number(rms[OURS])} and {number(rms['no-loop'])} %."
         )
-    return tuple(found)
 
 
-def bound_findings(results: InSituStudyResults) -> tuple[str, ...]:
-    """Return how near to the bound the offsets are, and whether the covariance is right."""
-    found = []
+def bound_findings(results: InSituStudyResults) -> Iterator[str]:
+    """Say how near to the bound the offsets are, and whether the covariance is right."""
     for (kind, sensor), part in results.white.groupby(["kind", "sensor"], sort=False):
         known, name = consistency(part), str(sensor).capitalize()
         if kind == "real":
-            found.append(
+            yield (
                 f"{name} with all errors of a sensor: errors are {number(np.sqrt(known.mean))} times as "
                 "large as the fit reports."
             )
             continue
         drift = "with no drift assumed" if kind == "still" else "with drift estimated"
-        found.append(
+        yield (
             f"{name}, {drift}: offsets err by {number(over_bound(part, 'force'))} (forces) and "
             f"{number(over_bound(part, 'torque'))} (torques) times the bound; NEES {known.mean:.3f} lies "
             f"{'inside' if known.inside else 'outside'} {known.low:.3f} to {known.high:.3f}."
         )
-    return tuple(found)
 
 
-def motion_findings(results: InSituStudyResults) -> tuple[str, ...]:
-    """Return the shortest fast motion that was answered beside the longest slow one."""
-    found = []
+def motion_findings(results: InSituStudyResults) -> Iterator[str]:
+    """Say what the shortest fast motion that was answered leaves, beside the longest slow one."""
     for sensor, part in results.motions.groupby("sensor", sort=False):
         answered = part[part["refusal"] == ""]
         fast = np.array([MOTIONS[int(i)].fast for i in answered["motion"]], dtype=bool)
         name = str(sensor).capitalize()
         if fast.all() or not fast.any():
             which = "slow" if fast.all() else "fast"
-            found.append(f"{name}: no {which} motion was answered with a calibration.")
+            yield f"{name}: no {which} motion was answered with a calibration."
             continue
         slow, quick = answered[~fast], answered[fast]
         slow = slow[slow["minutes"] == slow["minutes"].max()]
         quick = quick[quick["minutes"] == quick["minutes"].min()]
         (force, torque, limb), fast_shares = _shares(slow), _shares(quick)
-        found.append(
+        yield (
             f"{name}: {number(slow['minutes'].iloc[0], 2)} minutes of slow sweeps leave {force} % of the "
             f"forces, {torque} % of the torques and {limb} % of the limb's weight in the mean; "
             f"{number(quick['minutes'].iloc[0], 2)} minutes of fast swings "
             f"{fast_shares[0]}, {fast_shares[1]} and {fast_shares[2]} %."
         )
-    return tuple(found)
 
 
-def refusal_findings(results: InSituStudyResults) -> tuple[str, ...]:
-    """Return which spoilt experiments were answered all the same, and how wrong the answers are."""
+def refusal_findings(results: InSituStudyResults) -> Iterator[str]:
+    """Say which spoilt experiments were answered all the same, and how wrong the answers are."""
     spoilt = results.refusals[~results.refusals["harmless"]]
     controls = results.refusals[results.refusals["harmless"]]
     parts = dict(list(spoilt.groupby("case", sort=False)))
     missed = {case: part for case, part in parts.items() if not part["refused"].all()}
-    found = [
+    yield (
         f"{len(parts) - len(missed)} of {plural(len(parts), 'kind')} of spoilt experiments are refused with "
         f"every sensor; of {len(controls)} sound ones {int(controls['refused'].sum())} are."
-    ]
+    )
     usual = _shares(controls[~controls["refused"]])
     for case, part in missed.items():
         answered = part[~part["refused"]]
         force, torque, _ = _shares(answered)
-        found.append(
+        yield (
             f"Answered {len(answered)} of {plural(len(part), 'time')}: {case}. Forces are then {force} % off "
             f"and torques {torque} %, where sound experiments leave {usual[0]} and {usual[1]} %."
         )
-    return tuple(found)
 
 
 def _shares(part: Frame) -> tuple[str, ...]:

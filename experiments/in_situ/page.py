@@ -43,7 +43,7 @@ def write_in_situ_study_page(results: InSituStudyResults) -> Report:
     folder = options.out / "figures"
 
     def section(name: str, title: str, text: str = "", said: Any = None, **more: Any) -> Section:
-        found = () if said is None else said(results)
+        found = () if said is None else tuple(said(results))
         shown = {"tables": (tables[name],)} if name in tables else {}
         return Section(name, title, (text,) if text else (), found, **shown | more)
 

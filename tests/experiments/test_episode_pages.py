@@ -154,13 +154,13 @@ def test_a_loss_that_is_none_is_not_won_back():
     frame = frame_of(episodes("zero", flat))
     assert won_back(frame, "moment", 1.0) is None
     assert all(row[3] == "" for row in score_table(frame).rows)
-    said = controller_findings(frame, "zero")
+    said = tuple(controller_findings(frame, "zero"))
     assert "no clear loss" in said[1]
     assert "nothing to win back" in said[1]
     # Exactly the same returns on all feet: no division by nothing.
     same = frame.assign(**{"return": 100.0})
     assert won_back(same, "window", 2.0) is None
-    assert "moment wins 94." in controller_findings(frame_of(episodes()), "clean")[1]
+    assert "moment wins 94." in tuple(controller_findings(frame_of(episodes()), "clean"))[1]
 
 
 def test_the_page_is_one_file_with_everything(tmp_path, undrawn):

@@ -39,7 +39,7 @@ def scores(window: float, against: str = "truth", spread: float = 0.1) -> pd.Dat
     ],
 )
 def test_better_and_worse_are_told_apart(window: float, sentence: str) -> None:
-    said = findings.truth_findings(scores(window), "paper", "the paper's conditions")
+    said = tuple(findings.truth_findings(scores(window), "paper", "the paper's conditions"))
     assert len(said) == 1
     assert sentence in said[0]
 
@@ -59,7 +59,7 @@ def test_what_the_seeds_do_not_tell_is_not_said() -> None:
     table = scores(10.0)
     mixed = 1e-3 * np.array([9.0, 11.5, 9.5, 11.0, 10.0])
     table.loc[table["method"] == "window", "cop"] = mixed
-    said = findings.truth_findings(table, "paper", "the paper's conditions")
+    said = tuple(findings.truth_findings(table, "paper", "the paper's conditions"))
     assert (
         "window 10.2 ± 1.3 mm, no different from raw within the interval (worse in 2 of 5 seeds)" in said[0]
     )
@@ -122,7 +122,7 @@ def test_falls_are_paired_by_seed() -> None:
         for feed, values in fell.items()
         for seed in range(4)
     )
-    said = findings.loop_findings(runs, 20.0)
+    said = tuple(findings.loop_findings(runs, 20.0))
     assert said[0] == "Severity 2, drifting raw CoP: 3 of 4 walks end in a fall within 20 s."
     assert "of those that fall on drifting raw CoP it saves 3, of those that do not it loses 1" in said[1]
     assert "sign test p = 0.62" in said[1]
