@@ -7,8 +7,8 @@
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
 the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
 the bare step it is, with an interval that holds this median 19 times in 20. Time is that of the process;
-resets do not count. The specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``);
-wrappers of many robots use none of the libraries' steps. G1 needs ``pip install surefoot[robots]``.
+resets do not count. The specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1
+needs ``pip install surefoot[robots]``.
 """
 
 import argparse

@@ -140,7 +140,7 @@ class FootCalibrator:
                 return self._native.update(native[1], raw, reference, dt)
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
-        state = self._init(raw) if self._state is None else self.state
+        state = self.fresh_state(raw) if self._state is None else self.state
         self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
 
@@ -201,9 +201,10 @@ class FootCalibrator:
         if like is None:
             state = self.state
             like = np.zeros(self.setup.layout.channels) if state is None else _front(state).raw
-        self._state = load_state(path, self._init(like), **self._notes())
+        self._state = load_state(path, self.fresh_state(like), **self._notes())
 
-    def _init(self, raw: Any) -> Any:
+    def fresh_state(self, raw: Any) -> Any:
+        """Return a state in which nothing was learnt, for readings of this kind, shape (..., K)."""
         state = self._pure.init(raw)
         if not isinstance(_front(state), FrontState):
             raise TypeError(

@@ -61,5 +61,5 @@ def belief_errors(given: BeliefErrors | Mapping[str, Any], options: dict[str, An
     errors = given if isinstance(given, BeliefErrors) else from_mapping(BeliefErrors, given)
     former = {FORMER[name]: options.pop(name) for name in FORMER if name in options}
     if former:
-        warnings.warn(f"Give errors={former!r} in place of {list(FORMER)}.", DeprecationWarning, stacklevel=3)
+        warnings.warn(f"Give errors={former!r} in place of {list(FORMER)}.", DeprecationWarning, stacklevel=4)
     return replace(errors, **former)

@@ -20,7 +20,7 @@ a common tilt cancels to first order.
 """
 
 from math import floor, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,22 +62,6 @@ LARGEST_VALUE = 1e6
 
 _POSES = slice(SOLES.start, AXES.start + 4)
 """Both soles' places, and their axes up to the x axis of the right one."""
-
-
-class SolePose(NamedTuple):
-    """A sole on the ground, seen from above in the level frame.
-
-    Attributes:
-        x: Place of its origin in m.
-        y: Place of its origin in m.
-        forward_x: Its heading, a unit vector.
-        forward_y: Its heading.
-    """
-
-    x: float
-    y: float
-    forward_x: float
-    forward_y: float
 
 
 class Beliefs:
@@ -250,18 +234,19 @@ class Beliefs:
             rows[GYROSCOPE],
         )
 
-    def soles(self, time: float) -> tuple[SolePose, SolePose]:
+    def soles(self, time: float) -> NDArray[np.float64]:
         """Return where the soles are at a moment later than the newest packet, at their last velocities.
 
         Args:
             time: The moment in s of the host's clock.
 
         Returns:
-            The left and the right sole in the level frame of that moment.
+            Seen from above in the level frame of that moment, the place of each sole in m and its heading, a
+            unit vector: x, y, forward x, forward y of the left one and of the right one, shape (2, 4).
         """
         last = self._last
         if last is None or self._run < 1 + SLOPE:
-            return SolePose(0.0, 0.0, 1.0, 0.0), SolePose(0.0, 0.0, 1.0, 0.0)
+            return np.array([(0.0, 0.0, 1.0, 0.0)] * 2)
         newest, before = self._ring[last.number % HISTORY], self._ring[(last.number - SLOPE) % HISTORY]
         ahead = (time - self._middle(last.number)) / self._period
         ahead = min(max(ahead, 0.0), FURTHEST) / SLOPE
@@ -273,10 +258,8 @@ class Beliefs:
         x, y = x * norm, y * norm
         dx, dy = 0.5 * (lx - rx), 0.5 * (ly - ry)
         half_x, half_y = x * dx + y * dy, x * dy - y * dx
-        return (
-            SolePose(half_x, half_y, x * lu + y * lv, x * lv - y * lu),
-            SolePose(-half_x, -half_y, x * ru + y * rv, x * rv - y * ru),
-        )
+        left = half_x, half_y, x * lu + y * lv, x * lv - y * lu
+        return np.array([left, (-half_x, -half_y, x * ru + y * rv, x * rv - y * ru)])
 
     def _middle(self, number: int) -> float:
         """Time on the host's clock of the middle between a packet and the one before."""

@@ -30,23 +30,24 @@ class Chances:
         if self._run > self._longest:
             self._longest = self._run
 
-    def judge(self, learnt: bool, dt: float) -> None:
-        """Warn, once and not before :data:`PATIENCE`, if nothing was learnt.
+    def judge(self, learnt: bool, dt: float) -> bool:
+        """Warn, once and not before :data:`PATIENCE`, if nothing was learnt; return whether that was done.
 
         Args:
             learnt: Whether anything was.
             dt: Time between samples in s.
         """
         if self._warned or (not learnt and self._samples * dt < PATIENCE):
-            return
+            return False
         self._warned = True
         if learnt:
-            return
+            return False
         upright, standing = (round(100 * part / self._samples) for part in (self._upright, self._standing))
         warnings.warn(
             f"SelfCalibration has learnt nothing in {self._samples * dt:.0f} s, and readings stay at the "
             f"starting map: the robot was upright in {upright} % of the samples and had a foot surely on the "
             f"ground in {standing} %, for {self._longest * dt:.1f} s at most. It learns while a robot "
             "stands or walks, and 'moment' hands out nothing that it has learnt for less than 1.5 s.",
-            stacklevel=3,
+            stacklevel=4,
         )
+        return True

@@ -1,7 +1,6 @@
 """What an agent is shown of calibrated feet: which parts, in which bounds, and what is held when."""
 
 from collections.abc import Mapping, Sequence
-from math import sqrt
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +11,8 @@ from surefoot.calibration import GRAVITY, FeetLayout
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import METHODS, method_entry
 from surefoot.envs.observation import COP_BOUND, FORCE_BOUND
-from surefoot.wrappers.beliefs import SolePose
+
+Floats = NDArray[np.float64]
 
 DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 """What is shown unless something else is asked for."""
@@ -23,19 +23,16 @@ CERTAINTY: Final = ("foot_force_std", "cop_std")
 RAW: Final = "foot_raw"
 """Counts, which :class:`~surefoot.wrappers.FootSensors` shows: millions, hidden unless they are asked for."""
 
-MANY: Final = (*DEFAULT, "foot_load", RAW)
-"""All that can be shown of many robots at once."""
-
-PARTS: Final = (*MANY, "wrench", "vgrf", *CERTAINTY, "foot_flags")
+PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, "foot_flags")
 """All that can be shown."""
 
 
-def check_parts(parts: Sequence[str], known: Sequence[str] = PARTS) -> None:
+def check_parts(parts: Sequence[str]) -> None:
     """Raise ValueError if a part does not exist, is named twice, or there is none of calibrated feet."""
-    unknown = [part for part in parts if part not in known]
+    unknown = [part for part in parts if part not in PARTS]
     if isinstance(parts, str) or unknown or len(set(parts)) != len(parts) or not set(parts) - {RAW}:
         raise ValueError(
-            f"'show' must name parts of {known}, each once, got {parts!r}; leave the wrapper out to show "
+            f"'show' must name parts of {PARTS}, each once, got {parts!r}; leave the wrapper out to show "
             "nothing calibrated."
         )
 
@@ -63,12 +60,14 @@ class FootView:
         layout: The feet and their channels.
         mass: Mass that the robot believes it has in kg, for the bounds.
         flaw: Why the feet have no centres of pressure, or empty.
+        count: Number of robots N; ``None`` for one, without an axis of robots.
 
     Attributes:
         spaces: The space of each part that is calibrated.
         every: The space of each part that there could be.
         flawed: Whether the feet have no centres of pressure.
-        held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,).
+        held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,) or
+            (N, 8).
         force_bound: Largest force that is shown in N.
         weight: What the robot believes to weigh in N: the unit of ``"foot_load"``.
 
@@ -76,7 +75,14 @@ class FootView:
         ValueError: If a part does not exist, or is named twice.
     """
 
-    def __init__(self, parts: Sequence[str], layout: FeetLayout, mass: float, flaw: str = "") -> None:
+    def __init__(
+        self,
+        parts: Sequence[str],
+        layout: FeetLayout,
+        mass: float,
+        flaw: str = "",
+        count: int | None = None,
+    ) -> None:
         check_parts(parts)
         self.parts = tuple(part for part in parts if part != RAW)
         self.flawed = bool(flaw)
@@ -97,63 +103,58 @@ class FootView:
             "foot_flags": box(0, np.iinfo(np.int32).max, (channels,), np.int32),
         }
         self.spaces = {part: self.every[part] for part in self.parts}
-        # In one array, of which the others are parts, for the library.
-        self.held = np.zeros(8)
+        # In one array, for the library.
+        self.held: Floats = np.zeros(8 if count is None else (count, 8))
         self.begin_episode()
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        # In a copy what were parts are arrays of their own.
-        self.__dict__.update(kept)
-        self._split()
+    def begin_episode(self, which: Any = ...) -> None:
+        """Start with centres of pressure at the origin; of some robots, shape (N,), or of all."""
+        self.held[which, :6], self.held[which, 6:] = 0.0, COP_BOUND
 
-    def _split(self) -> None:
-        self._cop_foot, self._cop, self._cop_std = self.held[:4].reshape(2, 2), self.held[4:6], self.held[6:]
-
-    def begin_episode(self) -> None:
-        """Start with centres of pressure at the origin."""
-        self.held[:6], self.held[6:] = 0.0, COP_BOUND
-        self._split()
-
-    def show(self, estimate: Estimate, soles: tuple[SolePose, SolePose]) -> dict[str, NDArray[Any]]:
-        """Show one sample.
+    def show(self, estimate: Estimate, soles: Floats) -> dict[str, NDArray[Any]]:
+        """Show one sample, of one robot or of all.
 
         Args:
             estimate: The calibrator's.
-            soles: Where the soles are now in the level frame.
+            soles: Where the soles are now (:meth:`~surefoot.wrappers.beliefs.Beliefs.soles`), shape
+                (..., 2, 4).
 
         Returns:
             Fresh arrays by part. Where a centre of pressure is not defined, the last one that was is held.
         """
-        wrench, cop_foot = estimate.wrench.tolist(), estimate.cop_foot.tolist()
-        valid = [bool(estimate.cop_valid), *estimate.cop_foot_valid.tolist()]
-        if self.flawed:
-            valid = [False] * len(valid)
-        for foot in (0, 1):
-            if valid[1 + foot]:
-                self._cop_foot[foot] = [_bounded(part) for part in cop_foot[foot]]
-        if valid[0]:
-            load = x = y = 0.0
-            for sole, (_, _, fz, tx, ty, _) in zip(soles, wrench, strict=True):
-                u, v = sole.forward_x, sole.forward_y
-                load += fz
-                x += sole.x * fz - u * ty - v * tx
-                y += sole.y * fz - v * ty + u * tx
-            self._cop[:] = _bounded(x / load), _bounded(y / load)
-            if "cop_std" in self.parts and estimate.cop_covariance is not None:
-                variance = np.diagonal(estimate.cop_covariance).tolist()
-                self._cop_std[:] = [min(sqrt(max(part, 0.0)), COP_BOUND) for part in variance]
+        both, feet = np.asarray(estimate.cop_valid)[..., None], np.asarray(estimate.cop_foot_valid)
+        valid = np.concatenate([both, feet], axis=-1) & (not self.flawed)
+        self._hold(estimate, soles, valid)
         return {part: self._part(part, estimate, valid) for part in self.parts}
 
-    def _part(self, part: str, estimate: Estimate, valid: list[bool]) -> NDArray[Any]:
+    def _hold(self, estimate: Estimate, soles: Floats, valid: NDArray[np.bool_]) -> None:
+        """Take in the centres of pressure that are valid."""
+        held, (fz, tx, ty) = self.held, np.moveaxis(estimate.wrench[..., 2:5], -1, 0)
+        x, y, u, v = np.moveaxis(soles, -1, 0)
+        load = np.where(valid[..., 0], fz.sum(axis=-1), 1.0)
+        moments = (x * fz - u * ty - v * tx).sum(axis=-1), (y * fz - v * ty + u * tx).sum(axis=-1)
+        found = np.concatenate(
+            [estimate.cop_foot.reshape(*held.shape[:-1], 4), np.stack(moments, axis=-1) / load[..., None]],
+            axis=-1,
+        )
+        defined = np.repeat(valid, 2, axis=-1)[..., _OF_PLACES]
+        held[..., :6] = np.where(defined, np.clip(found, -COP_BOUND, COP_BOUND), held[..., :6])
+        if "cop_std" in self.parts and estimate.cop_covariance is not None:
+            variance = np.diagonal(estimate.cop_covariance, axis1=-2, axis2=-1)
+            std = np.minimum(np.sqrt(np.maximum(variance, 0.0)), COP_BOUND)
+            held[..., 6:] = np.where(valid[..., :1], std, held[..., 6:])
+
+    def _part(self, part: str, estimate: Estimate, valid: NDArray[np.bool_]) -> NDArray[Any]:
+        held = self.held
         match part:
             case "cop_foot":
-                return np.array(self._cop_foot, dtype=np.float32)
+                return held[..., :4].astype(np.float32).reshape(*held.shape[:-1], 2, 2)
             case "cop":
-                return np.array(self._cop, dtype=np.float32)
+                return held[..., 4:6].astype(np.float32)
             case "cop_valid":
-                return np.array(valid, dtype=np.int8)
+                return valid.astype(np.int8)
             case "cop_std":
-                return np.array(self._cop_std, dtype=np.float32)
+                return held[..., 6:].astype(np.float32)
             case "foot_flags":
                 return np.array(estimate.flags, dtype=np.int32)
             case "foot_load":
@@ -168,5 +169,5 @@ class FootView:
         return limited
 
 
-def _bounded(place: float) -> float:
-    return min(max(place, -COP_BOUND), COP_BOUND)
+_OF_PLACES = (2, 3, 4, 5, 0, 1)
+"""Which of three flags, each twice (both feet, left, right), each of the places that are held goes by."""

@@ -247,7 +247,7 @@ class Instruments:
             )
         for device in devices:
             if not _bears(device, drawing):
-                warnings.warn(_too_small(device, drawing), stacklevel=3)
+                warnings.warn(_too_small(device, drawing), stacklevel=4)
         found: list[CellsUnderFeet | SensorsInAnkles] = [
             CellsUnderFeet(device, drawing)
             if isinstance(device, LoadCells)

@@ -9,7 +9,7 @@ from surefoot.calibration import Reference
 from surefoot.calibration.native import Library, ReferenceRecord, installed
 from surefoot.native import c_header, required
 from surefoot.sensors.transport.link import Packet, Packets
-from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs, SolePose
+from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs
 from surefoot.wrappers.contacts import planned_window
 from surefoot.wrappers.telemetry import TelemetryLayout
 
@@ -111,6 +111,12 @@ class NativeBeliefs:
                 content[...] = values
             self._functions.surefoot_beliefs_packets(self._tree, timing, state, rows, len(some))
 
+    def update_rows(self, address: int, count: int) -> None:
+        """Take in packets of telemetry where the library has written them, so many."""
+        self._keep_up()
+        timing, state, _, _, _ = self._addresses
+        self._functions.surefoot_beliefs_packets(self._tree, timing, state, address, count)
+
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
         timing, state, _, planned, _ = self._addresses
@@ -153,12 +159,11 @@ class NativeBeliefs:
         self._functions.surefoot_beliefs_reference(timing, state, time, self._other.address)
         return self._other.reference()._replace(stance=stance, swing=swing)
 
-    def soles(self, time: float) -> tuple[SolePose, SolePose]:
+    def soles(self, time: float) -> NDArray[np.float64]:
         """As :meth:`Beliefs.soles`."""
         timing, state, _, _, soles = self._addresses
         self._functions.surefoot_beliefs_soles(timing, state, time, soles)
-        left, right = self._soles.tolist()
-        return SolePose(*left), SolePose(*right)
+        return self._soles.astype(np.float64)
 
     def unpack(self) -> Beliefs:
         """Return the Python object that goes on from here; it shares nothing but the model."""

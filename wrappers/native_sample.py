@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration import Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import Library, NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
+from surefoot.wrappers.beliefs import reference_info
 from surefoot.wrappers.foot_view import FootView
 from surefoot.wrappers.native_beliefs import NativeBeliefs
 
@@ -70,14 +72,14 @@ class NativeSample:
         own, filters, revision = self._of
         return beliefs is own and state is filters and own.model.revision == revision
 
-    def step(
+    def feed(
         self,
         raw: NDArray[np.float64],
         times: tuple[float, float],
         command: Any,
         hold: bool,
         arrived: tuple[int, int] | None = None,
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    ) -> None:
         """Take in one sample.
 
         Args:
@@ -86,9 +88,6 @@ class NativeSample:
             command: What the robot commands itself, if anything.
             hold: Whether nothing is learnt of it.
             arrived: Where rows of packets lie that have arrived before it, and how many.
-
-        Returns:
-            What an agent is shown, and what ``info`` holds of the estimate; all arrays are fresh.
         """
         beliefs, state, _ = self._of
         self._raw[...] = raw
@@ -97,17 +96,35 @@ class NativeSample:
         beliefs.tell(found)
         if found & 9:
             state.changed()
-        one = np.ndarray((), self._dtype, self._part.copy())
+
+    def told(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return what an agent is shown of the last sample, and what ``info`` holds of the estimate.
+
+        All arrays are fresh.
+        """
+        beliefs = self._of[0]
+        shown, told = self._read(np.ndarray((), self._dtype, self._part.copy()))
+        told["reference"] = {"known": True, **told["reference"]} if beliefs.known else beliefs.info()
+        return shown, told
+
+    def told_by(self, robots: "list[NativeSample]") -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the same of robots of this one's kind, with the robots in front of each array."""
+        memory = np.array([robot._part for robot in robots])
+        shown, told = self._read(np.ndarray(len(robots), self._dtype, memory))
+        if all(robot._of[0].known for robot in robots):
+            told["reference"] = {"known": np.ones(len(robots), bool), **told["reference"]}
+        else:
+            told["reference"] = reference_info(Reference(**told["reference"]))
+        return shown, told
+
+    def _read(self, one: NDArray[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         flags, vgrf, scale, offset, covariance = self._told(one)
-        reference: dict[str, Any] = {"known": True}
-        if beliefs.known:
-            reference.update(zip(self._believed[0], self._believed[1](one), strict=True))
         return dict(zip(self._shown[0], self._shown[1](one), strict=True)), {
             "parameters": {"scale": scale, "offset": offset},
             "covariance": covariance,
             "flags": flags,
             "vgrf": vgrf,
-            "reference": reference if beliefs.known else beliefs.info(),
+            "reference": dict(zip(self._believed[0], self._believed[1](one), strict=True)),
         }
 
     def estimate(self) -> Estimate:

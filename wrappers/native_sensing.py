@@ -18,6 +18,9 @@ from surefoot.wrappers.raw_view import RawView
 
 _SEEN = itemgetter("raw", "counts", "state")
 
+_NOTHING = np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.int32)
+"""No numbers of a state that are measured."""
+
 
 class NativeSensing:
     """The library for one robot; states, streams and what is held stay those of the objects.
@@ -29,7 +32,8 @@ class NativeSensing:
         telemetry: The telemetry.
         state: Its state.
         streams: Where chance comes from, by device.
-        view: What is seen.
+        kept: Where the newest packet's values and the counts that are held lie.
+        view: What is seen, if anything is put together.
     """
 
     def __init__(
@@ -40,7 +44,8 @@ class NativeSensing:
         telemetry: NativeTelemetry,
         state: NativeTelemetryState,
         streams: dict[str, Any],
-        view: RawView,
+        kept: tuple[NDArray[np.float64], NDArray[np.float32]],
+        view: RawView | None,
     ) -> None:
         library = installed()
         assert library is not None
@@ -51,7 +56,7 @@ class NativeSensing:
         mapped = part.name == "cells" and hasattr(truth, "cell_map")
         self._felt_in: Callable[[Any], NDArray[np.float64]] = attrgetter("plate") if mapped else part.load
         self._felt = np.zeros_like(truth.plate) if mapped else load
-        observed, to, taken = view.measured()
+        observed, to, taken = _NOTHING if view is None else view.measured()
         channels, numbers = load.shape[-1], len(observed)
         self._observed = observed if numbers else None
         self._seen = Record(
@@ -63,17 +68,18 @@ class NativeSensing:
                 ]
             )
         )
-        now, (low, high) = self._seen.now, view.bounds
+        self._raw: NDArray[np.float64] = self._seen.now["raw"]
+        now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
         arrays = {
             "felt": self._felt,
             "load": load,
-            "newest": view.newest,
+            "newest": kept[0],
             "raw": now["raw"],
             "observed": observed,
             "low": low,
             "high": high,
             "shown": now["state"],
-            "held": view.held,
+            "held": kept[1],
             "counts": now["counts"],
             "from": taken,
             "to": to,
@@ -118,7 +124,7 @@ class NativeSensing:
 
     def step(
         self, truth: Any, time: float, observation: Any
-    ) -> tuple[NDArray[np.float64], dict[str, Any]] | None:
+    ) -> tuple[NDArray[np.float64], dict[str, Any] | None] | None:
         """Read a control step; ``None``, with nothing done, for one that is not as long as others.
 
         Args:
@@ -127,7 +133,8 @@ class NativeSensing:
             observation: What the environment shows.
 
         Returns:
-            The reading in counts, shape (K,), and what is seen; all arrays are fresh.
+            The reading in counts, shape (K,), and what is seen, in fresh arrays; without a view the reading
+            is overwritten by the next one, and nothing is put together.
         """
         felt, position = self._felt_in(truth), truth.joint_position
         if felt.shape != self._felt.shape or position.shape != self._position.shape:
@@ -138,6 +145,8 @@ class NativeSensing:
             self._observed[...] = observation["state"]
         told = self._sense(self._at, time)
         self._of[1].coming, self._count = (told >> 16) - 1, told & 0xFFFF
+        if self._view is None:
+            return self._raw, None
         raw, counts, state = _SEEN(self._seen.copy())
         return raw, self._view.seen(observation, counts, None if self._observed is None else state)
 
@@ -157,7 +166,8 @@ def native_sensing(
     telemetry: Any,
     telemetry_state: Any,
     streams: dict[str, Any],
-    view: RawView,
+    kept: tuple[NDArray[np.float64], NDArray[np.float32]],
+    view: RawView | None,
 ) -> NativeSensing | None:
     """Return what reads a robot by the library in one call; ``None`` where its parts read on their own."""
     part = instruments.parts[0]
@@ -170,7 +180,7 @@ def native_sensing(
         or telemetry_state.coming < 0
         or not all(type(streams[device]) is Stream for device in (part.name, "telemetry"))
         or any(array.dtype != np.float64 for array in (part.load(truth), truth.joint_position))
-        or view.bounds[0].dtype != np.float32
+        or (view is not None and view.bounds[0].dtype != np.float32)
     ):
         return None
-    return NativeSensing(truth, part, feet, telemetry, telemetry_state, streams, view)
+    return NativeSensing(truth, part, feet, telemetry, telemetry_state, streams, kept, view)

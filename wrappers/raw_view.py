@@ -10,89 +10,69 @@ from gymnasium import ObservationWrapper, spaces
 from gymnasium.wrappers import FilterObservation
 from numpy.typing import NDArray
 
-from surefoot.sensors.transport.link import Packets
-from surefoot.wrappers.instruments import Instruments
 from surefoot.wrappers.telemetry import MEASURED, TelemetryLayout
 
 TRUE_KEYS = ("foot_force", "cop", "cop_foot", "cop_valid")
 """Parts of an observation that only truth has; readings take their place."""
 
 
+TRUTH_KEY = "surefoot_truth"
+"""Name of the row of truth that vector environments carry in an observation."""
+
+HIDDEN = (*TRUE_KEYS, TRUTH_KEY)
+"""Parts that nobody is shown."""
+
+
 class RawView:
-    """Shows readings instead of truth, and holds the last ones that arrived.
+    """Shows readings instead of truth, of one robot or of many.
 
     Args:
-        instruments: What is under the feet.
-        source: What records the truth; what it shows says what only truth has.
+        shown: The space of what the environment shows of one robot.
+        readings: The space of the readings.
         state_layout: Where parts of ``"state"`` lie that telemetry has; ``None`` leaves it as it is.
-        env: Who shows it, for messages.
+        packet: What a packet holds.
 
     Attributes:
         space: What is shown.
         bounds: Those of the state, of which parts are measured; of nothing where none are.
-        held: The last reading of each channel that has arrived in counts, shape (K,).
-        newest: Values of the newest packet.
-
-    Raises:
-        TypeError: If readings are shown already, or truth is where it cannot be taken out.
     """
 
     def __init__(
         self,
-        instruments: Instruments,
-        source: Any,
+        shown: spaces.Space[Any],
+        readings: spaces.Box,
         state_layout: Mapping[str, slice] | None,
-        env: Any,
+        packet: TelemetryLayout,
     ) -> None:
-        shown = env.observation_space
-        check_order("FootSensors", env, source)
         self._was_dict = isinstance(shown, spaces.Dict)
         parts = dict(shown.spaces) if isinstance(shown, spaces.Dict) else {"state": shown}
-        if "foot_raw" in parts:
-            raise TypeError(
-                "FootSensors found 'foot_raw' among the observations: it is the first wrapper around an "
-                f"environment that it reads, and one is enough; got {env}."
-            )
-        kept = {key: part for key, part in parts.items() if key not in TRUE_KEYS}
+        kept = {key: part for key, part in parts.items() if key not in HIDDEN}
         self._alone = list(kept) == ["state"]
-        self.space = spaces.Dict(kept | {"foot_raw": instruments.space})
-        self._state_layout = state_layout
+        self.space = spaces.Dict(kept | {"foot_raw": readings})
+        self.measures = state_layout is not None
         state: Any = spaces.Box(0.0, 0.0, (0,)) if state_layout is None else kept["state"]
         self.bounds = state.low, state.high
-        self._measured: list[tuple[slice, slice]] = []
-        self.newest: NDArray[np.float64]
-        self._zero_code = instruments.zero_code.astype(np.float32)
-        self.held = self._zero_code.copy()
+        self._measured = [] if state_layout is None else _overwritten(state_layout, packet)
 
-    def hold_unloaded(self) -> None:
-        """Hold the readings of unloaded sensors until others arrive."""
-        self.held[:] = self._zero_code
-
-    def listen(self, layout: TelemetryLayout) -> None:
-        """Learn where the measured parts of the state lie in a packet."""
-        self.newest = np.zeros(layout.size)
-        if self._state_layout is not None:
-            self._measured = _overwritten(self._state_layout, layout)
-
-    def show(self, observation: Any, raw: NDArray[np.float64], packets: Packets) -> dict[str, Any]:
+    def show(
+        self, observation: Any, counts: NDArray[np.float32], newest: NDArray[np.float64]
+    ) -> dict[str, Any]:
         """Show one step; the environment's arrays are not changed.
 
         Args:
-            observation: What the environment shows.
-            raw: The feet's readings in counts, shape (K,); NaN where none arrived.
-            packets: Telemetry that arrived, in order.
+            observation: What the environment shows, of all robots at once.
+            counts: The last reading of each channel that has arrived, shape (..., K).
+            newest: Values of the newest packet, shape (..., C).
         """
         state = None
-        if self._state_layout is not None:
-            if packets:
-                self.newest[:] = packets[-1].values
+        if self.measures:
             state = own_copy(observation["state"])
             for where, measured in self._measured:
-                state[where] = self.newest[measured]
+                state[..., where] = newest[..., measured]
             low, high = self.bounds
             np.maximum(state, low, out=state)
             np.minimum(state, high, out=state)
-        return self.seen(observation, self._counts(raw), state)
+        return self.seen(observation, counts.copy(), state)
 
     def seen(self, observation: Any, counts: NDArray[np.float32], state: Any) -> dict[str, Any]:
         """Put together what is seen.
@@ -100,13 +80,13 @@ class RawView:
         Args:
             observation: What the environment shows.
             counts: What is shown of the readings.
-            state: What is shown as the state; ``None`` for the environment's.
+            state: What is shown as the state; ``None`` for the environment's own.
         """
         if not self._was_dict:
             return {"state": own_copy(observation), "foot_raw": counts}
         if state is not None and self._alone:
             return {"state": state, "foot_raw": counts}
-        seen = {key: own_copy(part) for key, part in observation.items() if key not in TRUE_KEYS}
+        seen = {key: own_copy(part) for key, part in observation.items() if key not in HIDDEN}
         if state is not None:
             seen["state"] = state
         seen["foot_raw"] = counts
@@ -119,16 +99,6 @@ class RawView:
             for k in (0, 1)
         )
         return np.zeros_like(self.bounds[0]), to, taken
-
-    def _counts(self, raw: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Show the last reading of each channel that arrived."""
-        counts = raw.astype(np.float32)
-        # One number tells whether to look closer, in a third of the time.
-        if not raw.dot(raw) < np.inf:
-            missing = np.isnan(counts)
-            counts[missing] = self.held[missing]
-        self.held[:] = counts
-        return counts
 
 
 def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:

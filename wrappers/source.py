@@ -55,12 +55,11 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
         below = below.env
 
 
-def robot_note(source: Source) -> str:
+def robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
     """Return which robot it is, to be kept with what is saved of it."""
-    drawing = source.drawing
     places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
     mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
-    return f"{drawing.torso} with {', '.join(source.joint_names)}, drawing {mark}"
+    return f"{drawing.torso} with {', '.join(joint_names)}, drawing {mark}"
 
 
 def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -> Sensors:

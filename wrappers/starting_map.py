@@ -55,7 +55,7 @@ class StartingMap:
 def _read(initial: Any, channels: int) -> str | Parameters:
     """Read the map to start from."""
     if isinstance(initial, str) and initial == "bench":
-        warnings.warn("initial='bench' is initial='calibrated' now.", DeprecationWarning, stacklevel=4)
+        warnings.warn("initial='bench' is initial='calibrated' now.", DeprecationWarning, stacklevel=5)
         initial = "calibrated"
     if isinstance(initial, str) and initial in ("nominal", "calibrated"):
         return initial

@@ -100,7 +100,7 @@ def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[
     env = FootSensors(motion.env(), SENSORS[sensors])
     calibrated: Any = SelfCalibration(env, "none")
     calibrated.reset(seed=seed)
-    together = calibrated.calibrator = _Together(calibrated.calibrator, env.source.drawing)
+    together = calibrated.robot.calibrator = _Together(calibrated.calibrator, env.source.drawing)
     together.update(env.raw, calibrated.reference)
     setup = together.setup
     rng = np.random.default_rng([_STREAM, seed])

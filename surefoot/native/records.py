@@ -18,16 +18,17 @@ class Record:
     Attributes:
         now: What it holds, shape ().
         address: Where the library finds it.
+        bytes: The same memory, byte by byte.
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self.now = np.zeros((), dtype)
         self.address = self.now.ctypes.data
-        self._bytes = self.now.reshape(1).view(np.uint8)
+        self.bytes = self.now.reshape(1).view(np.uint8)
 
     def copy(self) -> NDArray[Any]:
         """Return a copy, of which all fields are views; NumPy's own copies field by field, in 5 us."""
-        return np.ndarray((), self.now.dtype, self._bytes.copy())
+        return np.ndarray((), self.now.dtype, self.bytes.copy())
 
 
 def leaves_of(state: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:

@@ -367,7 +367,7 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
                 before, as_it_was = rows[-1], copy.deepcopy(rows[-1])
                 env.freeze()
             rows.append(env.step(action))
-            assert (env._native is not None) == (found is not None)
+            assert (env.robot._native is not None) == (found is not None)
         np.testing.assert_array_equal(env.reference.com, nothing(2).com)
         np.testing.assert_equal(before, as_it_was, "what was handed out stays as it is")
         said.append(rows)

@@ -204,12 +204,12 @@ def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
         for _ in range(30):
             observation, *_ = env.step(np.zeros(env.action_space.shape, np.float32))
             states.append(observation["state"])
-        kind = type(env._telemetry_state)
-        assert (env._sensing is not None) == (found is not None)
+        kind = type(env.robot._telemetry_state)
+        assert (env.robot._sensing is not None) == (found is not None)
         seen.append(np.array(states))
         seen.append([packet.values for packet in copy.deepcopy(env).packets])
         for twin in (copy.deepcopy, lambda part: pickle.loads(pickle.dumps(part))):
-            telemetry, state, rng = twin((env.telemetry, env._telemetry_state, Stream.of(5)))
+            telemetry, state, rng = twin((env.telemetry, env.robot._telemetry_state, Stream.of(5)))
             assert type(state) is kind
             packets, _ = telemetry.advance(*Motion(24, 1 / 80, 10).step(0), 31 / 80, state, rng)
             seen.append([packet.values for packet in packets])

@@ -52,7 +52,7 @@ def test_truth_is_never_looked_at(method: str, make_bare) -> None:
 
 def test_what_is_shown_is_the_calibrated_count(make_bare) -> None:
     env = SelfCalibration(FootSensors(make_bare()), "window", show=(*DEFAULT, "foot_raw", "foot_load"))
-    weight = 9.81 * env._model.mass
+    weight = 9.81 * env.robot.model.mass
     for observation, info in walk(env, 150):
         scale, offset = info["surefoot"]["parameters"].values()
         force = scale * observation["foot_raw"] + offset

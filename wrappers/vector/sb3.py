@@ -6,25 +6,18 @@ step in which its episode ends, and hands the last observation over as ``infos[i
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.calibration import Parameters
 from surefoot.extras import not_installed
-from surefoot.sensors import Encoders, Imu, Link
-from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.foot_device import FootDevice
-from surefoot.wrappers.foot_sensors import SENSOR_STREAM
-from surefoot.wrappers.foot_view import DEFAULT
-from surefoot.wrappers.self_calibration import BELIEF_STREAM
+from surefoot.wrappers.raw_view import TRUTH_KEY
 from surefoot.wrappers.vector.calibration import BatchCalibration
-from surefoot.wrappers.vector.sensors import BatchSensors, choose_devices
+from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
 from surefoot.wrappers.vector.truth import batch_truth
-from surefoot.wrappers.vector.truth_row import TRUTH_KEY
-from surefoot.wrappers.vector.view import BatchView, check_copies, merge_rows
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -40,12 +33,8 @@ class VecFootSensors(VecEnvWrapper):
     Args:
         venv: A vector environment of SB3.
         config: As of :class:`~surefoot.wrappers.vector.foot_sensors.VectorFootSensors`, like all others.
-        imu: The IMUs.
-        encoders: The joint encoders.
-        link: The links over which they reach the hosts.
-        severity: Factor of all errors of the feet's sensors.
-        fresh: Whether a robot that is reset gets fresh sensors.
-        stream: Number of the random stream.
+        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
+        options: ``ankles`` and so on.
 
     Attributes:
         sensors: The sensors of all robots.
@@ -61,19 +50,19 @@ class VecFootSensors(VecEnvWrapper):
         venv: VecEnv,
         config: str | Mapping[str, Any] | FootDevice | None = None,
         *,
-        imu: str | Mapping[str, Any] | Imu = "nao-imu",
-        encoders: str | Mapping[str, Any] | Encoders = "nao-encoders",
-        link: str | Mapping[str, Any] | Link = "nao-wlan",
-        severity: float = 1.0,
-        fresh: bool = False,
-        stream: int = SENSOR_STREAM,
+        measure_state: bool = True,
+        **options: Unpack[SensorOptions],
     ) -> None:
-        space: Any = venv.observation_space
-        drawing, meaning = check_copies("VecFootSensors", space, venv.get_attr)
-        devices = choose_devices("VecFootSensors", drawing, config, imu, encoders, link, severity, stream)
-        self.sensors = BatchSensors(venv.num_envs, drawing, meaning, devices, stream=stream, fresh=fresh)
-        self._view = BatchView(self.sensors, space)
-        super().__init__(venv, observation_space=self._view.space)
+        self.sensors = BatchSensors(
+            "VecFootSensors",
+            venv.num_envs,
+            venv.observation_space,
+            venv.get_attr,
+            config,
+            measure_state,
+            **options,
+        )
+        super().__init__(venv, observation_space=self.sensors.view.space)
         self.seeds: Sequence[int | None] | None = None
         self._next_seeds: Sequence[int | None] | None = None
 
@@ -86,10 +75,8 @@ class VecFootSensors(VecEnvWrapper):
         """Reset all robots."""
         observations: Any = self.venv.reset()
         self.seeds, self._next_seeds = self._next_seeds, None
-        key, averaged = self.venv.get_attr("row_key", 0)[0], self.venv.get_attr("row_averaged", 0)[0]
-        self.sensors.set_rows(key, averaged)
-        self.sensors.reset(observations[TRUTH_KEY], None, self.seeds)
-        return self._view.show(observations)
+        self.sensors.reset(observations[TRUTH_KEY], None, self.seeds, {})
+        return self.sensors.show(observations)
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """Finish a step and read the sensors."""
@@ -97,12 +84,13 @@ class VecFootSensors(VecEnvWrapper):
         given, rewards, dones, infos = self.venv.step_wait()
         rows = given[TRUTH_KEY]
         finals = {robot: infos[robot]["terminal_observation"] for robot in np.flatnonzero(dones).tolist()}
-        self.sensors.step(merge_rows(rows, finals))
+        fell = dones & ~np.array([info.get("TimeLimit.truncated", False) for info in infos])
+        self.sensors.step(merge_rows(rows, finals), fell=fell)
         for robot, final in finals.items():
-            infos[robot] = {**infos[robot], "terminal_observation": self._view.show_one(final, robot)}
+            infos[robot] = {**infos[robot], "terminal_observation": self.sensors.show_one(final, robot)}
         if finals:
-            self.sensors.begin_episode(rows, dones)
-        return self._view.show(given), rewards, dones, infos
+            self.sensors.begin(rows, dones)
+        return self.sensors.show(given), rewards, dones, infos
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
@@ -116,13 +104,7 @@ class VecSelfCalibration(VecEnvWrapper):
     Args:
         venv: :class:`VecFootSensors` around a vector environment.
         method: As of :class:`~surefoot.wrappers.vector.self_calibration.VectorSelfCalibration`, like all.
-        initial: The map to start from.
-        show: What is observed.
-        lag: How many samples ago a reference describes the feet.
-        fresh: Whether the calibration of a robot starts fresh at each of its resets.
-        errors: How wrong the robots are about themselves, also as a mapping of some of the fields.
-        stream: Number of the random stream.
-        options: Options of the method.
+        options: ``initial``, ``show`` and so on, and options of the method.
 
     Attributes:
         calibration: The calibration of all robots.
@@ -132,57 +114,28 @@ class VecSelfCalibration(VecEnvWrapper):
         ValueError: If the method or an option does not exist, or a value has no meaning.
     """
 
-    def __init__(
-        self,
-        venv: VecEnv,
-        method: str = "moment",
-        *,
-        initial: str | Parameters | Mapping[str, Any] = "nominal",
-        show: Sequence[str] = DEFAULT,
-        lag: int | None = None,
-        fresh: bool = False,
-        errors: BeliefErrors | Mapping[str, Any] = USUAL,
-        stream: int = BELIEF_STREAM,
-        **options: Any,
-    ) -> None:
+    def __init__(self, venv: VecEnv, method: str = "moment", **options: Any) -> None:
         if not isinstance(venv, VecFootSensors):
             raise TypeError(
                 "VecSelfCalibration calibrates the counts of VecFootSensors and goes right around them: "
                 f"VecSelfCalibration(VecFootSensors(venv)). Got {type(venv).__name__}."
             )
-        self._feet = venv
-        self.calibration = BatchCalibration(
-            venv.sensors,
-            method,
-            initial=initial,
-            show=show,
-            lag=lag,
-            fresh=fresh,
-            errors=belief_errors(errors, options),
-            stream=stream,
-            options=options,
-        )
+        self.calibration = BatchCalibration("VecSelfCalibration", venv.sensors, method, **options)
         space: Any = venv.observation_space
-        feet = self.calibration.feet
-        shown = spaces.Dict(feet.around(space.spaces, feet.spaces))
+        shown = spaces.Dict(self.calibration.around(space.spaces, self.calibration.setup.spaces))
         super().__init__(venv, observation_space=shown)
 
     def reset(self) -> dict[str, Any]:
         """Reset all robots; calibration starts fresh if they were seeded."""
-        observations = self._feet.reset()
-        self.calibration.reset(None, self._feet.seeds)
-        return self.calibration.feet.around(observations, self.calibration.feet.shown)
+        observations: Any = self.venv.reset()
+        return self.calibration.around(observations, self.calibration.shown)
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """Finish a step and calibrate by one sample."""
-        observations, rewards, dones, infos = self._feet.step_wait()
+        observations: Any
+        observations, rewards, dones, infos = self.venv.step_wait()
         calibration = self.calibration
-        calibration.step()
         for robot in np.flatnonzero(dones).tolist():
-            final = calibration.feet.around(
-                infos[robot]["terminal_observation"], calibration.feet.last_of(robot)
-            )
+            final = calibration.around(infos[robot]["terminal_observation"], calibration.last_of(robot))
             infos[robot] = {**infos[robot], "terminal_observation": final}
-        if dones.any():
-            calibration.begin_episode(dones)
-        return calibration.feet.around(observations, calibration.feet.shown), rewards, dones, infos
+        return calibration.around(observations, calibration.shown), rewards, dones, infos

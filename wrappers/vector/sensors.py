@@ -1,31 +1,20 @@
-"""The sensors of N robots: one state for all, whatever gathers the robots.
+"""The sensors of N robots, each as it would be alone, whatever gathers the robots."""
 
-Readings follow the control steps: a converter's conversions lie on the straight line between the loads at the
-ends of two steps. Each robot draws from streams of its own, keyed by its seed: its feet's sensors draw what
-they draw in :class:`~surefoot.wrappers.FootSensors` after a reset with that seed, whoever stands beside it.
-"""
-
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, TypedDict, Unpack
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import Encoders, ForceTorque, Imu, Link, LoadCells, scaled
-from surefoot.sensors.devices.load_cells import true_map
-from surefoot.sensors.presets import resolve
-from surefoot.sensors.randomness import Stream
-from surefoot.sensors.select import batch_axes, select
-from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
-from surefoot.wrappers.foot_sensors import stream_key
-from surefoot.wrappers.instruments import Instruments, usual_cells
-from surefoot.wrappers.source import check_stream, wants_fresh
-from surefoot.wrappers.telemetry import timely_link
-from surefoot.wrappers.vector.telemetry import BatchTelemetry
-from surefoot.wrappers.vector.truth_row import RowMeaning, read_rows
+from surefoot.sensors import Encoders, Fault, Imu, Link
+from surefoot.wrappers.foot_device import FootDevice
+from surefoot.wrappers.raw_view import TRUTH_KEY, RawView
+from surefoot.wrappers.robot_sensors import Equipment, RobotSensors
+from surefoot.wrappers.telemetry import TelemetryLayout
+from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, read_rows
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -33,315 +22,249 @@ Mask = NDArray[np.bool_]
 Seeds = int | Sequence[int | None] | None
 """One number for all robots, or one or none a robot."""
 
+Attribute = Callable[[str], Sequence[Any]]
+"""Asks each copy for an attribute."""
 
-class Devices(NamedTuple):
-    """What each robot is equipped with.
+
+class SensorOptions(TypedDict, total=False):
+    """Keyword arguments of :class:`~surefoot.wrappers.FootSensors` that wrappers of many robots have."""
+
+    ankles: str | Mapping[str, Any] | FootDevice | None
+    imu: str | Mapping[str, Any] | Imu
+    encoders: str | Mapping[str, Any] | Encoders
+    link: str | Mapping[str, Any] | Link
+    severity: float
+    faults: Sequence[str | Fault | Mapping[str, Any]]
+    fresh: bool
+    stream: int
+
+
+class Planned(NamedTuple):
+    """What a robot plans for its feet, as :class:`~surefoot.envs.Command` has it.
 
     Attributes:
-        feet: What is under the feet.
-        imu: The IMU.
-        encoders: The joint encoders.
-        link: The link to the host.
+        stance: Feet planned to stand, shape (F,).
+        swing: Feet planned to swing, shape (F,).
     """
 
-    feet: FootDevice
-    imu: Imu
-    encoders: Encoders
-    link: Link
+    stance: Mask
+    swing: Mask
 
 
-class Readings(NamedTuple):
-    """What N hosts have at one moment.
+class Listener(Protocol):
+    """Who takes in what the sensors read, at the moment at which they do."""
 
-    Attributes:
-        raw: The feet's readings in counts, shape (N, K).
-        packet: The newest packets of telemetry that have arrived, shape (N, C); ``None`` where nobody
-            listens.
-        contacts: Feet planned to stand and to swing, 0 or 1, -1 without a plan, shape (N, 2 F).
-    """
+    def step(self, starting: Mask | None, fell: Mask | None) -> None:
+        """Take in a step, in which some robots were reset instead and some have fallen, shape (N,) each."""
 
-    raw: Floats
-    packet: Floats | None
-    contacts: Floats
+    def begin(self, mask: Mask, seeds: Sequence[int | None], choice: str | None) -> None:
+        """Take in robots that were reset, shape (N,), with what."""
 
 
 class BatchSensors:
     """Feels N robots through load cells or ankle sensors, joint encoders and IMUs.
 
     Args:
+        owner: The wrapper that asks, for messages.
         count: Number of robots N.
-        drawing: The robot.
-        meaning: What the rows of truth hold.
-        devices: What each is equipped with.
-        stream: Number of the random stream.
-        fresh: Whether a robot that is reset gets fresh sensors.
+        space: Observation space of one copy.
+        attribute: Asks each copy for an attribute.
+        config: What is under the feet, as of :class:`~surefoot.wrappers.FootSensors`.
+        measure_state: Whether encoders and IMU take the place of what a ``state_layout`` names.
+        options: As of :class:`~surefoot.wrappers.FootSensors`.
 
     Attributes:
-        instruments: What is under the feet of one robot.
-        telemetry: The way of encoders and IMUs to the hosts.
-        readings: What the hosts have now.
-        stepped: What they had at the end of the last step: of a robot whose episode ended with it, the end
-            of that episode.
-        starting: Robots that were reset instead of stepped in the last step, shape (N,), or ``None``.
-        started_within: Robots whose next episode started within it, shape (N,), or ``None``.
-        sensors_fresh: Robots that got fresh sensors at the last of these or of resets, shape (N,).
-        truth: What really happened at the end of the step.
+        drawing: The robot.
+        equipment: What each is equipped with.
+        robots: The sensors of each.
+        view: What is seen of them.
+        planned: What each robot plans; ``None`` for one that plans nothing.
+        listeners: Who takes in what they read.
 
     Raises:
-        ValueError: If the sensors do not fit the robot.
+        TypeError: If copies have no row of truth, or show readings already.
+        ValueError: If copies differ, a preset is unknown, a value is refused, or the sensors do not fit.
     """
 
     def __init__(
         self,
+        owner: str,
         count: int,
-        drawing: RobotDrawing,
-        meaning: RowMeaning,
-        devices: Devices,
-        *,
-        stream: int,
-        fresh: bool,
+        space: Any,
+        attribute: Attribute,
+        config: str | Mapping[str, Any] | FootDevice | None,
+        measure_state: bool = True,
+        **options: Unpack[SensorOptions],
     ) -> None:
-        self.count, self.drawing, self.meaning = count, drawing, meaning
-        check_wire(devices.feet, meaning.dt)
-        self.instruments = Instruments((devices.feet,), drawing)
-        self._devices = devices
-        self._cells = isinstance(devices.feet, LoadCells)
-        self._device = foot_corruption(devices.feet)
-        self._axes = batch_axes(self._device, self.instruments.channels)
-        self._first_steps = self.instruments.first_steps(meaning.dt)
-        self._remembers = self.instruments.slowest > 0.0 or len(self._first_steps) > 1
-        self.telemetry = BatchTelemetry(
-            count,
-            len(meaning.joints),
-            devices.imu,
-            devices.encoders,
-            devices.link,
-            meaning.dt,
-            tilts=bool(meaning.state),
-        )
-        self.fresh, self._stream = fresh, stream
-        self._listening = bool(meaning.state)
-        self._rng, self._telemetry_rng = self._streams([None] * count)
-        self._state: Any = None
-        self._started = False
+        self.drawing, self._meaning = _check_copies(owner, space, attribute)
+        self._attribute, joints = attribute, self._meaning.joints
+        self.equipment = Equipment(owner, self.drawing, joints, self._meaning.dt, config, **options)
+        if "foot_raw" in space.spaces:
+            raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
+        state = {name: slice(start, stop) for name, start, stop in self._meaning.state}
+        readings, packet = self.equipment.instruments.space, TelemetryLayout(len(joints))
+        self.view = RawView(space, readings, state if state and measure_state else None, packet)
+        self.robots = [RobotSensors(self.equipment, self.view.measures) for _ in range(count)]
+        self.planned: list[Planned | None] = [None] * count
+        self.listeners: list[Listener] = []
+        self._rows: Floats = np.zeros((count, 0))
         self._key: Any = None
-        self._everyone = np.ones(count, dtype=bool)
-        self.averaged = False
-        self.readings: Readings
-        self.stepped: Readings
-        self.starting: Mask | None = None
-        self.started_within: Mask | None = None
-        self.sensors_fresh: Mask = self._everyone
-        self.truth: Any = None
 
-    @property
-    def state(self) -> Any:
-        """State of what is under the feet; a value that later steps do not change."""
-        return self._state
+    def listen(self, listener: Listener) -> None:
+        """Send telemetry from the next reset on, and tell of every step and reset."""
+        self.listeners.append(listener)
+        for robot in self.robots:
+            robot.listening = True
 
-    def listen(self) -> None:
-        """Measure telemetry from the next reset on, even if no observation shows it."""
-        self._listening = True
-
-    def set_rows(self, key: Any, averaged: bool) -> None:
-        """Set how rows are to be read, which copies know once they were reset.
-
-        Raises:
-            ValueError: If rows hold means over a step and the IMU gives the value of an instant.
-        """
-        if averaged and not self._devices.imu.averaged:
-            raise ValueError(
-                "The IMU reads instants (Imu.averaged is False) and the rows hold means over a control step; "
-                "wrap the copies in TruthRow(env, averaged=False)."
-            )
-        self._key, self.averaged = key, averaged
-
-    def reset(
-        self, rows: Floats, mask: Mask | None = None, seed: Seeds = None, choice: str | None = None
-    ) -> None:
+    def reset(self, rows: Floats, mask: Mask | None, seed: Seeds, asked: Mapping[str, str]) -> None:
         """Read robots that were reset.
 
         Args:
             rows: One row of truth a robot, shape (N, R).
             mask: Robots that were reset, shape (N,); ``None`` for all.
             seed: What they were reset with.
-            choice: ``"fresh"`` or ``"keep"``, if it was asked for.
+            asked: ``"fresh"`` or ``"keep"`` by kind, if it was asked for.
         """
-        mask = self._everyone if mask is None else mask
-        each = seed_of_each(seed, self.count)
-        seeded = mask & np.array([own is not None for own in each])
-        if seeded.any():
-            for stream, fresh in zip((self._rng, self._telemetry_rng), self._streams(each), strict=True):
-                stream.take(fresh, seeded)
-        self._begin(rows, mask, self.wanting(mask, seed, choice))
-        self.stepped, self.starting, self.started_within = self.readings, None, None
+        count = len(self.robots)
+        mask = np.ones(count, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        each = list(seed) if isinstance(seed, Sequence) else [seed] * count
+        if not isinstance(seed, Sequence) and seed is not None:
+            each = [seed + robot for robot in range(count)]  # one number counts up, as Gymnasium has it
+        self._key = self._attribute("row_key")[0]
+        self.begin(rows, mask, each, asked)
 
-    def wanting(self, mask: Mask, seed: Seeds, choice: str | None) -> Mask:
-        """Return which robots get fresh sensors at a reset, shape (N,)."""
-        each = seed_of_each(seed, self.count)
-        drawn = self._state is not None
-        wanted: Mask = mask & np.array([wants_fresh(choice, own, self.fresh, drawn) for own in each])
-        return wanted
-
-    def step(self, rows: Floats, starting: Mask | None = None) -> None:
+    def step(self, rows: Floats, starting: Mask | None = None, fell: Mask | None = None) -> None:
         """Read all robots after a control step.
 
         Args:
             rows: One row of truth a robot, shape (N, R).
             starting: Robots that were reset instead of stepped, shape (N,), or ``None``.
+            fell: Robots whose episode was terminated, shape (N,), or ``None``.
         """
-        force, before = self._look(rows), self._state
-        # An instrument that remembers nothing has read the first moment already.
-        again = starting is not None and (self.fresh or self._remembers)
-        rng = self._rng.only(~starting) if again and starting is not None else self._rng
-        raw, self._state = self._device.apply(force, before, rng, self.meaning.dt)
-        self.starting, self.started_within, self.sensors_fresh = starting, None, self._everyone & False
-        if starting is not None and self.fresh:
-            self.sensors_fresh = starting
-            before = self._drawn(starting, before)
-        if again and starting is not None:
-            raw = self._first_readings(force, starting, before, raw)
-        if self._started:
-            self.telemetry.measure(*self._felt(), starting, self._telemetry_rng)
-        self._keep(raw, rows)
-        self.stepped = self.readings
+        begun, dt = [False] * len(rows) if starting is None else starting.tolist(), self._meaning.dt
+        for robot, truth, begins in zip(self.robots, self._look(rows), begun, strict=True):
+            if begins:
+                robot.reset(truth, dt)
+            else:
+                robot.step(truth)
+        for listener in self.listeners:
+            listener.step(starting, fell)
 
-    def begin_episode(self, rows: Floats, mask: Mask) -> None:
-        """Read robots whose next episode starts within the step that ended one; to be called after it.
+    def begin(
+        self,
+        rows: Floats,
+        mask: Mask,
+        seeds: Sequence[int | None] | None = None,
+        asked: Mapping[str, str] | None = None,
+    ) -> None:
+        """Read robots that start an episode; within a step, after :meth:`step`.
 
         Args:
             rows: One row of truth a robot, shape (N, R); those of ``mask`` are of the new episode.
             mask: These robots, shape (N,).
+            seeds: What each was reset with.
+            asked: As of :meth:`reset`.
         """
-        stepped = self.stepped
-        wanted = mask if self.fresh else mask & False
-        self._begin(rows, mask, wanted)
-        self.stepped, self.started_within = stepped, mask
+        truths, asked = self._look(rows), asked or {}
+        seeds = [None] * len(rows) if seeds is None else seeds
+        for i in np.flatnonzero(mask).tolist():
+            self.robots[i].reset(truths[i], self._meaning.dt, seeds[i], asked.get("sensors"))
+        for listener in self.listeners:
+            listener.begin(mask, seeds, asked.get("calibration"))
 
-    def true_parameters(self) -> Parameters:
-        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against.
+    def show(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+        """Show what the hosts have now; arrays of the environment are not changed."""
+        held = np.array([robot.held for robot in self.robots])
+        return self.view.show(observations, held, np.array([robot.newest for robot in self.robots]))
 
-        Raises:
-            ValueError: If there are six-axis sensors under the feet, whose cross-talk is in no such map.
-        """
-        device = self._devices.feet
-        if isinstance(device, ForceTorque):
-            raise ValueError("Six-axis sensors have cross-talk, which no scale and offset a channel undo.")
-        scale, offset = true_map(device, self._state)
-        return Parameters(scale, offset)
+    def show_one(self, observation: Mapping[str, Any], robot: int) -> dict[str, Any]:
+        """Show what one host has now."""
+        own = self.robots[robot]
+        return self.view.show(observation, own.held, own.newest)
 
     @property
-    def _shape(self) -> tuple[int, int]:
-        return self.count, self.instruments.channels
+    def truth(self) -> Any:
+        """What really happened at the end of the step."""
+        columns = self._meaning.columns
+        last = self._rows[:, (self._meaning.rows - 1) * columns : self._meaning.rows * columns]
+        return read_rows(last, self._key)
 
-    def _streams(self, seeds: Sequence[int | None]) -> tuple[Stream, Stream]:
-        """Return the streams of the feet's sensors and of telemetry of robots with these seeds."""
-        feet, telemetry = (
-            Stream.of_each(stream_key(device, self._stream, seed) for seed in seeds)
-            for device in (self.instruments.parts[0].name, "telemetry")
-        )
-        return feet, telemetry
+    def true_parameters(self) -> Parameters:
+        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
+        maps = [robot.true_parameters() for robot in self.robots]
+        return Parameters(*map(np.array, zip(*maps, strict=True)))
 
-    def _begin(self, rows: Floats, mask: Mask, wanted: Mask) -> None:
-        """Read the robots in ``mask`` for the first time; those ``wanted`` with fresh sensors."""
-        force = self._look(rows)
-        state = self._drawn(wanted, self._state) if wanted.any() else self._state
-        raw = self._first_readings(force, mask, state, None if mask.all() else self.readings.raw)
-        telemetry_rng = self._telemetry_rng
-        if self._listening:
-            if self._started:
-                self.telemetry.remeasure(mask, *self._felt(), telemetry_rng.only(mask))
-            else:
-                if not wanted.any():
-                    # The feet's sensors were drawn before anybody listened.
-                    self.telemetry.draw(self._everyone, telemetry_rng)
-                self.telemetry.measure(*self._felt(), self._everyone, telemetry_rng)
-                self._started = True
-        self.sensors_fresh = wanted
-        self._keep(raw, rows)
-
-    def _look(self, rows: Floats) -> Floats:
-        """Read the truth, and what the feet's sensors feel of it, as they take it."""
-        self.truth = truth = read_rows(rows[:, : self.meaning.columns].copy(), self._key)
-        if self._cells:
-            force: Floats = truth.force_cell[:, None]
-            return force
-        return truth.wrench_ankle.reshape(self.count, -1)
-
-    def _drawn(self, wanted: Mask, state: Any) -> Any:
-        """Draw fresh sensors for the robots that want them; return the state of the feet's."""
-        fresh = self._device.init(self._shape, self._rng if state is None else self._rng.only(wanted))
-        if self._listening:
-            self.telemetry.draw(wanted, self._telemetry_rng.only(wanted))
-        return fresh if wanted.all() or state is None else select(wanted, fresh, state, self._axes)
-
-    def _first_readings(self, force: Floats, mask: Mask, state: Any, raw: Floats | None) -> Floats:
-        """Read the load of now until no reading of robots that start an episode is of another load.
-
-        Args:
-            force: What is felt now.
-            mask: These robots, shape (N,).
-            state: What their sensors were before.
-            raw: The others' readings, shape (N, K); ``None`` without others.
-
-        Returns:
-            Readings of all.
-        """
-        if self._cells:
-            # Nothing joins this moment to the one before.
-            state = state._replace(previous=force[:, -1] + 0.0)
-        first, rng = force, self._rng.only(mask)
-        for dt in self._first_steps:
-            first, state = self._device.apply(force, state, rng, dt)
-        if raw is None:
-            self._state = state
-            return first
-        self._state = select(mask, state, self._state, self._axes)
-        return np.where(mask[:, None], first, raw)
-
-    def _felt(self) -> tuple[Floats, Floats, Floats]:
-        truth = self.truth
-        return truth.joint_position, truth.inertial, truth.R_world_torso[:, 2]
-
-    def _keep(self, raw: Floats, rows: Floats) -> None:
-        packet = self.telemetry.packet.copy() if self._started else None
-        self.readings = Readings(raw, packet, rows[:, self.meaning.columns :].copy())
+    def _look(self, rows: Floats) -> list[Any]:
+        """Keep what each robot plans, and return what happened to it."""
+        self._rows, meaning, feet = rows, self._meaning, self._meaning.feet
+        plans = rows[:, -2 * feet :]
+        if (plans[:, 0] == NO_PLAN).all():
+            self.planned = [None] * len(rows)
+        else:
+            self.planned = [Planned(plan[:feet], plan[feet:]) for plan in plans > 0.0]
+        shape = (len(rows), meaning.rows, meaning.columns)
+        return [read_rows(own, self._key) for own in rows[:, : -2 * feet].reshape(shape)]
 
 
-def choose_devices(
-    owner: str,
-    drawing: RobotDrawing,
-    feet: Any,
-    imu: Any,
-    encoders: Any,
-    link: Any,
-    severity: float,
-    stream: int,
-) -> Devices:
-    """Return configurations of preset names, mappings or configurations.
+def merge_rows(rows: Floats, finals: Mapping[int, Mapping[str, Any]]) -> Floats:
+    """Put the rows of robots' last moments in the place of those of their first.
+
+    Args:
+        rows: One row of truth a robot, shape (N, R); it is not changed.
+        finals: The last observation of some robots' episodes, by their numbers.
+    """
+    if not finals:
+        return rows
+    merged = rows.copy()
+    for robot, final in finals.items():
+        merged[robot] = final[TRUTH_KEY]
+    return merged
+
+
+def _check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDrawing, RowMeaning]:
+    """Return the robot of all copies, which must be the same and show its truth.
+
+    Args:
+        owner: Who asks, for messages.
+        space: Observation space of one copy.
+        attribute: Asks each copy for an attribute.
+
+    Returns:
+        The robot, and what rows hold.
 
     Raises:
-        ValueError: If a name is unknown or a value is refused.
+        TypeError: If copies have no row of truth.
+        ValueError: If copies differ.
     """
-    check_stream(owner, stream)
-    device = usual_cells(drawing) if feet is None else foot_device(feet)
-    chosen = timely_link(link)
-    if severity != 1.0:
-        device = scaled(device, severity)
-    return Devices(device, resolve(imu, Imu), resolve(encoders, Encoders), chosen)
+    if not isinstance(space, spaces.Dict) or TRUTH_KEY not in space.spaces:
+        raise TypeError(
+            f"{owner} reads a row of truth beside each copy's observation, found none in {space}; wrap "
+            f"each copy: gym.make_vec(..., vectorization_mode='sync', wrappers=[TruthRow]), and {owner} "
+            "right around what it makes."
+        )
+    shown = attribute("observation_space")
+    odd = [i for i, own in enumerate(shown) if own != shown[0]]
+    if odd:
+        raise ValueError(
+            f"{owner} needs copies with one observation space, but those of copies {odd} are not that of "
+            f"copy 0: {shown[odd[0]]} is not {shown[0]}."
+        )
+    drawings, meanings = attribute("drawing"), attribute("row_meaning")
+    odd = [
+        i
+        for i, own in enumerate(drawings)
+        if own.xml != drawings[0].xml or not _same_cells(own, drawings[0]) or meanings[i] != meanings[0]
+    ]
+    if odd:
+        raise ValueError(
+            f"{owner} needs copies of one robot, but copies {odd} are of another than copy 0 (other bodies, "
+            "masses, joints, cells or control steps); put them into vector environments of their own."
+        )
+    return drawings[0], meanings[0]
 
 
-def seed_numbers(seed: Seeds) -> list[int]:
-    """Return the numbers that a vector environment is seeded with; none without a seed."""
-    if seed is None:
-        return []
-    if isinstance(seed, Sequence):
-        return [int(number) for number in seed if number is not None]
-    return [int(seed)]
-
-
-def seed_of_each(seed: Seeds, count: int) -> list[int | None]:
-    """Return what each of ``count`` robots is seeded with; one number counts up, as Gymnasium does."""
-    if isinstance(seed, Sequence):
-        return list(seed)
-    return [None if seed is None else seed + robot for robot in range(count)]
+def _same_cells(one: RobotDrawing, other: RobotDrawing) -> bool:
+    places, others = one.position_cell_sole, other.position_cell_sole
+    if places is None or others is None:
+        return places is others
+    return np.array_equal(places, others)

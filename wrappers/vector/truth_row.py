@@ -5,9 +5,10 @@ processes of their own, and hands over the last one of an episode where it reset
 observation travels that way for free. The wrapper around the vector environment takes it out before anyone
 sees it.
 
-The row is what the simulator's sensors read; what it means is worked out for all robots at once.
+The row is what the simulator's sensors read at each substep; what it means is worked out where it is read.
 """
 
+import warnings
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -19,12 +20,9 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, Truth
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
-from surefoot.wrappers.raw_view import TRUE_KEYS, check_order, own_copy
+from surefoot.wrappers.raw_view import TRUE_KEYS, TRUTH_KEY, check_order, own_copy
 from surefoot.wrappers.source import check_clock, find_source, with_source
 from surefoot.wrappers.telemetry import MEASURED
-
-TRUTH_KEY = "surefoot_truth"
-"""Name of the row in an observation."""
 
 NO_PLAN = -1.0
 """What the row holds for feet planned to stand and to swing, 0 or 1, where nobody plans."""
@@ -34,7 +32,9 @@ class RowMeaning(NamedTuple):
     """What the rows of a robot's copies hold.
 
     Attributes:
-        columns: Number of the simulator's sensors in front; feet planned to stand and to swing follow.
+        rows: Number of substeps S of a control step.
+        columns: Number of the simulator's sensors, those of one substep after the other in front; feet
+            planned to stand and to swing follow.
         feet: Number of feet F.
         joints: Names of the J hinge joints.
         dt: Duration of a control step in s.
@@ -42,6 +42,7 @@ class RowMeaning(NamedTuple):
             ``observation["state"]``, or nothing.
     """
 
+    rows: int
     columns: int
     feet: int
     joints: tuple[str, ...]
@@ -51,7 +52,7 @@ class RowMeaning(NamedTuple):
     @property
     def size(self) -> int:
         """Number of all columns."""
-        return self.columns + 2 * self.feet
+        return self.rows * self.columns + 2 * self.feet
 
 
 class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -64,13 +65,12 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     Args:
         env: An environment built on MuJoCo.
-        averaged: Whether the IMU gives the mean of a control step, as most chips do, or its end.
+        averaged: Of no effect since the row has all substeps; it will be taken out.
         keep_info: Whether ``info["surefoot"]``, in which the copy has its truth, is handed on; it costs
             more than everything else here.
 
     Attributes:
         row_meaning: What the row holds.
-        row_averaged: Whether the IMU's columns are means over a step; known after a reset.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo, there is another row below, or a wrapper below
@@ -78,8 +78,12 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         RuntimeError: At a step, if a wrapper below repeats steps or resets by itself.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], *, averaged: bool = True, keep_info: bool = False) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, averaged=averaged, keep_info=keep_info)
+    def __init__(
+        self, env: gym.Env[Any, Any], *, averaged: bool | None = None, keep_info: bool = False
+    ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, keep_info=keep_info)
+        if averaged is not None:
+            warnings.warn("The row of TruthRow has all substeps: leave averaged= out.", DeprecationWarning, 2)
         if isinstance(env.observation_space, spaces.Dict) and TRUTH_KEY in env.observation_space.spaces:
             raise TypeError(f"TruthRow found another TruthRow below it; one is enough. Got {env}.")
         gym.Wrapper.__init__(self, with_source(env))
@@ -91,10 +95,10 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         self._flat = not isinstance(space, spaces.Dict)
         parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {"state": space}
         self.row_meaning = _meaning(source)
-        self._averaged, self._keep_info = averaged, keep_info
+        self._keep_info = keep_info
         if not keep_info and hasattr(source, "tells"):
             source.tells = False
-        self.row_averaged = self._plans = False
+        self._plans = False
         self._kept = [key for key in parts if key not in TRUE_KEYS]
         row = spaces.Box(-np.inf, np.inf, (self.row_meaning.size,), np.float64)
         self.observation_space = spaces.Dict({key: parts[key] for key in self._kept} | {TRUTH_KEY: row})
@@ -130,24 +134,18 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
     def begin(self, source: Any) -> None:
         """See what a source has once it has been reset."""
         self._plans = hasattr(source, "command")
-        self.row_averaged = self._averaged and isinstance(source.truth, Truth)
 
     def show(self, observation: Any, source: Any) -> dict[str, Any]:
         """Return an observation and the row of its source's truth, of one robot or with many in front."""
         parts = {"state": observation} if self._flat else observation
         seen = {key: own_copy(parts[key]) for key in self._kept}
-        meaning, rows, columns = self.row_meaning, source.truth.rows, self.row_meaning.columns
-        row = np.empty((*rows.shape[:-2], meaning.size))
-        row[..., :columns] = rows[..., -1, :]
-        if self.row_averaged:
-            for where in (source.truth.channels.accelerometer, source.truth.channels.gyroscope):
-                row[..., where] = rows[..., where].mean(axis=-2)
+        rows, planned = source.truth.rows, 2 * self.row_meaning.feet
+        row = np.empty((*rows.shape[:-2], self.row_meaning.size))
+        row[..., :-planned] = rows.reshape(*rows.shape[:-2], -1)
+        row[..., -planned:] = NO_PLAN
         if self._plans:
-            command, feet = source.command, meaning.feet
-            row[..., columns : columns + feet] = command.stance
-            row[..., columns + feet :] = command.swing
-        else:
-            row[..., columns:] = NO_PLAN
+            command = source.command
+            row[..., -planned:] = np.concatenate([command.stance, command.swing], axis=-1)
         seen[TRUTH_KEY] = row
         return seen
 
@@ -194,10 +192,10 @@ def _without_truth(infos: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
-    """Read the simulator's columns of many robots' rows, as truth with robots in the place of substeps.
+    """Read the simulator's columns of one robot's substeps, or of many robots in the place of substeps.
 
     Args:
-        rows: Shape (N, columns).
+        rows: Shape (S, columns) or (N, columns).
         key: :attr:`TruthRow.row_key`.
     """
     return FeetTruth(rows, key) if hasattr(key, "feet") else Truth(rows, key)
@@ -206,9 +204,9 @@ def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
 def _meaning(source: Any) -> RowMeaning:
     feet, joints = len(source.drawing.feet), tuple(source.joint_names)
     if hasattr(source, "channels"):
-        columns = source.channels.size
+        rows, columns = round(source.dt / source.model.opt.timestep), source.channels.size
     else:
-        columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
+        rows, columns = 1, FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
     named = getattr(source, "state_layout", None)
     state = () if named is None else tuple((name, named[name].start, named[name].stop) for name in MEASURED)
-    return RowMeaning(int(columns), feet, joints, float(source.dt), state)
+    return RowMeaning(rows, int(columns), feet, joints, float(source.dt), state)

@@ -1,0 +1,389 @@
+"""The calibration of one robot's feet over all its episodes, with what it knows of itself.
+
+Wrappers of one robot and of many are made of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import FootCalibrator, Parameters, Reference
+from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.setup import method_name
+from surefoot.calibration.state import load_state, save_state
+from surefoot.names import plain_name
+from surefoot.wrappers.belief_errors import BeliefErrors, belief_errors
+from surefoot.wrappers.beliefs import Beliefs
+from surefoot.wrappers.chances import Chances
+from surefoot.wrappers.foot_view import FootView, check_certainty
+from surefoot.wrappers.instruments import layout_options
+from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
+from surefoot.wrappers.native_beliefs import NativeBeliefs, native_beliefs
+from surefoot.wrappers.native_sample import NativeSample
+from surefoot.wrappers.nominal import Masses, NominalModel
+from surefoot.wrappers.robot_sensors import Equipment, RobotSensors
+from surefoot.wrappers.source import check_stream, wants_fresh
+from surefoot.wrappers.starting_map import StartingMap
+
+BELIEF_STREAM = 0x5F01
+"""Number of the random stream that the errors of the robot's beliefs are drawn from."""
+
+
+class Learnt(NamedTuple):
+    """What a robot takes with it from episode to episode.
+
+    Attributes:
+        state: State of the calibrator.
+        initial: The map that it began from.
+        masses: What the robot believes of its bodies.
+    """
+
+    state: Any
+    initial: Parameters
+    masses: Masses
+
+
+class CalibrationSetup:
+    """How the robots of a kind are calibrated.
+
+    Args:
+        owner: The wrapper that asks, for messages.
+        equipment: What each is equipped with.
+        method: As of :class:`~surefoot.wrappers.SelfCalibration`, like all that follow.
+        initial: The map to start from.
+        show: What is observed.
+        lag: How many samples ago a reference describes the feet; ``None`` for as few as the link allows.
+        fresh: Whether calibration starts fresh at each reset.
+        errors: How wrong the robots are about themselves.
+        stream: Number of the random stream.
+        options: Of the method, and of version 0.1.
+
+    Attributes:
+        start: The map to start from.
+        layout: The feet and their channels.
+        errors: How wrong the robots are about themselves.
+
+    Raises:
+        ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
+            that a nominal model can be made of: one free body, hinge joints, two feet.
+    """
+
+    def __init__(
+        self,
+        owner: str,
+        equipment: Equipment,
+        method: str,
+        *,
+        initial: str | Parameters | Mapping[str, Any],
+        show: Sequence[str],
+        lag: int | None,
+        fresh: bool,
+        errors: BeliefErrors | Mapping[str, Any],
+        stream: int,
+        options: dict[str, Any],
+    ) -> None:
+        self.method = method_name(method)
+        self.errors = belief_errors(errors, options)
+        instruments, drawing = equipment.instruments, equipment.drawing
+        self.start = StartingMap(initial, instruments.nominal, self.errors)
+        check_stream(owner, stream)
+        if len(drawing.feet) != 2:
+            raise ValueError(
+                f"{owner} needs a robot on two feet, got the feet {drawing.feet}: name two, or use "
+                f"{owner.replace('SelfCalibration', 'FootSensors')} alone."
+            )
+        self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
+        self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
+        self.options = layout_options(self.layout, drawing, self.method) | options
+        self.mass = self.model().mass
+        # Calibrators are made at resets; one now refuses bad options before the first step.
+        self.native = self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0).native() is not None
+        self.spaces = self.view().spaces
+        check_certainty(show, self.method)
+
+    def model(self) -> NominalModel:
+        """Make a robot's model of itself, as drawn."""
+        return NominalModel.of_drawing(self.drawing, self.errors)
+
+    def calibrator(self, mass: float, initial: Parameters | None, dt: float, lag: int) -> FootCalibrator:
+        """Make a calibrator; arguments as of :class:`~surefoot.calibration.FootCalibrator`."""
+        return FootCalibrator(
+            self.layout, self.method, mass=mass, initial=initial, dt=dt, lag=lag, **self.options
+        )
+
+    def view(self, count: int | None = None) -> FootView:
+        """Make what shows the feet of one robot, or of so many."""
+        return FootView(self.show, self.layout, self.mass, self.drawing.flaw, count)
+
+
+class RobotCalibration:
+    """One robot's beliefs and its calibrator.
+
+    Args:
+        setup: How it is calibrated.
+        sensors: Its sensors.
+        alone: Whether it has a calibrator of its own; else only what one of many robots needs of it.
+
+    Attributes:
+        calibrator: The calibrator, from the first reset on.
+        initial: The map that it began from.
+        model: The robot as it believes itself to be.
+        beliefs: Its beliefs.
+        reference_time: The moment that the reference describes, in s of the host's clock since the reset.
+        late: How many samples ago that was.
+        frozen: Whether nothing is learnt for now.
+        made: Whether there was a reset.
+    """
+
+    def __init__(self, setup: CalibrationSetup, sensors: RobotSensors, alone: bool = True) -> None:
+        self._setup, self._sensors, self._alone = setup, sensors, alone
+        self.model = setup.model()
+        self._view = setup.view()
+        self._rng = np.random.default_rng()
+        self._native: NativeSample | None = None
+        self._estimate: Estimate | None = None
+        self.calibrator: FootCalibrator
+        self.initial: Parameters
+        self.beliefs: Beliefs | NativeBeliefs
+        self.reference_time = 0.0
+        self.frozen = self.made = False
+        self.late = self._waiting = 0
+        self._chances = Chances()
+
+    def judge(self, moved: bool | None = None) -> bool:
+        """Warn, before a reset, if nothing was learnt for long; return whether that was done.
+
+        Args:
+            moved: Whether the map is no longer the starting map, if the calibrator is not the robot's own.
+        """
+        if not self.made or self.frozen or self._setup.method == "none":
+            return False
+        moved = self._moved() if moved is None else moved
+        return self._chances.judge(moved, self._sensors.telemetry.dt)
+
+    def reset(self, seed: int | None = None, choice: str | None = None) -> bool:
+        """Start an episode, after the sensors did; what was learnt is kept, or calibration starts fresh.
+
+        Args:
+            seed: Of the reset.
+            choice: ``"fresh"`` or ``"keep"``, if it was asked for.
+
+        Returns:
+            Whether it started fresh.
+        """
+        setup, sensors, telemetry = self._setup, self._sensors, self._sensors.telemetry
+        if seed is not None:
+            self._rng = np.random.default_rng([setup.stream, seed])
+        fresh = wants_fresh(choice, seed, setup.fresh or sensors.sensors_fresh, self.made)
+        if fresh:
+            self._start_fresh()
+        else:
+            self._wait_out()
+        self.beliefs = native_beliefs(
+            Beliefs(
+                self.model,
+                telemetry.layout,
+                telemetry.period,
+                telemetry.link.delay,
+                telemetry.averaged,
+                lag=self.late,
+                dt=telemetry.dt,
+            )
+        )
+        self._view.begin_episode()
+        return fresh
+
+    def by_library(self) -> NativeSample | None:
+        """Return what takes in a whole sample in one call; ``None`` where Python does it, or its parts."""
+        beliefs, native = self.beliefs, self.calibrator.native()
+        if native is None or not isinstance(beliefs, NativeBeliefs):
+            self._native = None
+        elif self._native is None or not self._native.goes_on(beliefs, native[1]):
+            self._native = NativeSample(beliefs, *native, self._view, self.calibrator.setup.dt)
+        return self._native
+
+    def feed(self, native: NativeSample, command: Any) -> None:
+        """Take in the packets that have arrived and one sample by :meth:`by_library`."""
+        sensors, hold = self._sensors, self._next()
+        arrived = sensors.arrived()
+        if arrived is None:
+            self.beliefs.update(sensors.packets)
+        self._estimate = None  # made of the library's record when somebody asks
+        native.feed(sensors.raw, (self.reference_time, sensors.time), command, hold, arrived)
+        self._chances.add(self.beliefs.known, self.beliefs.standing)
+
+    def believe(self, command: Any) -> bool:
+        """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
+        hold, beliefs, arrived = self._next(), self.beliefs, self._sensors.arrived()
+        if arrived is None or isinstance(beliefs, Beliefs):
+            beliefs.update(self._sensors.packets)
+        else:
+            beliefs.update_rows(*arrived)
+        fell = beliefs.sample(self.reference_time, command, hold)
+        self._chances.add(self.beliefs.known, self.beliefs.standing)
+        return fell
+
+    def sample(self, command: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Take in one sample; return what an agent is shown and what ``info`` holds, as fresh arrays."""
+        native = self.by_library()
+        if native is not None:
+            self.feed(native, command)
+            shown, told = native.told()
+        else:
+            if self.believe(command):
+                self.calibrator.retract()
+            self._estimate = estimate = self.calibrator.update(self._sensors.raw, self.beliefs.believed)
+            shown, told = self._view.show(estimate, self.soles()), told_of(estimate, self.beliefs.info())
+        told["lag"] = self.late
+        return shown, told
+
+    def soles(self) -> NDArray[np.float64]:
+        """Return where the soles are now in the level frame, shape (2, 4)."""
+        return self.beliefs.soles(self._sensors.time)
+
+    def retract(self) -> None:
+        """Take back what was learnt of late by a robot that has fallen; the estimate is of before."""
+        self._estimate = self.estimate
+        self.calibrator.retract()
+
+    @property
+    def estimate(self) -> Estimate:
+        """The calibrator's last estimate."""
+        if self._estimate is None:
+            if self._native is None:
+                raise gym.error.ResetNeeded("There is no estimate before the first reset().")
+            self._estimate = self._native.estimate()
+        return self._estimate
+
+    @property
+    def reference(self) -> Reference:
+        """The last reference."""
+        believed = self.beliefs.believed
+        return believed if isinstance(believed, Reference) else believed.reference()
+
+    def learnt(self) -> Learnt:
+        """Return what the robot takes with it.
+
+        Raises:
+            RuntimeError: If there was no reset.
+        """
+        if not self.made:
+            raise RuntimeError("There is no calibrator before the first reset(), which makes it.")
+        initial = Parameters(*(np.asarray(part, dtype=np.float64) for part in self.initial))
+        return Learnt(self.calibrator.state if self._alone else (), initial, self.model.masses)
+
+    def take_over(self, learnt: Learnt) -> None:
+        """Go on with what was learnt."""
+        self.model.masses, self.initial = learnt.masses, learnt.initial
+        if self._alone:
+            self._make()
+            self.calibrator.state = learnt.state
+        self._wait_out()
+
+    def notes(self) -> dict[str, str]:
+        """Return what something that is saved belongs to."""
+        setup, equipment = self._setup, self._sensors.equipment
+        return {
+            "method": f"{plain_name(setup.method)} {setup.options}",
+            "robot": equipment.notes()["robot"],
+            "channels": " ".join(setup.layout.channel_names),
+            "timing": f"{self._sensors.telemetry.dt:.9g} s a sample, {self.late} samples late",
+        }
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The library's record, of which an estimate is made, stays behind.
+        return {**vars(self), "_estimate": self.estimate if self.made and self._alone else None}
+
+    def _moved(self) -> bool:
+        """Return whether the map is no longer the starting map."""
+        start, now = self.calibrator.setup.initial, self.estimate
+        return bool((now.scale != start.scale).any() or (now.offset != start.offset).any())
+
+    def _next(self) -> bool:
+        """Go on by one sample; return whether nothing is to be learnt of it."""
+        sensors = self._sensors
+        self.reference_time = sensors.time - self.late * sensors.telemetry.dt - self._setup.age
+        hold = self.frozen or self._waiting > 0
+        self._waiting = max(self._waiting - 1, 0)
+        return hold
+
+    def _wait_out(self) -> None:
+        """Learn nothing while the oldest sample that a reference needs is of the last episode."""
+        self._waiting = waiting_samples(self.late, self._setup.age, self._sensors.telemetry.dt)
+
+    def _start_fresh(self) -> None:
+        """Draw what the robot is wrong about, and start from the starting map."""
+        setup, telemetry, rng = self._setup, self._sensors.telemetry, self._rng
+        self.model.draw(rng)
+        self.initial = self._first_map(rng)
+        self.late = usual_lag(telemetry, setup.age) if setup.lag is None else setup.lag
+        check_lag(self.late, telemetry, setup.age)
+        if self._alone:
+            self._make()
+        self.made, self._waiting = True, 0
+
+    def _make(self) -> None:
+        dt = self._sensors.telemetry.dt
+        self.calibrator = self._setup.calibrator(self.model.mass, self.initial, dt, self.late)
+
+    def _first_map(self, rng: np.random.Generator) -> Parameters:
+        """Find the map to start from."""
+        start = self._setup.start
+        if start.given:
+            return start.known
+        # Drawn for the data sheet's as well: whichever of the two it is, what is drawn later is the same.
+        drawn = rng.standard_normal((2, self._setup.layout.channels))
+        if not start.calibrated:
+            return start.known
+        return start.off(self._sensors.true_parameters(), drawn)
+
+
+def told_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
+    """Return what ``info`` holds of an estimate, which may hold arrays of the one before, as copies."""
+    return {
+        "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
+        "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
+        "flags": estimate.flags.copy(),
+        "vgrf": estimate.vgrf.copy(),
+        "reference": reference,
+    }
+
+
+def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration], *together: Any) -> None:
+    """Write what robots have learnt, and the masses that it rests on, to an ``.npz`` without pickles.
+
+    Args:
+        path: The file.
+        robots: The robots.
+        *together: The state of what many of them have together, if anything.
+
+    Raises:
+        RuntimeError: If they have not been reset.
+    """
+    save_state(path, _side_by_side(robots, together), **robots[0].notes())
+
+
+def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration], *together: Any) -> Any:
+    """Go on with what a file of :func:`save_learnt` has of as many robots.
+
+    Returns:
+        The state of what they have together, if anything.
+
+    Raises:
+        RuntimeError: If they have not been reset.
+        ValueError: If the file is of another robot, other sensors, another method or another lag.
+    """
+    found = load_state(path, like := _side_by_side(robots, together), **robots[0].notes())
+    for robot, learnt in zip(robots, (found,) if isinstance(like, Learnt) else found, strict=False):
+        robot.take_over(learnt)
+    return found[-1]
+
+
+def _side_by_side(robots: Sequence[RobotCalibration], together: tuple[Any, ...]) -> Any:
+    """Return what one robot has learnt as it is, and of many side by side."""
+    found = tuple(robot.learnt() for robot in robots)
+    return found[0] if len(found) == 1 and not together else (*found, *together)

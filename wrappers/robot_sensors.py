@@ -1,0 +1,366 @@
+"""The sensors of one robot over all its episodes: truth in, readings and packets of telemetry out.
+
+Wrappers of one robot and of many are made of it, so that a seed gives a robot the same sensors anywhere.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration import GRAVITY, Parameters
+from surefoot.calibration.state import load_state, save_state
+from surefoot.envs import RobotDrawing
+from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, scaled
+from surefoot.sensors.presets import resolve
+from surefoot.sensors.randomness import Stream
+from surefoot.sensors.transport.link import Packets
+from surefoot.sensors.transport.wire import check_wire
+from surefoot.wrappers.foot_device import FootDevice, foot_device
+from surefoot.wrappers.instruments import Instruments, InstrumentsState, usual_cells
+from surefoot.wrappers.native_sensing import NativeSensing, native_sensing
+from surefoot.wrappers.native_telemetry import telemetry_of
+from surefoot.wrappers.raw_view import RawView
+from surefoot.wrappers.source import check_stream, robot_note, wants_fresh
+from surefoot.wrappers.telemetry import Telemetry, timely_link
+
+SENSOR_STREAM = 0x5F00
+"""Number of the random stream that sensors draw from unless another is given."""
+
+DEVICES = ("cells", "ankles", "faults", "telemetry")
+"""Devices of a robot that draw; each has a stream of its own within that one, by its place here."""
+
+
+class HardwareState(NamedTuple):
+    """What stays as it is while the power is on, whatever happens to the robot.
+
+    Attributes:
+        instruments: What is under the feet.
+        faults: What is broken about it, or ``()``.
+        telemetry: IMU and encoders (:class:`~surefoot.wrappers.telemetry.Hardware`), or ``None`` where nobody
+            listens.
+    """
+
+    instruments: InstrumentsState
+    faults: Any
+    telemetry: Any
+
+
+class Equipment:
+    """What each robot of a kind is equipped with.
+
+    Args:
+        owner: The wrapper that asks, for messages.
+        drawing: The robot.
+        joint_names: Its J hinge joints.
+        dt: Duration of a control step in s.
+        config: As of :class:`~surefoot.wrappers.FootSensors`, like all that follow.
+        ankles: Six-axis sensors besides load cells.
+        imu: The IMU.
+        encoders: The joint encoders.
+        link: The link over which encoders and IMU reach the host.
+        severity: Factor of all errors of the feet's sensors.
+        faults: What breaks when.
+        fresh: Whether every reset draws fresh sensors.
+        stream: Number of the random stream.
+
+    Attributes:
+        instruments: What is under the feet.
+        drawing: The robot.
+        fresh: Whether every reset draws fresh sensors.
+        broken: The faults of channels, or ``None``.
+
+    Raises:
+        TypeError: If faults are no sequence.
+        ValueError: If a preset is unknown, a value is refused, or the feet have no place for the sensors.
+    """
+
+    def __init__(
+        self,
+        owner: str,
+        drawing: RobotDrawing,
+        joint_names: tuple[str, ...],
+        dt: float,
+        config: str | Mapping[str, Any] | FootDevice | None = None,
+        *,
+        ankles: str | Mapping[str, Any] | FootDevice | None = None,
+        imu: str | Mapping[str, Any] | Imu = "nao-imu",
+        encoders: str | Mapping[str, Any] | Encoders = "nao-encoders",
+        link: str | Mapping[str, Any] | Link = "nao-wlan",
+        severity: float = 1.0,
+        faults: Sequence[str | Fault | Mapping[str, Any]] = (),
+        fresh: bool = False,
+        stream: int = SENSOR_STREAM,
+    ) -> None:
+        check_stream(owner, stream)
+        self.drawing, self._joint_names = drawing, joint_names
+        cells_or_ankles = usual_cells(drawing) if config is None else config
+        devices = [foot_device(given) for given in (cells_or_ankles, ankles) if given is not None]
+        if severity != 1.0:
+            devices = [scaled(device, float(severity)) for device in devices]
+        for device in devices:
+            check_wire(device, dt)
+        self.instruments = Instruments(tuple(devices), drawing)
+        self._configs = (resolve(imu, Imu), resolve(encoders, Encoders), timely_link(link))
+        self._link_by_name = isinstance(link, str)
+        if isinstance(faults, (str, Mapping)):
+            raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
+        self._faults = [self._fault(fault) for fault in faults]
+        self.broken = channel_faults(self._faults, self.instruments) if self._faults else None
+        self.fresh, self._stream = fresh, stream
+
+    def streams(self, seed: int | None) -> dict[str, Stream]:
+        """Return the random streams of one robot's devices; nobody knows them without a seed."""
+        keys = ((self._stream, seed, number) if seed is not None else () for number in range(len(DEVICES)))
+        return {device: Stream.of(*key) for device, key in zip(DEVICES, keys, strict=True)}
+
+    def telemetry(self, dt: float, substeps: int) -> Telemetry:
+        """Build telemetry; a link by name sends no more packets than there are moments of truth.
+
+        Args:
+            dt: Duration of a control step in s.
+            substeps: Rows of truth in one.
+        """
+        imu, encoders, link = self._configs
+        if self._link_by_name and link.rate is not None:
+            link = replace(link, rate=min(link.rate, substeps / dt))
+        return telemetry_of(len(self._joint_names), imu, encoders, link, dt, substeps)
+
+    def notes(self) -> dict[str, str]:
+        """Return what hardware that is saved belongs to."""
+        return {
+            "robot": robot_note(self.drawing, self._joint_names),
+            "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
+            "channels": " ".join(self.instruments.layout.channel_names),
+            "faults": "; ".join(map(repr, self._faults)) or "none",
+        }
+
+    def _fault(self, given: str | Fault | Mapping[str, Any]) -> Fault:
+        if not isinstance(given, str):
+            return resolve(given, Fault)
+        return parse_fault(given, self.drawing.feet, self.instruments.layout.feet[0].channel_names)
+
+
+class RobotSensors:
+    """One robot's sensors, and what its host has of them.
+
+    Args:
+        equipment: What it is equipped with.
+        listening: Whether telemetry is sent.
+        view: What is seen of it, if the library is to put that together as well.
+
+    Attributes:
+        equipment: The same.
+        listening: Whether telemetry is sent from the next reset on.
+        time: The host's time since the reset in s.
+        sensors_fresh: Whether the last reset drew fresh sensors.
+        held: The last reading of each channel that has arrived in counts, shape (K,).
+        newest: Values of the newest packet that has arrived.
+    """
+
+    def __init__(self, equipment: Equipment, listening: bool, view: RawView | None = None) -> None:
+        self.equipment, self.listening, self._view = equipment, listening, view
+        self.sensors_fresh, self.time = True, 0.0
+        self.held = equipment.instruments.zero_code.astype(np.float32)
+        self.newest: NDArray[np.float64] = np.zeros(0)
+        self._streams: dict[str, Any] = equipment.streams(None)
+        self._hardware: HardwareState | None = None
+        self._telemetry: Telemetry | None = None
+        self._telemetry_state: Any = None
+        self._sensing: NativeSensing | None = None
+        self._raw: NDArray[np.float64] | None = None
+        self._packets: Packets | None = ()
+
+    def reset(self, truth: Any, dt: float, seed: int | None = None, choice: str | None = None) -> None:
+        """Start an episode, with fresh or kept sensors.
+
+        Args:
+            truth: In which it starts.
+            dt: Duration of a control step in s.
+            seed: Of the reset.
+            choice: ``"fresh"`` or ``"keep"``, if it was asked for.
+        """
+        if seed is not None:
+            self._streams = self.equipment.streams(seed)
+        if self._telemetry is None or self._telemetry.dt != dt:
+            self._telemetry = self.equipment.telemetry(dt, len(truth.time))
+            self.newest = np.zeros(self._telemetry.layout.size)
+        self.sensors_fresh = wants_fresh(choice, seed, self.equipment.fresh, self._hardware is not None)
+        self._switch_on(truth)
+        self._note()
+        self.time = 0.0
+
+    def step(self, truth: Any, observation: Any = None) -> dict[str, Any] | None:
+        """Read a control step.
+
+        Args:
+            truth: The step.
+            observation: What the environment shows, where there is a view.
+
+        Returns:
+            What is seen; ``None`` where the view is left to the caller.
+        """
+        self.time += self.telemetry.dt
+        sensing = self._by_library(truth)
+        read = None if sensing is None else sensing.step(truth, self.time, observation)
+        if read is not None:
+            self._packets = None  # made of the library's rows when somebody asks
+            self._raw, seen = read
+            return seen
+        self._read(truth, self.telemetry.dt)
+        if self._telemetry_state is not None:
+            self._packets, self._telemetry_state = self.telemetry.advance(
+                truth.joint_position,
+                truth.inertial,
+                self.time,
+                self._telemetry_state,
+                self._streams["telemetry"],
+            )
+        self._note()
+        return None
+
+    @property
+    def packets(self) -> Packets:
+        """Telemetry that arrived during the last step, in order; only while somebody listens."""
+        if self._packets is None:
+            self._packets = () if self._sensing is None else self._sensing.packets()
+        return self._packets
+
+    def arrived(self) -> tuple[int, int] | None:
+        """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
+        return None if self._packets is not None or self._sensing is None else self._sensing.arrived()
+
+    @property
+    def raw(self) -> NDArray[np.float64]:
+        """The feet's last reading in counts, in double precision, shape (K,); NaN: none arrived."""
+        if self._raw is None:
+            raise gym.error.ResetNeeded("There are no readings before the first reset().")
+        return self._raw
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """What the packets hold (``telemetry.layout``) and how often they are sent."""
+        if self._telemetry is None:
+            raise gym.error.ResetNeeded("There is no telemetry before the first reset().")
+        return self._telemetry
+
+    def true_parameters(self) -> Parameters:
+        """Return the map that undoes the feet's errors now, shape (K,) each: truth, to score against."""
+        return self.equipment.instruments.true_map(self._devices.instruments)
+
+    def hardware(self) -> HardwareState:
+        """Return what the hardware is now, telemetry's part included, as the Python has it."""
+        hardware = self._devices
+        hardware = hardware._replace(instruments=self.equipment.instruments.plain(hardware.instruments))
+        if self._telemetry_state is None:
+            return hardware
+        return hardware._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
+
+    def exchange(self, hardware: HardwareState) -> None:
+        """Go on with other hardware."""
+        self._hardware = hardware
+        if self._telemetry_state is not None:
+            self._telemetry_state = self.telemetry.with_hardware(self._telemetry_state, hardware.telemetry)
+
+    def notes(self) -> dict[str, str]:
+        """Return what hardware that is saved belongs to."""
+        read = "none" if self._telemetry_state is None else "an IMU and encoders, which are read"
+        return {**self.equipment.notes(), "telemetry": read}
+
+    @property
+    def _devices(self) -> HardwareState:
+        if self._hardware is None:
+            raise RuntimeError("There are no sensors before the first reset(), which draws them.")
+        return self._hardware
+
+    def _by_library(self, truth: Any) -> NativeSensing | None:
+        """Return what reads a whole step in one call; ``None`` where Python does it, or its parts."""
+        state, streams, sensing = self._telemetry_state, self._streams, self._sensing
+        if self.equipment.broken is not None or state is None:
+            return None
+        now = self._devices.instruments
+        if sensing is None or not sensing.goes_on(now, state, streams):
+            self._sensing = sensing = native_sensing(
+                truth,
+                self.equipment.instruments,
+                now,
+                self._telemetry,
+                state,
+                streams,
+                (self.newest, self.held),
+                self._view,
+            )
+        return sensing
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The library's rows, of which packets are made, stay behind.
+        return {**vars(self), "_packets": self.packets}
+
+    def _switch_on(self, truth: Any) -> None:
+        """Draw fresh sensors or keep those there are, and read every chip and the link once."""
+        streams, instruments, broken = self._streams, self.equipment.instruments, self.equipment.broken
+        kept = None if self.sensors_fresh else self.hardware().telemetry
+        if self.sensors_fresh:
+            faults = () if broken is None else broken.init((instruments.channels,), streams["faults"])
+            self._hardware = HardwareState(instruments.init(streams), faults, None)
+            self.held[:] = instruments.zero_code
+        with_load = instruments.with_load(truth, self._devices.instruments)
+        self._hardware = self._devices._replace(instruments=with_load)
+        for dt in instruments.first_steps(self.telemetry.dt):
+            self._read(truth, dt)
+        if self.listening:
+            # At the reset a robot hangs just above its footprints; packets before are of one that stood.
+            inertial = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
+            self._packets, self._telemetry_state = self.telemetry.init(
+                truth.joint_position[-1].copy(), inertial, streams["telemetry"], kept
+            )
+
+    def _read(self, truth: Any, dt: float) -> None:
+        hardware, equipment = self._devices, self.equipment
+        self._raw, state = equipment.instruments.read(truth, hardware.instruments, self._streams, dt)
+        if state is not hardware.instruments:
+            hardware = hardware._replace(instruments=state)
+        if equipment.broken is not None:
+            self._raw, faults = equipment.broken.apply(
+                self._raw, hardware.faults, self._streams["faults"], dt
+            )
+            hardware = hardware._replace(faults=faults)
+        self._hardware = hardware
+
+    def _note(self) -> None:
+        """Keep what has arrived."""
+        arrived = ~np.isnan(self.raw)
+        self.held[arrived] = self.raw[arrived]
+        if self.packets:
+            self.newest[:] = self.packets[-1].values
+
+
+def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
+    """Write what the hardware of robots keeps while the power is on to an ``.npz``.
+
+    Raises:
+        RuntimeError: If nothing was drawn yet.
+    """
+    save_state(path, _together(robots), **robots[0].notes())
+
+
+def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
+    """Go on with the hardware of a file that :func:`save_hardware` wrote for as many robots.
+
+    Raises:
+        RuntimeError: If nothing was drawn yet.
+        ValueError: If the file is of another robot, or of other sensors.
+    """
+    found = load_state(path, _together(robots), **robots[0].notes())
+    for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
+        robot.exchange(hardware)
+
+
+def _together(robots: Sequence[RobotSensors]) -> Any:
+    """Return the hardware of one robot as it is, and of many side by side."""
+    found = tuple(robot.hardware() for robot in robots)
+    return found[0] if len(found) == 1 else found
