@@ -18,7 +18,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from surefoot.envs import FeetTruth, Truth
+from surefoot.envs import FeetTruth, InstrumentedEnv, Truth
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
 from surefoot.wrappers.raw_view import TRUE_KEYS, TRUTH_KEY, check_order, own_copy
 from surefoot.wrappers.source import check_clock, find_source, with_source
@@ -204,9 +204,12 @@ def read_rows(rows: NDArray[np.float64], key: Any) -> Truth | FeetTruth:
 def _meaning(source: Any) -> RowMeaning:
     feet, joints = len(source.drawing.feet), tuple(source.joint_names)
     if hasattr(source, "channels"):
-        rows, columns = round(source.dt / source.model.opt.timestep), source.channels.size
+        columns = source.channels.size
     else:
-        rows, columns = 1, FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
+        columns = FootColumns.width * feet + TorsoColumns.width + len(joints) + 1
+    # What is instrumented from outside is read once a step.
+    outside = isinstance(source, InstrumentedEnv)
+    rows = 1 if outside else round(source.dt / source.model.opt.timestep)
     named = getattr(source, "state_layout", None)
     state = () if named is None else tuple((name, named[name].start, named[name].stop) for name in MEASURED)
     return RowMeaning(rows, int(columns), feet, joints, float(source.dt), state)
