@@ -31,11 +31,13 @@ _SETTLED = 1e-3
 _MAD_TO_STD = 1.4826
 """Standard deviations in a median absolute deviation of normal noise."""
 
-_ROWS = 2000
-"""Windows to whose means a set is reduced, if its limb turns slowly enough."""
+_ROWS, _ROWS_MOVING = 2000, 200
+"""Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
 
-_WITHIN = 1e-3
-"""Share of the signals' spread that may be lost within windows."""
+_WITHIN, _WITHIN_MOVING = 1e-3, 0.1
+"""... so that this share of the signals' spread is lost within them. A gyroscope's noise grows with the
+frequency as it is differentiated, and signals with noise are less than they seem: what is faster than the
+motion is left out."""
 
 _LEAST_DURATION = 8.0
 """Time in s that a set must last for each cosine of its offset."""
@@ -84,7 +86,7 @@ def rows_of(
         drift: Cosines that the offset may follow at most.
         timed: Whether the rows' spacing is in s rather than in samples.
     """
-    mean = _averages(u, data.raw, used)
+    mean = _averages(u, data.raw, used, data.moves)
     basis, ends = _offset_basis(data, mean.place, drift)
     spacing = float(mean.width)
     if timed and data.time is not None and len(data.time) > 1:
@@ -133,13 +135,13 @@ class _Averages(NamedTuple):
     """Samples of a window."""
 
 
-def _averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_]) -> _Averages:
+def _averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_], moves: bool) -> _Averages:
     """Return means over windows, as wide as the signals hardly change; the model is linear and follows."""
     place = np.flatnonzero(used)
     columns = np.concatenate([signals, raw], axis=1)
     columns = columns if len(place) == len(columns) else columns[place]
     inputs = signals.shape[1]
-    width = _window(columns[:, :inputs])
+    width = _window(columns[:, :inputs], moves)
     mean = means(columns, width)
     count = np.full(len(mean), width)
     count[-1] = len(place) - width * (len(mean) - 1)
@@ -152,12 +154,13 @@ def _averages(signals: Matrix, raw: Matrix, used: NDArray[np.bool_]) -> _Average
     )
 
 
-def _window(signals: Matrix) -> int:
+def _window(signals: Matrix, moves: bool) -> int:
     """Return the longest window within which the signals hardly change."""
-    width = max(len(signals) // _ROWS, 1)
+    rows, within = (_ROWS_MOVING, _WITHIN_MOVING) if moves else (_ROWS, _WITHIN)
+    width = max(len(signals) // rows, 1)
     total = np.var(signals, axis=0)
     moving = total > 0.0
-    while width > 1 and np.max(1.0 - np.var(means(signals, width), axis=0)[moving] / total[moving]) > _WITHIN:
+    while width > 1 and np.max(1.0 - np.var(means(signals, width), axis=0)[moving] / total[moving]) > within:
         width //= 2
     return width
 
