@@ -46,11 +46,11 @@ TWO_SIDED = 1.96
 
 
 class Case(NamedTuple):
-    """What was calibrated: ``times`` tells whether the samples' times were given."""
+    """What was calibrated, by hysteresis (None: white noise is all); ``times``: whether they were given."""
 
     path: str
     sensor: str
-    hysteresis: float
+    hysteresis: float | None
     times: bool
 
 
@@ -67,7 +67,8 @@ def scores(case: Case, seeds: Sequence[int], rate: float) -> list[Score]:
     """Calibrate one sensor a seed."""
     runs = [record_rig(SETS, rate=rate, seed=seed, rasters=case.path == "raster") for seed in seeds]
     force = read_imus(runs, seeds)[..., :3]
-    config = replace(sensor_config(case.sensor), hysteresis=case.hysteresis)
+    config = sensor_config(case.sensor, white=case.hysteresis is None)
+    config = replace(config, hysteresis=case.hysteresis or 0.0)
     found = []
     for i, (counts, truth) in enumerate(read_sensors(config, case.sensor, runs, seeds)):
         sets = static_sets(case.sensor, runs[i], counts, force[i] - accelerometer_bias(force[i]))
@@ -96,10 +97,15 @@ def covered(answered: Sequence[Score], kind: str) -> Floats:
     return np.asarray(np.mean([np.abs(one.normal[kind]).ravel() < TWO_SIDED for one in answered], axis=0))
 
 
+def shown(case: Case) -> str:
+    """Return a case's hysteresis in words."""
+    return "white" if case.hysteresis is None else f"{case.hysteresis:.1%}"
+
+
 def row(case: Case, found: Sequence[Score]) -> tuple[str, ...]:
     """Lay out one case."""
     answered = [one for one in found if not one.refusal]
-    key = (case.path, case.sensor, f"{case.hysteresis:.1%}", "yes" if case.times else "no")
+    key = (case.path, case.sensor, shown(case), "yes" if case.times else "no")
     if not answered:
         return (*key, f"0 of {len(found)}", *[""] * 6)
     weight = 100.0 * np.array([one.weight for one in answered])
@@ -124,20 +130,21 @@ def main() -> None:
     parser.add_argument("--paths", nargs="+", default=["raster", "sweep"], choices=["raster", "sweep"])
     parser.add_argument("--sensors", nargs="+", default=["leg", "foot"], choices=["leg", "foot"])
     parser.add_argument("--hysteresis", nargs="+", type=float, default=[0.0, 0.01, 0.015], help="shares")
+    parser.add_argument("--white", action="store_true", help="sensors of white noise alone")
     parser.add_argument("--without-times", action="store_true", help="leave the samples' times out")
     arguments = parser.parse_args()
     cases = [
         Case(path, sensor, share, not arguments.without_times)
         for path in arguments.paths
         for sensor in arguments.sensors
-        for share in arguments.hysteresis
+        for share in ([None] if arguments.white else arguments.hysteresis)
     ]
     rows, refusals = [], []
     for case in cases:
         found = scores(case, range(arguments.first, arguments.first + arguments.seeds), arguments.rate)
         rows.append(row(case, found))
         counted = Counter(one.refusal for one in found if one.refusal)
-        name = f"{case.path}, {case.sensor}, {case.hysteresis:.1%}"
+        name = f"{case.path}, {case.sensor}, {shown(case)}"
         refusals += [f"{name}: {count} x {why}" for why, count in counted.items()]
     table = Table(
         name="in_situ_raster",

@@ -60,7 +60,7 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
 from surefoot.calibration.in_situ.outcome import outcome, refused
-from surefoot.calibration.in_situ.rest import rows_of_turning
+from surefoot.calibration.in_situ.rest import errors_of_imu
 from surefoot.calibration.in_situ.solve import (
     Problem,
     Solution,
@@ -245,7 +245,7 @@ def _fit(
     with _drift_first(behind):
         warnings += check_masses(problem, solution, noise, options)
     noisy = with_disagreement(problem, solution)
-    covariance = fit_covariance(noisy, solution, noise, rows_of_turning(sets, problem, solution))
+    covariance = fit_covariance(noisy, solution, noise, errors_of_imu(sets, problem, solution))
     of_data = data_share(noisy, solution, noise, options.axis_tolerance)
     if problem.prior_response is not None or len(problem.limb_root):
         warnings += of_data.warnings(FitColumns.of(len(noise)))
@@ -400,7 +400,7 @@ def _limb_alone(
     if data_rank(free, solution.limb).missing:
         return None
     alone = solve(free, [solution.outer])
-    turning = rows_of_turning(sets, free, alone)
-    covariance = fit_covariance(with_disagreement(free, alone), alone, pooled_noise(free.sets), turning)
+    beside = errors_of_imu(sets, free, alone)
+    covariance = fit_covariance(with_disagreement(free, alone), alone, pooled_noise(free.sets), beside)
     mass = FitColumns.of(len(alone.A)).limb.start + MASS
     return float(alone.limb[MASS]), float(np.sqrt(covariance[mass, mass]))

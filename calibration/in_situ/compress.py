@@ -12,7 +12,7 @@ cosines over the set's time as well, :math:`b_k(t) = \cos(\pi k t / T)`. One ort
 
 keeps all that least squares can ever ask of the set: :math:`R_{uu} T' A' = R_{ur}` are three rows in place of
 thousands (the inertial parameters in T are unknown, but constant), :math:`R_{rr}` is what no A or T explains,
-and :math:`R_{bb}, R_{bu}, R_{br}` give the offset afterwards. Nothing is squared, so no digits are lost.
+and the offset is a weighted sum of rows (:class:`OffsetAt`). Nothing is squared, so no digits are lost.
 """
 
 from collections.abc import Sequence
@@ -39,19 +39,23 @@ _RANK = 1e-12
 
 
 class OffsetAt(NamedTuple):
-    """The offset at one time, linear in what was read.
+    """The offset at one time: readings less the response to signals, weighed over rows.
 
     Attributes:
-        basis: What the rows of b weigh, shape (d,).
-        drift_signals: Signals, shape (s,), that go with the drift until then ...
-        drift_raw: ... and readings, shape (k,).
-        variance: Of the drift, over the variance of the white noise of a sample.
+        weights: Of the rows before they were weighted against drift, shape (m,).
+        signals: So weighed, shape (s,): by them an error of the response moves the offset.
+        raw: So weighed, shape (k,).
+        variance: Of the offset by noise, over that of the white noise of a sample.
     """
 
-    basis: NDArray[np.float64]
-    drift_signals: NDArray[np.float64]
-    drift_raw: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    signals: NDArray[np.float64]
+    raw: NDArray[np.float64]
     variance: float
+
+    def by(self, predicted: Matrix) -> NDArray[np.float64]:
+        """Return the offset, shape (k,), by A T, shape (k, s)."""
+        return np.asarray(self.raw - predicted @ self.signals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +66,7 @@ class CompressedSet:
         name: The set's.
         used: Which samples take part, shape (n,).
         rejected: Which were left out for disagreeing with all others, shape (n,).
-        bb: R_bb, shape (d, d) for d terms of the offset.
-        bu: R_bu, shape (d, s) for s signals.
-        br: R_br, shape (d, k).
-        uu: R_uu, shape (s, s).
+        uu: R_uu, shape (s, s) for s signals.
         ur: R_ur, shape (s, k).
         rr: R_rr, shape (k, k).
         middle: The offset at the middle of the set's time.
@@ -85,9 +86,6 @@ class CompressedSet:
     name: str
     used: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
-    bb: Matrix
-    bu: Matrix
-    br: Matrix
     uu: Matrix
     ur: Matrix
     rr: Matrix
@@ -122,7 +120,7 @@ class CompressedSet:
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the residual in each channel."""
-        return max(self.rows - len(self.bb) - int(np.linalg.matrix_rank(self.uu)), 0)
+        return max(self.rows - self.source.terms - int(np.linalg.matrix_rank(self.uu)), 0)
 
     @property
     def log_colour(self) -> float:
@@ -155,20 +153,6 @@ class CompressedSet:
         """Return the mean variance of noise along orthonormal columns, shape (m, c), over that of a row."""
         power = self.colour.left(self.rows, self.spacing)
         return float(np.mean(power @ dct(columns, norm="ortho", axis=0) ** 2))
-
-    def offset_variance(self, at: OffsetAt) -> float:
-        """Return the variance of the offset at a time, over that of the white noise of a sample."""
-        taken = solve_triangular(self.bb, at.basis, trans=1)
-        return float(taken @ taken) + at.variance
-
-    def lever(self, at: OffsetAt) -> NDArray[np.float64]:
-        """Return the signals, shape (s,), by which an error of the response moves the offset at a time."""
-        return np.asarray(self.bu.T @ solve_triangular(self.bb, at.basis, trans=1) + at.drift_signals)
-
-    def offset(self, predicted: Matrix, at: OffsetAt) -> NDArray[np.float64]:
-        """Return the offset at a time, shape (k,), by A T, shape (k, s)."""
-        steady = at.basis @ solve_triangular(self.bb, self.br - self.bu @ predicted.T)
-        return np.asarray(steady + at.drift_raw - predicted @ at.drift_signals)
 
 
 def compress(
@@ -262,7 +246,7 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     square = np.sum(rows.weight**2)
     mean = rows.weight @ rows.columns / square
     readings = rows.columns[:, first:] - rows.weight[:, None] * mean[first:]
-    middle, end = _offsets(rows, colour)
+    middle, end = _offsets(rows, colour, white[:, :d], R[:d, :d])
     score = centred @ np.linalg.pinv(uu)
     residual = residual - centred @ slope
     power = colour.left(len(white), rows.spacing)
@@ -274,9 +258,6 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
         name=rows.name,
         used=rows.used,
         rejected=rows.rejected,
-        bb=R[:d, :d],
-        bu=R[:d, d:first],
-        br=R[:d, first:],
         uu=uu,
         ur=ur,
         rr=R[first:, first:],
@@ -295,16 +276,19 @@ def _triangularise(rows: SetRows, colour: Colour) -> CompressedSet:
     )
 
 
-def _offsets(rows: SetRows, colour: Colour) -> tuple[OffsetAt, OffsetAt]:
-    """Return the offset at the middle and at the end."""
+def _offsets(rows: SetRows, colour: Colour, white: Matrix, bb: Matrix) -> tuple[OffsetAt, OffsetAt]:
+    """Return the offset at the middle and at the end; ``white`` is b of the weighted rows, shape (m, d)."""
     d, first = rows.terms, rows.terms + rows.inputs
-    weights, variances = colour.slow(len(rows.columns), rows.spacing, (0.5, 1.0))
+    drifts, variances = colour.slow(len(rows.columns), rows.spacing, (0.5, 1.0))
     # The noise of a row is that of a sample; what drifts is larger there by the root of the samples of a row.
     per_row = float(np.sqrt(np.mean(rows.weight**2)))
     found = []
-    for weight, variance, basis in zip(weights, variances, rows.ends, strict=True):
-        seen = weight @ rows.columns / per_row
-        found.append(OffsetAt(basis - seen[:d], seen[d:first], seen[first:], float(variance) / per_row**2))
+    for drift, variance, basis in zip(drifts / per_row, variances / per_row**2, rows.ends, strict=True):
+        taken = solve_triangular(bb, basis - drift @ rows.columns[:, :d], trans=1)
+        steady = white @ solve_triangular(bb, taken)
+        weights = drift + colour.weigh(steady[:, None], rows.spacing)[:, 0]
+        seen = weights @ rows.columns
+        found.append(OffsetAt(weights, seen[d:first], seen[first:], float(taken @ taken + variance)))
     return found[0], found[1]
 
 

@@ -9,6 +9,7 @@ has no one slope; what that leaves open of its matrix comes on top.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from surefoot.calibration.in_situ.solve import (
 
 __all__ = [
     "UNUSED",
+    "OpenErrors",
     "fit_covariance",
     "noise_level",
     "output_derivatives",
@@ -57,6 +59,18 @@ _MOST_DOUBLINGS = 8
 
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
+
+
+class OpenErrors(NamedTuple):
+    """Errors that are no noise, each with a deviation of one; c of them.
+
+    Attributes:
+        rows: By how much each moves the rows of the sets, whitened, shape (rows, c).
+        offset: By how much each moves the last offset beside that, in counts, shape (k, c).
+    """
+
+    rows: Matrix
+    offset: Matrix
 
 
 def pooled_noise(sets: Sequence[CompressedSet]) -> Matrix:
@@ -116,19 +130,20 @@ def weighted_inverse(response: Matrix, noise: Matrix) -> Matrix:
     return np.asarray(np.linalg.solve(response.T @ weighted, weighted.T))
 
 
-def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, beside: Matrix) -> Matrix:
+def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, beside: OpenErrors) -> Matrix:
     """Return the covariance of (C row by row, the last set's offset at its end, m, m c), (7 k + 4, 7 k + 4).
 
     Args:
         problem: The problem.
         solution: Its solution.
         noise: Covariance of a sample, shape (k, k).
-        beside: Errors of the rows of the sets that are no noise, each of which may be there, (rows, c).
+        beside: Errors that are no noise.
     """
     channels, inputs = solution.response.shape
     columns = FitColumns.of(channels)
     left, inverse = orthonormal(solution.jacobian)
-    root = np.concatenate([_noise_root(problem, left), left[: len(beside)].T @ beside], axis=1)
+    of_rows = left[: len(beside.rows)].T @ beside.rows
+    root = np.concatenate([_noise_root(problem, left), of_rows], axis=1)
     root = inverse @ root
     linear = channels * inputs
     # From W A to A, row by row.
@@ -136,9 +151,10 @@ def fit_covariance(problem: Problem, solution: Solution, noise: Matrix, beside: 
     root[:linear] = unwhiten @ root[:linear]
     to_output = output_derivatives(problem, solution, noise)
     root = to_output @ root
+    root[columns.offset, -of_rows.shape[1] :] += beside.offset
     covariance = root @ root.T
     last = problem.sets[-1]
-    covariance[columns.offset, columns.offset] += noise * last.offset_variance(last.end)
+    covariance[columns.offset, columns.offset] += noise * last.end.variance
     if problem.hysteresis or problem.channel_lags:
         of_matrix, of_offset = _slope_doubt(problem, solution, noise)
         covariance[columns.matrix, columns.matrix] += of_matrix
@@ -192,7 +208,7 @@ def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[M
     channels = len(A)
     last = problem.sets[-1]
     T = transforms(problem, solution)[:, :AXES]
-    load = T[-1] @ last.lever(last.end)
+    load = T[-1] @ last.end.signals
     loads = [part.source.signals @ t.T for part, t in zip(problem.sets, T, strict=True)]
     shares = loop_shares(problem, solution)
     if problem.hysteresis:
@@ -234,7 +250,7 @@ def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> M
     beyond = np.linalg.solve(noise, np.eye(channels) - A @ C)
     slopes = np.zeros((columns.limb.stop, of_phi + problem.outer))
     last = problem.sets[-1]
-    lever = last.lever(last.end)
+    lever = last.end.signals
     T = transforms(problem, solution)[-1]
     for i in range(channels):
         for a in range(inputs):

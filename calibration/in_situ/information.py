@@ -106,7 +106,7 @@ def data_share(problem: Problem, solution: Solution, noise: Matrix, tolerance: f
     known = _variance(squares + prior.T @ prior, to_output)
     last = problem.sets[-1]
     own = np.zeros(len(known))
-    own[FitColumns.of(channels).offset] = np.diag(noise) * last.offset_variance(last.end)
+    own[FitColumns.of(channels).offset] = np.diag(noise) * last.end.variance
     share = np.clip((known + own) / np.maximum(alone + own, np.finfo(float).tiny), 0.0, 1.0)
     return DataShare(share, int(np.sum(~weak)), int(np.sum(weak)), _names(taking, channels, inputs))
 

@@ -52,11 +52,11 @@ def outcome(
         solution = replace(solution, response=response)
     parts, limb = problem.sets, solution.limb
     predicted = solution.response @ transforms(problem, solution)
-    offsets = [part.offset(B, part.middle) for part, B in zip(parts, predicted, strict=True)]
+    offsets = [part.middle.by(B) for part, B in zip(parts, predicted, strict=True)]
     stats, set_stats = _stats(problem, solution, rank)
     return InSituFit(
         matrix=matrix,
-        offset=parts[-1].offset(predicted[-1], parts[-1].end),
+        offset=parts[-1].end.by(predicted[-1]),
         offsets=np.array(offsets),
         response=solution.A,
         limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
