@@ -27,12 +27,13 @@ TARGETS = {
 }
 FLAGS = ("-std=c99", "-Os", "-ffp-contract=off", "-DSF_SINGLE", "-fno-asynchronous-unwind-tables")
 FILTER = """
-void begin(const sf_config *c, sf_state *s) { sf_calibrator_init(c, s); }
-void fell(const sf_config *c, sf_state *s) { sf_calibrator_retract(c, s); }
-void sample(const sf_config *c, sf_state *s, const sf_real *raw, const sf_reference *r, sf_estimate *e) {
-    sf_calibrator_step(c, s, raw, r, c->dt, e);
+void begin(const sf_config *c, sf_state *s, sf_work *w) { sf_calibrator_init_with(c, s, w); }
+void fell(const sf_config *c, sf_state *s, sf_work *w) { sf_calibrator_retract_with(c, s, w); }
+void sample(const sf_config *c, sf_state *s, sf_work *w, const sf_real *raw, const sf_reference *r,
+            sf_estimate *e) {
+    sf_calibrator_step_with(c, s, w, raw, r, c->dt, e);
 }
-const unsigned state_size[] = {sizeof(sf_state)};
+const unsigned state_size[] = {sizeof(sf_state)}, work_size[] = {sizeof(sf_work)};
 """
 BELIEFS = """
 #define SF_BODIES 26
@@ -47,7 +48,7 @@ void packet(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_real 
 void sample(const sf_timing *t, sf_beliefs *s, double time, const unsigned char *planned, sf_belief *out) {
     sf_beliefs_sample(t, s, time, planned, 0, out);
 }
-const unsigned state_size[] = {sizeof(sf_beliefs)};
+const unsigned state_size[] = {sizeof(sf_beliefs)}, work_size[] = {0};
 """
 
 
@@ -100,8 +101,8 @@ def deepest(assembly: str) -> int:
     return max(map(below, frames))
 
 
-def measured(program: str, target: tuple[str, ...]) -> tuple[int, int, int]:
-    """Return the sizes of code, state and deepest stack in bytes."""
+def measured(program: str, target: tuple[str, ...]) -> list[int]:
+    """Return the sizes of code, state, work and deepest stack in bytes."""
     with TemporaryDirectory() as folder:
         source, command = Path(folder, "robot.c"), [sys.executable, "-m", "ziglang", "cc", "-target", *target]
         source.write_text(program)
@@ -109,9 +110,10 @@ def measured(program: str, target: tuple[str, ...]) -> tuple[int, int, int]:
             options = ["-fstack-size-section", f"-I{NATIVE.sources.folder}", option, "-o", f"{folder}/{out}"]
             subprocess.run([*command, *FLAGS, *options, source], check=True, stderr=subprocess.PIPE)
         assembly = Path(folder, "robot.s").read_text()
-        state = re.search(r"^state_size:\s+\.(?:long|word)\s+(\d+)", assembly, re.MULTILINE)
-        assert state is not None
-        return code_size(Path(folder, "robot.o").read_bytes()), int(state[1]), deepest(assembly)
+        sizes = dict(re.findall(r"^(\w+)_size:\s+\.(?:long|word|zero)\s+(\d+)", assembly, re.MULTILINE))
+        sizes["work"] = "0" if program is BELIEFS else sizes["work"]  # written as four zeros
+        records = (int(sizes[name]) for name in ("state", "work"))
+        return [code_size(Path(folder, "robot.o").read_bytes()), *records, deepest(assembly)]
 
 
 def main() -> None:
@@ -123,9 +125,11 @@ def main() -> None:
         "beliefs, NAO, 16 packets": BELIEFS,
     }
     print(
-        "| single precision, kB | " + " | ".join(f"{name}: code | state | stack" for name in TARGETS) + " |"
+        "| single precision, kB | "
+        + " | ".join(f"{name}: code | state | work | stack" for name in TARGETS)
+        + " |"
     )
-    print("|---" * (1 + 3 * len(TARGETS)) + "|")
+    print("|---" * (1 + 4 * len(TARGETS)) + "|")
     for name, program in programs.items():
         sizes = (f"{size / 1000:.1f}" for target in TARGETS.values() for size in measured(program, target))
         print(f"| {name} | " + " | ".join(sizes) + " |")

@@ -45,7 +45,8 @@ typedef struct {
 
 /* clang-format off */
 static const place places[] = {
-    WHOLE_OF(config), WHOLE_OF(state), WHOLE_OF(reference), WHOLE_OF(estimate),
+    WHOLE_OF(config), WHOLE_OF(state), WHOLE_OF(reference), WHOLE_OF(estimate), WHOLE_OF(work),
+    PLACE(work, newton, ""), PLACE(work, rows, ""), PLACE(work, covariance, "real"), PLACE(work, part, ""),
 
     C_INT(channels), C_INT(feet), C_INT(lag), C_INT(every), C_INT(average), C_INT(settle), C_INT(kinds),
     C_INT(sensors), C_INT(parities), C_INT(pairs), C_INT(keep_every), C_INT(learn_mass),

@@ -10,6 +10,8 @@
        sf_calibrator_init(&config, &state);
        sf_calibrator_step(&config, &state, raw, &reference, dt, &estimate);      once a sample
 
+   or, with a small stack, sf_calibrator_init_with and sf_calibrator_step_with, in a record sf_work of the caller's.
+
    Matrices are stored by rows without gaps, as wide as the robot at hand needs: arrays below hold the largest
    one.
 
@@ -260,6 +262,30 @@ typedef struct {
     int there[SF_NEWTON], kept[SF_NEWTON]; /* rows that hold anything; those of them that are plausible */
     sf_real mean_square; /* mean squared normalised residual, each clipped */
 } sf_newton;
+
+/* Matrices on the way to an answer, of which nothing is remembered: of a Kalman step, of the severities, and of the
+   block around both. */
+typedef struct {
+    sf_real HS[SF_ROWS * (SF_UNKNOWNS + 1)], V[SF_ROWS * SF_ROWS], gain[SF_UNKNOWNS * SF_ROWS];
+    sf_real keep[SF_UNKNOWNS * SF_UNKNOWNS], kept[SF_UNKNOWNS * SF_UNKNOWNS];
+} sf_kalman_work;
+
+typedef struct {
+    sf_real covariance[SF_MAP * SF_MAP], axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP];
+    sf_real of_scales[SF_CHANNELS * SF_CHANNELS], mixed[SF_CHANNELS * SF_CHANNELS];
+    sf_real L[4][SF_CHANNELS * SF_CHANNELS], W[4][SF_CHANNELS * SF_CHANNELS], S[4][SF_CHANNELS * SF_CHANNELS];
+    sf_real found[16 * SF_MAP];
+} sf_severity_work;
+
+typedef struct {
+    sf_newton newton;
+    sf_rows rows;
+    sf_real covariance[SF_UNKNOWNS * SF_UNKNOWNS];
+    union {
+        sf_kalman_work kalman;
+        sf_severity_work severity;
+    } part;
+} sf_work;
 
 /* Sizes of one robot that follow from others. */
 SF_API int sf_unknowns(const sf_config *c) { return 2 * c->channels + 7; }
@@ -922,10 +948,9 @@ SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block
    stays positive in single precision. A row whose innovation is beyond the gate has its variance raised until
    it is not. */
 SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_real *learnt, int N,
-                          sf_real gate, sf_real *nis, sf_real *nis_rows) {
+                          sf_real gate, sf_kalman_work *w, sf_real *nis, sf_real *nis_rows) {
     int m = rows->count, wide = N + 1;
-    sf_real HS[SF_ROWS * (SF_UNKNOWNS + 1)], V[SF_ROWS * SF_ROWS], e[SF_ROWS], gain[SF_UNKNOWNS * SF_ROWS];
-    sf_real keep[SF_UNKNOWNS * SF_UNKNOWNS], kept[SF_UNKNOWNS * SF_UNKNOWNS];
+    sf_real e[SF_ROWS], *HS = w->HS, *V = w->V, *gain = w->gain, *keep = w->keep, *kept = w->kept;
     *nis = *nis_rows = 0;
     if (m == 0) return 1;
     for (int i = 0; i < m; i++) {
@@ -983,23 +1008,21 @@ SF_API void sf_with_prior(sf_real *out, const sf_real *precision, const sf_real 
     for (int i = 0; i < K; i++) out[i * K + i] += 1 / (severity * severity * ratio[i]);
 }
 
-/* LearntSeverity.reweighted: scales and offsets under all severities together, and their covariance, shape
-   (M, M); returns 0 if there is no answer.
+/* LearntSeverity.reweighted: scales and offsets under all severities together, and in `w` their
+   covariance, shape (M, M); returns 0 if there is no answer.
 
    Severities are of all scales and of all offsets. With the information of the data A, B and C about scales,
    both and offsets, and the priors' s and o, what all severities of scales share is done once for each of the
    offsets': W = (C + o)^-1 B' and S = A - B W, so that
 
        V = [(S + s)^-1, -(S + s)^-1 W'; -W (S + s)^-1, (C + o)^-1 + W (S + s)^-1 W']. */
-SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, sf_real *covariance) {
+SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work *w, sf_real *mean) {
     static const sf_real severities[4] = {(sf_real)0.04, (sf_real)0.2, 1, 5};
     static const sf_real likely[4] = {(sf_real)0.1, (sf_real)0.1, (sf_real)0.7, (sf_real)0.1};
     int K = c->channels, M = 2 * K, N = sf_unknowns(c);
     sf_real std[SF_MAP], ratio[SF_MAP], share[SF_MAP], off[SF_MAP], pull[SF_MAP], apart[SF_MAP];
-    sf_real axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP];
-    sf_real of_scales[SF_CHANNELS * SF_CHANNELS], mixed[SF_CHANNELS * SF_CHANNELS];
-    sf_real L[4][SF_CHANNELS * SF_CHANNELS], W[4][SF_CHANNELS * SF_CHANNELS], S[4][SF_CHANNELS * SF_CHANNELS];
-    sf_real found[16 * SF_MAP], evidence[16], best, total = 0, constant = 0;
+    sf_real *covariance = w->covariance, *axes = w->axes, *seen = w->seen, *of_scales = w->of_scales;
+    sf_real *mixed = w->mixed, *found = w->found, evidence[16], best, total = 0, constant = 0;
     for (int i = 0; i < M; i++) {
         sf_real stated = c->stated[i] + s->drift[i],
                 prior = SF_FIRST_WIDTH * SF_FIRST_WIDTH * c->stated[i] + s->drift[i];
@@ -1023,7 +1046,8 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, s
         sf_add(pull, sf_dot(axis, off, M) * (worth / known), axis, M);
     }
     for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
-        sf_real *Lo = L[of_offsets], *Wo = W[of_offsets], *So = S[of_offsets], z[SF_CHANNELS], x[SF_CHANNELS];
+        sf_real *Lo = w->L[of_offsets], *Wo = w->W[of_offsets], *So = w->S[of_offsets];
+        sf_real z[SF_CHANNELS], x[SF_CHANNELS];
         sf_real variance = severities[of_offsets] * severities[of_offsets];
         for (int i = 0; i < K; i++) {
             sf_copy(Lo + i * K, seen + (K + i) * M + K, i + 1);
@@ -1073,13 +1097,13 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, s
     }
     /* Lower halves, as far as they go. */
     for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
-        sf_real weight = 0, *Wo = W[of_offsets], row[SF_CHANNELS];
+        sf_real weight = 0, *Lo = w->L[of_offsets], *Wo = w->W[of_offsets], row[SF_CHANNELS];
         memset(mixed, 0, (size_t)(K * K) * sizeof(sf_real));
         for (int i = 0; i < 4; i++) {
             int which = 4 * i + of_offsets;
             if (!(evidence[which] > SF_NEGLIGIBLE)) continue;
             weight += evidence[which];
-            sf_with_prior(of_scales, S[of_offsets], ratio, severities[i], K);
+            sf_with_prior(of_scales, w->S[of_offsets], ratio, severities[i], K);
             sf_cholesky(of_scales, K);
             sf_inverse(of_scales, K);
             sf_add(mixed, evidence[which], of_scales, K * K);
@@ -1087,12 +1111,12 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_real *mean, s
             for (int j = 0; j < M; j++) sf_add(covariance + j * M, evidence[which] * apart[j], apart, j + 1);
         }
         if (!(weight > 0)) continue;
-        sf_inverse(L[of_offsets], K);
+        sf_inverse(Lo, K);
         for (int i = 0; i < K; i++) {
             sf_add(covariance + i * M, 1, mixed + i * K, i + 1);
             for (int j = 0; j < K; j++) row[j] = -sf_dot(Wo + i * K, mixed + j * K, K);
             sf_add(covariance + (K + i) * M, 1, row, K);
-            sf_add(covariance + (K + i) * M + K, weight, L[of_offsets] + i * K, i + 1);
+            sf_add(covariance + (K + i) * M + K, weight, Lo + i * K, i + 1);
             for (int j = 0; j <= i; j++) covariance[(K + i) * M + K + j] -= sf_dot(row, Wo + j * K, K);
         }
     }
@@ -1598,46 +1622,46 @@ SF_API void sf_back(const sf_config *c, sf_state *s) {
 
 /* MomentStream._given: what is handed out. It moves only where the unknowns did, as without new rows only the
    uncertainty changes, and not while they are unproven: a fall shows some moments after it has begun. */
-SF_API void sf_given(const sf_config *c, sf_state *s, int moved) {
+SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w, int moved) {
     int M = 2 * c->channels, N = sf_unknowns(c);
     if (s->unproven < (sf_real)0.5) {
-        sf_real mean[SF_MAP], covariance[SF_MAP * SF_MAP];
-        if (sf_reweighted(c, s, mean, covariance)) {
+        sf_real mean[SF_MAP];
+        if (sf_reweighted(c, s, &w->part.severity, mean)) {
             if (moved) {
                 sf_copy(s->given, mean, M);
                 sf_copy(s->given + M, s->mean + M, N - M);
             }
-            sf_copy(s->given_covariance, covariance, M * M);
+            sf_copy(s->given_covariance, w->part.severity.covariance, M * M);
         }
     }
     sf_of_parameters(c, s);
 }
 
 /* MomentStream._doubted: hand out what is known now for a while. */
-SF_API void sf_doubted(const sf_config *c, sf_state *s) {
+SF_API void sf_doubted(const sf_config *c, sf_state *s, sf_work *w) {
     s->unproven = 0;
-    sf_given(c, s, 1);
+    sf_given(c, s, w, 1);
     s->unproven = (sf_real)c->keep_every;
 }
 
 /* MomentStream._watch: look for faults in what the block left unexplained; and go back to before one that is
    found. `before` is the mean before the block, `lost` what was lost before it, `use_all` whether all samples
    were used. */
-SF_API void sf_watch(const sf_config *c, sf_state *s, const sf_newton *newton, const sf_block *b,
-                     const sf_real *before, const sf_real *lost, int use_all) {
+SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block *b, const sf_real *before,
+                     const sf_real *lost, int use_all) {
     int K = c->channels, N = sf_unknowns(c), groups = sf_groups(c), fault, loaded, found, moved = 0;
     sf_real reading[SF_GROUPS * SF_CHANNELS], force[SF_GROUPS * SF_CHANNELS];
     sf_readings(c, b, reading);
     for (int i = 0; i < groups * K; i++) force[i] = sf_force(c, before, reading[i], i % K);
     found = memcmp(lost, s->lost, (size_t)K * sizeof(sf_real)) != 0;
-    sf_contradicted(c, s, newton, before, reading, force, &fault, &loaded);
+    sf_contradicted(c, s, &w->newton, before, reading, force, &fault, &loaded);
     found = found || fault;
     for (int i = 0; i < groups * K; i++) force[i] = sf_force(c, s->given, reading[i], i % K);
     sf_fault_learn(c, s, force, use_all && !found);
     for (int i = 0; loaded && i < N; i++) s->covariance[i * N + i] += c->change[i];
     if (found) sf_back(c, s);
     for (int i = 0; i < N; i++) moved = moved || s->mean[i] != before[i];
-    sf_given(c, s, moved);
+    sf_given(c, s, w, moved);
     if (s->step / c->every % c->keep_every == 0) {
         sf_copy(s->kept_mean, s->kept_mean + N, N);
         sf_copy(s->kept_mean + N, s->mean, N);
@@ -1647,14 +1671,13 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, const sf_newton *newton, c
 }
 
 /* MomentStream._learn: update the unknowns by the block that is full. */
-SF_API void sf_learn(const sf_config *c, sf_state *s, sf_real *nis, sf_real *nis_rows) {
+SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
     int K = c->channels, M = 2 * K, N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
     int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected, waiting, changed;
     sf_block b = {s->pending, sf_width(c), {0}};
-    sf_newton newton;
-    sf_rows rows;
-    sf_real before[SF_UNKNOWNS], lost[SF_CHANNELS], covariance[SF_UNKNOWNS * SF_UNKNOWNS],
-        learnt[SF_UNKNOWNS];
+    sf_newton *newton = &w->newton;
+    sf_rows *rows = &w->rows;
+    sf_real before[SF_UNKNOWNS], lost[SF_CHANNELS], *covariance = w->covariance, learnt[SF_UNKNOWNS];
     sf_copy(before, s->mean, N);
     sf_copy(lost, s->lost, K);
 
@@ -1675,26 +1698,26 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_real *nis, sf_real *nis
     for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
 
     sf_walked(c, s, 1);
-    sf_newton_euler_rows(c, s, &b, &newton);
+    sf_newton_euler_rows(c, s, &b, newton);
     for (int r = 0; r < m; r++) {
-        newton.assumed[r] = newton.variance[r] / s->noise[r % c->kinds];
+        newton->assumed[r] = newton->variance[r] / s->noise[r % c->kinds];
         /* _bilinear: the product of the errors of scales and offsets, which columns leave out. Hardly any
            sensor is as far off in both as the filter begins with. */
         sf_real more = 0;
         for (int k = 0; k < K; k++) {
-            sf_real lever = newton.places[r * K + k] * c->unit[k];
+            sf_real lever = newton->places[r * K + k] * c->unit[k];
             more += lever * lever * (s->covariance[k * N + k] * s->covariance[(K + k) * N + K + k]);
         }
-        newton.variance[r] += SF_SHARED * more / (SF_FIRST_WIDTH * SF_FIRST_WIDTH);
+        newton->variance[r] += SF_SHARED * more / (SF_FIRST_WIDTH * SF_FIRST_WIDTH);
     }
-    sf_residuals(c, s->mean, s->covariance, &newton);
-    rejected = sf_plausible(c, s->covariance, &newton);
+    sf_residuals(c, s->mean, s->covariance, newton);
+    rejected = sf_plausible(c, s->covariance, newton);
 
     /* ChannelFaults.suspects and unexplained: wait with learning as something seems wrong since short; what
        still does when no channel was found to be is the robot itself. */
-    waiting = (newton.mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5) && s->doubt < SF_WAIT &&
+    waiting = (newton->mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5) && s->doubt < SF_WAIT &&
               s->trust >= SF_TRUST;
-    changed = sf_changed(c, s->mean, s->covariance, &newton) ||
+    changed = sf_changed(c, s->mean, s->covariance, newton) ||
               (s->doubt >= SF_WAIT && s->scores[0] > SF_SUSPICION);
     changed = changed && s->trust >= SF_SETTLED && !waiting;
     if (changed) s->trust = SF_TRUST;
@@ -1703,24 +1726,25 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_real *nis, sf_real *nis
     for (int i = 0; changed && i < N; i++) covariance[i * N + i] += c->change[i];
 
     sf_real quieter = sf_quiet(c, s, &b);
-    rows.count = 0;
+    rows->count = 0;
     for (int r = 0; r < m; r++) {
-        unused = unused && !newton.kept[r];
-        if (!newton.kept[r]) continue;
-        sf_copy(rows.H + rows.count * N, newton.H + r * N, N);
-        rows.y[rows.count] = newton.y[r];
-        rows.variance[rows.count++] = newton.variance[r] * quieter;
+        unused = unused && !newton->kept[r];
+        if (!newton->kept[r]) continue;
+        sf_copy(rows->H + rows->count * N, newton->H + r * N, N);
+        rows->y[rows->count] = newton->y[r];
+        rows->variance[rows->count++] = newton->variance[r] * quieter;
     }
     unused = unused || waiting;
-    if (swinging && sf_tare(c, s, covariance, &b, &rows)) rejected = 1;
-    if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, &rows);
-    if (waiting) rows.count = 0;
+    if (swinging && sf_tare(c, s, covariance, &b, rows)) rejected = 1;
+    if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);
+    if (waiting) rows->count = 0;
 
     /* _learnt: the mass only while it is much less sure than it began. */
     sf_copy(learnt, c->learnt, N);
     sf_real unsure = SF_UNSURE_MASS * c->mass_std;
     if (c->learn_mass && !(covariance[(M + 2) * N + M + 2] > unsure * unsure)) learnt[M + 2] = 0;
-    int finite = sf_kalman_step(s->mean, covariance, &rows, learnt, N, c->gate, nis, nis_rows);
+    int finite = sf_kalman_step(s->mean, covariance, rows, learnt, N, c->gate, &w->part.kalman, nis,
+                                nis_rows);
     if (finite) {
         for (int i = 0; i < M;
              i++) { /* _limits: what a sensor can be, by where it began and how far it can drift */
@@ -1737,10 +1761,10 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_real *nis, sf_real *nis
     }
     if (!unused) {
         s->unproven = sf_max(s->unproven - 1, 0);
-        s->misfit += SF_MISFIT_MEMORY * (sf_mean_with(c, &newton, 0, SF_LARGEST_MISFIT) - s->misfit);
+        s->misfit += SF_MISFIT_MEMORY * (sf_mean_with(c, newton, 0, SF_LARGEST_MISFIT) - s->misfit);
     }
     s->status = (rejected ? SF_REJECTED : 0) | (finite ? 0 : SF_SINGULAR);
-    sf_watch(c, s, &newton, &b, before, lost, use_all);
+    sf_watch(c, s, w, &b, before, lost, use_all);
 
     /* followed_noise; what no fault and no load explains is noise, and a robot that stands shows little of
      * it. */
@@ -1750,8 +1774,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_real *nis, sf_real *nis
     for (int kind = 0; !unused && !(s->quiet > (sf_real)0.5) && !explicable && kind < c->kinds; kind++) {
         sf_real surplus = 0;
         for (int r = kind; r < m; r += c->kinds)
-            if (newton.there[r])
-                surplus += sf_clip(newton.residual[r] * newton.residual[r] / newton.spread[r], 0,
+            if (newton->there[r])
+                surplus += sf_clip(newton->residual[r] * newton->residual[r] / newton->spread[r], 0,
                                    SF_LARGEST_SQUARE) -
                            1;
         surplus /= (sf_real)sf_groups(c);
@@ -1828,7 +1852,7 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_real 
 /* ----------------------------------------------------------------------------------------- the calibrator */
 
 /* MomentStream.init: the state before any sample. */
-SF_API void sf_calibrator_init(const sf_config *c, sf_state *s) {
+SF_API void sf_calibrator_init_with(const sf_config *c, sf_state *s, sf_work *w) {
     int K = c->channels, N = sf_unknowns(c), M = 2 * K;
     memset(s, 0, sizeof *s);
     for (int foot = 0; foot < c->feet; foot++)
@@ -1852,25 +1876,25 @@ SF_API void sf_calibrator_init(const sf_config *c, sf_state *s) {
     }
     for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
     s->misfit = SF_FIRST_MISFIT;
-    sf_doubted(c, s);
+    sf_doubted(c, s, w);
 }
 
 /* MomentStream.retract: take back what was learnt in the last seconds, for a robot that has fallen or was
  * seized. */
-SF_API void sf_calibrator_retract(const sf_config *c, sf_state *s) {
+SF_API void sf_calibrator_retract_with(const sf_config *c, sf_state *s, sf_work *w) {
     int N = sf_unknowns(c);
     sf_back(c, s);
     sf_copy(s->kept_mean + N, s->kept_mean, N);
     sf_copy(s->kept_covariance + N * N, s->kept_covariance, N * N);
-    sf_doubted(c, s);
+    sf_doubted(c, s, w);
 }
 
 /* MomentStream.update with FrontEnd.observe: take in one sample.
 
    raw: K readings, NaN where none arrived. reference: the robot's beliefs `lag` samples ago. dt: time since
    the last sample in s. Values never stop it: what is not finite or not possible is held and flagged. */
-SF_API void sf_calibrator_step(const sf_config *c, sf_state *s, const sf_real *raw,
-                               const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
+SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, const sf_real *raw,
+                                    const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
     int K = c->channels, R = sf_motion(c), width = sf_width(c), read[SF_CHANNELS], good, sound = 1,
         standing = 0;
     int gap = !(dt > 0 && dt <= SF_LONGEST_GAP * c->dt);
@@ -1922,11 +1946,28 @@ SF_API void sf_calibrator_step(const sf_config *c, sf_state *s, const sf_real *r
     estimate->nis = (sf_real)NAN;
     estimate->nis_rows = 0;
     if (s->step % c->every == 0) {
-        sf_learn(c, s, &estimate->nis, &estimate->nis_rows);
+        sf_learn(c, s, w, &estimate->nis, &estimate->nis_rows);
         for (int i = 0; i < K; i++) kinds[i] |= s->kind[i];
     }
     for (int i = 0; i < K; i++) flags[i] |= kinds[i];
     sf_estimate_of(c, s, force, flags, estimate);
+}
+
+/* The same three with the work on the stack. */
+SF_API void sf_calibrator_init(const sf_config *c, sf_state *s) {
+    sf_work work;
+    sf_calibrator_init_with(c, s, &work);
+}
+
+SF_API void sf_calibrator_retract(const sf_config *c, sf_state *s) {
+    sf_work work;
+    sf_calibrator_retract_with(c, s, &work);
+}
+
+SF_API void sf_calibrator_step(const sf_config *c, sf_state *s, const sf_real *raw,
+                               const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
+    sf_work work;
+    sf_calibrator_step_with(c, s, &work, raw, reference, dt, estimate);
 }
 
 #endif

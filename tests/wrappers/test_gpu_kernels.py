@@ -40,8 +40,10 @@ STEP = """
     sf_random *own = (sf_random *)stream.data + robot;
     if (what == 0) {
         const sf_config *robot_config = (const sf_config *)c;
-        sf_calibrator_step(robot_config, (sf_state *)state.data + robot, in + robot * robot_config->channels,
-                           (const sf_reference *)beliefs.data + robot, dt, (sf_estimate *)found.data + robot);
+        sf_calibrator_step_with(robot_config, (sf_state *)state.data + robot, (sf_work *)stream.data + robot,
+                                in + robot * robot_config->channels,
+                                (const sf_reference *)beliefs.data + robot, dt,
+                                (sf_estimate *)found.data + robot);
     } else if (what == 1) {
         const int K = ((const sf_cells_config *)c)->channels;
         sf_cells_step((const sf_cells_config *)c, (sf_cells *)state.data + robot, own, in + robot * rows * K,
@@ -155,12 +157,13 @@ def test_the_filter_in_a_kernel_is_that_of_the_library(module, tmp_path):
     native = native_filter(library, setup, {})
     expected = of_robots([native.init().record] * ROBOTS)
     state, beliefs = expected.copy(), np.zeros(ROBOTS, native._reference.dtype)
+    work = np.full(ROBOTS * library.places["work"][""][2] // 8, np.nan)  # nothing of it is remembered
     estimate, wanted = (np.zeros(ROBOTS, native.estimate.now.dtype) for _ in range(2))
     raw, motion = walking(np.random.default_rng(5))
     for k in range(SAMPLES):
         for name in beliefs.dtype.names:
             beliefs[name] = getattr(motion, name)[k]
-        launch(0, 1, native.config, state, None, raw[k], beliefs, estimate)
+        launch(0, 1, native.config, state, work, raw[k], beliefs, estimate)
         for robot in range(ROBOTS):
             records = native.config, expected[robot : robot + 1], raw[k, robot], beliefs[robot : robot + 1]
             out = wanted[robot : robot + 1].ctypes.data
