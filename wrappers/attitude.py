@@ -26,6 +26,9 @@ LEAST_SQUARE, MOST_SQUARE = 24.0, 217.0
 """Squares of the specific force in m^2/s^4 between which an accelerometer shows what is up, 0.5 to 1.5 g: not
 in free fall, not in an impact."""
 
+LARGEST_SPIN_SQUARE = 1e12
+"""Square of an angular velocity in rad^2/s^2 that is none, as after a simulation blew up."""
+
 Vector = tuple[float, float, float]
 
 
@@ -66,6 +69,9 @@ def update(attitude: Attitude, gyroscope: Vector, accelerometer: Vector, dt: flo
     (x, y, z), (bx, by, bz) = attitude
     wx, wy, wz = gyroscope
     wx, wy, wz = wx - bx, wy - by, wz - bz
+    # NaN compares as false.
+    if not wx * wx + wy * wy + wz * wz < LARGEST_SPIN_SQUARE:
+        return attitude
     ax, ay, az = accelerometer
     square = ax * ax + ay * ay + az * az
     ex = ey = ez = 0.0

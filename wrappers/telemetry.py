@@ -255,6 +255,8 @@ class Telemetry:
         sample, imu_state = self._imu.apply(inertial, imu_state, rng, period)
         fx, fy, fz, wx, wy, wz = sample.tolist()
         attitude = update(attitude, (wx, wy, wz), (fx, fy, fz), period)
+        # After a simulation that blew up the filter begins anew.
+        velocity = np.where(np.isnan(velocity), 0.0, velocity)
         velocity = velocity + self._smoothing * ((angle - before) / period - velocity)
         inertial_part = (attitude.roll, attitude.pitch, wx, wy, wz, fx, fy, fz)
         values = np.concatenate((angle, velocity, inertial_part))

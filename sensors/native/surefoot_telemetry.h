@@ -40,6 +40,7 @@
 #define SF_PROPORTIONAL_GAIN ((sf_real)0.3)
 #define SF_INTEGRAL_GAIN ((sf_real)0.02)
 #define SF_LEAST_SQUARE ((sf_real)24.0)
+#define SF_LARGEST_SPIN_SQUARE ((sf_real)1e12)
 #define SF_MOST_SQUARE ((sf_real)217.0)
 
 /* ------------------------------------------------------------------------------------------------ records */
@@ -148,6 +149,7 @@ SF_API void sf_imu(const sf_telemetry_config *c, sf_telemetry *s, const sf_real 
 SF_API void sf_attitude(sf_telemetry *s, const sf_real *gyroscope, const sf_real *accelerometer, sf_real dt) {
     sf_real x = s->up[0], y = s->up[1], z = s->up[2], *b = s->gyroscope_bias;
     sf_real wx = gyroscope[0] - b[0], wy = gyroscope[1] - b[1], wz = gyroscope[2] - b[2];
+    if (!(wx * wx + wy * wy + wz * wz < SF_LARGEST_SPIN_SQUARE)) return; /* NaN compares as false */
     sf_real ax = accelerometer[0], ay = accelerometer[1], az = accelerometer[2];
     sf_real square = ax * ax + ay * ay + az * az, ex = 0, ey = 0, ez = 0;
     if (SF_LEAST_SQUARE < square && square < SF_MOST_SQUARE) {
@@ -192,6 +194,7 @@ SF_API void sf_measure_and_send(const sf_telemetry_config *c, sf_telemetry *s, c
     sf_attitude(s, gyroscope, accelerometer, c->interval);
     for (int j = 0; j < J; j++) {
         sf_real rate = (angle[j] - s->position[j]) / c->interval;
+        if (isnan(s->velocity[j])) s->velocity[j] = 0;
         s->velocity[j] += c->smoothing * (rate - s->velocity[j]);
         s->position[j] = angle[j];
         row[2 + j] = angle[j];
