@@ -16,9 +16,9 @@ from surefoot.calibration.in_situ.compress import with_signals
 from surefoot.calibration.in_situ.covariance import noise_level, whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.input_checks import BENT_CURE, TOO_FAST, turning
-from surefoot.calibration.in_situ.model import DIRECT, PAIRS, signals
+from surefoot.calibration.in_situ.model import AXES, DIRECT, PAIRS, signals
 from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.solve import Problem, Solution, solve
+from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
 from surefoot.calibration.reference import GRAVITY
 
 __all__ = ["ON_READINGS", "SLOWLY", "Cause", "Evidence", "speed"]
@@ -260,14 +260,25 @@ def _hinges(data: InSituSet) -> tuple[Matrix, list[str]]:
 
 
 def _bending(evidence: Evidence) -> Iterator[Cause]:
-    """Yield a limb that gives way with gravity's squares."""
+    """Yield a limb that gives way with gravity's squares, and a sensor with squares and cubes of loads."""
     columns = []
     for data in evidence.sets:
         g = np.nan_to_num(data.gravity) / GRAVITY
         # The sixth square follows from the length of gravity.
         columns.append(np.stack([g[:, i] * g[:, j] for i, j in PAIRS if (i, j) != (2, 2)], axis=1))
+    yield _bent(evidence, columns)
+    # A limb that bends does so by gravity, a sensor by its load, which grows with what was added.
+    T = transforms(evidence.problem, evidence.solution)[:, :AXES]
+    loads = [np.nan_to_num(signals(data, evidence.problem.moving)) for data in evidence.sets]
+    loads = [u @ t[:, : u.shape[1]].T for u, t in zip(loads, T, strict=True)]
+    largest = np.max([np.max(np.abs(load), axis=0) for load in loads], axis=0)
+    shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
+    yield _bent(evidence, [np.concatenate([x**2, x**3], axis=1) for x in shares])
+
+
+def _bent(evidence: Evidence, columns: Sequence[Matrix]) -> Cause:
     problem = evidence.beside(columns)
-    yield Cause(
+    return Cause(
         "the limb bends as it turns, or the sensor is not linear",
         BENT_CURE,
         problem,

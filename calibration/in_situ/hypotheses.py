@@ -108,10 +108,13 @@ def explained(symptom: CalibrationRefused, evidence: Evidence, warnings: Sequenc
     fast = [text for text in warnings if TOO_FAST in text]
     if fast:
         return CalibrationRefused(f"{symptom.reason} {fast[0]}", SLOWLY)
-    found = likeliest(evidence)[:2]
+    found = likeliest(evidence)
     if not found:
         return symptom
-    named = [f"{cause.words} ({_percent(share)})" for cause, share in found]
+    shares: dict[str, float] = {}
+    for cause, share in found:
+        shares[cause.words] = shares.get(cause.words, 0.0) + share
+    named = [f"{words} ({_percent(share)})" for words, share in list(shares.items())[:2]]
     cure = found[0].cause.cure
     if symptom.__cause__ is not None:  # a drift that may be behind it
         cure += f" If that is not it: {symptom.cure}"
