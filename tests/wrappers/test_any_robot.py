@@ -179,7 +179,7 @@ def test_many_robots_get_cells_of_their_size() -> None:
         "Humanoid-v5", 2, "sync", wrappers=[lambda env: TruthRow(InstrumentedEnv(env, soles=True))]
     )
     sensed = VectorFootSensors(envs)
-    cells = sensed.sensors.instruments.parts[0].config
+    cells = sensed.sensors.equipment.instruments.parts[0].config
     assert cells == sized(preset("hx711-load-cells"), sensed.sensors.drawing.weight)
     with pytest.warns(UserWarning, match=r"98.1 N are rated for 392 N a foot"):
         VectorFootSensors(envs, "hx711-load-cells")
