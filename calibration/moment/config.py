@@ -81,6 +81,14 @@ class MomentFilterConfig:
     com_std: float = 0.002
     """How far the believed centre of mass is thought to be off along each axis, in m."""
 
+    com_known: float = 0.0012
+    """Standard deviation in m down to which the centre of mass is estimated along an axis: errors of the
+    reference repeat at every stride, so that many strides tell no more of it than the first did."""
+
+    sole_std: float = 0.0001
+    """How much farther off the centre of mass is thought to be over one foot than over both, along each axis,
+    in m: joints and masses of the two legs are not off alike, and at every stride in the same way."""
+
     mass_std: float = 0.005
     """How far the believed mass is thought to be off, relative."""
 
@@ -143,8 +151,9 @@ class MomentFilterConfig:
             "gate", "reject", "leap", "stand_in_memory",
         )  # fmt: skip
         check_not_negative(
-            self, "cross_talk", "scale_drift", "offset_drift", "timing_noise", "com_std", "mass_std",
-            "acceleration_std", "delay_std", "swing_load", "still", "mass_change", "com_change",
+            self, "cross_talk", "scale_drift", "offset_drift", "timing_noise", "com_std", "com_known",
+            "sole_std", "mass_std", "acceleration_std", "delay_std", "swing_load", "still", "mass_change",
+            "com_change",
         )  # fmt: skip
         check_count(self, "every", "average", "settle")
         if self.every % self.average:

@@ -47,6 +47,7 @@ class NewtonEuler:
         noise = np.repeat([config.force_noise, config.cop_noise / setup.length], 3)[self._seen]
         scale = np.repeat([1.0 / setup.weight, 1.0 / (setup.weight * setup.length)], 3)[self._seen]
         self._distal = DistalMasses(layout, setup.dt, config.every, config.span)
+        side = np.where(layout.foot_of_channel[unknowns.out] == 0, 1.0, -1.0) * (self._feet > 1)
         shift_x, shift_y = _shifts(self._seen)
         bias_force, bias_moment = _acceleration_columns(self._seen)
         self._constants = Constants(
@@ -61,6 +62,7 @@ class NewtonEuler:
             shift_y=shift_y,
             identity=np.eye(self.kinds),
             unit=unknowns.unit,
+            side=side,
         )
 
     def rows(
@@ -124,12 +126,13 @@ class NewtonEuler:
 
         height = xp.mean(xp.reshape(height, (*batch, self._groups, -1)), axis=-1)
         given = (by_scale @ mean[..., None, unknowns.scale, None])[..., 0]
-        errors, vertical = self._error_columns(given, height, means[..., of_delay])
+        apart = (by_scale @ (mean[..., unknowns.scale] * own.side)[..., None, :, None])[..., 0]
+        errors, vertical = self._error_columns(given, apart, height, means[..., of_delay])
         # The forces are products of scales and tared readings: H x counts what the offsets do twice.
         asked = asked + (by_offset @ mean[..., None, unknowns.offset, None])[..., 0]
         to_cop = self._to_cop(given)
         H = to_cop @ xp.concat([by_scale, by_offset, errors], axis=-1)
-        H = xp.concat([H[..., :-1], vertical, H[..., -1:]], axis=-1)
+        H = xp.concat([H[..., : unknowns.delay - 1], vertical, H[..., unknowns.delay - 1 :]], axis=-1)
         y = (to_cop @ asked[..., None])[..., 0]
         variance = own.variance * noise[..., None, :] + 0.0 * y
         jitter = to_cop @ means[..., of_speed]
@@ -191,7 +194,7 @@ class NewtonEuler:
         y = wrench[..., self._moment_x, None, None] / load
         return own.identity + x * own.shift_x + y * own.shift_y
 
-    def _error_columns(self, given: Array, height: Array, late: Array) -> tuple[Array, Array]:
+    def _error_columns(self, given: Array, apart: Array, height: Array, late: Array) -> tuple[Array, Array]:
         """Return the columns of the reference's own errors, without and with that of the vertical bias alone.
 
         A column with the noise of the right-hand side in it would find what explains the noise. So those of
@@ -200,19 +203,23 @@ class NewtonEuler:
         the believed centre of mass in it, and changes the column by less than a tenth of a millimetre.
 
         Returns:
-            Centre of mass, mass, forward and sideward bias and delay, shape (..., groups, kinds, 6); and the
-            vertical bias, shape (..., groups, kinds, 1).
+            Centre of mass, mass, forward and sideward bias, delay and soles, shape (..., groups, kinds, 8);
+            and the vertical bias, shape (..., groups, kinds, 1).
         """
         xp, own = namespace_of(given), self._constants.like(given)
-        zero, fz = xp.zeros_like(height), given[..., self.vertical]
-        # A point that is off by d sees the moment d x f besides.
-        com = [[zero, zero], [zero, fz], [-fz, zero]]
-        if self._six_axes:
-            com = [[zero, zero], [zero, zero], *com, [given[..., _FY], -given[..., _FX]]]
-        com_columns = xp.stack([xp.stack(row, axis=-1) for row in com], axis=-2)
         acceleration = own.bias_force + height[..., None, None] * own.bias_moment
         level, vertical = acceleration[..., :2], acceleration[..., 2:]
-        return xp.concat([com_columns, given[..., None], level, late], axis=-1), vertical
+        errors = [self._moved(given), given[..., None], level, late, self._moved(apart)]
+        return xp.concat(errors, axis=-1), vertical
+
+    def _moved(self, wrench: Array) -> Array:
+        """Return the moments d x f that a point off by d sees besides, by d, shape (..., kinds, 2)."""
+        xp, fz = namespace_of(wrench), wrench[..., self.vertical]
+        zero = xp.zeros_like(fz)
+        rows = [[zero, zero], [zero, fz], [-fz, zero]]
+        if self._six_axes:
+            rows = [[zero, zero], [zero, zero], *rows, [wrench[..., _FY], -wrench[..., _FX]]]
+        return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 _CROSS: NDArray[np.float64] = np.zeros((3, 9))

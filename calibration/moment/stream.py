@@ -50,9 +50,6 @@ _UNSURE = 0.06
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
-_UNSURE_MASS = 2.0
-"""How many times less sure than at the start the mass is while it is estimated."""
-
 _SHARED = 8.0
 """Rows of a kind that share the product of the errors of scale and offset: until a foot swings, no offset is
 known. More serve sensors that are worse than stated, fewer those on a robot that only stands."""
@@ -95,6 +92,7 @@ class MomentStream:
             walk=np.diag(unknowns.walk * config.every * setup.dt),
             drift=unknowns.walk[unknowns.map] * config.every * setup.dt,
             learnt=unknowns.learnt,
+            sure=unknowns.sure,
             identity=np.eye(unknowns.size),
             unit=unknowns.unit,
             scale=scale,
@@ -202,7 +200,9 @@ class MomentStream:
                 parity = parity.keep(xp.astype(xp.all(faults.lost < 0.5, axis=-1), mean.dtype)[..., None])
             learnt_from = learnt_from.beside(parity)
         learnt_from = learnt_from.keep(xp.astype(~waiting, mean.dtype)[..., None])
-        learnt = self._learnt(covariance, own.learnt)
+        # The mass only while it is much less sure than it began, the centre of mass until strides repeat.
+        unsure = xp.linalg.diagonal(covariance) > own.sure
+        learnt = own.learnt * xp.astype(unsure, mean.dtype)
         step = kalman_step(mean, covariance, *learnt_from, learnt, own.identity, config.gate)
         low, high = self._limits(state.drift)
         clipped = xp.clip(step.mean, low, high)
@@ -235,15 +235,6 @@ class MomentStream:
         lever = places * own.unit
         more = _SHARED * ((lever * lever) @ product[..., None])[..., 0]
         return rows._replace(variance=rows.variance + more)
-
-    def _learnt(self, covariance: Array, learnt: Array) -> Array:
-        """Return which unknowns to estimate; the mass only while it is much less sure than it began."""
-        xp, mass, config = namespace_of(covariance), self.unknowns.mass, self.config
-        if not config.learn_mass:
-            return learnt
-        unsure = covariance[..., mass, mass] > (_UNSURE_MASS * config.mass_std) ** 2
-        only = self._constants.like(covariance).identity[mass, :]
-        return learnt * (1.0 - only * xp.astype(~unsure, covariance.dtype)[..., None])
 
     def _walked(self, state: MomentState, blocks: float) -> MomentState:
         """Return the state after the time of some blocks in which the unknowns have drifted."""

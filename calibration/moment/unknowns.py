@@ -8,6 +8,7 @@
 | mass | 1 | 1 | believed mass over the true one, less 1 |
 | acceleration | 3 | g | bias of the believed acceleration, level frame: IMU bias and tilt |
 | delay | 1 | s | how much later a moment the reference describes than it is thought to |
+| sole | 2 | foot lengths | how much larger com is for the first foot's load, and smaller for the second's |
 
 A force is F = a (F0 + o). Scale and offset stand as a sensor has them: its zero drifts in its readings, and
 says nothing of its scale. In F = a F0 + b a zero that drifts by d asks for b - a d, and a filter that holds
@@ -24,6 +25,9 @@ from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.setup import OnlineSetup
 
+_UNSURE_MASS = 2.0
+"""How many times less sure than at the start the mass is while it is estimated."""
+
 
 class Unknowns:
     """The unknowns of one setup.
@@ -36,7 +40,7 @@ class Unknowns:
         channels: Number of channels, K.
         scales: Number of scales, P.
         size: Number of unknowns, N.
-        scale, offset, com, acceleration, mass, delay: Places of the parts.
+        scale, offset, com, acceleration, mass, delay, sole: Places of the parts.
         map: Place of scales and offsets together, the first P + K.
         load: Places of what a load changes: the centre of mass (2) and the mass.
         diagonal: Whether there is one scale a channel.
@@ -50,6 +54,7 @@ class Unknowns:
             were learnt from, shape (N,).
         change: Standard deviations of sudden changes of the reference, shape (N,).
         learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
+        sure: Variances from which down they are only considered as well, shape (N,).
     """
 
     def __init__(self, setup: OnlineSetup, config: MomentFilterConfig) -> None:
@@ -72,10 +77,10 @@ class Unknowns:
         self.own = np.nonzero(own)[0]
 
         self.channels, self.scales = channels, len(self.out)
-        self.scale, self.offset, self.com, mass, self.acceleration, delay = in_a_row(
-            self.scales, channels, 2, 1, 3, 1
+        self.scale, self.offset, self.com, mass, self.acceleration, delay, self.sole = in_a_row(
+            self.scales, channels, 2, 1, 3, 1, 2
         )
-        self.mass, self.delay, self.size = mass.start, delay.start, delay.stop
+        self.mass, self.delay, self.size = mass.start, delay.start, self.sole.stop
         self.map = slice(0, self.offset.stop)
         self.load = [*range(self.com.start, self.com.stop), self.mass]
         self.unit: NDArray[np.float64] = setup.weight * lever
@@ -90,6 +95,7 @@ class Unknowns:
         self.std[self.mass] = config.mass_std
         self.std[self.acceleration] = config.acceleration_std / GRAVITY
         self.std[self.delay] = config.delay_std
+        self.std[self.sole] = config.sole_std / setup.length
         self.walk: NDArray[np.float64] = np.zeros(self.size)
         self.walk[self.scale] = np.where(own, config.scale_drift**2 / 60.0, 0.0)
         self.walk[self.offset] = config.offset_drift**2 / 60.0
@@ -101,6 +107,9 @@ class Unknowns:
         self.learnt[self.mass] = float(config.learn_mass)
         # A vertical force that is off looks like a common scale: open, it takes what noisy columns shrink.
         self.learnt[self.acceleration.stop - 1] = 0.0
+        self.sure: NDArray[np.float64] = np.zeros(self.size)
+        self.sure[self.mass] = (_UNSURE_MASS * config.mass_std) ** 2
+        self.sure[self.com] = (config.com_known / setup.length) ** 2
         identity = np.eye(channels)
         self._constants = Constants(gather=identity[self.out], inputs=identity[self.inp])
 

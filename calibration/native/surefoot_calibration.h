@@ -81,7 +81,7 @@ typedef long long sf_whole;
 #endif
 
 #define SF_MAP (2 * SF_CHANNELS)
-#define SF_UNKNOWNS (SF_MAP + 7)
+#define SF_UNKNOWNS (SF_MAP + 9)
 #define SF_MOTION (15 + 12 * SF_FEET)
 #define SF_SPAN (SF_EVERY + 2 * SF_SETTLE)
 #define SF_PENDING (2 * SF_CHANNELS + SF_MOTION + SF_FEET + 2)
@@ -125,7 +125,6 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LOAD_STD ((sf_real)4.0)
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
-#define SF_UNSURE_MASS ((sf_real)2.0)
 #define SF_SHARED ((sf_real)8.0)
 #define SF_REACH ((sf_real)10.0)
 #define SF_LEAST_LOAD ((sf_real)0.1)
@@ -172,9 +171,9 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 /* ------------------------------------------------------------------------------------------------ records */
 
 /* Constants of one robot: an OnlineSetup and a MomentFilterConfig, worked out. K channels, M = 2K scales and
-   offsets, N = M + 7 unknowns. Units as in Python. */
+   offsets, N = M + 9 unknowns. Units as in Python. */
 typedef struct {
-    int channels, feet, lag, every, average, settle, kinds, sensors, parities, pairs, keep_every, learn_mass;
+    int channels, feet, lag, every, average, settle, kinds, sensors, parities, pairs, keep_every;
     int distal_matters;
     int foot_of_channel[SF_CHANNELS];
     int cells[SF_CHANNELS]; /* 1 for a cell under a plate: others cannot be reconstructed */
@@ -185,11 +184,11 @@ typedef struct {
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
     sf_real unit[SF_CHANNELS];
-    sf_real start[SF_UNKNOWNS], first_variance[SF_UNKNOWNS], walk[SF_UNKNOWNS], learnt[SF_UNKNOWNS];
+    sf_real start[SF_UNKNOWNS], first_variance[SF_UNKNOWNS], walk[SF_UNKNOWNS], learnt[SF_UNKNOWNS], sure[SF_UNKNOWNS];
     sf_real change[SF_UNKNOWNS]; /* variances of what a load changes */
     sf_real aged[SF_MAP], stated[SF_MAP];
     sf_real row_scale[6], row_variance[6]; /* of the kinds of rows that are seen */
-    sf_real timing_noise, gate, reject, still, mass_std, mass_change;
+    sf_real timing_noise, gate, reject, still, mass_change;
     sf_real swing_noise, swing_load, parity_noise;
     sf_real parity[SF_PARITIES * SF_CHANNELS];
     sf_real leap, renewal;
@@ -288,7 +287,7 @@ typedef struct {
 } sf_work;
 
 /* Sizes of one robot that follow from others. */
-SF_API int sf_unknowns(const sf_config *c) { return 2 * c->channels + 7; }
+SF_API int sf_unknowns(const sf_config *c) { return 2 * c->channels + 9; }
 SF_API int sf_motion(const sf_config *c) { return 15 + 12 * c->feet; }
 SF_API int sf_span(const sf_config *c) { return c->every + 2 * c->settle; }
 SF_API int sf_width(const sf_config *c) { return 2 * c->channels + sf_motion(c) + c->feet + 2; }
@@ -725,8 +724,8 @@ SF_API void sf_to_cop_rows(const sf_config *c, sf_real *rows, int columns, sf_re
 
 /* NewtonEuler._error_columns: those of the reference's own errors into columns `at` and behind, of width N.
  */
-SF_API void sf_error_columns(const sf_config *c, const sf_real *given, sf_real height, const sf_real *late,
-                             sf_real *H, int at, int N) {
+SF_API void sf_error_columns(const sf_config *c, const sf_real *given, const sf_real *apart, sf_real height,
+                             const sf_real *late, sf_real *H, int at, int N) {
     int six = c->kinds == 6, fz = six ? SF_FZ : 0;
     for (int kind = 0; kind < c->kinds; kind++) {
         int axis = six ? kind : SF_FZ + kind;
@@ -739,6 +738,8 @@ SF_API void sf_error_columns(const sf_config *c, const sf_real *given, sf_real h
         row[4] = axis == SF_FY ? 1 : axis == SF_MX ? -height : 0;
         row[5] = axis == SF_FZ ? 1 : 0;
         row[6] = late[kind];
+        row[7] = axis == SF_MY ? -apart[fz] : axis == SF_MZ ? apart[SF_FY] : 0;
+        row[8] = axis == SF_MX ? apart[fz] : axis == SF_MZ ? -apart[SF_FX] : 0;
     }
 }
 
@@ -756,7 +757,7 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
                                own[SF_KINDS * SF_CHANNELS];
         sf_real of_rows[SF_KINDS * SF_CHANNELS], of_speed[SF_KINDS * SF_CHANNELS], late[SF_KINDS],
             asked[SF_KINDS];
-        sf_real given[SF_KINDS], part[SF_KINDS], change[SF_CHANNELS], tared[SF_CHANNELS];
+        sf_real given[SF_KINDS], apart[SF_KINDS], part[SF_KINDS], change[SF_CHANNELS], tared[SF_CHANNELS];
         memset(H, 0, (size_t)(kinds * N) * sizeof(sf_real));
         memset(y, 0, (size_t)kinds * sizeof(sf_real));
         memset(places, 0, (size_t)(kinds * K) * sizeof(sf_real));
@@ -808,10 +809,13 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
             sf_real *row = H + kind * N;
             for (int k = 0; k < K; k++) row[K + k] = of_rows[kind * K + k] * (mean[k] * c->unit[k]);
             given[kind] = sf_dot(row, mean, K);
+            apart[kind] = 0;
+            for (int k = 0; c->feet > 1 && k < K; k++)
+                apart[kind] += (c->foot_of_channel[k] ? -1 : 1) * (row[k] * mean[k]);
             /* The forces are products of scales and tared readings: H x counts what the offsets do twice. */
             y[kind] = asked[kind] - lacking[first + kind] * c->row_scale[kind] + sf_dot(row + K, mean + K, K);
         }
-        sf_error_columns(c, given, height, late, H, 2 * K, N);
+        sf_error_columns(c, given, apart, height, late, H, 2 * K, N);
         int fz = kinds == 6 ? SF_FZ : 0;
         sf_real load = given[fz] > SF_LEAST_LOAD ? given[fz] : SF_LEAST_LOAD;
         sf_real x = -given[fz + 2] / load, ahead_y = given[fz + 1] / load;
@@ -1739,10 +1743,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);
     if (waiting) rows->count = 0;
 
-    /* _learnt: the mass only while it is much less sure than it began. */
-    sf_copy(learnt, c->learnt, N);
-    sf_real unsure = SF_UNSURE_MASS * c->mass_std;
-    if (c->learn_mass && !(covariance[(M + 2) * N + M + 2] > unsure * unsure)) learnt[M + 2] = 0;
+    /* The mass only while it is much less sure than it began, the centre of mass until strides repeat. */
+    for (int i = 0; i < N; i++) learnt[i] = covariance[i * N + i] > c->sure[i] ? c->learnt[i] : 0;
     int finite = sf_kalman_step(s->mean, covariance, rows, learnt, N, c->gate, &w->part.kalman, nis,
                                 nis_rows);
     if (finite) {

@@ -43,7 +43,7 @@ LAYOUTS = {
     "both on each": FeetLayout((both("left"), both("right"))),
 }
 # Sizes of the reference's errors, each about ten times what is usual, so that second orders show.
-SIZES = {"com": 0.02, "mass": 0.05, "acceleration": 0.3, "delay": 0.02}
+SIZES = {"com": 0.02, "sole": 0.02, "mass": 0.05, "acceleration": 0.3, "delay": 0.02}
 
 
 def block_of(force, motion, swing):
@@ -109,7 +109,7 @@ class Body:
         time = (np.arange(self.n) - self.n / 2) * DT + late
         return self.at_rest + time[:, None] * self.rate
 
-    def block(self, com=(0.0, 0.0), mass=0.0, acceleration=(0.0, 0.0, 0.0), delay=0.0):
+    def block(self, com=(0.0, 0.0), mass=0.0, acceleration=(0.0, 0.0, 0.0), delay=0.0, sole=(0.0, 0.0)):
         """What the robot reads and believes when its reference is wrong by this much."""
         F = self.channels(delay)
         true_mass = MASS / (1.0 + mass)
@@ -125,7 +125,7 @@ class Body:
             com_acceleration=force / true_mass - [0.0, 0.0, GRAVITY] + acceleration,
             # A robot that thinks itself heavier thinks all its parts heavier.
             angular_momentum_rate=moment * (1.0 + mass),
-            position_sole=self.position,
+            position_sole=self.position + np.array([[-1.0], [1.0]])[: self.feet] * np.array([*sole, 0.0]),
             R_level_sole=self.R,
             stance=np.ones((self.n, self.feet), bool),
             swing=np.zeros((self.n, self.feet), bool),
@@ -157,6 +157,7 @@ class Body:
         x[unknowns.mass] = told * errors.get("mass", 0.0)
         x[unknowns.acceleration] = told * np.asarray(errors.get("acceleration", np.zeros(3))) / GRAVITY
         x[unknowns.delay] = told * errors.get("delay", 0.0)
+        x[unknowns.sole] = told * np.asarray(errors.get("sole", (0.0, 0.0))) / LENGTH
         rows = self.rows(x, self.block(**errors))
         assert (rows.variance > 0.0).all()
         return rows.H @ x - rows.y

@@ -111,6 +111,8 @@ def matched(truth: Truth, layout: FeetLayout, config: MomentFilterConfig, runs: 
     )
     com = belief.com.copy()
     com[..., :2] += x[:, unknowns.com] * L
+    sole = belief.position_sole.copy()
+    sole[..., :2] += x[:, None, unknowns.sole] * np.array([[-L], [L]])
     noise = rng.normal(size=(N, runs, 3)) * config.force_noise * GRAVITY
     if layout is not ANKLES:
         noise[..., :2] = 0.0
@@ -126,6 +128,7 @@ def matched(truth: Truth, layout: FeetLayout, config: MomentFilterConfig, runs: 
         raw,
         belief._replace(
             com=com,
+            position_sole=sole,
             com_acceleration=belief.com_acceleration + x[:, unknowns.acceleration] * GRAVITY + noise,
             angular_momentum_rate=belief.angular_momentum_rate + white + np.cross(arm, noise * MASS),
         ),

@@ -35,7 +35,7 @@ WRONG = Flag.SPIKE | Flag.STUCK | Flag.DEAD | Flag.FLIPPED | Flag.SWAPPED | Flag
 OUT = Flag.DEAD | Flag.STUCK | Flag.SATURATED | Flag.MISSING
 """What may be said of a channel that reads nothing of the load: of some, two of these are true."""
 
-RECONSTRUCTED, PUT_RIGHT = 10.0, 2.0
+RECONSTRUCTED, PUT_RIGHT, LEARNT_AGAIN = 10.0, 2.0, 2.5
 """Bounds on the error of the centre of pressure in mm once a channel is out, and once nothing is lost."""
 
 
@@ -250,7 +250,7 @@ def test_a_load_that_is_put_on_is_no_fault(broken):
     assert not (estimate.flags & int(WRONG)).any()
     for i, (*load, at) in enumerate(loads):
         away = (estimate.cop - cop)[at + SETTLED :, i]
-        assert 1e3 * np.sqrt((away**2).sum(axis=-1).mean(axis=0)).max() < PUT_RIGHT, load
+        assert 1e3 * np.sqrt((away**2).sum(axis=-1).mean(axis=0)).max() < LEARNT_AGAIN, load
 
 
 def test_a_channel_that_comes_back_is_taken_in_again(broken):
@@ -263,7 +263,7 @@ def test_a_channel_that_comes_back_is_taken_in_again(broken):
     back = away + round(1.0 / DT)
     assert not estimate.flags[back:].any()
     wrong = np.linalg.norm(estimate.cop[back:] - broken.true_cop[AT + back :], axis=-1)
-    assert 1e3 * np.sqrt((wrong**2).mean(axis=0)).max() < PUT_RIGHT
+    assert 1e3 * np.sqrt((wrong**2).mean(axis=0)).max() < LEARNT_AGAIN
 
 
 def test_a_single_spike_changes_nothing_but_its_own_sample(broken):
