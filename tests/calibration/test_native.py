@@ -323,7 +323,8 @@ def test_random_robots_are_the_same(
     play(*robot(library, layout, lag, **options), log, exchange, close=10.0 * CLOSE)
 
 
-@pytest.mark.parametrize("layout", ["cells", pytest.param("both", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["cells", "both"])
 def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path):
     """As the Python does in float32: maps within 5 % of their deviations, forces within 0.02 N."""
     path = tmp_path / "single.so"
@@ -391,6 +392,7 @@ def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, la
     assert not page.exists() or " | ".join(sizes) in page.read_text()
 
 
+@pytest.mark.slow
 def test_a_robots_own_programs_print_what_python_replays(library, tmp_path, monkeypatch):
     path = ROOT / "examples" / "robot" / "build.py"
     if not path.is_file():
