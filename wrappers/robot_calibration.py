@@ -16,10 +16,10 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
-from surefoot.wrappers.belief_errors import BeliefErrors, belief_errors
+from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
 from surefoot.wrappers.beliefs import Beliefs
 from surefoot.wrappers.chances import Chances
-from surefoot.wrappers.foot_view import FootView, check_certainty
+from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
 from surefoot.wrappers.native_beliefs import NativeBeliefs, native_beliefs
@@ -76,15 +76,16 @@ class CalibrationSetup:
         self,
         owner: str,
         equipment: Equipment,
-        method: str,
+        method: str = "moment",
+        /,
         *,
-        initial: str | Parameters | Mapping[str, Any],
-        show: Sequence[str],
-        lag: int | None,
-        fresh: bool,
-        errors: BeliefErrors | Mapping[str, Any],
-        stream: int,
-        options: dict[str, Any],
+        initial: str | Parameters | Mapping[str, Any] = "nominal",
+        show: Sequence[str] = DEFAULT,
+        lag: int | None = None,
+        fresh: bool = False,
+        errors: BeliefErrors | Mapping[str, Any] = USUAL,
+        stream: int = BELIEF_STREAM,
+        **options: Any,
     ) -> None:
         self.method = method_name(method)
         self.errors = belief_errors(errors, options)

@@ -110,7 +110,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             fresh=fresh,
             errors=errors,
             stream=stream,
-            options=options,
+            **options,
         )
         gym.utils.RecordConstructorArgs.__init__(
             self,

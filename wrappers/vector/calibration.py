@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Parameters, Reference
+from surefoot.calibration import Reference
 from surefoot.calibration.native import ReferenceRecord
-from surefoot.wrappers.belief_errors import USUAL, BeliefErrors
 from surefoot.wrappers.beliefs import reference_info
-from surefoot.wrappers.foot_view import DEFAULT, seen_below
+from surefoot.wrappers.foot_view import seen_below
 from surefoot.wrappers.robot_calibration import (
-    BELIEF_STREAM,
     CalibrationSetup,
     RobotCalibration,
     load_learnt,
@@ -35,14 +33,8 @@ class BatchCalibration:
     Args:
         owner: The wrapper that asks, for messages.
         sensors: The robots' sensors.
-        method: As of :class:`~surefoot.wrappers.SelfCalibration`, like all that follow.
-        initial: The map to start from.
-        show: What is observed.
-        lag: How many samples ago a reference describes the feet.
-        fresh: Whether the calibration of a robot starts fresh at each of its resets.
-        errors: How wrong the robots are about themselves.
-        stream: Number of the random stream.
-        options: Options of the method.
+        method: As of :class:`~surefoot.wrappers.SelfCalibration`.
+        options: All others of it, and options of the method.
 
     Attributes:
         robots: The beliefs of each robot, and its calibrator if it has one of its own.
@@ -56,33 +48,9 @@ class BatchCalibration:
             that a nominal model can be made of: one free body, hinge joints, two feet.
     """
 
-    def __init__(
-        self,
-        owner: str,
-        sensors: BatchSensors,
-        method: str = "moment",
-        *,
-        initial: str | Parameters | Mapping[str, Any] = "nominal",
-        show: Sequence[str] = DEFAULT,
-        lag: int | None = None,
-        fresh: bool = False,
-        errors: BeliefErrors | Mapping[str, Any] = USUAL,
-        stream: int = BELIEF_STREAM,
-        **options: Any,
-    ) -> None:
+    def __init__(self, owner: str, sensors: BatchSensors, method: str = "moment", /, **options: Any) -> None:
         self._sensors, count = sensors, len(sensors.robots)
-        self.setup = setup = CalibrationSetup(
-            owner,
-            sensors.equipment,
-            method,
-            initial=initial,
-            show=show,
-            lag=lag,
-            fresh=fresh,
-            errors=errors,
-            stream=stream,
-            options=options,
-        )
+        self.setup = setup = CalibrationSetup(owner, sensors.equipment, method, **options)
         self.robots = [RobotCalibration(setup, robot, setup.native) for robot in sensors.robots]
         self._view = None if setup.native else setup.view(count)
         self._together: Together | None = None
