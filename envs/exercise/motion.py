@@ -322,15 +322,18 @@ class Motion:
         """Return the motion of many robots of one kind, each in its own episode."""
         joined, plans = copy(motions[0]), [motion._schedule for motion in motions]
         most = max(plan.end.size for plan in plans)
+
+        def rows(name: str, filled: float) -> NDArray[Any]:
+            moves: list[NDArray[Any]] = [getattr(plan, name) for plan in plans]
+            return np.array([np.pad(row, (0, most - row.size), constant_values=filled) for row in moves])
+
         joined._schedule = Schedule(
-            *(
-                np.array([np.pad(row, (0, most - row.size), constant_values=filled) for row in rows])
-                if name != "total"
-                else np.array(rows)
-                for name, rows, filled in zip(
-                    Schedule._fields, zip(*plans, strict=True), (np.inf, 0, 0, 0, 0, 1), strict=True
-                )
-            )
+            end=rows("end", np.inf),
+            total=np.array([plan.total for plan in plans]),
+            path=rows("path", 0),
+            start=rows("start", 0.0),
+            way=rows("way", 0.0),
+            length=rows("length", 1.0),
         )
         return joined
 
