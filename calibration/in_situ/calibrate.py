@@ -59,7 +59,7 @@ from surefoot.calibration.in_situ.model import (
     transform_basis,
 )
 from surefoot.calibration.in_situ.options import InSituOptions, KnownLimb
-from surefoot.calibration.in_situ.outcome import outcome, refused
+from surefoot.calibration.in_situ.outcome import outcome, refused, with_bending
 from surefoot.calibration.in_situ.rest import errors_of_imu
 from surefoot.calibration.in_situ.solve import (
     Problem,
@@ -67,6 +67,7 @@ from surefoot.calibration.in_situ.solve import (
     minima,
     solve,
     starts,
+    transforms,
 )
 from surefoot.calibration.in_situ.temperature import about_one_temperature, drifting, with_gains
 from surefoot.calibration.results import CalibrationRefused, FitResult, accepting
@@ -238,7 +239,8 @@ def _fit(
         rank = _without_priors(problem, solution, rank, options)
     if rank.missing:
         warnings += (rank.warning(),)
-    check_bending(sets, problem.sets, options, loops=not loops)
+    bending, bends = check_bending(sets, problem.sets, options, loops=not loops)
+    warnings += bends
     noise = pooled_noise(problem.sets)
     slow = slow_turn(sets, problem.sets)
     behind = slow if slow is not None or reference is None else drifting(parts)
@@ -255,6 +257,9 @@ def _fit(
         covariance = with_rows(covariance, of_rows)
     fit = outcome(problem, solution, noise, covariance, rank, matrix, warnings)
     fit = replace(fit, data_share=of_data.share)
+    if bending:
+        load = transforms(problem, solution)[-1, :AXES] @ problem.sets[-1].end.signals
+        fit = with_bending(fit, bending, load, weighed=known is not None)
     if reference is not None:
         fit = replace(fit, temperature_reference=reference)
     with _drift_first(behind):

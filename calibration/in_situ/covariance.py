@@ -46,16 +46,24 @@ Vector = NDArray[np.float64]
 
 _RAISES, _LOWERS = 4.0, 30.0
 """Free rows that must speak of the noise along a signal to count for as much as its spectrum: more of them
-where they show less noise, since to be too sure is worse than to be too unsure."""
+where they show less noise, since to be too sure is worse than to be too unsure. Loops in the fit take most of
+the hysteresis at the motion's own frequency with them, and less of it elsewhere: the spectrum there is no
+guide, and few rows suffice either way."""
 
 UNUSED = 1e-9
 """Share of the largest variance of a set's rows below which a signal never varied."""
+
+_AS_POOLED = 10.0
+"""Modes beside the motion whose covariance counts for as much as the one of all modes."""
 
 _FEW = 10.0
 """Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""
 
 _MOST_DOUBLINGS = 8
-"""A swing is at least so many times half of half the load: smaller loops are not followed."""
+"""A swing is at least so many times half of the largest load of its kind: smaller loops are not followed."""
+
+_KINDS = (slice(0, 3), slice(3, 6))
+"""Forces and torques."""
 
 _NOISE_FLOOR = 1e-10
 """Noise counts as at least this share of a channel's spread: a simulation may have none."""
@@ -100,13 +108,26 @@ def with_disagreement(problem: Problem, solution: Solution) -> Problem:
     free = 1.0 - np.sum(left**2, axis=1)[: solution.residual.size].reshape(solution.residual.shape)
     size = np.array([np.diag(part.gram) for part in problem.sets])
     used = size > UNUSED * np.max(size, axis=1, keepdims=True)
-    square = np.sum(solution.residual**2, axis=2) / np.where(used, size, np.inf)
+    alike = np.linalg.solve(beside_motion(problem), solution.residual.swapaxes(1, 2)).swapaxes(1, 2)
+    square = np.sum(alike**2, axis=2) / np.where(used, size, np.inf)
     freedom = np.where(used, free.sum(axis=2), 0.0)
     shown, rows = square.sum(axis=0), freedom.sum(axis=0)
-    believed = np.where(shown > rows, _RAISES, _LOWERS)
+    loops = problem.hysteresis or problem.channel_lags > 0
+    believed = np.where((shown > rows) | loops, _RAISES, _LOWERS)
     root = np.sqrt((believed + shown) / (believed + rows))
     parts = tuple(replace(part, gram=root[:, None] * part.gram * root) for part in problem.sets)
     return replace(problem, sets=parts)
+
+
+def beside_motion(problem: Problem) -> Matrix:
+    """Return a symmetric root of the shape of whitened noise about as fast as the signals, (k, k).
+
+    Noise that depends on the load is in what the load moves, and white noise in all channels: channels whose
+    noise is as large over all frequencies may differ there. How large it is in the mean, the spectrum says.
+    """
+    scatter = problem.whitening @ sum(part.beside for part in problem.sets) @ problem.whitening.T
+    shape = _AS_POOLED * np.eye(len(scatter)) + scatter
+    return noise_root(shape / np.mean(np.diag(shape)))
 
 
 def orthonormal(columns: Matrix) -> tuple[Matrix, Matrix]:
@@ -176,11 +197,12 @@ def _noise_root(problem: Problem, left: Matrix) -> Matrix:
         left: Orthonormal, of all rows, shape (n, p).
     """
     channels = len(problem.whitening)
+    of_channels = beside_motion(problem)
     spread, first = [], 0
     for part in problem.sets:
         signals = len(part.uu)
-        rows = left[first : first + signals * channels].reshape(signals, -1)
-        spread.append((noise_root(part.gram) @ rows).reshape(signals * channels, -1))
+        rows = of_channels @ left[first : first + signals * channels].reshape(signals, channels, -1)
+        spread.append((noise_root(part.gram) @ rows.reshape(signals, -1)).reshape(signals * channels, -1))
         first += signals * channels
     return triangle(np.concatenate([*spread, np.sqrt(problem.level) * left[first:]])).T
 
@@ -212,7 +234,7 @@ def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[M
     loads = [part.source.signals @ t.T for part, t in zip(problem.sets, T, strict=True)]
     shares = loop_shares(problem, solution)
     if problem.hysteresis:
-        doubts = shares * _doublings(loads)
+        doubts = shares * np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
         changes = [doubt * np.outer(A[:, a], np.eye(AXES)[a]) for a, doubt in enumerate(doubts)]
     else:
         doubts = shares * _doublings([one @ A.T for one in loads])
@@ -226,16 +248,19 @@ def _slope_doubt(problem: Problem, solution: Solution, noise: Matrix) -> tuple[M
 
 
 def _doublings(loads: Sequence[Matrix]) -> Vector:
-    """Return how many times the swing of loads, (n_j, a) a set, may double up to where a slope is asked for.
+    """Return for how many doublings of the swing a slope is open, of loads of one kind, (n_j, a) a set.
 
-    It is shown for the swing of the data; how the load came there from zero, where the offset is, and further
-    loads of that size, take the slope of a swing as large as the load. It is one at least.
+    It is shown for the swing of the data. One slope is asked for at one size of forces, and one of torques,
+    whichever way they point: the mean of the axes' swings, give or take a doubling. How the load came there
+    from zero, where the offset is, and further loads of that size, take the slope of a swing as large.
     """
     swing = np.max([np.ptp(one, axis=0) for one in loads], axis=0) / 2.0
     reach = np.max([np.max(np.abs(one), axis=0) for one in loads], axis=0)
-    smallest = np.maximum(swing, 0.5**_MOST_DOUBLINGS * reach)
-    wider = np.log2(np.divide(reach, smallest, out=np.ones_like(reach), where=smallest > 0.0))
-    return np.asarray(np.maximum(wider, 1.0))
+    smallest = np.maximum(swing, 0.5**_MOST_DOUBLINGS * np.max(reach))
+    if not np.any(smallest > 0.0):
+        return np.ones_like(swing)
+    of_swing, of_reach = np.log2(smallest), np.log2(np.maximum(reach, smallest))
+    return np.asarray(np.maximum(np.hypot(of_swing - np.mean(of_swing), 1.0), of_reach - of_swing))
 
 
 def output_derivatives(problem: Problem, solution: Solution, noise: Matrix) -> Matrix:

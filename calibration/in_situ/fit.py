@@ -112,6 +112,8 @@ class InSituFit:
             themselves, without a factory matrix or a known limb, shape (7 k + 4,).
         accepted: The reason that was given to pass the refusals; empty if none was passed.
         nonlinear: What :meth:`wrench` adds for a sensor that is not linear; None if nothing.
+        bending: Share of a set's spread that goes with gravity's squares, where that is more than noise or
+            hysteresis; the covariance counts it.
     """
 
     matrix: NDArray[np.float64]
@@ -137,6 +139,7 @@ class InSituFit:
     data_share: NDArray[np.float64] | None = None
     accepted: str = ""
     nonlinear: NonlinearMap | None = None
+    bending: float = 0.0
 
     @property
     def columns(self) -> FitColumns:

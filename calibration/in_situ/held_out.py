@@ -27,6 +27,7 @@ from surefoot.calibration.in_situ.nonlinear import (
     enclosing,
 )
 from surefoot.calibration.in_situ.options import DEGREES, InSituOptions
+from surefoot.calibration.in_situ.outcome import with_bending
 from surefoot.calibration.in_situ.validation import as_seen, expected_wrench
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused, FitResult
@@ -56,6 +57,9 @@ _SURE = 2.0
 _BENT = {"residual_tolerance": 0.5, "mass_tolerance": 0.3}
 """Tolerances of the linear fit that a polynomial may still mend."""
 
+_STILL_BENT = 0.01
+"""Share of the readings' spread that may go with gravity's squares when the polynomial was taken off."""
+
 _STAYS = (
     "No polynomial predicted what took no part clearly better than the linear map, or made the sets agree: "
     "the sensor counts as linear."
@@ -82,19 +86,20 @@ def with_nonlinear(
     """
     plain = replace(options, nonlinear=None)
     wide = {name: max(least, getattr(options, name)) for name, least in _BENT.items()}
-    linear = answer(sets, replace(plain, **wide))
-    if linear.result is FitResult.REFUSED:
-        return linear
+    linear = _answered(answer, sets, replace(plain, **wide))
     assert options.nonlinear is not None
-    found = choose_nonlinear(
-        sets, linear, DEGREES if options.nonlinear == "auto" else [int(options.nonlinear)]
-    )
-    checked = None if found is None else _straight(sets, linear, found, plain, answer)
-    if found is None or checked is None:
+    among = DEGREES if options.nonlinear == "auto" else [int(options.nonlinear)]
+    found = None if linear is None else choose_nonlinear(sets, linear, among)
+    checked = None
+    if linear is not None and found is not None:
+        checked = _straight(sets, linear, found, plain, answer)
+    if linear is None or found is None or checked is None:
+        # With its own tolerances the linear fit refuses earlier, and nearer to the cause.
         fit = answer(sets, plain)
         return replace(fit, warnings=(*fit.warnings, _STAYS))
+    load = np.nanmean(linear.wrench(as_seen(sets[-1], linear).raw), axis=0)
     return replace(
-        linear,
+        with_bending(linear, checked.bending, load, weighed=weighed),
         nonlinear=found,
         result=checked.result,
         refusals=checked.refusals,
@@ -115,8 +120,17 @@ def _straight(
         replace(data, raw=data.raw + found.wrench(as_seen(data, linear).raw - offset) @ linear.response.T)
         for data, offset in zip(sets, linear.offsets, strict=True)
     )
+    if options.bending_tolerance is None:
+        options = replace(options, bending_tolerance=_STILL_BENT)
+    return _answered(answer, straight, options)
+
+
+def _answered(
+    answer: Callable[..., InSituFit], sets: tuple[InSituSet, ...], options: InSituOptions
+) -> InSituFit | None:
+    """Return the fit of sets; None if that is refused."""
     try:
-        fit = answer(straight, options)
+        fit = answer(sets, options)
     except CalibrationRefused:
         return None
     return None if fit.result is FitResult.REFUSED else fit

@@ -384,16 +384,23 @@ def check_within(
 
 def check_bending(
     sets: Sequence[InSituSet], parts: Sequence[CompressedSet], options: InSituOptions, loops: bool
-) -> None:
-    """Raise CalibrationRefused if a limb bends a little.
+) -> tuple[float, tuple[str, ...]]:
+    """Return by how much a limb bends that may, and what to say of it; or raise CalibrationRefused.
 
     With ``loops`` hysteresis, which looks like it for a while, may still be in the readings.
     """
     limit = (_BENDING_WITH_LOOPS if loops else _BENDING) * options.residual_tolerance
+    most, warnings = 0.0, []
     for data, part in zip(sets, parts, strict=True):
         bending = _bending(data, part)
-        if bending > limit and bending > _SOME_BENDS * _residual_share(data, part):
+        if bending <= limit or bending <= _SOME_BENDS * _residual_share(data, part):
+            continue
+        if bending > (options.bending_tolerance or 0.0):
             _bends(data, bending).unless_accepted()
+        else:
+            most = max(most, bending)
+            warnings.append(f"{_bends(data, bending).reason} Matrix and offset count as unsure by as much.")
+    return most, tuple(warnings)
 
 
 def _bends(data: InSituSet, share: float) -> Contradiction:

@@ -85,6 +85,11 @@ class InSituOptions:
     residual_tolerance: float = 0.03
     """Share of a set's spread that may be left unexplained before the set is refused."""
 
+    bending_tolerance: float | None = None
+    """Share of a set's spread that may go with gravity's squares before the set is refused; beyond a tenth of
+    ``residual_tolerance``, or while hysteresis may be part of it a third, a warning says so, and matrix and
+    offset are as unsure. None is for no more than that, and for 0.01 beside a polynomial."""
+
     mass_tolerance: float = 0.05
     """Share of the largest added mass, or of its lever, by which readings may contradict what was added."""
 
@@ -97,6 +102,8 @@ class InSituOptions:
     def __post_init__(self) -> None:
         """Raise ValueError if a value has no meaning."""
         check_positive(self, "residual_tolerance", "mass_tolerance", "scale_tolerance", "axis_tolerance")
+        if self.bending_tolerance is not None:
+            check_positive(self, "bending_tolerance")
         if self.drift is not None and self.drift not in range(MOST_DRIFT + 1):
             raise ValueError(
                 f"'drift' must be a whole number from 0 to {MOST_DRIFT}, or None, got {self.drift!r}."

@@ -30,7 +30,7 @@ from surefoot.calibration.in_situ.solve import (
 )
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["outcome", "refused"]
+__all__ = ["outcome", "refused", "with_bending"]
 
 Matrix = NDArray[np.float64]
 
@@ -75,6 +75,28 @@ def outcome(
         hysteresis=loop_shares(problem, solution) if problem.hysteresis else None,
         channel_hysteresis=loop_shares(problem, solution) if problem.channel_lags else None,
     )
+
+
+def with_bending(fit: InSituFit, share: float, load: Matrix, *, weighed: bool) -> InSituFit:
+    """Return a fit whose axes are each unsure by a share, for the squares of gravity in their readings.
+
+    Squares move no slope, but what makes them has cubes as well, which do.
+
+    Args:
+        fit: The fit.
+        share: Of the readings' spread.
+        load: At which the last offset was found, shape (6,).
+        weighed: Whether the limb's mass was given, which no axis moves.
+    """
+    covariance, columns = fit.covariance.copy(), fit.columns
+    for axis, (row, gain) in enumerate(zip(fit.matrix, fit.response.T, strict=True)):
+        place = columns.row(axis)
+        covariance[place, place] += share**2 * np.outer(row, row)
+        covariance[columns.offset, columns.offset] += (share * load[axis]) ** 2 * np.outer(gain, gain)
+    if not weighed:
+        moved = np.concatenate([[fit.limb.mass], np.full(3, np.linalg.norm(fit.limb.mass_com))])
+        covariance[columns.limb, columns.limb] += np.diag((share * moved) ** 2)
+    return replace(fit, covariance=covariance, bending=share)
 
 
 def _stats(problem: Problem, solution: Solution, rank: DataRank) -> tuple[FitStats, tuple[FitStats, ...]]:

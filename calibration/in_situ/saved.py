@@ -72,6 +72,7 @@ def facts_of(
             "matrix_std_N_Nm_per_count": fit.matrix_std,
             "offset_std_count": fit.offset_std,
             "temperature_reference_degC": fit.temperature_reference,
+            "bending_share_of_spread": fit.bending,
             "nonlinear": None if fit.nonlinear is None else dataclasses.asdict(fit.nonlinear),
             "limb": {
                 "mass_kg": fit.limb.mass,
@@ -131,6 +132,7 @@ def _fit_of(given: dict[str, Any]) -> InSituFit:
         set_stats=tuple(_stats_of(one) for one in given["sets"]),
         set_names=tuple(one["name"] for one in given["sets"]),
         temperature_reference=float(given["temperature_reference_degC"]),
+        bending=float(given.get("bending_share_of_spread", 0.0)),
         nonlinear=_nonlinear_of(given.get("nonlinear")),
         **{"temperature_coefficient": None, **values},
     )

@@ -121,6 +121,7 @@ class Fit(Settings):
     estimate_rotation: StrictBool = InSituOptions.estimate_rotation
     factory_std: tuple[Number, ...] | None = None
     residual_tolerance: Number = InSituOptions.residual_tolerance
+    bending_tolerance: Number | None = InSituOptions.bending_tolerance
     nonlinear: int | Literal["auto"] | None = InSituOptions.nonlinear
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ from surefoot.calibration.in_situ import (
     NonlinearMap,
     calibrate_in_situ,
 )
+from surefoot.calibration.in_situ.held_out import with_nonlinear
 from surefoot.calibration.in_situ.nonlinear import FADED, Products
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
@@ -168,6 +169,14 @@ def test_other_degrees_are_refused(given):
 
 
 @pytest.mark.slow
+def test_where_wider_tolerances_do_not_help_the_linear_fit_says_why():
+    def answer(sets, options):
+        raise CalibrationRefused("It bends." if options == InSituOptions() else "An axis is unseen.", "")
+
+    with pytest.raises(CalibrationRefused, match="It bends"):
+        with_nonlinear((), AUTO, answer, weighed=False)
+
+
 def test_a_limb_that_bends_is_no_sensor_that_is_not_linear():
     sets, _ = noisy_sets("leg", np.random.default_rng(68), n=1200)
     response = np.linalg.inv(MATRIX)

@@ -542,3 +542,18 @@ def test_a_factory_matrix_whose_scale_is_nearer_to_another_unit_is_warned_about(
 def test_a_factory_matrix_whose_scale_is_clearly_that_of_another_unit_is_refused(aged, unit):
     with pytest.raises(CalibrationRefused, match=f"Likeliest: .*{unit}"):
         calibrate_in_situ(leg_sets(), factory_matrix=aged * MATRIX)
+
+
+def test_a_limb_that_bends_a_little_is_answered_if_it_may_and_is_as_unsure():
+    sets, _ = noisy_sets("leg", np.random.default_rng(90))
+    soft = []
+    for one in sets:
+        torque = 0.002 * one.gravity * one.gravity[:, [1, 2, 0]]
+        soft.append(replace(one, raw=one.raw + torque @ RESPONSE.T[3:]))
+    with pytest.raises(CalibrationRefused, match="goes with gravity's squares"):
+        calibrate_in_situ(soft)
+    fit = calibrate_in_situ(soft, options=InSituOptions(bending_tolerance=0.01))
+    assert 0.003 < fit.bending < 0.01
+    assert any("unsure by as much" in warning for warning in fit.warnings)
+    assert (fit.matrix_std > fit.bending * np.abs(fit.matrix)).all()
+    assert fit.limb_mass_std > fit.bending * fit.limb.mass
