@@ -1,7 +1,6 @@
-"""Time foot sensors and their calibration for a batch of robots on torch, on the CPU or a GPU.
+"""Time the kernels of foot sensors and of their calibration for many robots, on the CPU or a GPU.
 
     python benchmarks/gpu_speed.py                         # 4,096 robots x 8 cells, one thread
-    python benchmarks/gpu_speed.py --threads 2
     python benchmarks/gpu_speed.py --device cuda
 
 A step is one of the control loop; the default calibrator learns at every sixteenth, so that its mean is more
@@ -66,14 +65,13 @@ def main() -> None:
     )
     parser.add_argument("--robots", type=int, default=4096)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--methods", nargs="+", default=["moment"], choices=list(METHODS))
     arguments = parser.parse_args()
-    torch.set_num_threads(arguments.threads)
+    torch.set_num_threads(1)
     device, robots = torch.device(arguments.device), arguments.robots
     force, reference = stepping(robots, device)
     ended = torch.arange(0, robots, 400, device=device)
-    print(f"{robots} robots x 8 cells on {device}, {arguments.threads} thread(s), float32, ms a step")
+    print(f"{robots} robots x 8 cells on {device}, float32, ms a step")
     print(f"{'':44s} {'median':>8s} {'mean':>8s} {'95 %':>8s}")
 
     plain = FootSensorsModule(HX711_LOAD_CELLS, robots, device, dt=DT)

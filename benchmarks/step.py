@@ -3,12 +3,13 @@
     python benchmarks/step.py
     python benchmarks/step.py --robots NaoBalance G1 --rounds 400
     python benchmarks/step.py --robots NaoWalk --methods none tare window moment --shares
+    python benchmarks/step.py --robots NaoWalk --faults "at t=1 s cell left/2 dies"
 
 All stacks of a robot take the same few steps in each round, in turn, in one process, so that whatever else
 the machine does hits all of them. Told are medians over the rounds: the time of one step and how many times
-the bare step it is, with an interval that holds this median 19 times in 20. Time is that of the process;
-resets do not count. The specification is the Python that runs where no library is (``SUREFOOT_NATIVE=0``). G1
-needs ``pip install surefoot[robots]``.
+the bare step it is, with an interval that holds this median 19 times in 20, and last the time of a reset that
+keeps sensors and what was learnt. Time is that of the process. The specification is the Python that runs
+where no library is (``SUREFOOT_NATIVE=0``). G1 needs ``pip install surefoot[robots]``.
 """
 
 import argparse
@@ -49,6 +50,8 @@ ROBOTS = {
     "G1": Robot("surefoot/Exercise-v0", {"robot": "g1"}, None),
 }
 MANY = ("NaoBalance", "NaoWalk")
+RESETS = 40
+"""How many of them are timed."""
 
 
 @contextmanager
@@ -71,10 +74,12 @@ class Stack:
         shape = env.action_space.shape or ()
         self._action = np.zeros(shape, np.float32)
 
-    def reset(self) -> None:
-        """Begin an episode, the same in all stacks."""
+    def reset(self, seed: int | None = 0) -> float:
+        """Begin an episode, the same in all stacks; return the time that it took in s."""
         with self._way():
-            self.env.reset(seed=0)
+            begin = time.process_time()
+            self.env.reset(seed=seed)
+            return time.process_time() - begin
 
     def run(self, steps: int) -> tuple[float, bool]:
         """Step on; return the time of one step in s, and whether an episode has ended."""
@@ -89,14 +94,14 @@ class Stack:
         return passed / taken, end
 
 
-def stacks(robot: Robot, methods: list[str], native: bool) -> dict[str, Stack]:
+def stacks(robot: Robot, methods: list[str], faults: list[str], native: bool) -> dict[str, Stack]:
     """Make what is wrapped around an environment, each layer around one of its own."""
 
     def bare() -> gym.Env[Any, Any]:
         return gym.make(robot.env, disable_env_checker=True, **robot.options)
 
     def sensed() -> gym.Env[Any, Any]:
-        return FootSensors(bare(), robot.config)
+        return FootSensors(bare(), robot.config, faults=faults)
 
     found: dict[str, gym.Env[Any, Any]] = {}
     if native:
@@ -110,14 +115,14 @@ def stacks(robot: Robot, methods: list[str], native: bool) -> dict[str, Stack]:
     return {name + ("" if native else ", specification"): Stack(env, native) for name, env in found.items()}
 
 
-def many(robot: Robot, count: int, methods: list[str]) -> dict[str, Stack]:
+def many(robot: Robot, count: int, methods: list[str], faults: list[str]) -> dict[str, Stack]:
     """Make the same of many robots in native threads."""
 
     def bare() -> Any:
         return gym.make_vec(robot.env, count, "vector_entry_point", **robot.options)
 
     def sensed() -> Any:
-        return VectorFootSensors(bare(), robot.config)
+        return VectorFootSensors(bare(), robot.config, faults=faults)
 
     found = {"bare": bare(), "VectorFootSensors": sensed()}
     for method in methods:
@@ -141,6 +146,11 @@ def compare(found: dict[str, Stack], rounds: int, steps: int) -> None:
         if ended and number > -3:
             for stack in found.values():
                 stack.reset()
+    resets: dict[str, list[float]] = {name: [] for name in found}
+    for _ in range(RESETS):
+        for name, stack in found.items():
+            stack.run(2)
+            resets[name].append(stack.reset(None))
     bare = np.array(taken["bare"])
     for name, times in taken.items():
         ratio = np.sort(np.array(times) / bare)
@@ -148,7 +158,8 @@ def compare(found: dict[str, Stack], rounds: int, steps: int) -> None:
         middle, away = len(ratio) / 2, 0.98 * np.sqrt(len(ratio))
         low, high = (ratio[int(np.clip(middle + off, 0, len(ratio) - 1))] for off in (-away, away))
         told = f"{1e6 * np.median(times):9.0f} {np.median(ratio):6.2f}"
-        print(f"  {name:44s} {told}  ({low:.2f} to {high:.2f})", flush=True)
+        reset = 1e6 * np.median(resets[name])
+        print(f"  {name:44s} {told}  ({low:.2f} to {high:.2f}) {reset:9.0f}", flush=True)
 
 
 def main() -> None:
@@ -160,18 +171,19 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=200)
     parser.add_argument("--steps", type=int, default=20, help="steps of each stack in a round")
     parser.add_argument("--many", type=int, default=64, help="robots of a vector environment; 0 for none")
+    parser.add_argument("--faults", nargs="*", default=[], help="what breaks, in words")
     parser.add_argument("--shares", action="store_true", help="also profile the last stack")
     arguments = parser.parse_args()
 
-    print(f"  {'':44s} {'us/step':>9s} {'of bare':>6s}")
+    print(f"  {'':44s} {'us/step':>9s} {'of bare':>6s} {'':14s} {'us/reset':>10s}")
     for name in arguments.robots:
         print(f"{name}, 1 robot")
         try:
-            found = stacks(ROBOTS[name], arguments.methods, True)
+            found = stacks(ROBOTS[name], arguments.methods, arguments.faults, True)
         except ModuleNotFoundError as missing:
             print(f"  {missing}")
             continue
-        found |= stacks(ROBOTS[name], arguments.methods, False)
+        found |= stacks(ROBOTS[name], arguments.methods, arguments.faults, False)
         compare(found, arguments.rounds, arguments.steps)
         if arguments.shares:
             print("Shares of the time, as the profiler sees it:")
@@ -179,7 +191,8 @@ def main() -> None:
             shares(partial(step, last, 1000))
     for name in [robot for robot in arguments.robots if robot in MANY and arguments.many]:
         print(f"{name}, {arguments.many} robots")
-        compare(many(ROBOTS[name], arguments.many, arguments.methods), max(20, arguments.rounds // 8), 5)
+        of_many = many(ROBOTS[name], arguments.many, arguments.methods, arguments.faults)
+        compare(of_many, max(20, arguments.rounds // 8), 5)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,8 @@ class Estimate(NamedTuple):
     """Calibrated readings of one sample; any leading batch dimensions, written as ``...``.
 
     Forces, wrenches and parameters are always finite. A centre of pressure is NaN exactly where its
-    validity is false.
+    validity is false. Forces, and all that is made of them, are those of now: where readings are older by the
+    setup's ``age``, they are carried on from there (:mod:`surefoot.calibration.front_end.ages`).
 
     Attributes:
         force: Calibrated channels in N (or the channel's own unit), shape (..., K).
@@ -86,6 +87,8 @@ class Estimate(NamedTuple):
         nis_rows: Number of rows, its degrees of freedom, shape (...), or ``None``.
         matrix: Scales of a calibration with cross-talk against the starting map, the A of F = A F0 + b, shape
             (..., K, K); ``None`` where there is one scale a channel.
+        cop_measured: Centre of pressure of the forces as they were read, in m, shape (..., 2), NaN where they
+            have none; ``cop`` itself where readings have no age.
     """
 
     force: Array
@@ -104,3 +107,4 @@ class Estimate(NamedTuple):
     nis: Array | None = None
     nis_rows: Array | None = None
     matrix: Array | None = None
+    cop_measured: Array | None = None

@@ -31,8 +31,8 @@ class FootCalibrator:
     """Calibrate the feet of a robot while it moves.
 
     A thin object over the pure functions of :mod:`surefoot.calibration.online`: it makes a state that fits
-    the first reading and carries it along. The moment filter of one robot runs in C where the library of
-    :mod:`surefoot.calibration.native` lies, with the same numbers to rounding.
+    the first reading and carries it along. A method of this package for one robot runs in C where the library
+    of :mod:`surefoot.calibration.native` lies, with the same numbers to rounding.
 
     Args:
         layout: How the channels make up the feet's wrenches.
@@ -92,9 +92,7 @@ class FootCalibrator:
     def _begin(self) -> None:
         """Build what follows from the setup and the options."""
         self._pure = online_method(self.method, self.setup, **self._options)
-        self._native: NativeFilter | None = None
-        if self.method == "moment":
-            self._native = native_filter(installed(), self.setup, self._options)
+        self._native: NativeFilter | None = native_filter(installed(), self.method, self.setup, self._options)
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: part for name, part in vars(self).items() if name not in ("_pure", "_native")}

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_not_negative, check_positive, is_whole
@@ -77,6 +78,11 @@ class OnlineSetup:
     plausible_weights: float = 20.0
     """Force of one channel, in body weights, beyond which a reading is taken for an error."""
 
+    age: ArrayLike = 0.0
+    """Mean age in s of a reading when it is taken, one for all channels or one each: half a conversion of a
+    chip that runs on its own clock, half of those that it averages before, and the delay of its wire. A
+    reference describes that moment, ``lag`` samples ago; estimates are brought from there to now."""
+
     def __post_init__(self) -> None:
         """Raise an error if a value has no meaning."""
         check_positive(self, "mass", "dt", "plausible_weights")
@@ -96,6 +102,12 @@ class OnlineSetup:
                 )
             if not np.isfinite(value).all():
                 raise ValueError(f"'initial.{field}' holds values that are not finite: {value}.")
+        age = np.asarray(self.age, dtype=np.float64)
+        if age.shape not in ((), (self.layout.channels,)) or not ((age >= 0.0) & (age < np.inf)).all():
+            raise ValueError(
+                f"'age' must be finite and not negative, in s, one number or one for each of the "
+                f"{self.layout.channels} channels, got {self.age}."
+            )
         if (np.asarray(self.initial.scale) == 0.0).any():
             raise ValueError(f"'initial.scale' must not be zero, got {self.initial.scale}.")
         if self.foot_length is not None:
@@ -135,7 +147,7 @@ def setup_from_options(
 
     Without an initial map readings are taken for newtons.
     """
-    own = {"foot_length", "force_threshold", "plausible_weights"} & set(options)
+    own = {"foot_length", "force_threshold", "plausible_weights", "age"} & set(options)
     setup = OnlineSetup(
         layout=layout,
         mass=mass,

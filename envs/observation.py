@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, turned
-from surefoot.envs.instrumentation.truth import CONTACT_FORCE
+from surefoot.envs.instrumentation.truth import pressed
 from surefoot.envs.numbers import ONE, Number, Numbers
 
 Observation = dict[str, NDArray[Any]]
@@ -110,13 +110,12 @@ class FeetObserver:
                 "cop_valid": spaces.MultiBinary(3),
             }
         )
-        self._cop: list[Number] = [0.0, 0.0]
-        self._cop_foot: list[list[Number]] = [[0.0, 0.0], [0.0, 0.0]]
+        self._cop: list[list[Number]] = [[0.0, 0.0] for _ in range(3)]
 
     def reset(self, robots: Any = True) -> None:
         """Start with centres of pressure at the origin; of many robots, for those of a mask."""
-        cop, where = [self._cop, *self._cop_foot], self.numbers.where
-        self._cop, *self._cop_foot = [[where(robots, 0.0, part) for part in place] for place in cop]
+        where = self.numbers.where
+        self._cop = [[where(robots, 0.0, part) for part in place] for place in self._cop]
 
     def observe(
         self, last: NDArray[np.float64], row: Any, qvel: NDArray[np.float64], command: Command
@@ -132,59 +131,25 @@ class FeetObserver:
         Returns:
             The observation, and the truth at the control rate for ``info``.
         """
-        m, places, choose = self.numbers, self._places, self.numbers.where
-        up = places.up
-        wrench, vgrf, cop_foot, foot_valid = [], [], [], []
-        load = moment_x = moment_y = 0.0
-        for foot in (0, 1):
-            i, j, k = places.contact[foot], places.position_sole[foot], places.axes_sole[foot]
-            fx, fy, fz, tx, ty, tz = (up * part for part in row[i : i + 6])
-            px, py, pz = row[i + 6 : i + 9]
-            x0, y0, z0 = row[j : j + 3]
-            xx, xy, xz, yx, yy, yz, zx, zy, zz = row[k : k + 9]
-            load += fz
-            moment_x += tx + py * fz
-            moment_y += ty - px * fz
-            rx, ry, rz = px - x0, py - y0, pz - z0
-            tx, ty, tz = tx + ry * fz - rz * fy, ty + rz * fx - rx * fz, tz + rx * fy - ry * fx
-            normal = zx * fx + zy * fy + zz * fz
-            torque_x = xx * tx + xy * ty + xz * tz
-            torque_y = yx * tx + yy * ty + yz * tz
-            wrench.append(
-                [
-                    xx * fx + xy * fy + xz * fz,
-                    yx * fx + yy * fy + yz * fz,
-                    normal,
-                    torque_x,
-                    torque_y,
-                    zx * tx + zy * ty + zz * tz,
-                ]
-            )
-            vgrf.append(fz)
-            valid = normal > CONTACT_FORCE
-            foot_valid.append(valid)
-            safe = choose(valid, normal, 1.0)
-            x, y = -torque_y / safe, torque_x / safe
-            held_x, held_y = self._cop_foot[foot]
-            cop_foot.append([choose(valid, x, 0.0), choose(valid, y, 0.0)])
-            self._cop_foot[foot] = [choose(valid, x, held_x), choose(valid, y, held_y)]
-
-        valid = load > CONTACT_FORCE
-        safe = choose(valid, load, 1.0)
-        cop_world = [choose(valid, -moment_y / safe, 0.0), choose(valid, moment_x / safe, 0.0)]
+        m, places = self.numbers, self._places
+        feet = [
+            [*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]]
+            for i, j, k in zip(places.contact, places.position_sole, places.axes_sole, strict=True)
+        ]
+        wrench, vgrf, ((x, y), *cop_foot), valid = pressed(feet, places.up, m)
         middle_x, middle_y, heading = places.level(row, m)
-        x, y = turned(cop_world[0] - middle_x, cop_world[1] - middle_y, heading, m)
-        held_x, held_y = self._cop
-        self._cop = [choose(valid, x, held_x), choose(valid, y, held_y)]
+        level = turned(x - middle_x, y - middle_y, heading, m)
+        for there, place, held in zip(valid, (level, *cop_foot), self._cop, strict=True):
+            held[0], held[1] = m.where(there, place[0], held[0]), m.where(there, place[1], held[1])
 
-        wrench_sole, valids = m.array(wrench), [valid, *foot_valid]
+        wrench_sole = m.array(wrench)
         force_cell = places.force_cell(last, wrench_sole.reshape(*last.shape[:-1], 12))
         truth = {
             "force_cell": force_cell,
             "vgrf": m.array(vgrf),
-            "cop_world": m.array(cop_world),
+            "cop_world": m.array([x, y]),
             "cop_foot": m.array(cop_foot),
-            "cop_valid": m.array(valids),
+            "cop_valid": m.array(valid),
             "com": last[..., places.com : places.com + 3].copy(),
             "wrench_sole": wrench_sole,
         }
@@ -194,9 +159,9 @@ class FeetObserver:
         return {
             "state": self._state(last, row, qvel, command),
             "foot_force": force,
-            "cop_foot": m.array([_bounded(place, m) for place in self._cop_foot], dtype=np.float32),
-            "cop": m.array(_bounded(self._cop, m), dtype=np.float32),
-            "cop_valid": m.array(valids, dtype=np.int8),
+            "cop_foot": m.array([_bounded(place, m) for place in self._cop[1:]], dtype=np.float32),
+            "cop": m.array(_bounded(self._cop[0], m), dtype=np.float32),
+            "cop_valid": m.array(valid, dtype=np.int8),
         }, truth
 
     def _state(

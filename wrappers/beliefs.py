@@ -104,6 +104,18 @@ class Beliefs:
         self._plan, self._kinematics, self._upright = Plan(lag), Kinematics(), Upright(dt)
         self.believed = nothing(2)
 
+    def begun(self) -> "Beliefs":
+        """Return beliefs of the same robot at an episode's start."""
+        return Beliefs(
+            self.model,
+            self._layout,
+            self._period,
+            self._delay,
+            self._averaged,
+            lag=self._lag,
+            dt=self._dt,
+        )
+
     @property
     def force_bias(self) -> NDArray[np.float64]:
         """What the robot takes for an error of its accelerometer in m/s^2, shape (3,)."""

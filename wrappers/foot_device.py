@@ -2,18 +2,33 @@
 
 from collections.abc import Mapping
 from dataclasses import fields
+from math import ceil
 from typing import Any
 
 from surefoot.names import plain_name
-from surefoot.sensors import PRESETS, Corruption, ForceTorque, LoadCells, force_torque, load_cells, preset
+from surefoot.sensors import PRESETS, ForceTorque, LoadCells, preset
 from surefoot.sensors.configuration import current_names, from_mapping
 from surefoot.sensors.presets import resolve
+from surefoot.sensors.randomness import Stream
 
 FootDevice = LoadCells | ForceTorque
 """What can be under a foot."""
 
 JITTER_BOUND = 6.0
 """Standard deviations of a wire's or a link's jitter that no word is late by."""
+
+
+SENSOR_STREAM = 0x5F00
+"""Number of the random stream that sensors draw from unless another is given."""
+
+DEVICES = ("cells", "ankles", "faults", "telemetry")
+"""Devices of a robot that draw; each has a stream of its own within that one, by its place here."""
+
+
+def device_streams(stream: int, seed: int | None) -> dict[str, Stream]:
+    """Return the random streams of one robot's devices; nobody knows them without a seed."""
+    keys = ((stream, seed, number) if seed is not None else () for number in range(len(DEVICES)))
+    return {device: Stream.of(*key) for device, key in zip(DEVICES, keys, strict=True)}
 
 
 def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
@@ -39,9 +54,29 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:
     return resolve(config, LoadCells)
 
 
-def foot_corruption(config: FootDevice) -> Corruption[Any]:
-    """Make what turns true loads into the readings of either kind."""
-    return load_cells(config) if isinstance(config, LoadCells) else force_torque(config)
+def first_steps(configs: tuple[FootDevice, ...], dt: float) -> list[float]:
+    """Return after how long to read robots that start an episode, again and again, in s.
+
+    Every chip delivers at least once, and what is averaged or on its way runs through.
+
+    Args:
+        configs: What is under a foot.
+        dt: Duration of a control step in s.
+    """
+    slowest = max(
+        1.0 / c.rate[0] if isinstance(c, LoadCells) and c.rate is not None else 0.0 for c in configs
+    )
+    memory = max(map(_memory, configs))
+    return [max(dt, slowest)] + [dt] * (1 + ceil(memory / dt) if memory else 0)
+
+
+def _memory(config: FootDevice) -> float:
+    """Return for how long readings may still be of an earlier load, in s."""
+    wire = config.wire
+    latest: float = wire.delay + JITTER_BOUND * wire.jitter
+    if isinstance(config, LoadCells) and config.rate is not None and config.settling > 1:
+        latest += config.settling / config.rate[0]
+    return latest
 
 
 def _keys(kind: type[FootDevice]) -> set[str]:

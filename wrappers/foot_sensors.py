@@ -10,15 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.sensors import Encoders, Fault, Imu, Link
 from surefoot.sensors.transport.link import Packets
-from surefoot.wrappers.foot_device import FootDevice
+from surefoot.wrappers.foot_device import SENSOR_STREAM, FootDevice
 from surefoot.wrappers.raw_view import RawView, check_order
-from surefoot.wrappers.robot_sensors import (
-    SENSOR_STREAM,
-    Equipment,
-    RobotSensors,
-    load_hardware,
-    save_hardware,
-)
+from surefoot.wrappers.robot_sensors import Equipment, RobotSensors, load_hardware, save_hardware
 from surefoot.wrappers.source import Source, check_clock, find_source, split_options, with_source
 from surefoot.wrappers.telemetry import Telemetry, TelemetryLayout
 
@@ -146,9 +140,10 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         """
         rest, asked = split_options(options, "sensors", "calibration")
         observation, info = self.env.reset(seed=seed, options=rest)
-        self.robot.reset(self.source.truth, float(self.source.dt), seed, asked.get("sensors"))
+        dt, choice = float(self.source.dt), asked.get("sensors")
+        seen = self.robot.reset(self.source.truth, dt, seed, choice, observation)
         self._clock = None
-        return self._show(observation), info
+        return self._show(observation) if seen is None else seen, info
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and read the sensors."""

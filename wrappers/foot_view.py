@@ -60,14 +60,12 @@ class FootView:
         layout: The feet and their channels.
         mass: Mass that the robot believes it has in kg, for the bounds.
         flaw: Why the feet have no centres of pressure, or empty.
-        count: Number of robots N; ``None`` for one, without an axis of robots.
 
     Attributes:
         spaces: The space of each part that is calibrated.
         every: The space of each part that there could be.
         flawed: Whether the feet have no centres of pressure.
-        held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,) or
-            (N, 8).
+        held: The last ones that were defined, of each foot and of both, and its deviation in m, shape (8,).
         force_bound: Largest force that is shown in N.
         weight: What the robot believes to weigh in N: the unit of ``"foot_load"``.
 
@@ -81,7 +79,6 @@ class FootView:
         layout: FeetLayout,
         mass: float,
         flaw: str = "",
-        count: int | None = None,
     ) -> None:
         check_parts(parts)
         self.parts = tuple(part for part in parts if part != RAW)
@@ -104,20 +101,19 @@ class FootView:
         }
         self.spaces = {part: self.every[part] for part in self.parts}
         # In one array, for the library.
-        self.held: Floats = np.zeros(8 if count is None else (count, 8))
+        self.held: Floats = np.zeros(8)
         self.begin_episode()
 
-    def begin_episode(self, which: Any = ...) -> None:
-        """Start with centres of pressure at the origin; of some robots, shape (N,), or of all."""
-        self.held[which, :6], self.held[which, 6:] = 0.0, COP_BOUND
+    def begin_episode(self) -> None:
+        """Start with centres of pressure at the origin."""
+        self.held[:6], self.held[6:] = 0.0, COP_BOUND
 
     def show(self, estimate: Estimate, soles: Floats) -> dict[str, NDArray[Any]]:
-        """Show one sample, of one robot or of all.
+        """Show one sample.
 
         Args:
             estimate: The calibrator's.
-            soles: Where the soles are now (:meth:`~surefoot.wrappers.beliefs.Beliefs.soles`), shape
-                (..., 2, 4).
+            soles: Where the soles are now (:meth:`~surefoot.wrappers.beliefs.Beliefs.soles`), shape (2, 4).
 
         Returns:
             Fresh arrays by part. Where a centre of pressure is not defined, the last one that was is held.

@@ -7,7 +7,6 @@ level foot at rest weighs below its ankle counts as part of that sensor's offset
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from math import ceil
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,15 +15,14 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
-from surefoot.sensors import ForceTorque, LoadCells, sized
+from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map
 from surefoot.sensors.devices.native_cells import CELLS
-from surefoot.sensors.devices.native_device import NativeState, device_here, plain
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-from surefoot.wrappers.foot_device import JITTER_BOUND, FootDevice
+from surefoot.wrappers.foot_device import FootDevice, first_steps
 
 Floats = NDArray[np.float64]
 
@@ -50,13 +48,6 @@ class InstrumentsState(NamedTuple):
     ankles: Any = ()
 
 
-CellState = LoadCellState | NativeState
-"""State of load cells, as the Python has it or as the library has it."""
-
-AnkleState = ForceTorqueState | NativeState
-"""The same of six-axis sensors."""
-
-
 class CellsUnderFeet:
     """Four load cells under each sole.
 
@@ -66,12 +57,14 @@ class CellsUnderFeet:
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
+        kind: What they are in the library.
 
     Raises:
         ValueError: If a foot has no place for cells, or their numbers differ.
     """
 
     name: Final = "cells"
+    kind: Final = CELLS
 
     def __init__(self, config: LoadCells, drawing: RobotDrawing) -> None:
         places, below = drawing.position_cell_sole, drawing.below_cells
@@ -97,20 +90,19 @@ class CellsUnderFeet:
             )
             for i, name in enumerate(drawing.feet)
         )
-        self._device = device_here(CELLS, config)
+        self._device = load_cells(config)
 
     def init(self, rng: Rng) -> LoadCellState:
         """Draw the cells."""
         drawn: LoadCellState = self._device.init((self.channels,), rng)
         return drawn
 
-    def with_load(self, truth: Any, state: CellState) -> LoadCellState:
+    def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
         """Return the state under the load of now, and not of another episode."""
-        before: LoadCellState = plain(state)
-        return before._replace(previous=truth.force_cell[-1].copy())
+        return state._replace(previous=truth.force_cell[-1].copy())
 
-    def read(self, truth: Any, state: CellState, rng: Rng, dt: float) -> tuple[Floats, CellState]:
-        """Read them after a control step of dt; a state of the library's goes on in place."""
+    def read(self, truth: Any, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
+        """Read them after a control step of dt."""
         counts, after = self._device.apply(self.load(truth), state, rng, dt)
         return counts, after
 
@@ -125,9 +117,9 @@ class CellsUnderFeet:
         force: Floats = truth.force_cell[-1].copy()
         return force
 
-    def true_map(self, state: CellState) -> Parameters:
+    def true_map(self, state: LoadCellState) -> Parameters:
         """Return the map that undoes their errors now."""
-        return Parameters(*true_map(self.config, plain(state)))
+        return Parameters(*true_map(self.config, state))
 
 
 class SensorsInAnkles:
@@ -139,12 +131,14 @@ class SensorsInAnkles:
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
+        kind: What they are in the library.
 
     Raises:
         ValueError: If there are more or fewer of them than feet.
     """
 
     name: Final = "ankles"
+    kind: Final = FORCE_TORQUE
 
     def __init__(self, config: ForceTorque, drawing: RobotDrawing) -> None:
         below = drawing.below_ankle
@@ -168,19 +162,21 @@ class SensorsInAnkles:
             for i, name in enumerate(drawing.feet)
         )
         self.preload = np.concatenate([_weight(foot) for foot in self.feet])
-        self._device = device_here(FORCE_TORQUE, config)
+        self._device = force_torque(config)
 
     def init(self, rng: Rng) -> ForceTorqueState:
         """Draw the sensors."""
         drawn: ForceTorqueState = self._device.init((self.channels,), rng)
         return drawn
 
-    def with_load(self, truth: Any, state: AnkleState) -> AnkleState:
+    def with_load(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
         """Return the state as it is: readings of an instant have no load before."""
         return state
 
-    def read(self, truth: Any, state: AnkleState, rng: Rng, dt: float) -> tuple[Floats, AnkleState]:
-        """Read them at the end of a control step of dt; a state of the library's goes on in place."""
+    def read(
+        self, truth: Any, state: ForceTorqueState, rng: Rng, dt: float
+    ) -> tuple[Floats, ForceTorqueState]:
+        """Read them at the end of a control step of dt."""
         counts, after = self._device.apply(self.load(truth), state, rng, dt)
         return counts, after
 
@@ -195,16 +191,15 @@ class SensorsInAnkles:
         force: Floats = truth.wrench_ankle[-1].ravel() + self.preload
         return force
 
-    def true_map(self, state: AnkleState) -> Parameters:
+    def true_map(self, state: ForceTorqueState) -> Parameters:
         """Return the map that undoes each axis's own errors now; cross-talk is left out."""
-        now: ForceTorqueState = plain(state)
-        gain = 1.0 + np.diagonal(now.error, axis1=-2, axis2=-1).ravel()
-        return Parameters(self.nominal.scale / gain, self.preload - now.offset.ravel() / gain)
+        gain = 1.0 + np.diagonal(state.error, axis1=-2, axis2=-1).ravel()
+        return Parameters(self.nominal.scale / gain, self.preload - state.offset.ravel() / gain)
 
-    def cross_talk(self, state: AnkleState) -> Floats:
+    def cross_talk(self, state: ForceTorqueState) -> Floats:
         """Return what each channel reads of the others' loads, a row a channel, shape (K, K)."""
         scale = self.config.full_scale[:6]
-        off = plain(state).error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
+        off = state.error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
         talk = np.zeros((self.channels, self.channels))
         for i, block in enumerate(off):
             talk[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = block
@@ -228,9 +223,8 @@ class Instruments:
         zero_code: Readings without load by the data sheets in counts, shape (K,).
         code_range: Lowest and highest readings in counts, shape (K,) each.
         space: Box of the readings in counts, shape (K,).
-        memory: For how long readings go on that were of a load before, in s: filters and wires.
-        slowest: The longest time between two conversions in s.
         age: How old a reading is on average when it is taken, in s; the cells' where there are both.
+        ages: That of each channel, shape (K,).
 
     Raises:
         ValueError: If an instrument does not fit the robot, or a kind is given twice.
@@ -273,19 +267,11 @@ class Instruments:
         with np.errstate(over="ignore"):
             self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         self.age = self.parts[0].age
-        self.memory = max(_memory(part.config) for part in self.parts)
-        rates = [part.config.rate for part in self.parts if isinstance(part, CellsUnderFeet)]
-        self.slowest = max((1.0 / rate[0] for rate in rates if rate is not None), default=0.0)
+        self.ages = self.joined([np.full(part.channels, part.age) for part in self.parts])
 
     def first_steps(self, dt: float) -> list[float]:
-        """Return after how long to read robots that start an episode, again and again, in s.
-
-        Every chip delivers at least once, and what is averaged or on its way runs through.
-
-        Args:
-            dt: Duration of a control step in s.
-        """
-        return [max(dt, self.slowest)] + [dt] * (1 + ceil(self.memory / dt) if self.memory else 0)
+        """Return :func:`~surefoot.wrappers.foot_device.first_steps` of these, dt apart."""
+        return first_steps(tuple(part.config for part in self.parts), dt)
 
     def init(self, streams: Mapping[str, Rng]) -> InstrumentsState:
         """Draw instruments, each from its own stream, by name."""
@@ -307,16 +293,10 @@ class Instruments:
         """
         readings: list[Floats] = []
         for part in self.parts:
-            before: Any = getattr(state, part.name)
-            reading, after = part.read(truth, before, streams[part.name], dt)
+            reading, after = part.read(truth, getattr(state, part.name), streams[part.name], dt)
             readings.append(reading)
-            if after is not before:
-                state = state._replace(**{part.name: after})
+            state = state._replace(**{part.name: after})
         return readings[0] if self._one else self.joined(readings), state
-
-    def plain(self, state: InstrumentsState) -> InstrumentsState:
-        """Return the state as the Python has it, which later readings do not change."""
-        return InstrumentsState(**{part.name: plain(getattr(state, part.name)) for part in self.parts})
 
     def with_load(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
         """Return the state under the loads of now, at an episode start."""
@@ -407,15 +387,6 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing, method: str) -> di
     places = drawing.position_cell_sole
     length = USUAL_LENGTH if places is None else float(np.ptp(places[..., 0], axis=1).max())
     return options | {"foot_length": length}
-
-
-def _memory(config: FootDevice) -> float:
-    """Return for how long readings may still be of an earlier load, in s."""
-    wire = config.wire
-    latest: float = wire.delay + JITTER_BOUND * wire.jitter
-    if isinstance(config, LoadCells) and config.rate is not None and config.settling > 1:
-        latest += config.settling / config.rate[0]
-    return latest
 
 
 def _weight(foot: FootLayout) -> Floats:

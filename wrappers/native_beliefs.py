@@ -9,7 +9,7 @@ from surefoot.calibration import Reference
 from surefoot.calibration.native import Library, ReferenceRecord, installed
 from surefoot.native import c_header, required
 from surefoot.sensors.transport.link import Packet, Packets
-from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs
+from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs, nothing
 from surefoot.wrappers.contacts import planned_window
 from surefoot.wrappers.telemetry import TelemetryLayout
 
@@ -73,6 +73,13 @@ class NativeBeliefs:
         self.known, self.standing = beliefs.known, beliefs.standing
         records = self._timing, self._state, self._rows, self._planned, self._soles
         self._addresses = tuple(record.ctypes.data for record in records)
+
+    def begun(self) -> "NativeBeliefs":
+        """Go on at an episode's start; as :meth:`Beliefs.begun`, but in place."""
+        self._functions.surefoot_beliefs_init(self._addresses[1])
+        self.believed.fill(nothing(2))
+        self.known = self.standing = False
+        return self
 
     def _keep_up(self) -> None:
         """Take over the model's masses if they have changed."""
@@ -167,10 +174,7 @@ class NativeBeliefs:
 
     def unpack(self) -> Beliefs:
         """Return the Python object that goes on from here; it shares nothing but the model."""
-        spec, state = self._spec, self._state
-        found = Beliefs(
-            self.model, spec._layout, spec._period, spec._delay, spec._averaged, lag=spec._lag, dt=spec._dt
-        )
+        spec, state, found = self._spec, self._state, self._spec.begun()
         for owner, names in _owners(found):
             for name, attribute in names.items():
                 part = state[name].tolist()

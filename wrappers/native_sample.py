@@ -118,10 +118,10 @@ class NativeSample:
         return shown, told
 
     def _read(self, one: NDArray[Any]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        flags, vgrf, scale, offset, covariance = self._told(one)
+        flags, vgrf, scale, offset, *certain = self._told(one)
         return dict(zip(self._shown[0], self._shown[1](one), strict=True)), {
             "parameters": {"scale": scale, "offset": offset},
-            "covariance": covariance,
+            "covariance": certain[0] if certain else None,
             "flags": flags,
             "vgrf": vgrf,
             "reference": dict(zip(self._believed[0], self._believed[1](one), strict=True)),
@@ -179,11 +179,12 @@ def _told(
         for name in own
         if dtype.fields is not None
     ]
-    covariance = np.dtype((library.real, (unknowns, unknowns)))
-    fields.append(("covariance", covariance, places["covariance"][1]))
-    names["estimate"] += ("covariance",)
+    if native.certain:
+        covariance = np.dtype((library.real, (unknowns, unknowns)))
+        fields.append(("covariance", covariance, places["covariance"][1]))
+        names["estimate"] += ("covariance",)
     keys, formats, offsets = zip(*fields, strict=True)
-    end = offsets[-1] + covariance.itemsize
+    end = max(offset + dtype.itemsize for _, dtype, offset in fields)
     told = np.dtype(
         {"names": list(keys), "formats": list(formats), "offsets": list(offsets), "itemsize": end}
     )

@@ -1,6 +1,6 @@
-"""A control step of one robot's feet and telemetry by the library, in one call, and what is seen of it."""
+"""All sensors of one robot by the library: a step or an episode's start in one call, and what is seen."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from operator import attrgetter, itemgetter
 from typing import Any
 
@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.native import Record
-from surefoot.sensors.devices.native_device import NativeState
+from surefoot.sensors.devices.native_device import NativeDevice
 from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.link import Packets
-from surefoot.wrappers.instruments import CellsUnderFeet, Instruments, InstrumentsState, SensorsInAnkles
+from surefoot.sensors.transport.wire import check_wire
+from surefoot.wrappers.instruments import Instruments, InstrumentsState
 from surefoot.wrappers.native_telemetry import NativeTelemetry, NativeTelemetryState
 from surefoot.wrappers.raw_view import RawView
 
@@ -21,58 +22,70 @@ _SEEN = itemgetter("raw", "counts", "state")
 _NOTHING = np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.int32)
 """No numbers of a state that are measured."""
 
+Seen = tuple[NDArray[np.float64], dict[str, Any] | None]
+"""A reading in counts, shape (K,), and what is seen, in fresh arrays; without a view the next one overwrites
+the reading, and nothing is put together."""
+
 
 class NativeSensing:
-    """The library for one robot; states, streams and what is held stay those of the objects.
+    """The library for one robot, which holds the state of all that is under its feet.
 
     Args:
         truth: A control step, as long as all that it takes.
-        part: What is under the feet.
-        feet: Its state.
-        telemetry: The telemetry.
-        state: Its state.
-        streams: Where chance comes from, by device.
+        instruments: What is under the feet.
+        devices: The same as the library has it, and the faults, by their places in ``DEVICES``.
+        telemetry: The telemetry, if anybody listens.
+        dt: Duration of a control step in s.
         kept: Where the newest packet's values and the counts that are held lie.
         view: What is seen, if anything is put together.
+
+    Attributes:
+        telemetry_state: The telemetry's state, which goes on in place.
     """
+
+    telemetry_state: Any
 
     def __init__(
         self,
         truth: Any,
-        part: CellsUnderFeet | SensorsInAnkles,
-        feet: NativeState,
-        telemetry: NativeTelemetry,
-        state: NativeTelemetryState,
-        streams: dict[str, Any],
+        instruments: Instruments,
+        devices: Mapping[str, NativeDevice],
+        telemetry: tuple[NativeTelemetry, NativeTelemetryState] | None,
+        dt: float,
         kept: tuple[NDArray[np.float64], NDArray[np.float32]],
         view: RawView | None,
     ) -> None:
         library = installed()
         assert library is not None
-        self._of = feet, state, streams
-        self._telemetry, self._view, self._count = telemetry, view, 0
-        load, (self._position, self._inertial) = np.zeros_like(part.load(truth)), telemetry.inputs
-        # What cells feel may be told by other readings, faster here than there.
-        mapped = part.name == "cells" and hasattr(truth, "cell_map")
-        self._felt_in: Callable[[Any], NDArray[np.float64]] = attrgetter("plate") if mapped else part.load
-        self._felt = np.zeros_like(truth.plate) if mapped else load
+        self._states = {name: device.empty() for name, device in devices.items()}
+        self._telemetry: NativeTelemetry | None = None
+        self.telemetry_state = None
+        if telemetry is not None:
+            self._telemetry, self.telemetry_state = telemetry
+        self._view, self._count = view, 0
+        numbers: dict[str, Any] = {"channels": instruments.channels, "dt": dt}
+        numbers["first"], *more = instruments.first_steps(dt)
+        numbers |= {"more": len(more), "rows": len(truth.time)}
+        if len(instruments.parts) > 1:
+            self._order = instruments.order.astype(np.int32)
+            numbers["order"] = self._order.ctypes.data
+        for state in self._states.values():
+            kind = state.owner.kind.name
+            numbers |= {f"{kind}_config": state.owner.constants.ctypes.data, kind: state.address}
         observed, to, taken = _NOTHING if view is None else view.measured()
-        channels, numbers = load.shape[-1], len(observed)
-        self._observed = observed if numbers else None
+        self._observed = observed if len(observed) else None
         self._seen = Record(
             np.dtype(
                 [
-                    ("raw", np.float64, (channels,)),
-                    ("counts", np.float32, (channels,)),
-                    ("state", np.float32, (numbers,)),
+                    ("raw", np.float64, (instruments.channels,)),
+                    ("counts", np.float32, (instruments.channels,)),
+                    ("state", np.float32, (len(observed),)),
                 ]
             )
         )
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
         now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
         arrays = {
-            "felt": self._felt,
-            "load": load,
             "newest": kept[0],
             "raw": now["raw"],
             "observed": observed,
@@ -84,103 +97,149 @@ class NativeSensing:
             "from": taken,
             "to": to,
         }
-        if mapped:
-            factors, preload = truth.cell_map()
-            arrays |= {"map": factors.copy(), "preload": preload.copy()}
-        kind = feet.owner.kind.name
+        self._shape = truth.joint_position.shape
+        # What cells feel may be told by other readings, faster here than there.
+        self._map: tuple[NDArray[np.float64], ...] = ()
+        self._felt_in: Any = None
+        self._felt: Any = None
+        self._wrench: Any = None
+        if "cells" in devices:
+            mapped = hasattr(truth, "cell_map")
+            self._felt_in = attrgetter("plate" if mapped else "force_cell")
+            self._felt = arrays["felt"] = np.zeros_like(self._felt_in(truth))
+            numbers["readings"] = self._felt.shape[-1]
+            if mapped:
+                arrays["map"], arrays["preload"] = self._map = tuple(part.copy() for part in truth.cell_map())
+                arrays["load"] = np.zeros_like(truth.force_cell)
+        if "ankles" in devices:
+            self._wrench = arrays["wrench"] = np.zeros_like(truth.wrench_ankle[-1])
+        if self._telemetry is not None:
+            numbers |= {
+                "telemetry": self._telemetry.address,
+                "telemetry_state": self.telemetry_state.address,
+                "values": self._telemetry.layout.size,
+            }
+        numbers |= {"shares": len(to), "numbers": len(observed), "telemetry_stream": 0}
+        numbers |= {f"{state.owner.kind.name}_stream": 0 for state in self._states.values()}
         records = library.filled(
-            "sense_records",
-            {
-                **{name: array.ctypes.data for name, array in arrays.items()},
-                f"{kind}_config": feet.owner.constants.ctypes.data,
-                kind: feet.address,
-                "feet_stream": streams[part.name].address,
-                "telemetry": telemetry.address,
-                "telemetry_state": state.address,
-                "telemetry_stream": streams["telemetry"].address,
-                "rows": load.size // channels,
-                "readings": self._felt.shape[-1],
-                "shares": len(to),
-                "numbers": numbers,
-                "channels": channels,
-                "values": telemetry.layout.size,
-                "dt": telemetry.dt,
-            },
+            "sense_records", numbers | {name: array.ctypes.data for name, array in arrays.items()}
         )
         assert records is not None
-        self._kept = records, arrays
+        self._records, self._arrays = records, arrays
         self._sense, self._at = library.functions.surefoot_sense, records.ctypes.data
 
-    def __reduce__(self) -> Any:
-        # Addresses are of no use elsewhere: a copy of the wrapper makes its own.
-        return type(None), ()
+    def draw_from(self, streams: Mapping[str, Stream]) -> None:
+        """Let chance come from other streams, by the names of devices."""
+        self._streams = streams
+        self._records["telemetry_stream"] = streams["telemetry"].address
+        for name, state in self._states.items():
+            self._records[f"{state.owner.kind.name}_stream"] = streams[name].address
 
-    def goes_on(self, instruments: InstrumentsState, state: Any, streams: dict[str, Any]) -> bool:
-        """Return whether it is for these states and streams, and there is room for the next packets."""
-        own, telemetry, chance = self._of
-        if state is not telemetry or streams is not chance or state.coming < 0:
-            return False
-        return instruments.cells is own or instruments.ankles is own
+    def take(self, instruments: InstrumentsState, faults: Any) -> None:
+        """Go on with other hardware under the feet, as the Python has it."""
+        for name, state in self._states.items():
+            state.take(faults if name == "faults" else getattr(instruments, name))
 
-    def step(
-        self, truth: Any, time: float, observation: Any
-    ) -> tuple[NDArray[np.float64], dict[str, Any] | None] | None:
-        """Read a control step; ``None``, with nothing done, for one that is not as long as others.
+    def python(self) -> tuple[InstrumentsState, Any]:
+        """Return what is under the feet and what is broken about it as the Python has it, as a copy."""
+        states = {name: state.python() for name, state in self._states.items()}
+        faults = states.pop("faults", ())
+        return InstrumentsState(**states), faults
+
+    def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen | None:
+        """Start an episode; ``None``, with nothing done, for a truth that is not as long as others.
+
+        Args:
+            truth: In which it starts.
+            at_rest: What the IMU feels before it, shape (6,).
+            fresh: Whether IMU and encoders are drawn.
+            observation: What the environment shows.
+        """
+        if truth.joint_position.shape != self._shape:
+            return None
+        for part, now in zip(self._map, truth.cell_map() if self._map else (), strict=True):
+            part[...] = now
+        if self._telemetry is not None:
+            position, inertial = self._telemetry.inputs
+            position[0], inertial[0] = truth.joint_position[-1], at_rest
+        return self._read(truth, 0.0, 1 + fresh, observation)
+
+    def step(self, truth: Any, time: float, observation: Any) -> Seen | None:
+        """Read a control step; ``None``, with nothing done, for one that it does not take.
 
         Args:
             truth: The control step.
             time: The host's at its end in s.
             observation: What the environment shows.
-
-        Returns:
-            The reading in counts, shape (K,), and what is seen, in fresh arrays; without a view the reading
-            is overwritten by the next one, and nothing is put together.
         """
-        felt, position = self._felt_in(truth), truth.joint_position
-        if felt.shape != self._felt.shape or position.shape != self._position.shape:
+        now = truth.joint_position
+        if now.shape != self._shape:
             return None
-        self._felt[...], self._position[...] = felt, position
-        self._inertial[...] = truth.inertial
+        if self._telemetry is not None:
+            if self.telemetry_state.coming < 0:
+                return None
+            position, inertial = self._telemetry.inputs
+            position[...], inertial[...] = now, truth.inertial
+        return self._read(truth, time, 0, observation)
+
+    def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
+        if self._felt is not None:
+            self._felt[...] = self._felt_in(truth)
+        if self._wrench is not None:
+            self._wrench[...] = truth.wrench_ankle[-1]
         if self._observed is not None:
             self._observed[...] = observation["state"]
-        told = self._sense(self._at, time)
-        self._of[1].coming, self._count = (told >> 16) - 1, told & 0xFFFF
+        told = self._sense(self._at, time, begins)
+        if self._telemetry is not None:
+            self.telemetry_state.coming, self._count = (told >> 16) - 1, told & 0xFFFF
         if self._view is None:
             return self._raw, None
         raw, counts, state = _SEEN(self._seen.copy())
         return raw, self._view.seen(observation, counts, None if self._observed is None else state)
 
-    def arrived(self) -> tuple[int, int]:
+    def arrived(self) -> tuple[int, int] | None:
         """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
-        return self._telemetry.arrived_address, self._count
+        return None if self._telemetry is None else (self._telemetry.arrived_address, self._count)
 
     def packets(self) -> Packets:
         """Return the packets that have arrived."""
-        return self._telemetry.packets(self._count)
+        return () if self._telemetry is None else self._telemetry.packets(self._count)
 
 
 def native_sensing(
     truth: Any,
     instruments: Instruments,
-    state: InstrumentsState,
+    devices: Mapping[str, NativeDevice | None],
     telemetry: Any,
     telemetry_state: Any,
-    streams: dict[str, Any],
+    dt: float,
     kept: tuple[NDArray[np.float64], NDArray[np.float32]],
     view: RawView | None,
 ) -> NativeSensing | None:
-    """Return what reads a robot by the library in one call; ``None`` where its parts read on their own."""
-    part = instruments.parts[0]
-    feet = getattr(state, part.name)
-    if (
-        type(telemetry) is not NativeTelemetry
-        or type(telemetry_state) is not NativeTelemetryState
-        or type(feet) is not NativeState
-        or len(instruments.parts) != 1
-        or telemetry_state.coming < 0
-        or not all(type(streams[device]) is Stream for device in (part.name, "telemetry"))
-        or any(array.dtype != np.float64 for array in (part.load(truth), truth.joint_position))
-        or (view is not None and view.bounds[0].dtype != np.float32)
-    ):
+    """Return what reads a robot by the library; ``None`` where Python does, as one of its parts does not fit.
+
+    Args:
+        truth: As of :class:`NativeSensing`, like what is not described here.
+        instruments: What is under the feet.
+        devices: The same as the library has it; ``None`` for what does not fit.
+        telemetry: The telemetry; ``None`` where nobody listens.
+        telemetry_state: Its state; ``None`` before an episode.
+        dt: Duration of a control step in s.
+        kept: What is kept.
+        view: What is seen.
+    """
+    if any(device is None for device in devices.values()) or truth.joint_position.dtype != np.float64:
         return None
-    return NativeSensing(truth, part, feet, telemetry, telemetry_state, streams, kept, view)
+    if view is not None and view.bounds[0].dtype != np.float32:
+        return None
+    if telemetry is not None:
+        if type(telemetry) is not NativeTelemetry:
+            return None
+        state = telemetry.empty() if telemetry_state is None else telemetry_state
+        if type(state) is not NativeTelemetryState:
+            return None
+        telemetry = telemetry, state
+    for part in instruments.parts:
+        check_wire(part.config, dt)
+    found: Any = devices
+    return NativeSensing(truth, instruments, found, telemetry, dt, kept, view)

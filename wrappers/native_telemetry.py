@@ -84,17 +84,14 @@ class NativeTelemetry(Telemetry):
             raise ValueError("The robot is larger than those that the library was compiled for.")
         self._record, self._room = state, room
         self._skewed = bool(self.config["skewed"])
-        self._draws = functions.surefoot_telemetry_draws(at)
         self._init, self._advance = functions.surefoot_telemetry_init, functions.surefoot_telemetry_advance
         self._coming = functions.surefoot_telemetry_coming
         self._position, self._inertial = np.zeros((substeps, joints)), np.zeros((substeps, 6))
         self._arrived = np.zeros((room, 2 + self.layout.size))
         # A view of memory hands out plain floats, and rows that are there already need no slicing.
         self._heads, self._contents = self._arrived.data, [row[2:] for row in self._arrived]
-        normals = np.zeros((room + 1) * self._draws)
-        self._normals = [normals[: count * self._draws] for count in range(room + 1)]
         self._shape = self._position.shape
-        arrays = (self.config, self._position, self._inertial, normals, self._arrived)
+        arrays = self.config, self._position, self._inertial, self._arrived
         self._arrays = np.array([array.ctypes.data for array in arrays], dtype=np.uintp)
         self.inputs = self._position, self._inertial
         self.address, self.arrived_address = self._arrays.ctypes.data, self._arrived.ctypes.data
@@ -106,17 +103,13 @@ class NativeTelemetry(Telemetry):
         self, position: Floats, inertial: Floats, rng: Rng, hardware: Hardware | None = None
     ) -> tuple[Packets, Any]:
         """Switch the robot on; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
-        state = NativeTelemetryState(np.zeros((), self._record), 0)
-        fresh, joints, stream = hardware is None, len(position), _address(rng)
-        normals = self._normals[0]
+        if type(rng) is not Stream:
+            return super().init(position, inertial, rng, hardware)
+        state = self.empty()
         if hardware is not None:
             self._put(state, hardware)
-        if stream is None:
-            drawn = 6 + 18 * self._skewed + joints if fresh else 0
-            noisy = joints if self.config["encoder_noise"] else 0
-            normals = rng.standard_normal(drawn + noisy + self.before_start * self._draws)
         self._position[0], self._inertial[0] = position, inertial
-        told = self._init(self.address, state.address, stream, normals.ctypes.data, fresh)
+        told = self._init(self.address, state.address, rng.address, hardware is None)
         state.coming = (told >> 16) - 1
         return self.packets(told & 0xFFFF), state
 
@@ -125,16 +118,18 @@ class NativeTelemetry(Telemetry):
     ) -> tuple[Packets, Any]:
         """Measure a control step; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
         native = state if type(state) is NativeTelemetryState else self.pack(state)
-        if native is None or native.coming < 0 or position.shape != self._shape:
+        other = position.shape != self._shape or type(rng) is not Stream
+        if native is None or native.coming < 0 or other:
             # More packets are under way than the library has room for, or a step is not as long as others.
             return super().advance(position, inertial, time, self.unpack(state), rng)
-        stream = _address(rng)
-        if stream is None:
-            rng.standard_normal(out=self._normals[native.coming])
         self._position[...], self._inertial[...] = position, inertial
-        told = self._advance(self.address, native.address, stream, time)
+        told = self._advance(self.address, native.address, rng.address, time)
         native.coming = (told >> 16) - 1
         return self.packets(told & 0xFFFF), native
+
+    def empty(self) -> NativeTelemetryState:
+        """Return room for a state, before an episode."""
+        return NativeTelemetryState(np.zeros((), self._record), 0)
 
     def packets(self, count: int) -> Packets:
         """Return the packets that the last step has delivered, so many."""
@@ -170,7 +165,7 @@ class NativeTelemetry(Telemetry):
         computer, inertial, substeps, due, number, under_way = state
         if len(under_way) > self._room:
             return None
-        native = NativeTelemetryState(np.zeros((), self._record), 0)
+        native = self.empty()
         self._put(native, Hardware(computer.imu, computer.encoders))
         record = native.record
         record["up"], record["gyroscope_bias"] = computer.attitude
@@ -239,11 +234,6 @@ class NativeTelemetry(Telemetry):
             "step": both("resolution"),
             "most": both("range"),
         }
-
-
-def _address(rng: Any) -> int | None:
-    """Return where the stream of one robot lies, from which C draws; ``None`` for NumPy's generator."""
-    return rng.address if type(rng) is Stream else None
 
 
 def telemetry_of(

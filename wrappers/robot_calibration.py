@@ -99,10 +99,10 @@ class CalibrationSetup:
             )
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
-        self.options = layout_options(self.layout, drawing, self.method) | options
+        self.options = {"age": instruments.ages} | layout_options(self.layout, drawing, self.method) | options
         self.mass = self.model().mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
-        self.native = self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0).native() is not None
+        self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
         self.spaces = self.view().spaces
         check_certainty(show, self.method)
 
@@ -116,9 +116,9 @@ class CalibrationSetup:
             self.layout, self.method, mass=mass, initial=initial, dt=dt, lag=lag, **self.options
         )
 
-    def view(self, count: int | None = None) -> FootView:
-        """Make what shows the feet of one robot, or of so many."""
-        return FootView(self.show, self.layout, self.mass, self.drawing.flaw, count)
+    def view(self) -> FootView:
+        """Make what shows the feet of one robot."""
+        return FootView(self.show, self.layout, self.mass, self.drawing.flaw)
 
 
 class RobotCalibration:
@@ -127,7 +127,6 @@ class RobotCalibration:
     Args:
         setup: How it is calibrated.
         sensors: Its sensors.
-        alone: Whether it has a calibrator of its own; else only what one of many robots needs of it.
 
     Attributes:
         calibrator: The calibrator, from the first reset on.
@@ -140,12 +139,13 @@ class RobotCalibration:
         made: Whether there was a reset.
     """
 
-    def __init__(self, setup: CalibrationSetup, sensors: RobotSensors, alone: bool = True) -> None:
-        self._setup, self._sensors, self._alone = setup, sensors, alone
+    def __init__(self, setup: CalibrationSetup, sensors: RobotSensors) -> None:
+        self._setup, self._sensors = setup, sensors
         self.model = setup.model()
         self._view = setup.view()
         self._rng = np.random.default_rng()
         self._native: NativeSample | None = None
+        self._timing: tuple[Any, int] | None = None
         self._estimate: Estimate | None = None
         self.calibrator: FootCalibrator
         self.initial: Parameters
@@ -155,16 +155,11 @@ class RobotCalibration:
         self.late = self._waiting = 0
         self._chances = Chances()
 
-    def judge(self, moved: bool | None = None) -> bool:
-        """Warn, before a reset, if nothing was learnt for long; return whether that was done.
-
-        Args:
-            moved: Whether the map is no longer the starting map, if the calibrator is not the robot's own.
-        """
+    def judge(self) -> bool:
+        """Warn, before a reset, if nothing was learnt for long; return whether that was done."""
         if not self.made or self.frozen or self._setup.method == "none":
             return False
-        moved = self._moved() if moved is None else moved
-        return self._chances.judge(moved, self._sensors.telemetry.dt)
+        return self._chances.judge(self._moved(), self._sensors.telemetry.dt)
 
     def reset(self, seed: int | None = None, choice: str | None = None) -> bool:
         """Start an episode, after the sensors did; what was learnt is kept, or calibration starts fresh.
@@ -184,17 +179,21 @@ class RobotCalibration:
             self._start_fresh()
         else:
             self._wait_out()
-        self.beliefs = native_beliefs(
-            Beliefs(
-                self.model,
-                telemetry.layout,
-                telemetry.period,
-                telemetry.link.delay,
-                telemetry.averaged,
-                lag=self.late,
-                dt=telemetry.dt,
+        if self._timing == (telemetry, self.late):
+            self.beliefs = self.beliefs.begun()
+        else:
+            self._timing = telemetry, self.late
+            self.beliefs = native_beliefs(
+                Beliefs(
+                    self.model,
+                    telemetry.layout,
+                    telemetry.period,
+                    telemetry.link.delay,
+                    telemetry.averaged,
+                    lag=self.late,
+                    dt=telemetry.dt,
+                )
             )
-        )
         self._view.begin_episode()
         return fresh
 
@@ -275,14 +274,13 @@ class RobotCalibration:
         if not self.made:
             raise RuntimeError("There is no calibrator before the first reset(), which makes it.")
         initial = Parameters(*(np.asarray(part, dtype=np.float64) for part in self.initial))
-        return Learnt(self.calibrator.state if self._alone else (), initial, self.model.masses)
+        return Learnt(self.calibrator.state, initial, self.model.masses)
 
     def take_over(self, learnt: Learnt) -> None:
         """Go on with what was learnt."""
         self.model.masses, self.initial = learnt.masses, learnt.initial
-        if self._alone:
-            self._make()
-            self.calibrator.state = learnt.state
+        self._make()
+        self.calibrator.state = learnt.state
         self._wait_out()
 
     def notes(self) -> dict[str, str]:
@@ -297,7 +295,7 @@ class RobotCalibration:
 
     def __getstate__(self) -> dict[str, Any]:
         # The library's record, of which an estimate is made, stays behind.
-        return {**vars(self), "_estimate": self.estimate if self.made and self._alone else None}
+        return {**vars(self), "_estimate": self.estimate if self.made else None}
 
     def _moved(self) -> bool:
         """Return whether the map is no longer the starting map."""
@@ -323,8 +321,7 @@ class RobotCalibration:
         self.initial = self._first_map(rng)
         self.late = usual_lag(telemetry, setup.age) if setup.lag is None else setup.lag
         check_lag(self.late, telemetry, setup.age)
-        if self._alone:
-            self._make()
+        self._make()
         self.made, self._waiting = True, 0
 
     def _make(self) -> None:
@@ -354,37 +351,28 @@ def told_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration], *together: Any) -> None:
+def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
     """Write what robots have learnt, and the masses that it rests on, to an ``.npz`` without pickles.
-
-    Args:
-        path: The file.
-        robots: The robots.
-        *together: The state of what many of them have together, if anything.
 
     Raises:
         RuntimeError: If they have not been reset.
     """
-    save_state(path, _side_by_side(robots, together), **robots[0].notes())
+    save_state(path, _side_by_side(robots), **robots[0].notes())
 
 
-def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration], *together: Any) -> Any:
+def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
     """Go on with what a file of :func:`save_learnt` has of as many robots.
-
-    Returns:
-        The state of what they have together, if anything.
 
     Raises:
         RuntimeError: If they have not been reset.
         ValueError: If the file is of another robot, other sensors, another method or another lag.
     """
-    found = load_state(path, like := _side_by_side(robots, together), **robots[0].notes())
-    for robot, learnt in zip(robots, (found,) if isinstance(like, Learnt) else found, strict=False):
+    found = load_state(path, like := _side_by_side(robots), **robots[0].notes())
+    for robot, learnt in zip(robots, (found,) if isinstance(like, Learnt) else found, strict=True):
         robot.take_over(learnt)
-    return found[-1]
 
 
-def _side_by_side(robots: Sequence[RobotCalibration], together: tuple[Any, ...]) -> Any:
+def _side_by_side(robots: Sequence[RobotCalibration]) -> Any:
     """Return what one robot has learnt as it is, and of many side by side."""
     found = tuple(robot.learnt() for robot in robots)
-    return found[0] if len(found) == 1 and not together else (*found, *together)
+    return found[0] if len(found) == 1 else found

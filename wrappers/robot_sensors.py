@@ -16,23 +16,19 @@ from surefoot.calibration import GRAVITY, Parameters
 from surefoot.calibration.state import load_state, save_state
 from surefoot.envs import RobotDrawing
 from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, scaled
+from surefoot.sensors.devices.native_device import native_here
+from surefoot.sensors.devices.native_faults import FAULTS, Broken
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.foot_device import FootDevice, foot_device
+from surefoot.wrappers.foot_device import SENSOR_STREAM, FootDevice, device_streams, foot_device
 from surefoot.wrappers.instruments import Instruments, InstrumentsState, usual_cells
-from surefoot.wrappers.native_sensing import NativeSensing, native_sensing
+from surefoot.wrappers.native_sensing import NativeSensing, Seen, native_sensing
 from surefoot.wrappers.native_telemetry import telemetry_of
 from surefoot.wrappers.raw_view import RawView
 from surefoot.wrappers.source import check_stream, robot_note, wants_fresh
 from surefoot.wrappers.telemetry import Telemetry, timely_link
-
-SENSOR_STREAM = 0x5F00
-"""Number of the random stream that sensors draw from unless another is given."""
-
-DEVICES = ("cells", "ankles", "faults", "telemetry")
-"""Devices of a robot that draw; each has a stream of its own within that one, by its place here."""
 
 
 class HardwareState(NamedTuple):
@@ -73,6 +69,8 @@ class Equipment:
         drawing: The robot.
         fresh: Whether every reset draws fresh sensors.
         broken: The faults of channels, or ``None``.
+        native: What is under the feet and what is broken about it as the library has it, by :data:`DEVICES`;
+            ``None`` for what it has no room for.
 
     Raises:
         TypeError: If faults are no sequence.
@@ -111,12 +109,14 @@ class Equipment:
             raise TypeError(f"'faults' must be a sequence of faults, such as [{faults!r}]; got one alone.")
         self._faults = [self._fault(fault) for fault in faults]
         self.broken = channel_faults(self._faults, self.instruments) if self._faults else None
+        self.native = {part.name: native_here(part.kind, part.config) for part in self.instruments.parts}
+        if self._faults:
+            self.native["faults"] = native_here(FAULTS, Broken(tuple(self._faults), self.instruments))
         self.fresh, self._stream = fresh, stream
 
     def streams(self, seed: int | None) -> dict[str, Stream]:
         """Return the random streams of one robot's devices; nobody knows them without a seed."""
-        keys = ((self._stream, seed, number) if seed is not None else () for number in range(len(DEVICES)))
-        return {device: Stream.of(*key) for device, key in zip(DEVICES, keys, strict=True)}
+        return device_streams(self._stream, seed)
 
     def telemetry(self, dt: float, substeps: int) -> Telemetry:
         """Build telemetry; a link by name sends no more packets than there are moments of truth.
@@ -172,10 +172,18 @@ class RobotSensors:
         self._telemetry: Telemetry | None = None
         self._telemetry_state: Any = None
         self._sensing: NativeSensing | None = None
+        self._sends = listening
         self._raw: NDArray[np.float64] | None = None
         self._packets: Packets | None = ()
 
-    def reset(self, truth: Any, dt: float, seed: int | None = None, choice: str | None = None) -> None:
+    def reset(
+        self,
+        truth: Any,
+        dt: float,
+        seed: int | None = None,
+        choice: str | None = None,
+        observation: Any = None,
+    ) -> dict[str, Any] | None:
         """Start an episode, with fresh or kept sensors.
 
         Args:
@@ -183,16 +191,32 @@ class RobotSensors:
             dt: Duration of a control step in s.
             seed: Of the reset.
             choice: ``"fresh"`` or ``"keep"``, if it was asked for.
+            observation: What the environment shows, where there is a view.
+
+        Returns:
+            What is seen; ``None`` where the view is left to the caller.
         """
         if seed is not None:
             self._streams = self.equipment.streams(seed)
+        if self._telemetry is None or self._telemetry.dt != dt or self._sends != self.listening:
+            self._leave_library()
+            self._sends = self.listening
         if self._telemetry is None or self._telemetry.dt != dt:
             self._telemetry = self.equipment.telemetry(dt, len(truth.time))
             self.newest = np.zeros(self._telemetry.layout.size)
         self.sensors_fresh = wants_fresh(choice, seed, self.equipment.fresh, self._hardware is not None)
-        self._switch_on(truth)
-        self._note()
-        self.time = 0.0
+        self.time, draws = 0.0, self.sensors_fresh or self._telemetry_state is None
+        if self.sensors_fresh:
+            self._draw()
+        # At the reset a robot hangs just above its footprints; packets before are of one that stood.
+        at_rest = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
+        sensing = self._by_library(truth)
+        read = None if sensing is None else sensing.begin(truth, at_rest, draws, observation)
+        if read is not None:
+            return self._seen(read)
+        self._leave_library()
+        self._begin(truth, at_rest, draws)
+        return None
 
     def step(self, truth: Any, observation: Any = None) -> dict[str, Any] | None:
         """Read a control step.
@@ -205,12 +229,11 @@ class RobotSensors:
             What is seen; ``None`` where the view is left to the caller.
         """
         self.time += self.telemetry.dt
-        sensing = self._by_library(truth)
+        sensing = self._sensing or self._by_library(truth)
         read = None if sensing is None else sensing.step(truth, self.time, observation)
         if read is not None:
-            self._packets = None  # made of the library's rows when somebody asks
-            self._raw, seen = read
-            return seen
+            return self._seen(read)
+        self._leave_library()
         self._read(truth, self.telemetry.dt)
         if self._telemetry_state is not None:
             self._packets, self._telemetry_state = self.telemetry.advance(
@@ -254,14 +277,13 @@ class RobotSensors:
 
     def hardware(self) -> HardwareState:
         """Return what the hardware is now, telemetry's part included, as the Python has it."""
-        hardware = self._devices
-        hardware = hardware._replace(instruments=self.equipment.instruments.plain(hardware.instruments))
         if self._telemetry_state is None:
-            return hardware
-        return hardware._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
+            return self._devices
+        return self._devices._replace(telemetry=self.telemetry.hardware(self._telemetry_state))
 
     def exchange(self, hardware: HardwareState) -> None:
         """Go on with other hardware."""
+        self._leave_library()
         self._hardware = hardware
         if self._telemetry_state is not None:
             self._telemetry_state = self.telemetry.with_hardware(self._telemetry_state, hardware.telemetry)
@@ -273,57 +295,74 @@ class RobotSensors:
 
     @property
     def _devices(self) -> HardwareState:
+        """What is under the feet and what is broken about it, as the Python has it."""
         if self._hardware is None:
             raise RuntimeError("There are no sensors before the first reset(), which draws them.")
-        return self._hardware
+        return self._hardware if self._sensing is None else HardwareState(*self._sensing.python(), None)
 
     def _by_library(self, truth: Any) -> NativeSensing | None:
-        """Return what reads a whole step in one call; ``None`` where Python does it, or its parts."""
-        state, streams, sensing = self._telemetry_state, self._streams, self._sensing
-        if self.equipment.broken is not None or state is None:
-            return None
-        now = self._devices.instruments
-        if sensing is None or not sensing.goes_on(now, state, streams):
-            self._sensing = sensing = native_sensing(
+        """Let the library read from here on; ``None`` where it cannot, and Python does."""
+        if self._sensing is None:
+            hardware, telemetry = self._devices, self.telemetry
+            self._sensing = native_sensing(
                 truth,
                 self.equipment.instruments,
-                now,
-                self._telemetry,
-                state,
-                streams,
+                self.equipment.native,
+                telemetry if self._sends else None,
+                self._telemetry_state,
+                telemetry.dt,
                 (self.newest, self.held),
                 self._view,
             )
-        return sensing
+            if self._sensing is not None:
+                self._telemetry_state = self._sensing.telemetry_state
+                self._sensing.take(*hardware[:2])
+        if self._sensing is not None:
+            self._sensing.draw_from(self._streams)
+        return self._sensing
+
+    def _leave_library(self) -> None:
+        """Let Python read from here on."""
+        if self._sensing is not None:
+            self._packets, self._hardware, self._sensing = self.packets, self._devices, None
+
+    def _seen(self, read: Seen) -> dict[str, Any] | None:
+        self._packets = None  # made of the library's rows when somebody asks
+        self._raw, seen = read
+        return seen
 
     def __getstate__(self) -> dict[str, Any]:
-        # The library's rows, of which packets are made, stay behind.
-        return {**vars(self), "_packets": self.packets}
+        # The library's records and rows stay behind.
+        if self._sensing is None:
+            return vars(self)
+        return {**vars(self), "_packets": self.packets, "_hardware": self._devices, "_sensing": None}
 
-    def _switch_on(self, truth: Any) -> None:
-        """Draw fresh sensors or keep those there are, and read every chip and the link once."""
+    def _draw(self) -> None:
+        """Draw fresh sensors; those of the telemetry are drawn as it begins."""
         streams, instruments, broken = self._streams, self.equipment.instruments, self.equipment.broken
-        kept = None if self.sensors_fresh else self.hardware().telemetry
-        if self.sensors_fresh:
-            faults = () if broken is None else broken.init((instruments.channels,), streams["faults"])
-            self._hardware = HardwareState(instruments.init(streams), faults, None)
-            self.held[:] = instruments.zero_code
+        faults = () if broken is None else broken.init((instruments.channels,), streams["faults"])
+        self._hardware = HardwareState(instruments.init(streams), faults, None)
+        if self._sensing is not None:
+            self._sensing.take(*self._hardware[:2])
+        self.held[:] = instruments.zero_code
+
+    def _begin(self, truth: Any, at_rest: NDArray[np.float64], draws: bool) -> None:
+        """Read every chip and the link under the first load, in Python."""
+        instruments, kept = self.equipment.instruments, None if draws else self.hardware().telemetry
         with_load = instruments.with_load(truth, self._devices.instruments)
         self._hardware = self._devices._replace(instruments=with_load)
         for dt in instruments.first_steps(self.telemetry.dt):
             self._read(truth, dt)
-        if self.listening:
-            # At the reset a robot hangs just above its footprints; packets before are of one that stood.
-            inertial = np.concatenate([GRAVITY * truth.R_world_torso[-1][2], np.zeros(3)])
+        if self._sends:
             self._packets, self._telemetry_state = self.telemetry.init(
-                truth.joint_position[-1].copy(), inertial, streams["telemetry"], kept
+                truth.joint_position[-1].copy(), at_rest, self._streams["telemetry"], kept
             )
+        self._note()
 
     def _read(self, truth: Any, dt: float) -> None:
         hardware, equipment = self._devices, self.equipment
         self._raw, state = equipment.instruments.read(truth, hardware.instruments, self._streams, dt)
-        if state is not hardware.instruments:
-            hardware = hardware._replace(instruments=state)
+        hardware = hardware._replace(instruments=state)
         if equipment.broken is not None:
             self._raw, faults = equipment.broken.apply(
                 self._raw, hardware.faults, self._streams["faults"], dt

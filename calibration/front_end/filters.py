@@ -49,7 +49,7 @@ def low_pass(cutoff: float, dt: float) -> LowPass:
     >>> filtered.round(4)
     array([0.0976])
     """
-    transition, steady = _coefficients(cutoff, dt)
+    transition, steady = coefficients(cutoff, dt)
     constants = Constants(transition=transition, steady=steady)
 
     def init(signal: Array) -> Array:
@@ -99,7 +99,7 @@ def zero_phase(values: NDArray[np.float64], cutoff: float, dt: float) -> NDArray
     return result
 
 
-def _coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Write the filter as its matrix, shape (3, 3), and its state per unit of a constant, shape (2, 1)."""
     _check(cutoff, dt)
     b, a = _butterworth(cutoff, dt)

@@ -67,13 +67,14 @@ class Motions:
         imu: Whether accelerometer and gyroscope are used; what is not used need not be sound.
 
     Attributes:
+        imu: The same.
         columns: Where the parts of a flat reference lie.
         tails: The shape of each field of a reference behind its batch dimensions.
         resting: A flat reference with the soles level at the origin, shape (R,).
     """
 
     def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
-        self._quasi_static, self._imu = quasi_static, imu
+        self._quasi_static, self.imu = quasi_static, imu
         self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
         self._reach = LARGEST_REACH * setup.length
@@ -124,8 +125,8 @@ class Motions:
             reference.com,
             reference.com_acceleration,
             reference.angular_momentum_rate,
-            reference.accelerometer if self._imu else xp.zeros_like(reference.com),
-            reference.gyroscope if self._imu else xp.zeros_like(reference.com),
+            reference.accelerometer if self.imu else xp.zeros_like(reference.com),
+            reference.gyroscope if self.imu else xp.zeros_like(reference.com),
             shaped(reference.position_sole, (*batch, 3 * self._feet)),
             shaped(reference.R_level_sole, (*batch, 9 * self._feet)),
         )

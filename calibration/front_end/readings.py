@@ -7,6 +7,8 @@
   b, so that a is near 1 and b near 0 N, in float32 as well as in float64.
 * **Lag.** The reference given now describes the foot sample of ``lag`` samples ago, so forces wait that
   long before they are compared. The map that is learnt applies to the newest reading.
+* **Age.** Forces that are older when they are read are carried on to now
+  (:mod:`surefoot.calibration.front_end.ages`).
 * **Linear rows.** The level wrench of the feet is linear in the channels: (Fz, Fz px, Fz py) = rows @ F.
 """
 
@@ -19,6 +21,12 @@ from array_api_compat import device as device_of
 from surefoot.calibration.arrays import Array, Constants, all_along, cast, namespace_of, shaped, surely
 from surefoot.calibration.checks import check_floating
 from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.front_end.ages import (
+    SLOPE_SAMPLES,
+    carried_time,
+    expected_change,
+    with_total_kept,
+)
 from surefoot.calibration.front_end.centres import LEVER_MAP, centres
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
 from surefoot.calibration.reference import Reference
@@ -36,8 +44,8 @@ class FrontState(NamedTuple):
 
     Attributes:
         raw: Last good reading of each channel, shape (..., K).
-        history: The last ``lag`` + 1 samples, oldest first: F0 and whether it was read, shape
-            (..., lag + 1, 2K).
+        history: The last ``lag`` + 1 samples, four at least where readings have an age, oldest first: F0
+            and whether it was read, shape (..., lag + 1, 2K).
         motion: The last good reference, flat, shape (..., R).
         known: Whether any reference was good so far (bool), shape (...).
         clean: Good samples since the last bad one, shape (...).
@@ -55,6 +63,7 @@ class Sample(NamedTuple):
 
     Attributes:
         force: Newest force by the starting map, F0, in N, shape (..., K).
+        ahead: The same carried on to now; ``None`` where readings have no age.
         rows: Rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (..., F, 3, K).
         past: F0 at the time that the reference describes, shape (..., K).
         read: Whether ``past`` was read and not held (bool), shape (..., K).
@@ -70,6 +79,7 @@ class Sample(NamedTuple):
     """
 
     force: Array
+    ahead: Array | None
     rows: Array
     past: Array
     read: Array
@@ -96,6 +106,8 @@ class FrontEnd:
         setup: The same.
         motions: The robot's beliefs as flat numbers.
         plausible: Least and greatest reading of each channel that is not taken for an error, shape (K,) each.
+        carried: By how long each channel is carried on to now in s, shape (K,).
+        kept: How many samples before the newest one are remembered.
     """
 
     def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
@@ -107,6 +119,9 @@ class FrontEnd:
         limit = setup.plausible_weights * setup.weight
         ends = np.stack([(-limit - offset) / scale, (limit - offset) / scale])
         self.plausible = ends.min(axis=0), ends.max(axis=0)
+        self.carried = carried_time(setup)
+        self._aged = bool(self.carried.any())
+        self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
         self._constants = Constants(
             scale=scale,
             offset=offset,
@@ -114,6 +129,7 @@ class FrontEnd:
             highest=self.plausible[1],
             wrench_map=setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T,
             lever_map=LEVER_MAP,
+            carried=self.carried,
             resting=self.motions.resting,
         )
 
@@ -133,9 +149,7 @@ class FrontEnd:
         batch = tuple(raw.shape[:-1])
         return FrontState(
             raw=xp.zeros_like(raw) - own.offset / own.scale,
-            history=xp.zeros(
-                (*batch, self.setup.lag + 1, 2 * self._channels), dtype=raw.dtype, device=device
-            ),
+            history=xp.zeros((*batch, self.kept + 1, 2 * self._channels), dtype=raw.dtype, device=device),
             motion=xp.zeros((*batch, own.resting.shape[0]), dtype=raw.dtype, device=device) + own.resting,
             known=xp.zeros(batch, dtype=xp.bool, device=device),
             clean=xp.zeros(batch, dtype=xp.int64, device=device),
@@ -193,8 +207,8 @@ class FrontEnd:
             force, sure = repair(force, read)
         newest = xp.concat([force, cast(sure, raw.dtype)], axis=-1)
         history = xp.concat([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
-        oldest = history[..., 0, :]
-        past, past_read = oldest[..., :K], oldest[..., K:] > 0.5
+        described = history[..., self.kept - self.setup.lag, :]
+        past, past_read = described[..., :K], described[..., K:] > 0.5
 
         flat = self.motions.flatten(reference, raw)
         sound = all_along(xp.abs(flat) <= LARGEST_REFERENCE)
@@ -203,6 +217,10 @@ class FrontEnd:
         usable = sound & False if gap else sound
         good = usable & all_along(past_read)
         clean = (state.clean + 1) * good
+        ahead = None
+        if self._aged:
+            # Samples that come late are further apart than they should be.
+            ahead = force + expected_change(history, clean, own.carried, max(dt, self.setup.dt))
 
         if all_read and known:
             flags = np.zeros(raw.shape, dtype=np.int64)
@@ -211,6 +229,7 @@ class FrontEnd:
             flags = wrong * (~read) | _REFERENCE * (~sound)[..., None]
         sample = Sample(
             force=force,
+            ahead=ahead,
             rows=self.motions.rows(motion),
             past=past,
             read=past_read,
@@ -234,7 +253,7 @@ class FrontEnd:
         status: Array | int = 0,
         covariance: Array | None = None,
     ) -> Estimate:
-        """Apply a correction (a, b) to the newest forces.
+        """Apply a correction (a, b) to the newest forces, carried on to now.
 
         Args:
             sample: The sample.
@@ -244,7 +263,10 @@ class FrontEnd:
             covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
         """
         own = self._constants.like(sample.force)
-        force = correction_scale * sample.force + correction_offset
+        force, ahead = (
+            None if part is None else correction_scale * part + correction_offset
+            for part in (sample.force, sample.ahead)
+        )
         return self.report(
             sample,
             force,
@@ -252,6 +274,7 @@ class FrontEnd:
             correction_scale * own.offset + correction_offset,
             status if isinstance(status, int) else status[..., None],
             covariance,
+            ahead,
         )
 
     def report(
@@ -262,22 +285,25 @@ class FrontEnd:
         offset: Array,
         status: Array | int = 0,
         covariance: Array | None = None,
+        ahead: Array | None = None,
     ) -> Estimate:
         """Return what calibrated forces mean: wrenches and centres of pressure.
 
         Args:
             sample: The sample.
-            force: Its calibrated forces in N, shape (..., K).
+            force: Its calibrated forces as they were read in N, shape (..., K).
             scale: Newtons per unit of the reading, shape (..., K).
             offset: Force that a reading of zero stands for in N, shape (..., K).
             status: Flags of each channel, or of all alike, shape (..., K) or (..., 1).
             covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
+            ahead: The same carried on to now, each by itself; ``None`` where readings have no age.
         """
-        xp, feet = namespace_of(force), self._feet
-        own = self._constants.like(force)
-        wrench = shaped(xp.matmul(force, own.wrench_map), (*force.shape[:-1], feet, 6))
-        moments = xp.matmul(sample.rows, force[..., None, :, None])[..., 0]
-        cop, loaded = centres(wrench, moments, sample.known, self._threshold, own.lever_map)
+        wrench, moments, cop, loaded = self._centres(sample, force)
+        measured = cop[..., -1, :]
+        if ahead is not None:
+            up = namespace_of(force).sum(sample.rows[..., 0, :], axis=-2)
+            force = force + with_total_kept(ahead - force, up)
+            wrench, moments, cop, loaded = self._centres(sample, force)
         return Estimate(
             force=force,
             wrench=wrench,
@@ -290,4 +316,12 @@ class FrontEnd:
             offset=offset,
             covariance=covariance,
             flags=sample.flags | status,
+            cop_measured=measured,
         )
+
+    def _centres(self, sample: Sample, force: Array) -> tuple[Array, Array, Array, Array]:
+        """Return wrenches, (Fz, Fz px, Fz py) of the feet, and centres with where they are, of forces."""
+        xp, own = namespace_of(force), self._constants.like(force)
+        wrench = shaped(xp.matmul(force, own.wrench_map), (*force.shape[:-1], self._feet, 6))
+        moments = xp.matmul(sample.rows, force[..., None, :, None])[..., 0]
+        return wrench, moments, *centres(wrench, moments, sample.known, self._threshold, own.lever_map)

@@ -116,7 +116,7 @@ class BoundRows:
         self._identity, self._free = np.eye(unknowns.size), np.ones(unknowns.size)
         self._setup, self._samples = setup, samples
         self.path: Floats = np.tile(unknowns.start, (len(raw), 1))
-        self.path[:, unknowns.own] = learnt.scale
+        self.path[:, : unknowns.channels] = learnt.scale
         self.path[:, unknowns.offset] = learnt.offset / (learnt.scale * unknowns.unit)
         self.blocks: list[tuple[int, Rows | None]] = []
         for end in range(every, len(raw) + 1, every):

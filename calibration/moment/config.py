@@ -52,9 +52,9 @@ class MomentFilterConfig:
     """How far offsets are thought to be from the starting map, in body weights (1.5 N for a NAO); as
     uncertain as `scale_std`."""
 
-    cross_talk: float = 0.0
-    """How much the axes of a six-axis sensor are thought to talk across, relative to their own scale; 0 takes
-    its matrix for diagonal, which needs fewer unknowns."""
+    cross_talk: float = 0.01
+    """How much the vertical force of a six-axis sensor is thought to show in its other five channels,
+    relative to their own scale (times the foot length in a torque); 0 takes its matrix for diagonal."""
 
     scale_drift: float = 0.02
     """Random walk of a scale per square root of a minute."""

@@ -72,6 +72,7 @@ class NewtonEuler:
         noise: Array,
         spare: Array | None = None,
         spare_std: Array | None = None,
+        loaded: Array | None = None,
     ) -> tuple[Rows, Array]:
         """Write what the motion asks of the ground, about the estimated centre of pressure.
 
@@ -81,6 +82,8 @@ class NewtonEuler:
             noise: By how many times rows' variances are larger than assumed, shape (..., kinds).
             spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
             spare_std: Standard deviation of such forces in N, 0 for the others, shape (..., K).
+            loaded: Which robots carry a load (bool), shape (...), or ``None`` for none: they shake, and their
+                columns hold no ripple, which would meet itself in the residuals.
 
         Returns:
             (every / average) times ``kinds`` rows, and what a newton on each channel does to them, by the
@@ -110,6 +113,10 @@ class NewtonEuler:
 
         height = (com[..., 2] - ground) / self._length
         asked = self._asked(acceleration, rate, height)
+        if loaded is not None:
+            smooth = xp.where(loaded[..., None, None], self._smooth(block.force), force)
+            ripple = unknowns.scaled(mean[..., None, :], force - smooth)
+            asked, force = asked - (rows @ ripple[..., None])[..., 0], smooth
         speed = rows * self._change(mean, block.force)[..., None, :]
         late = xp.sum(speed, axis=-1, keepdims=True)
         tared = unknowns.tared(mean[..., None, :], force, own.unit)
@@ -173,6 +180,13 @@ class NewtonEuler:
         calibrated = self.unknowns.force(mean[..., None, :], force, unit)
         ahead, behind = calibrated[..., 2 * settle :, :], calibrated[..., : -2 * settle, :]
         return (ahead - behind) / (2 * settle * self._dt)
+
+    def _smooth(self, force: Array) -> Array:
+        """Return the means of forces over as many samples to either side as half of ``settle``."""
+        first, near = self.config.settle, self.config.settle // 2
+        shifts = range(first - near, first + near + 1)
+        smooth = sum(force[..., shift : shift + self.config.every, :] for shift in shifts)
+        return smooth / len(shifts)
 
     def _average(self, features: Array, use: Array) -> tuple[Array, Array]:
         """Return means over the samples of each group that may be used, and which groups have any."""

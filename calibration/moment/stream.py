@@ -41,6 +41,10 @@ _LEAST_CHANGE = 0.5
 _SETTLED = 50.0
 """Blocks without doubt that must have passed before the mass is doubted."""
 
+_LOADED = 0.36
+"""Share of the variance down to which the mass is estimated, which it exceeds once a load was picked up: it
+begins with a quarter, and is only considered until then."""
+
 _LOAD_STD = 4.0
 """Standard deviations of a foot's load that a foot in the air may seem to carry besides ``swing_load``."""
 
@@ -179,7 +183,10 @@ class MomentStream:
         before, state = state.covariance, self._walked(state, 1.0)
         covariance = state.covariance
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
-        rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
+        mass = self.unknowns.mass
+        loaded = covariance[..., mass, mass] > _LOADED * self.unknowns.sure[mass]
+        carried = {"loaded": loaded} if bool(xp.any(loaded)) else {}
+        rows, places = self.newton_euler.rows(mean, block, state.noise, *spare, **carried)
         assumed = rows.variance / xp.concat([state.noise] * (config.every // config.average), axis=-1)
         rows = self._bilinear(rows, places, covariance)
         residuals = Residuals.of(rows, mean, covariance)
@@ -420,13 +427,17 @@ class MomentStream:
     ) -> Estimate:
         """Apply the map to the newest sample, with how sure it is."""
         unknowns, own = self.unknowns, self._constants.like(sample.force)
-        force = unknowns.force(state.given, sample.force, own.unit)
-        faults = state.faults if state.faults.altered else None
-        if faults is not None:
-            force = (faults.spare @ force[..., None])[..., 0]
+        forces = [
+            unknowns.force(state.given, part, own.unit)
+            for part in (sample.force, sample.ahead)
+            if part is not None
+        ]
+        if state.faults.altered:
+            forces = [(state.faults.spare @ force[..., None])[..., 0] for force in forces]
         a, b = unknowns.own_scales(state.given), unknowns.offsets(state.given, own.unit)
         status = state.status[..., None] | kinds
-        estimate = self._front_end.report(sample, force, a * own.scale, a * own.offset + b, status)
+        maps = a * own.scale, a * own.offset + b
+        estimate = self._front_end.report(sample, forces[0], *maps, status, None, *forces[1:])
         sure = self._uncertainty.of_estimate(estimate, sample, state)
         return estimate._replace(**sure, nis=nis, nis_rows=nis_rows)
 

@@ -26,10 +26,8 @@ class Uncertainty:
     def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
         K = setup.layout.channels
         self.unknowns = unknowns
-        own_scales = np.zeros((K, unknowns.map.stop))
-        own_scales[np.arange(K), unknowns.own] = 1.0
         self._constants = Constants(
-            own_scales=own_scales,
+            own_scales=np.eye(K, unknowns.map.stop),
             aged=np.diag(unknowns.aged[unknowns.map]),
             identity=np.eye(K),
             unit=unknowns.unit,
@@ -82,7 +80,7 @@ class Uncertainty:
             if state.faults.altered:
                 to_force = state.faults.spare @ to_force
             if not unknowns.diagonal:
-                covariance = state.given_covariance
+                covariance = state.given_covariance + self._constants.like(F0).aged
             variance = variances(to_force, covariance) + state.faults.spare_std**2
             row = rows @ to_force
         if not surely(estimate.cop_valid):

@@ -2,7 +2,7 @@
 
 | part | number | unit | meaning |
 |---|---|---|---|
-| a | P | 1 | scales against the starting map: one a channel, or 6 x 6 for a six-axis sensor with cross-talk |
+| a | P | 1 | scales against the starting map: one a channel, then cross-talk (`inp` to `out`) |
 | o | K | body weights (times foot lengths for a torque) | offsets against the starting map, before scales |
 | com | 2 | foot lengths | believed less true centre of mass, level frame |
 | mass | 1 | 1 | believed mass over the true one, less 1 |
@@ -17,13 +17,19 @@ a and b for independent finds a smaller scale at every swing.
 Units are chosen so that numbers are of order one and float32 is enough.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array, Constants, in_a_row
+from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.setup import OnlineSetup
+
+_UP = 2
+"""The row of the vertical force in a wrench map."""
 
 _UNSURE_MASS = 2.0
 """How many times less sure than at the start the mass is while it is estimated."""
@@ -44,8 +50,8 @@ class Unknowns:
         map: Place of scales and offsets together, the first P + K.
         load: Places of what a load changes: the centre of mass (2) and the mass.
         diagonal: Whether there is one scale a channel.
-        out, inp: Channel that each scale acts on, and on whose reading, shape (P,) each.
-        own: The scale of each channel on its own reading, shape (K,).
+        out, inp: Channel that each scale acts on, and on whose reading, shape (P,) each; the first K are the
+            channels' own.
         unit: Newtons, or N m, of one offset of each channel, shape (K,).
         start: Mean to start from, shape (N,).
         std: Standard deviations to start from, shape (N,).
@@ -62,19 +68,11 @@ class Unknowns:
         channels = layout.channels
         torque = ~(layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))
         lever = np.where(torque, setup.length, 1.0)
-        groups = [
-            (where.start + sensor.channels.start, where.start + sensor.channels.stop)
-            for foot, where in zip(layout.feet, layout.slices, strict=True)
-            for sensor in foot.sensors
-            if sensor.six_axis and config.cross_talk > 0.0
-        ]
-        mixes = np.eye(channels, dtype=bool)
-        for start, end in groups:
-            mixes[start:end, start:end] = True
-        self.out, self.inp = np.nonzero(mixes)
-        self.diagonal = bool(len(self.out) == channels)
-        own = self.out == self.inp
-        self.own = np.nonzero(own)[0]
+        own = list(range(channels))
+        talks = list(_talks(layout)) if config.cross_talk > 0.0 else []
+        self.out = np.array(own + [to for to, _ in talks])
+        self.inp = np.array(own + [origin for _, origin in talks])
+        self.diagonal = not talks
 
         self.channels, self.scales = channels, len(self.out)
         self.scale, self.offset, self.com, mass, self.acceleration, delay, self.sole = in_a_row(
@@ -86,10 +84,11 @@ class Unknowns:
         self.unit: NDArray[np.float64] = setup.weight * lever
 
         self.start: NDArray[np.float64] = np.zeros(self.size)
-        self.start[self.scale] = own
+        self.start[:channels] = 1.0
         self.std: NDArray[np.float64] = np.zeros(self.size)
         ratio = lever[self.out] / lever[self.inp]
-        self.std[self.scale] = np.where(own, config.scale_std, config.cross_talk * ratio)
+        self.std[self.scale] = config.cross_talk * ratio
+        self.std[:channels] = config.scale_std
         self.std[self.offset] = config.offset_std
         self.std[self.com] = config.com_std / setup.length
         self.std[self.mass] = config.mass_std
@@ -97,7 +96,7 @@ class Unknowns:
         self.std[self.delay] = config.delay_std
         self.std[self.sole] = config.sole_std / setup.length
         self.walk: NDArray[np.float64] = np.zeros(self.size)
-        self.walk[self.scale] = np.where(own, config.scale_drift**2 / 60.0, 0.0)
+        self.walk[:channels] = config.scale_drift**2 / 60.0
         self.walk[self.offset] = config.offset_drift**2 / 60.0
         self.aged: NDArray[np.float64] = self.walk * (config.settle + config.every) * setup.dt
         self.change: NDArray[np.float64] = np.zeros(self.size)
@@ -115,7 +114,7 @@ class Unknowns:
 
     def own_scales(self, mean: Array) -> Array:
         """Return the scales of the channels on their own readings, shape (..., K)."""
-        return mean[..., self.scale] if self.diagonal else mean[..., self.own]
+        return mean[..., : self.channels]
 
     def tared(self, mean: Array, force: Array, unit: Array) -> Array:
         """Return F0 + o in N, shape (..., K), of forces by the starting map."""
@@ -159,3 +158,16 @@ class Unknowns:
         """Return the scales as a matrix A, shape (..., K, K)."""
         own = self._constants.like(mean)
         return (own.gather * mean[..., self.scale, None]).mT @ own.inputs
+
+
+def _talks(layout: FeetLayout) -> Iterator[tuple[int, int]]:
+    """Yield what cross-talk is looked for: channels, each with the vertical force of its six-axis sensor.
+
+    A foot bears the robot's weight, next to which its other five loads are small, and so is what they add.
+    """
+    for foot, where in zip(layout.feet, layout.slices, strict=True):
+        for sensor in foot.sensors:
+            if sensor.six_axis:
+                first = where.start + sensor.channels.start
+                vertical = first + int(np.abs(sensor.wrench_map[_UP]).argmax())
+                yield from ((first + axis, vertical) for axis in range(6) if first + axis != vertical)

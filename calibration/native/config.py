@@ -1,66 +1,221 @@
 """The constants of one robot, as the library wants them."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration.baselines import TareConfig, tare
+from surefoot.calibration.front_end.filters import coefficients
+from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import MomentStream
 from surefoot.calibration.native.library import installed
 from surefoot.calibration.setup import OnlineSetup
+from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
+from surefoot.calibration.window.config import WindowConfig
+from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.native import Library, c_header, required
 
 _LIKE = np.zeros(1)
 
+_METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
+"""Numbers of methods in ``library.c``."""
 
-def config_record(library: Library, stream: MomentStream) -> NDArray[Any] | None:
-    """Return the record of constants, shape (); ``None`` for a robot that the library is not made for."""
-    if not stream.unknowns.diagonal:
+_STATES = "state", "window_state", "tare_state", "front"
+_OWN = None, "window_config", "tare_config", None
+"""The records of their states, and of their own constants besides ``config``."""
+
+
+class Constants(NamedTuple):
+    """The constants of one robot and one method.
+
+    Attributes:
+        number: Of the method in ``library.c``.
+        config: The record of the robot's, shape ().
+        own: That of the method's, if it has one.
+        state: Name of the record of the state.
+        like: A state of the method's Python, before any sample.
+        front: The way of a sample.
+        matrix: Makes the scales of a calibration with cross-talk, shape (K, K), of what is handed out; or
+            ``None``.
+    """
+
+    number: int
+    config: NDArray[Any]
+    own: NDArray[Any] | None
+    state: str
+    like: Any
+    front: FrontEnd
+    matrix: Callable[[NDArray[Any]], NDArray[Any]] | None = None
+
+    def filter(self, library: Library) -> NDArray[Any]:
+        """Return the record that the library is called with; it holds addresses of these."""
+        own = 0 if self.own is None else self.own.ctypes.data
+        record = library.filled(
+            "filter", {"config": self.config.ctypes.data, "own": own, "method": self.number}
+        )
+        assert record is not None
+        return record
+
+
+def constants_of(
+    library: Library, method: str, setup: OnlineSetup, options: dict[str, Any]
+) -> Constants | None:
+    """Return the constants; ``None`` for a method or a robot that the library is not made for."""
+    if method not in _METHODS:
         return None
-    record = library.filled("config", _values(stream))
-    return record if record is not None and library.functions.surefoot_fits(record.ctypes.data) else None
+    number, raw = _METHODS[method], np.zeros(setup.layout.channels, library.real)
+    values: dict[str, Any] = {}
+    own: dict[str, Any] = {}
+    like: Any
+    matrix = None
+    if method == "moment":
+        moment = MomentStream(setup, MomentFilterConfig(**options))
+        front, like, values = moment._front_end, moment.init(raw), _moment(moment)
+        matrix = None if moment.unknowns.diagonal else moment.unknowns.matrix
+    elif number == 1:
+        window = SlidingWindow(setup, WindowConfig(**options), quasi_static=method == "quasi-static")
+        front, like, own = window._front_end, window.init(raw), _window(window)
+    else:
+        front = FrontEnd(setup, imu=False)
+        like = front.init(raw)
+        if method == "tare":
+            config = TareConfig(**options)
+            like = tare(setup, config).init(raw)
+            own = {
+                "settle": round(config.settle / setup.dt),
+                "minimum_samples": config.minimum_samples,
+                "spread": config.spread * setup.weight,
+                "limit": config.offset_range * setup.weight,
+            }
+    record, name = library.filled("config", _robot(front) | values), _OWN[number]
+    of_method = library.filled(name, own) if name else None
+    if record is None or (name and of_method is None):
+        return None
+    found = Constants(number, record, of_method, _STATES[number], like, front, matrix)
+    return found if library.functions.surefoot_fits(found.filter(library).ctypes.data) else None
 
 
-def c_source(setup: OnlineSetup, **options: Any) -> str:
-    """Return a header with the sizes and constants of one robot, as ``sf_config robot``, for its controller.
+def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
+    """Return a header with the sizes and constants of one robot, for its controller.
+
+    It declares ``sf_config robot``, and besides ``sf_window_config window`` or ``sf_tare_config tare``.
 
     Args:
         setup: The robot.
-        options: Fields of :class:`~surefoot.calibration.moment.config.MomentFilterConfig`.
+        method: A method of :data:`~surefoot.calibration.online.METHODS` that the library has.
+        options: Fields of its config, such as
+            :class:`~surefoot.calibration.moment.config.MomentFilterConfig`.
 
     Raises:
         RuntimeError: If there is no library here.
         ValueError: If the library is not made for such a robot.
     """
-    record = config_record(required(installed()), MomentStream(setup, MomentFilterConfig(**options)))
-    if record is None:
+    found = constants_of(required(installed()), method, setup, options)
+    if found is None:
         raise ValueError("The library is not made for such a robot; docs/native.md has its limits.")
-    sizes = {
-        name.upper(): int(record[name]) for name in ("channels", "feet", "lag", "every", "settle", "kinds")
+    record, own, name = found.config, found.own, _OWN[found.number]
+    sizes = {"CHANNELS": int(record["channels"]), "FEET": int(record["feet"]), "LAG": int(record["kept"])}
+    if method == "moment":
+        sizes |= {name.upper(): int(record[name]) for name in ("every", "settle", "kinds")}
+        sizes["GROUPS"] = sizes["EVERY"] // int(record["average"])
+        sizes |= {"CELLS": int(record["cells"].sum()), "TALKS": int(record["talks"])}
+        # An array without an element is none in C.
+        sizes |= {name.upper(): max(1, int(record[name])) for name in ("sensors", "parities")}
+        return c_header("surefoot_calibration.h", sizes, {"sf_config robot": record})
+    # What only the moment filter needs is as small as it can be.
+    sizes |= dict.fromkeys(("EVERY", "SETTLE", "GROUPS", "SENSORS", "CELLS", "PARITIES"), 1) | {
+        "KINDS": 3,
+        "TALKS": 0,
     }
-    sizes["GROUPS"] = sizes["EVERY"] // int(record["average"])
-    sizes["CELLS"] = int(record["cells"].sum())
-    # An array without an element is none in C.
-    sizes |= {name.upper(): max(1, int(record[name])) for name in ("sensors", "parities")}
-    return c_header("surefoot_calibration.h", sizes, {"sf_config robot": record})
+    records = {"sf_config robot": record}
+    if own is not None and name is not None:
+        records[f"sf_{name} {name.removesuffix('_config')}"] = own
+        if found.number == 1:
+            sizes |= {"EVERY": int(own["every"]), "WINDOW": int(own["length"])}
+    return c_header("surefoot_window.h", sizes, records)
 
 
-def _values(stream: MomentStream) -> dict[str, Any]:
-    """Return the constants by their names in ``sf_config``."""
-    setup, config, unknowns = stream.setup, stream.config, stream.unknowns
-    layout = setup.layout
+def _robot(front: FrontEnd) -> dict[str, Any]:
+    """Return what every method knows of a robot, by the names in ``sf_config``."""
+    setup, layout = front.setup, front.setup.layout
+    return {
+        "channels": layout.channels,
+        "feet": len(layout.feet),
+        "lag": setup.lag,
+        "kept": front.kept,
+        "foot_of_channel": layout.foot_of_channel,
+        "dt": setup.dt,
+        "weight": setup.weight,
+        "mass": setup.mass,
+        "length": setup.length,
+        "reach": front.motions._reach,
+        "force_threshold": setup.force_threshold,
+        "carried": front.carried,
+        "scale": setup.initial.scale,
+        "offset": setup.initial.offset,
+        "lowest": front.plausible[0],
+        "highest": front.plausible[1],
+        "wrench_map": layout.wrench_map,
+    }
+
+
+def _window(window: SlidingWindow) -> dict[str, Any]:
+    """Return the constants of a sliding window by their names in ``sf_window_config``."""
+    config, setup, standing = window.config, window.setup, window._standing
+    own, ends = window._constants.like(_LIKE), [0, setup.layout.channels]
+    transfer, steady = np.zeros((3, 3)), np.zeros((2, 1))
+    if config.cutoff is not None:
+        transfer, steady = coefficients(config.cutoff, setup.dt)
+    weight = setup.weight
+    return {
+        "every": config.every,
+        "length": window._length,
+        "settle": window._settle,
+        "transition": window._transition,
+        "iterations": config.iterations,
+        "quasi_static": window.quasi_static,
+        "filtered": config.cutoff is not None,
+        "standing_start": config.standing_start,
+        "standing_samples": standing.minimum_samples,
+        "force": window._weights.force,
+        "cop": window._weights.cop,
+        "gross_force": config.gross_error * weight,
+        "gross_length": config.gross_error * setup.length,
+        "outlier": config.outlier_threshold**2,
+        "least": config.minimum_share * window._length,
+        "spread": own.spread[ends],
+        "step_bound": own.step_bound[ends],
+        "rate_bound": own.rate_bound[ends],
+        "lowest": own.lowest[ends],
+        "highest": own.highest[ends],
+        "transfer": transfer,
+        "steady": steady[:, 0],
+        "warm_up": standing.warm_up,
+        "duration": standing.duration,
+        "patience": config.standing_patience,
+        "deviation": [standing.scale_std, standing.offset_std],
+        "noise": [standing.force_noise, *[weight * standing.cop_noise] * 2],
+        "shared": [weight * standing.mass_error, *[weight * standing.com_error] * 2],
+        "largest": PLAUSIBLE_WEIGHTS * weight,
+        "acceleration_threshold": standing.acceleration_threshold,
+        "rate_threshold": standing.rate_threshold,
+    }
+
+
+def _moment(stream: MomentStream) -> dict[str, Any]:
+    """Return the moment filter's own constants by their names in ``sf_config``."""
+    config, unknowns = stream.config, stream.unknowns
     own, newton = stream._constants.like(_LIKE), stream.newton_euler
-    faults, front = stream._faults, stream._front_end
+    faults = stream._faults
     rows, distal = newton._constants.like(_LIKE), newton._distal
     beyond = distal._constants.like(_LIKE)
     stand_in, hypotheses = faults.stand_in._constants.like(_LIKE), faults.hypotheses
     load = hypotheses._constants.like(_LIKE)
     parity = stream.parity._constants.like(_LIKE).parity
     return {
-        "channels": layout.channels,
-        "feet": len(layout.feet),
-        "lag": setup.lag,
         "every": config.every,
         "average": config.average,
         "settle": config.settle,
@@ -70,23 +225,14 @@ def _values(stream: MomentStream) -> dict[str, Any]:
         "pairs": len(hypotheses._first),
         "keep_every": stream._keep_every,
         "distal_matters": distal.matter,
-        "foot_of_channel": layout.foot_of_channel,
+        "talks": unknowns.scales - unknowns.channels,
+        "talk_to": unknowns.out[unknowns.channels :],
+        "talk_from": unknowns.inp[unknowns.channels :],
         "cells": faults.stand_in.cells,
         "together": stand_in.together,
         "first": hypotheses._first,
         "second": hypotheses._second,
         "foot_of_sensor": distal._foot_of,
-        "dt": setup.dt,
-        "weight": setup.weight,
-        "mass": setup.mass,
-        "length": setup.length,
-        "reach": front.motions._reach,
-        "force_threshold": setup.force_threshold,
-        "scale": own.scale,
-        "offset": own.offset,
-        "lowest": front.plausible[0],
-        "highest": front.plausible[1],
-        "wrench_map": layout.wrench_map,
         "unit": unknowns.unit,
         "start": unknowns.start,
         "first_variance": np.diagonal(own.covariance),

@@ -1,4 +1,4 @@
-"""The moment filter of one robot by the library: the same states, the same estimates, to rounding."""
+"""The calibrator of one robot by the library: the same states, the same estimates, to rounding."""
 
 from operator import attrgetter
 from typing import Any
@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.stream import MomentStream
-from surefoot.calibration.native.config import config_record
+from surefoot.calibration.native.config import Constants, constants_of
 from surefoot.calibration.native.reference import ReferenceRecord
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup
@@ -19,19 +17,9 @@ from surefoot.native import Library, Record, leaves_of, rebuilt
 _SHAPE, _DTYPE = attrgetter("shape"), attrgetter("dtype")
 _ARRAYS = (np.ndarray,) * len(Reference._fields)
 
-_OF_REFERENCE = (
-    "com",
-    "com_acceleration",
-    "angular_momentum_rate",
-    "position_sole",
-    "R_level_sole",
-    "stance",
-    "swing",
-)
-
 
 class NativeState:
-    """A state of the moment filter as the library holds it.
+    """A state of an online method as the library holds it.
 
     Args:
         record: All numbers.
@@ -43,7 +31,7 @@ class NativeState:
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """That of an estimate, the same array until the next block is learnt from."""
+        """That of an estimate of the moment filter, the same array until the next block is learnt from."""
         if self._covariance is None:
             self._covariance = self.record["learnt"].copy()
         return self._covariance
@@ -58,22 +46,23 @@ class NativeFilter:
 
     Args:
         library: The library.
-        stream: What it stands in for.
-        config: The robot's constants; see :func:`~surefoot.calibration.native.config.config_record`.
+        constants: Those of the robot and the method.
 
     Attributes:
-        config: The same.
+        certain: Whether its estimates have a covariance.
+        constants: Those of the robot and the method.
         raw: What it reads, shape (K,).
+        belief: The record of what the robot believes.
         estimate: The record of the last estimate.
-        addresses: Where the library finds these three.
+        addresses: Where the library finds its constants and these two, by the names in ``sf_sample_records``.
     """
 
-    def __init__(self, library: Library, stream: MomentStream, config: NDArray[Any]) -> None:
-        self._functions, self.config = library.functions, config
-        K, F = stream.setup.layout.channels, len(stream.setup.layout.feet)
+    def __init__(self, library: Library, constants: Constants) -> None:
+        self._functions, self.constants = library.functions, constants
+        K, F = constants.front.setup.layout.channels, len(constants.front.setup.layout.feet)
         self._real = library.real
-        self._template = stream.init(np.zeros(K, library.real))
-        tails = stream._front_end.motions.tails
+        self._template, self.certain, self._matrix = constants.like, constants.number == 0, constants.matrix
+        tails = constants.front.motions.tails
         self._shapes = tuple(tails[field] for field in Reference._fields)
         contacts = np.dtype(np.bool_)
         self._dtypes = tuple(
@@ -81,26 +70,29 @@ class NativeFilter:
         )
         self.raw, self._shape, self._feet = np.zeros(K, library.real), (K,), F
         shapes = {
-            "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_foot": (F, 2), "scale": (K,),
-            "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2), "nis": (), "nis_rows": (),
-            "flags": (K,), "cop_valid": (), "cop_foot_valid": (F,),
+            "force": (K,), "wrench": (F, 6), "vgrf": (F,), "cop": (2,), "cop_measured": (2,),
+            "cop_foot": (F, 2), "scale": (K,), "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2),
+            "nis": (), "nis_rows": (), "flags": (K,), "cop_valid": (), "cop_foot_valid": (F,),
         }  # fmt: skip
-        leaves = {path[-1]: np.shape(leaf) for path, leaf in leaves_of(self._template)}
-        state = library.record("state", leaves)
-        reference = library.record("reference", {field: tails[field] for field in _OF_REFERENCE})
+        leaves = {_name(path): np.shape(leaf) for path, leaf in leaves_of(self._template)}
+        state = library.record(constants.state, leaves)
+        reference = library.record("belief", tails)
         estimate = library.record("estimate", shapes)
         if state is None or reference is None or estimate is None:
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
         self._dtype = state
-        self._reference, self.estimate = np.zeros((), reference), Record(estimate)
-        self._inputs = tuple(self._reference[field] for field in _OF_REFERENCE)
+        self.belief, self.estimate = np.zeros((), reference), Record(estimate)
+        # The last two are the IMU's, which a method may leave out.
+        used = Reference._fields if constants.front.motions.imu else Reference._fields[:-2]
+        self._inputs = tuple(self.belief[field] for field in used)
+        self._filter = constants.filter(library)
         self.addresses = {
-            "config": config.ctypes.data,
+            "filter": self._filter.ctypes.data,
             "raw": self.raw.ctypes.data,
             "estimate": self.estimate.address,
         }
-        config_at, raw_at, out_at = self.addresses.values()
-        self._addresses = config_at, raw_at, self._reference.ctypes.data, out_at
+        filter_at, raw_at, out_at = self.addresses.values()
+        self._addresses = filter_at, raw_at, self.belief.ctypes.data, out_at
 
     def init(self) -> NativeState:
         """Return the state before any sample."""
@@ -132,14 +124,14 @@ class NativeFilter:
                 like.dtype,
             ):
                 return None
-            record[path[-1]] = leaf
+            record[_name(path)] = leaf
         return NativeState(record)
 
     def unpack(self, state: NativeState) -> Any:
         """Return the library's state as a Python state, which shares nothing with it."""
 
         def own(path: tuple[str, ...], like: Any) -> Any:
-            part = state.record[path[-1]]
+            part = state.record[_name(path)]
             return int(part) if isinstance(like, int) else part.astype(like.dtype)
 
         return rebuilt(self._template, own)
@@ -167,14 +159,13 @@ class NativeFilter:
     ) -> Estimate:
         """Take in one sample that :meth:`takes` has looked at; the state goes on in place."""
         self.raw[...] = raw
-        config, reading, beliefs, out = self._addresses
+        filter_at, reading, beliefs, out = self._addresses
         if isinstance(reference, ReferenceRecord):
             beliefs = reference.address
         else:
-            com, acceleration, rate, position, R, stance, swing = self._inputs
-            com[...], acceleration[...], rate[...] = reference[:3]
-            position[...], R[...], stance[...], swing[...] = reference[3:7]
-        self._functions.surefoot_step(config, state.address, reading, beliefs, dt, out)
+            for place, part in zip(self._inputs, reference, strict=False):
+                place[...] = part
+        self._functions.surefoot_step(filter_at, state.address, reading, beliefs, dt, out)
         if self.estimate.now["nis"] == self.estimate.now["nis"]:
             state.changed()
         return self.read(state)
@@ -182,11 +173,21 @@ class NativeFilter:
     def read(self, state: NativeState) -> Estimate:
         """Return the last estimate, of a robot in this state; its covariance may be the last one's array."""
         one = self.estimate.copy()
-        return Estimate(
+        found = Estimate(
             one["force"], one["wrench"], one["vgrf"], one["cop"], one["cop_foot"], one["cop_valid"],
-            one["cop_foot_valid"], one["scale"], one["offset"], state.covariance, one["flags"],
-            one["force_std"], one["cop_covariance"], one["nis"][()], one["nis_rows"][()],
+            one["cop_foot_valid"], one["scale"], one["offset"], None, one["flags"],
+            cop_measured=one["cop_measured"],
         )  # fmt: skip
+        if not self.certain:
+            return found
+        return found._replace(
+            covariance=state.covariance,
+            matrix=None if self._matrix is None else self._matrix(state.record["given"]),
+            force_std=one["force_std"],
+            cop_covariance=one["cop_covariance"],
+            nis=one["nis"][()],
+            nis_rows=one["nis_rows"][()],
+        )
 
     def retract(self, state: NativeState) -> None:
         """Take back what was learnt in the last seconds."""
@@ -195,11 +196,13 @@ class NativeFilter:
 
 
 def native_filter(
-    library: Library | None, setup: OnlineSetup, options: dict[str, Any]
+    library: Library | None, method: str, setup: OnlineSetup, options: dict[str, Any]
 ) -> NativeFilter | None:
-    """Return the moment filter of one robot by a library; ``None`` if it cannot be."""
-    if library is None:
-        return None
-    stream = MomentStream(setup, MomentFilterConfig(**options))
-    config = config_record(library, stream)
-    return None if config is None else NativeFilter(library, stream, config)
+    """Return a method for one robot by a library; ``None`` if it cannot be."""
+    constants = None if library is None else constants_of(library, method, setup, options)
+    return None if library is None or constants is None else NativeFilter(library, constants)
+
+
+def _name(path: tuple[str, ...]) -> str:
+    """Return a part's name in the library: the last one is unique, but for a standing start's."""
+    return "_".join(path[-2:]) if path[0] == "standing" else path[-1]

@@ -1,6 +1,7 @@
 /* The headers beside it as a shared library, with a table of where their records' fields lie. */
 
 #include "surefoot_view.h"
+#include "surefoot_window.h"
 
 #include "library.h"
 
@@ -8,6 +9,21 @@
 #define C_REAL(field) PLACE(config, field, "real")
 #define S_REAL(field) PLACE(state, field, "real")
 #define S_WHOLE(field) PLACE(state, field, "whole")
+/* What a state holds of the way of a sample. */
+#define FRONT(record, field, kind)                                                                           \
+    {#record, #field, kind, offsetof(sf_##record, front.field), sizeof(((sf_front *)0)->field)}
+#define FRONT_OF(record)                                                                                     \
+    FRONT(record, raw, "real"), FRONT(record, history, "real"), FRONT(record, motion, "real"),               \
+        FRONT(record, known, "whole"), FRONT(record, clean, "whole")
+#define W_INT(field) PLACE(window_config, field, "int")
+#define W_REAL(field) PLACE(window_config, field, "real")
+#define W_DOUBLE(field) PLACE(window_config, field, "double")
+#define V_REAL(field) PLACE(window_state, field, "real")
+#define V_WHOLE(field) PLACE(window_state, field, "whole")
+#define STANDING(field, kind)                                                                                \
+    {"window_state", "standing_" #field, kind, offsetof(sf_window_state, standing.field),                    \
+     sizeof(((sf_standing *)0)->field)}
+#define T_REAL(field) PLACE(tare_state, field, "real")
 #define R_REAL(field) PLACE(reference, field, "real")
 #define E_REAL(field) PLACE(estimate, field, "real")
 #define M_REAL(field) PLACE(model, field, "real")
@@ -26,6 +42,14 @@ typedef struct {
     sf_real covariance[4 * SF_CHANNELS * SF_CHANNELS];
 } sf_told;
 
+/* How one robot is calibrated: its constants, those of a method, and which one that is. */
+enum { MOMENT, WINDOW, TARE, UNCORRECTED };
+typedef struct {
+    const sf_config *config;
+    const void *own;
+    sf_whole method;
+} sf_filter;
+
 /* Records that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
 typedef struct {
     const sf_model *model;
@@ -33,8 +57,8 @@ typedef struct {
     sf_beliefs *beliefs;
     sf_belief *belief;
     const unsigned char *planned;
-    const sf_config *config;
-    sf_state *state;
+    const sf_filter *filter;
+    void *state;
     const sf_real *raw;
     sf_estimate *estimate;
     const sf_view *view;
@@ -48,11 +72,11 @@ static const place places[] = {
     WHOLE_OF(config), WHOLE_OF(state), WHOLE_OF(reference), WHOLE_OF(estimate), WHOLE_OF(work),
     PLACE(work, newton, ""), PLACE(work, rows, ""), PLACE(work, covariance, "real"), PLACE(work, part, ""),
 
-    C_INT(channels), C_INT(feet), C_INT(lag), C_INT(every), C_INT(average), C_INT(settle), C_INT(kinds),
+    C_INT(channels), C_INT(feet), C_INT(lag), C_INT(kept), C_INT(every), C_INT(average), C_INT(settle), C_INT(kinds),
     C_INT(sensors), C_INT(parities), C_INT(pairs), C_INT(keep_every),
-    C_INT(distal_matters), C_INT(foot_of_channel), C_INT(cells), C_INT(together), C_INT(first),
+    C_INT(distal_matters), C_INT(talks), C_INT(talk_to), C_INT(talk_from), C_INT(foot_of_channel), C_INT(cells), C_INT(together), C_INT(first),
     C_INT(second), C_INT(foot_of_sensor), C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(length),
-    C_REAL(reach), C_REAL(force_threshold), C_REAL(scale), C_REAL(offset), C_REAL(lowest),
+    C_REAL(reach), C_REAL(force_threshold), C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest),
     C_REAL(highest), C_REAL(wrench_map), C_REAL(unit), C_REAL(start), C_REAL(first_variance),
     C_REAL(walk), C_REAL(learnt), C_REAL(sure), C_REAL(change), C_REAL(aged), C_REAL(stated), C_REAL(row_scale),
     C_REAL(row_variance), C_REAL(timing_noise), C_REAL(gate), C_REAL(reject), C_REAL(still),
@@ -61,18 +85,46 @@ static const place places[] = {
     C_REAL(load_loose), C_REAL(sensor_mass), C_REAL(sensor_com), C_REAL(sensor_share), C_REAL(felt),
     C_REAL(curve_every), C_REAL(curve_span),
 
-    S_REAL(raw), S_REAL(history), S_REAL(motion), S_WHOLE(known), S_WHOLE(clean), S_WHOLE(step),
-    S_REAL(pending), S_REAL(mean), S_REAL(covariance), S_REAL(drift), S_REAL(given),
+    FRONT_OF(state), S_WHOLE(step), S_REAL(pending), S_REAL(mean), S_REAL(covariance), S_REAL(drift), S_REAL(given),
     S_REAL(given_covariance), S_REAL(learnt), S_REAL(spread), S_REAL(kept_mean), S_REAL(kept_covariance),
     S_REAL(noise), S_REAL(misfit), S_REAL(unproven), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
     S_REAL(last), S_WHOLE(leaps), S_REAL(leapt), S_REAL(trust), S_REAL(doubt), S_REAL(scores),
     S_REAL(size), S_REAL(load), S_REAL(moments), S_REAL(lost), S_WHOLE(kind), S_REAL(wiring),
     S_REAL(spare), S_REAL(spare_std), S_REAL(agreed), S_WHOLE(altered),
 
+    WHOLE_OF(filter), PLACE(filter, config, "word"), PLACE(filter, own, "word"),
+    PLACE(filter, method, "whole"), WHOLE_OF(window_config), WHOLE_OF(window_state), WHOLE_OF(window_work),
+    WHOLE_OF(tare_config), WHOLE_OF(tare_state), WHOLE_OF(front),
+
+    W_INT(every), W_INT(length), W_INT(settle), W_INT(transition), W_INT(iterations), W_INT(quasi_static),
+    W_INT(filtered), W_INT(standing_start), W_INT(standing_samples), W_REAL(force), W_REAL(cop),
+    W_REAL(gross_force), W_REAL(gross_length), W_REAL(outlier), W_REAL(least), W_REAL(spread),
+    W_REAL(step_bound), W_REAL(rate_bound), W_REAL(lowest), W_REAL(highest), W_REAL(transfer), W_REAL(steady),
+    W_DOUBLE(warm_up), W_DOUBLE(duration), W_DOUBLE(patience), W_REAL(deviation), W_REAL(noise),
+    W_REAL(shared), W_REAL(largest), W_REAL(acceleration_threshold), W_REAL(rate_threshold),
+
+    FRONT_OF(window_state), V_WHOLE(step), V_REAL(pending), V_REAL(filter), V_REAL(latest), V_WHOLE(started),
+    V_WHOLE(contact), V_WHOLE(since_change), V_REAL(samples), V_REAL(theta), V_WHOLE(status),
+    V_WHOLE(walking), V_WHOLE(all_walking), STANDING(time, "double"), STANDING(samples, "whole"),
+    STANDING(dropped, "whole"), STANDING(gated, "whole"), STANDING(information, "real"),
+    STANDING(gradient, "real"), STANDING(energy, "real"),
+
+    PLACE(window_work, A, "real"), PLACE(window_work, J, "real"), PLACE(window_work, gradient, "real"),
+    PLACE(window_work, theta, "real"), PLACE(window_work, use, "real"), PLACE(window_work, square, "real"),
+    PLACE(window_work, ordered, "real"),
+
+    PLACE(tare_config, settle, "int"), PLACE(tare_config, minimum_samples, "int"),
+    PLACE(tare_config, spread, "real"), PLACE(tare_config, limit, "real"), FRONT_OF(tare_state),
+    PLACE(tare_state, airborne, "whole"), PLACE(tare_state, count, "whole"), T_REAL(mean), T_REAL(scatter),
+    T_REAL(offset),
+
+    PLACE(front, raw, "real"), PLACE(front, history, "real"), PLACE(front, motion, "real"),
+    PLACE(front, known, "whole"), PLACE(front, clean, "whole"),
+
     R_REAL(com), R_REAL(com_acceleration), R_REAL(angular_momentum_rate), R_REAL(position_sole),
     R_REAL(R_level_sole), PLACE(reference, stance, "byte"), PLACE(reference, swing, "byte"),
 
-    E_REAL(force), E_REAL(wrench), E_REAL(vgrf), E_REAL(cop), E_REAL(cop_foot), E_REAL(scale),
+    E_REAL(force), E_REAL(wrench), E_REAL(vgrf), E_REAL(cop), E_REAL(cop_measured), E_REAL(cop_foot), E_REAL(scale),
     E_REAL(offset), E_REAL(force_std), E_REAL(cop_covariance), E_REAL(nis), E_REAL(nis_rows),
     PLACE(estimate, flags, "whole"), PLACE(estimate, cop_valid, "byte"), PLACE(estimate, cop_foot_valid,
     "byte"),
@@ -112,26 +164,53 @@ static const place places[] = {
     {"told", "shown", "", offsetof(sf_told, shown), sizeof(sf_shown)}, PLACE(told, covariance, "real"),
 
     WHOLE_OF(sample_records), R_AT(model), R_AT(timing), R_AT(beliefs), R_AT(belief), R_AT(planned),
-    R_AT(config), R_AT(state), R_AT(raw), R_AT(estimate), R_AT(view), R_AT(held), R_AT(told),
+    R_AT(filter), R_AT(state), R_AT(raw), R_AT(estimate), R_AT(view), R_AT(held), R_AT(told),
     PLACE(sample_records, dt, "double"),
 };
 /* clang-format on */
 
 LIBRARY_OF(places)
 
-EXPORTED int surefoot_fits(const sf_config *config) { return sf_calibrator_fits(config); }
-EXPORTED void surefoot_init(const sf_config *config, sf_state *state) { sf_calibrator_init(config, state); }
-EXPORTED void surefoot_retract(const sf_config *config, sf_state *state) {
-    sf_calibrator_retract(config, state);
+EXPORTED int surefoot_fits(const sf_filter *f) {
+    return f->method == MOMENT   ? sf_calibrator_fits(f->config)
+           : f->method == WINDOW ? sf_window_fits(f->config, (const sf_window_config *)f->own)
+                                 : sf_robot_fits(f->config);
 }
-EXPORTED void surefoot_step(const sf_config *config, sf_state *state, const sf_real *raw,
-                            const sf_reference *reference, double dt, sf_estimate *estimate) {
-    sf_calibrator_step(config, state, raw, reference, (sf_real)dt, estimate);
+#ifndef SF_NO_LIBC /* kernels call the headers themselves */
+EXPORTED void surefoot_init(const sf_filter *f, void *state) {
+    if (f->method == MOMENT) sf_calibrator_init(f->config, state);
+    if (f->method == WINDOW) sf_window_init(f->config, f->own, state);
+    if (f->method == TARE) sf_tare_init(f->config, state);
+    if (f->method == UNCORRECTED) sf_front_init(f->config, state);
+}
+/* Of methods besides the moment filter. */
+EXPORTED void surefoot_begin(const sf_filter *f, void *state) {
+    if (f->method == WINDOW) sf_window_begin(f->config, state);
+    if (f->method == TARE) sf_tare_begin(f->config, state);
+    if (f->method == UNCORRECTED) sf_front_init(f->config, state);
+}
+EXPORTED void surefoot_retract(const sf_filter *f, void *state) {
+    if (f->method == MOMENT) sf_calibrator_retract(f->config, state);
+}
+EXPORTED void surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
+                            double dt, sf_estimate *out) {
+    const sf_reference *reference = &belief->reference;
+    const sf_real *imu[] = {belief->accelerometer, belief->gyroscope};
+    sf_window_work work;
+    switch (f->method) {
+    case MOMENT: sf_calibrator_step(f->config, state, raw, reference, (sf_real)dt, out); break;
+    case WINDOW:
+        sf_window_step(f->config, f->own, state, &work, raw, reference, imu, (sf_real)dt, out);
+        break;
+    case TARE: sf_tare_step(f->config, f->own, state, raw, reference, (sf_real)dt, out); break;
+    default: sf_uncorrected_step(f->config, state, raw, reference, (sf_real)dt, out);
+    }
 }
 
 EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
     return sf_beliefs_fit(model, timing);
 }
+EXPORTED void surefoot_beliefs_init(sf_beliefs *beliefs) { sf_beliefs_init(beliefs); }
 /* rows: of each packet its number, its arrival and its values as wrappers.telemetry.TelemetryLayout has them.
  */
 EXPORTED void surefoot_beliefs_packets(const sf_model *model, const sf_timing *timing, sf_beliefs *beliefs,
@@ -170,18 +249,21 @@ EXPORTED void surefoot_view_show(const sf_config *config, const sf_view *view, s
    learn nothing. Returns what surefoot_beliefs_sample does, plus 8 if something was learnt. */
 EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, int count, double time, double now,
                              int how) {
+    const sf_config *config = at->filter->config;
     sf_told *told = at->told;
     sf_real soles[8];
     if (count) surefoot_beliefs_packets(at->model, at->timing, at->beliefs, rows, count);
     int found = surefoot_beliefs_sample(at->timing, at->beliefs, time, how & 1 ? at->planned : NULL, how & 2,
                                         at->belief);
-    if (found & 1) sf_calibrator_retract(at->config, at->state);
-    sf_calibrator_step(at->config, at->state, at->raw, &at->belief->reference, (sf_real)at->dt, at->estimate);
+    if (found & 1) surefoot_retract(at->filter, at->state);
+    surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
     sf_beliefs_soles(at->timing, at->beliefs, now, soles);
-    sf_view_show(at->config, at->view, at->held, at->estimate, soles, &told->shown);
+    sf_view_show(config, at->view, at->held, at->estimate, soles, &told->shown);
     told->belief = *at->belief;
     told->estimate = *at->estimate;
-    memcpy(told->covariance, at->state->learnt,
-           sizeof(sf_real) * (size_t)(4 * at->config->channels * at->config->channels));
+    if (at->filter->method == MOMENT)
+        memcpy(told->covariance, ((const sf_state *)at->state)->learnt,
+               sizeof(sf_real) * (size_t)(4 * config->channels * config->channels));
     return found + 8 * !isnan(at->estimate->nis);
 }
+#endif

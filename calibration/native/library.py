@@ -1,4 +1,4 @@
-"""The compiled moment filter and beliefs: their functions."""
+"""The compiled calibrators and beliefs: their functions."""
 
 import ctypes
 from pathlib import Path
@@ -10,9 +10,11 @@ NATIVE = Native(
     {
         "surefoot_fits": (ctypes.c_int, (ADDRESS,)),
         "surefoot_init": (None, (ADDRESS, ADDRESS)),
+        "surefoot_begin": (None, (ADDRESS, ADDRESS)),
         "surefoot_retract": (None, (ADDRESS, ADDRESS)),
         "surefoot_step": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_fit": (ctypes.c_int, (ADDRESS, ADDRESS)),
+        "surefoot_beliefs_init": (None, (ADDRESS,)),
         "surefoot_beliefs_packets": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_int)),
         "surefoot_beliefs_sample": (
             ctypes.c_int,

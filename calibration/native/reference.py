@@ -1,7 +1,5 @@
 """A reference as the library holds it, which a calibrator takes as it is."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from surefoot.calibration.reference import Reference
@@ -32,13 +30,6 @@ class ReferenceRecord:
         self._record = Record(dtype)
         self._nothing = Record(dtype)
         self.address = self._record.address
-
-    @staticmethod
-    def side_by_side(records: "Sequence[ReferenceRecord]") -> Reference:
-        """Return what several of them hold, with these in front of each array."""
-        memory = np.array([one._record.bytes for one in records])
-        many = np.ndarray(len(records), records[0].dtype, memory)
-        return Reference(*(many[name] for name in _SHAPES))
 
     def fill(self, reference: Reference) -> None:
         """Take over what it is."""

@@ -16,7 +16,7 @@
    one.
 
    Before it is included: SF_SINGLE makes numbers floats; SF_CHANNELS, SF_FEET, SF_LAG, SF_EVERY, SF_SETTLE,
-   SF_GROUPS, SF_SENSORS, SF_CELLS and SF_PARITIES are the largest sizes; SF_API is what stands before
+   SF_GROUPS, SF_SENSORS, SF_CELLS, SF_TALKS and SF_PARITIES are the largest sizes; SF_API is what stands before
    functions. */
 
 #ifndef SUREFOOT_CALIBRATION_H
@@ -80,7 +80,12 @@ typedef long long sf_whole;
 #define SF_PARITIES 6 /* axes that two instruments of a foot see, both feet */
 #endif
 
-#define SF_MAP (2 * SF_CHANNELS)
+#ifndef SF_TALKS
+#define SF_TALKS 10 /* five for each six-axis sensor, 0 for cells alone */
+#endif
+
+#define SF_SCALES (SF_CHANNELS + SF_TALKS)
+#define SF_MAP (SF_SCALES + SF_CHANNELS)
 #define SF_UNKNOWNS (SF_MAP + 9)
 #define SF_MOTION (15 + 12 * SF_FEET)
 #define SF_SPAN (SF_EVERY + 2 * SF_SETTLE)
@@ -96,7 +101,9 @@ enum {
     SF_OUT_OF_RANGE = 2,
     SF_REFERENCE = 4,
     SF_GAP = 8,
+    SF_NO_CONTACT = 16,
     SF_SINGULAR = 32,
+    SF_STANDING = 64,
     SF_REJECTED = 128,
     SF_SPIKE = 256,
     SF_STUCK = 512,
@@ -108,7 +115,7 @@ enum {
 };
 
 /* Places in a flat reference; behind them the soles' positions (3 each) and rotations (9 each). */
-enum { SF_COM = 0, SF_ACCELERATION = 3, SF_RATE = 6, SF_SOLES = 15 };
+enum { SF_COM = 0, SF_ACCELERATION = 3, SF_RATE = 6, SF_ACCELEROMETER = 9, SF_GYROSCOPE = 12, SF_SOLES = 15 };
 
 /* Rows of a wrench. */
 enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
@@ -116,12 +123,14 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 /* Constants of the Python modules, by their names there. */
 #define SF_GRAVITY ((sf_real)9.81)
 #define SF_LONGEST_GAP 5.0
+#define SF_SLOPE_SAMPLES 3
 #define SF_LARGEST_REFERENCE ((sf_real)1e6)
 #define SF_LARGEST_WEIGHTS ((sf_real)5.0)
 #define SF_REJECT_STD ((sf_real)8.0)
 #define SF_LEAP_STD ((sf_real)5.0)
 #define SF_LEAST_CHANGE_OF_MASS ((sf_real)0.5)
 #define SF_SETTLED ((sf_real)50.0)
+#define SF_LOADED ((sf_real)0.36)
 #define SF_LOAD_STD ((sf_real)4.0)
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
@@ -170,17 +179,19 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 
 /* ------------------------------------------------------------------------------------------------ records */
 
-/* Constants of one robot: an OnlineSetup and a MomentFilterConfig, worked out. K channels, M = 2K scales and
-   offsets, N = M + 9 unknowns. Units as in Python. */
+/* Constants of one robot: an OnlineSetup and a MomentFilterConfig, worked out. K channels, P scales, of which the
+   first K are the channels' own, M = P + K scales and offsets, N = M + 9 unknowns. Units as in Python. */
 typedef struct {
-    int channels, feet, lag, every, average, settle, kinds, sensors, parities, pairs, keep_every;
-    int distal_matters;
+    int channels, feet, lag, kept, every, average, settle, kinds, sensors, parities, pairs, keep_every;
+    int distal_matters, talks;
+    int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels of the scales behind the first K */
     int foot_of_channel[SF_CHANNELS];
     int cells[SF_CHANNELS]; /* 1 for a cell under a plate: others cannot be reconstructed */
     int together[SF_CHANNELS * SF_CHANNELS]; /* 1 for two cells of one plate */
     int first[SF_PAIRS], second[SF_PAIRS]; /* cells that may be exchanged */
     int foot_of_sensor[SF_SENSORS];
     sf_real dt, weight, mass, length, reach, force_threshold;
+    sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
     sf_real unit[SF_CHANNELS];
@@ -206,16 +217,29 @@ typedef struct {
     unsigned char stance[SF_FEET], swing[SF_FEET];
 } sf_reference;
 
-/* All that is remembered: FrontState, MomentState and ChannelState side by side. */
+/* What the way of a sample remembers, with any method: FrontState. */
 typedef struct {
     sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 2 * SF_CHANNELS], motion[SF_MOTION];
     sf_whole known, clean;
+} sf_front;
+
+/* One sample, checked: the newest forces by the starting map, and what is wrong with them. */
+typedef struct {
+    sf_real dt, force[SF_CHANNELS];
+    sf_whole flags[SF_CHANNELS];
+    sf_real change[SF_CHANNELS]; /* by how much they are expected to have changed until now */
+    int read[SF_CHANNELS], sound, gap, good; /* a good reference; a clock that jumped; all to be learnt from */
+} sf_sample;
+
+/* All that is remembered: FrontState, MomentState and ChannelState side by side. */
+typedef struct {
+    sf_front front;
 
     sf_whole step;
     sf_real pending[SF_SPAN * SF_PENDING];
     sf_real mean[SF_UNKNOWNS], covariance[SF_UNKNOWNS * SF_UNKNOWNS];
     sf_real drift[SF_MAP], given[SF_UNKNOWNS], given_covariance[SF_MAP * SF_MAP];
-    sf_real learnt[SF_MAP * SF_MAP], spread[3 * SF_CHANNELS];
+    sf_real learnt[4 * SF_CHANNELS * SF_CHANNELS], spread[3 * SF_CHANNELS];
     sf_real kept_mean[2 * SF_UNKNOWNS], kept_covariance[2 * SF_UNKNOWNS * SF_UNKNOWNS];
     sf_real noise[SF_KINDS], misfit, unproven, quiet, anchor[SF_CHANNELS];
     sf_whole status;
@@ -233,7 +257,7 @@ typedef struct {
 /* A calibrated sample; see surefoot.calibration.estimate.Estimate. The covariance is `learnt` of the state.
  */
 typedef struct {
-    sf_real force[SF_CHANNELS], wrench[SF_FEET * 6], vgrf[SF_FEET], cop[2], cop_foot[SF_FEET * 2];
+    sf_real force[SF_CHANNELS], wrench[SF_FEET * 6], vgrf[SF_FEET], cop[2], cop_measured[2], cop_foot[SF_FEET * 2];
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], force_std[SF_CHANNELS], cop_covariance[4], nis, nis_rows;
     sf_whole flags[SF_CHANNELS];
     unsigned char cop_valid, cop_foot_valid[SF_FEET];
@@ -271,8 +295,8 @@ typedef struct {
 
 typedef struct {
     sf_real covariance[SF_MAP * SF_MAP], axes[SF_MAP * SF_MAP], seen[SF_MAP * SF_MAP];
-    sf_real of_scales[SF_CHANNELS * SF_CHANNELS], mixed[SF_CHANNELS * SF_CHANNELS];
-    sf_real L[4][SF_CHANNELS * SF_CHANNELS], W[4][SF_CHANNELS * SF_CHANNELS], S[4][SF_CHANNELS * SF_CHANNELS];
+    sf_real of_scales[SF_SCALES * SF_SCALES], mixed[SF_SCALES * SF_SCALES];
+    sf_real L[4][SF_CHANNELS * SF_CHANNELS], W[4][SF_CHANNELS * SF_SCALES], S[4][SF_SCALES * SF_SCALES];
     sf_real found[16 * SF_MAP];
 } sf_severity_work;
 
@@ -287,23 +311,36 @@ typedef struct {
 } sf_work;
 
 /* Sizes of one robot that follow from others. */
-SF_API int sf_unknowns(const sf_config *c) { return 2 * c->channels + 9; }
+SF_API int sf_scales(const sf_config *c) { return c->channels + c->talks; }
+SF_API int sf_map(const sf_config *c) { return sf_scales(c) + c->channels; }
+SF_API int sf_unknowns(const sf_config *c) { return sf_map(c) + 9; }
 SF_API int sf_motion(const sf_config *c) { return 15 + 12 * c->feet; }
 SF_API int sf_span(const sf_config *c) { return c->every + 2 * c->settle; }
 SF_API int sf_width(const sf_config *c) { return 2 * c->channels + sf_motion(c) + c->feet + 2; }
 SF_API int sf_groups(const sf_config *c) { return c->every / c->average; }
 SF_API int sf_hypotheses(const sf_config *c) { return 2 * c->channels + 2 * c->pairs; }
 
-/* Return whether a robot fits into the arrays; call it once for a config that comes from elsewhere. */
-SF_API int sf_calibrator_fits(const sf_config *c) {
+/* Return whether a robot fits into the arrays, with any method. */
+SF_API int sf_robot_fits(const sf_config *c) {
     int fits = c->channels >= 1 && c->channels <= SF_CHANNELS && c->feet >= 1 && c->feet <= SF_FEET &&
-               c->lag >= 0 && c->lag <= SF_LAG && c->average >= 1 && c->every >= c->average &&
+               c->lag >= 0 && c->lag <= c->kept && c->kept <= SF_LAG;
+    for (int i = 0; fits && i < c->channels; i++)
+        fits = c->foot_of_channel[i] >= 0 && c->foot_of_channel[i] < c->feet &&
+               (c->carried[i] == 0 || c->kept >= SF_SLOPE_SAMPLES);
+    return fits;
+}
+
+/* Return whether it does with the moment filter; call it once for a config that comes from elsewhere. */
+SF_API int sf_calibrator_fits(const sf_config *c) {
+    int fits = sf_robot_fits(c) && c->average >= 1 && c->every >= c->average &&
                c->every <= SF_EVERY && c->every % c->average == 0 && sf_groups(c) <= SF_GROUPS &&
                c->settle >= 1 && c->settle <= SF_SETTLE && (c->kinds == 3 || c->kinds == 6) &&
                c->kinds <= SF_KINDS && c->sensors >= 0 && c->sensors <= SF_SENSORS && c->parities >= 0 &&
                c->parities <= SF_PARITIES && c->pairs >= 0 && c->pairs <= SF_PAIRS && c->keep_every >= 1;
-    for (int i = 0; fits && i < c->channels; i++)
-        fits = c->foot_of_channel[i] >= 0 && c->foot_of_channel[i] < c->feet;
+    fits = fits && c->talks >= 0 && c->talks <= SF_TALKS;
+    for (int t = 0; fits && t < c->talks; t++)
+        fits = c->talk_to[t] >= 0 && c->talk_to[t] < c->channels && c->talk_from[t] >= 0 &&
+               c->talk_from[t] < c->channels;
     for (int p = 0; fits && p < c->sensors; p++)
         fits = c->foot_of_sensor[p] >= 0 && c->foot_of_sensor[p] < c->feet;
     for (int p = 0; fits && p < c->pairs; p++)
@@ -519,9 +556,11 @@ SF_API const sf_real *sf_rotation(const sf_config *c, const sf_real *motion, int
     return motion + SF_SOLES + 3 * c->feet + 9 * foot;
 }
 
-/* Motions.flatten; accelerometer and gyroscope are not used, and stay zero. */
-SF_API void sf_flatten(const sf_config *c, const sf_reference *reference, sf_real *motion) {
+/* Motions.flatten. imu: accelerometer and gyroscope, of 3 numbers each; zeros without. */
+SF_API void sf_flatten(const sf_config *c, const sf_reference *reference, const sf_real *const *imu,
+                       sf_real *motion) {
     memset(motion, 0, SF_SOLES * sizeof(sf_real));
+    for (int i = 0; imu && i < 2; i++) sf_copy(motion + SF_ACCELEROMETER + 3 * i, imu[i], 3);
     sf_copy(motion + SF_COM, reference->com, 3);
     sf_copy(motion + SF_ACCELERATION, reference->com_acceleration, 3);
     sf_copy(motion + SF_RATE, reference->angular_momentum_rate, 3);
@@ -535,19 +574,20 @@ SF_API sf_real sf_ground_height(const sf_config *c, const sf_real *motion) {
     return height;
 }
 
-/* Motions.ground: whether a robot can do that at all (Eqs. 9-11). */
-SF_API int sf_physical(const sf_config *c, const sf_real *motion) {
+/* Motions.ground: the vertical force and the centre of pressure that a motion asks for (Eqs. 9-11, or Han's);
+   returns whether a robot can do that at all. */
+SF_API int sf_ground(const sf_config *c, const sf_real *motion, int quasi_static, sf_real asked[3]) {
     const sf_real *com = motion + SF_COM, *acceleration = motion + SF_ACCELERATION, *rate = motion + SF_RATE;
-    sf_real vgrf = c->mass * (acceleration[2] + SF_GRAVITY),
+    sf_real vgrf = quasi_static ? c->weight : c->mass * (acceleration[2] + SF_GRAVITY),
             safe = vgrf > c->force_threshold ? vgrf : c->weight;
     sf_real height = c->mass * (com[2] - sf_ground_height(c, motion));
-    sf_real x = com[0] - (height * acceleration[0] + rate[1]) / safe;
-    sf_real y = com[1] - (height * acceleration[1] - rate[0]) / safe;
     int near = 1;
-    for (int foot = 0; foot < c->feet; foot++) {
-        const sf_real *sole = sf_position(motion, foot);
-        near = near && sf_fabs(sole[0] - x) <= c->reach && sf_fabs(sole[1] - y) <= c->reach;
-    }
+    asked[0] = vgrf;
+    asked[1] = com[0] - (quasi_static ? 0 : (height * acceleration[0] + rate[1]) / safe);
+    asked[2] = com[1] - (quasi_static ? 0 : (height * acceleration[1] - rate[0]) / safe);
+    for (int foot = 0; foot < c->feet; foot++)
+        for (int axis = 0; axis < 2; axis++)
+            near = near && sf_fabs(sf_position(motion, foot)[axis] - asked[1 + axis]) <= c->reach;
     return near && vgrf > c->force_threshold && vgrf < SF_LARGEST_WEIGHTS * c->weight;
 }
 
@@ -567,16 +607,151 @@ SF_API void sf_level_rows(const sf_config *c, const sf_real *motion, sf_real *ro
     }
 }
 
+/* FrontEnd.init */
+SF_API void sf_front_init(const sf_config *c, sf_front *s) {
+    memset(s, 0, sizeof *s);
+    for (int foot = 0; foot < c->feet; foot++)
+        for (int i = 0; i < 3; i++) s->motion[SF_SOLES + 3 * c->feet + 9 * foot + 4 * i] = 1;
+    for (int i = 0; i < c->channels; i++) s->raw[i] = 0 - c->offset[i] / c->scale[i];
+}
+
+/* FrontEnd.observe until forces may be repaired: check one sample. */
+SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const sf_reference *reference,
+                     const sf_real *const *imu, sf_real dt, sf_sample *sample) {
+    int R = sf_motion(c);
+    sf_real motion[SF_MOTION];
+    sf_flatten(c, reference, imu, motion);
+    sample->dt = dt;
+    sample->gap = !(dt > 0 && dt <= SF_LONGEST_GAP * c->dt);
+    sample->sound = 1;
+    for (int i = 0; i < R; i++) sample->sound = sample->sound && sf_fabs(motion[i]) <= SF_LARGEST_REFERENCE;
+    for (int i = 0; i < c->channels; i++) {
+        sample->read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
+        sample->flags[i] = (sample->read[i]    ? 0
+                            : raw[i] == raw[i] ? SF_OUT_OF_RANGE
+                                               : SF_MISSING) |
+                           (sample->sound ? 0 : SF_REFERENCE) | (sample->gap ? SF_GAP : 0);
+        if (sample->read[i]) s->raw[i] = raw[i];
+        sample->force[i] = c->scale[i] * s->raw[i] + c->offset[i];
+    }
+    if (sample->sound) sf_copy(s->motion, motion, R);
+    s->known = s->known || sample->sound;
+}
+
+/* What the reference describes: K forces by the starting map, and which of them were read. */
+SF_API const sf_real *sf_past(const sf_config *c, const sf_front *s) {
+    return s->history + (c->kept - c->lag) * 2 * c->channels;
+}
+
+/* expected_change: by how much forces have changed since they were read, in N. */
+SF_API void sf_expected_change(const sf_config *c, const sf_front *s, sf_real dt, sf_real *change) {
+    int K = c->channels, back = c->kept - SF_SLOPE_SAMPLES;
+    for (int i = 0; i < K; i++) {
+        change[i] = 0;
+        if (back >= 0 && c->carried[i] > 0 && s->clean >= SF_SLOPE_SAMPLES) {
+            const sf_real *newest = s->history + c->kept * 2 * K, *before = s->history + back * 2 * K;
+            if (newest[K + i] > (sf_real)0.5 && before[K + i] > (sf_real)0.5)
+                change[i] =
+                    c->carried[i] * ((newest[i] - before[i]) / (SF_SLOPE_SAMPLES * sf_max(dt, c->dt)));
+        }
+    }
+}
+
+/* FrontEnd.observe from there on: remember the sample and see whether that which the reference describes may be
+   learnt from. */
+SF_API void sf_align(const sf_config *c, sf_front *s, sf_sample *sample) {
+    int K = c->channels;
+    sf_real *newest = s->history + c->kept * 2 * K;
+    const sf_real *past = sf_past(c, s);
+    memmove(s->history, s->history + 2 * K, (size_t)(c->kept * 2 * K) * sizeof(sf_real));
+    sf_copy(newest, sample->force, K);
+    for (int i = 0; i < K; i++) newest[K + i] = (sf_real)sample->read[i];
+    sample->good = sample->sound && !sample->gap;
+    for (int i = 0; i < K; i++) sample->good = sample->good && past[K + i] > (sf_real)0.5;
+    s->clean = sample->good ? s->clean + 1 : 0;
+    sf_expected_change(c, s, sample->dt, sample->change);
+}
+
+/* FrontEnd.report: what calibrated forces mean. rows: of sf_level_rows; returns the load on all feet in N. */
+SF_API sf_real sf_report(const sf_config *c, const sf_front *s, const sf_real *rows, sf_estimate *out) {
+    int K = c->channels;
+    sf_real load = 0;
+    for (int foot = 0; foot < c->feet; foot++) {
+        sf_real *wrench = out->wrench + 6 * foot, *cop = out->cop_foot + 2 * foot;
+        for (int axis = 0; axis < 6; axis++)
+            wrench[axis] = sf_dot(c->wrench_map + (foot * 6 + axis) * K, out->force, K);
+        out->vgrf[foot] = 0;
+        for (int i = 0; i < K; i++)
+            if (c->foot_of_channel[i] == foot) out->vgrf[foot] += rows[i] * out->force[i];
+        load += out->vgrf[foot];
+        out->cop_foot_valid[foot] = wrench[SF_FZ] > c->force_threshold;
+        cop[0] = out->cop_foot_valid[foot] ? -wrench[SF_MY] / wrench[SF_FZ] + 0 : (sf_real)NAN;
+        cop[1] = out->cop_foot_valid[foot] ? wrench[SF_MX] / wrench[SF_FZ] + 0 : (sf_real)NAN;
+    }
+    out->cop_valid = load > c->force_threshold && s->known;
+    for (int axis = 0; axis < 2; axis++)
+        out->cop[axis] =
+            out->cop_valid ? sf_dot(rows + (1 + axis) * K, out->force, K) / load + 0 : (sf_real)NAN;
+    sf_copy(out->cop_measured, out->cop, 2);
+    return load;
+}
+
+/* The same of forces that are carried on to now; `change`: each by itself in N, which becomes that with which the
+   vertical force stays as it was read (with_total_kept). */
+SF_API sf_real sf_report_now(const sf_config *c, const sf_front *s, const sf_real *rows, sf_real *change,
+                             sf_estimate *out) {
+    int K = c->channels;
+    sf_real load = sf_report(c, s, rows, out), room = 0, excess = 0, measured[2];
+    for (int i = 0; i < K; i++) {
+        room += rows[i] * change[i] * change[i] * rows[i];
+        excess += rows[i] * change[i];
+    }
+    if (!(room > 0)) return load;
+    for (int i = 0; i < K; i++) {
+        change[i] -= rows[i] * change[i] * change[i] * (excess / room);
+        out->force[i] += change[i];
+    }
+    sf_copy(measured, out->cop, 2);
+    load = sf_report(c, s, rows, out);
+    sf_copy(out->cop_measured, measured, 2);
+    return load;
+}
+
 /* --------------------------------------------------------------------------------------- moment: unknowns */
 
 /* Unknowns.tared: F0 + o in N. */
 SF_API sf_real sf_tared(const sf_config *c, const sf_real *mean, sf_real force, int i) {
-    return force + mean[c->channels + i] * c->unit[i];
+    return force + mean[sf_scales(c) + i] * c->unit[i];
 }
 
-/* Unknowns.force: a (F0 + o) in N. */
-SF_API sf_real sf_force(const sf_config *c, const sf_real *mean, sf_real force, int i) {
-    return mean[i] * sf_tared(c, mean, force, i);
+/* Unknowns.scaled: A f in N. */
+SF_API void sf_scaled(const sf_config *c, const sf_real *mean, const sf_real *tared, sf_real *force) {
+    for (int i = 0; i < c->channels; i++) force[i] = mean[i] * tared[i];
+    for (int t = 0; t < c->talks; t++)
+        force[c->talk_to[t]] += mean[c->channels + t] * tared[c->talk_from[t]];
+}
+
+/* Unknowns.force: A (F0 + o) in N. */
+SF_API void sf_forces(const sf_config *c, const sf_real *mean, const sf_real *reading, sf_real *force) {
+    sf_real tared[SF_CHANNELS];
+    for (int i = 0; i < c->channels; i++) tared[i] = sf_tared(c, mean, reading[i], i);
+    sf_scaled(c, mean, tared, force);
+}
+
+/* Unknowns.by_scale of one row, P numbers, times a weight, added. */
+SF_API void sf_by_scale(const sf_config *c, sf_real weight, const sf_real *row, const sf_real *tared,
+                        sf_real *out) {
+    int K = c->channels;
+    for (int k = 0; k < K; k++) out[k] += weight * (row[k] * tared[k]);
+    for (int t = 0; t < c->talks; t++) out[K + t] += weight * (row[c->talk_to[t]] * tared[c->talk_from[t]]);
+}
+
+/* Unknowns.by_offset of one row, K numbers. */
+SF_API void sf_by_offset(const sf_config *c, const sf_real *row, const sf_real *mean, sf_real *out) {
+    int K = c->channels;
+    for (int k = 0; k < K; k++) out[k] = row[k] * (mean[k] * c->unit[k]);
+    for (int t = 0; t < c->talks; t++)
+        out[c->talk_from[t]] += row[c->talk_to[t]] * (mean[K + t] * c->unit[c->talk_from[t]]);
 }
 
 /* What waits: places in one sample. */
@@ -743,11 +918,20 @@ SF_API void sf_error_columns(const sf_config *c, const sf_real *given, const sf_
     }
 }
 
+/* NewtonEuler._smooth: the mean of a channel's forces over `near` samples to either side. */
+SF_API sf_real sf_smooth(const sf_block *b, int t, int near, int k) {
+    sf_real sum = 0;
+    for (int i = t - near; i <= t + near; i++) sum += sf_block_force(b, i)[k];
+    return sum / (sf_real)(2 * near + 1);
+}
+
 /* NewtonEuler.rows: what the motion asks of the ground, about the estimated centre of pressure. */
 SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf_block *b, sf_newton *out) {
-    int K = c->channels, N = sf_unknowns(c), kinds = c->kinds, settle = c->settle,
+    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), kinds = c->kinds, settle = c->settle,
         first = kinds == 6 ? 0 : SF_FZ;
     const sf_real *mean = s->mean;
+    /* A robot with a load shakes: its columns hold no ripple, which would meet itself in the residuals. */
+    int mass = M + 2, near = s->covariance[mass * N + mass] > SF_LOADED * c->sure[mass] ? settle / 2 : 0;
     sf_real lacking[6] = {0, 0, 0, 0, 0, 0};
     if (c->distal_matters) sf_distal_total(c, b, lacking);
     for (int group = 0; group < sf_groups(c); group++) {
@@ -757,7 +941,8 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
                                own[SF_KINDS * SF_CHANNELS];
         sf_real of_rows[SF_KINDS * SF_CHANNELS], of_speed[SF_KINDS * SF_CHANNELS], late[SF_KINDS],
             asked[SF_KINDS];
-        sf_real given[SF_KINDS], apart[SF_KINDS], part[SF_KINDS], change[SF_CHANNELS], tared[SF_CHANNELS];
+        sf_real given[SF_KINDS], apart[SF_KINDS], part[SF_KINDS], change[SF_CHANNELS], tared[SF_CHANNELS],
+            ripple[SF_CHANNELS], other[SF_CHANNELS];
         memset(H, 0, (size_t)(kinds * N) * sizeof(sf_real));
         memset(y, 0, (size_t)kinds * sizeof(sf_real));
         memset(places, 0, (size_t)(kinds * K) * sizeof(sf_real));
@@ -785,18 +970,22 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
             sf_wrench_rows(c, motion, seen);
             if (s->altered) sf_multiply(rows, own, s->spare, kinds, K, K);
             /* How fast the forces change in N/s, without what no reference could follow. */
+            sf_forces(c, mean, ahead, change);
+            sf_forces(c, mean, behind, other);
+            for (int k = 0; k < K; k++) change[k] = (change[k] - other[k]) / (2 * settle * c->dt);
             for (int k = 0; k < K; k++) {
-                tared[k] = sf_tared(c, mean, force[k], k);
-                change[k] =
-                    (sf_force(c, mean, ahead[k], k) - sf_force(c, mean, behind[k], k)) / (2 * settle * c->dt);
+                sf_real smooth = sf_smooth(b, t, near, k);
+                tared[k] = sf_tared(c, mean, smooth, k);
+                other[k] = force[k] - smooth;
             }
+            sf_scaled(c, mean, other, ripple);
             sf_asked(c, motion, (motion[SF_COM + 2] - sf_ground_height(c, motion)) / c->length, part);
             for (int kind = 0; kind < kinds; kind++) {
                 const sf_real *row = rows + kind * K;
-                asked[kind] += weight * part[kind];
+                asked[kind] += weight * (part[kind] - sf_dot(row, ripple, K));
+                sf_by_scale(c, weight, row, tared, H + kind * N);
                 for (int k = 0; k < K; k++) {
                     sf_real speed = row[k] * change[k];
-                    H[kind * N + k] += weight * (row[k] * tared[k]);
                     of_rows[kind * K + k] += weight * row[k];
                     of_speed[kind * K + k] += weight * speed;
                     late[kind] += weight * speed;
@@ -807,21 +996,23 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
         if (!s->altered) sf_copy(places, of_rows, kinds * K);
         for (int kind = 0; kind < kinds; kind++) {
             sf_real *row = H + kind * N;
-            for (int k = 0; k < K; k++) row[K + k] = of_rows[kind * K + k] * (mean[k] * c->unit[k]);
-            given[kind] = sf_dot(row, mean, K);
+            sf_by_offset(c, of_rows + kind * K, mean, row + P);
+            given[kind] = sf_dot(row, mean, P);
             apart[kind] = 0;
-            for (int k = 0; c->feet > 1 && k < K; k++)
-                apart[kind] += (c->foot_of_channel[k] ? -1 : 1) * (row[k] * mean[k]);
+            for (int k = 0; c->feet > 1 && k < P; k++) {
+                int channel = k < K ? k : c->talk_to[k - K];
+                apart[kind] += (c->foot_of_channel[channel] ? -1 : 1) * (row[k] * mean[k]);
+            }
             /* The forces are products of scales and tared readings: H x counts what the offsets do twice. */
-            y[kind] = asked[kind] - lacking[first + kind] * c->row_scale[kind] + sf_dot(row + K, mean + K, K);
+            y[kind] = asked[kind] - lacking[first + kind] * c->row_scale[kind] + sf_dot(row + P, mean + P, K);
         }
-        sf_error_columns(c, given, apart, height, late, H, 2 * K, N);
+        sf_error_columns(c, given, apart, height, late, H, M, N);
         int fz = kinds == 6 ? SF_FZ : 0;
         sf_real load = given[fz] > SF_LEAST_LOAD ? given[fz] : SF_LEAST_LOAD;
         sf_real x = -given[fz + 2] / load, ahead_y = given[fz + 1] / load;
         sf_to_cop_rows(c, H, N, x, ahead_y);
         /* The way there has the reference's noise in it: the column of the vertical bias is not moved. */
-        for (int kind = 0; kind < kinds; kind++) H[kind * N + 2 * K + 5] = kind == fz;
+        for (int kind = 0; kind < kinds; kind++) H[kind * N + M + 5] = kind == fz;
         sf_to_cop_rows(c, y, 1, x, ahead_y);
         sf_to_cop_rows(c, of_speed, K, x, ahead_y);
         sf_to_cop_rows(c, places, K, x, ahead_y);
@@ -871,21 +1062,24 @@ SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf
  */
 SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covariance, const sf_block *b,
                    sf_rows *rows) {
-    int K = c->channels, M = 2 * K, N = sf_unknowns(c), any = 0, all = 1;
+    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), any = 0, all = 1;
     sf_real count[SF_FEET], reading[SF_CHANNELS], felt[SF_CHANNELS], row[SF_MAP], up[SF_CHANNELS];
+    sf_real tared[SF_CHANNELS];
     sf_hanging(c, b, count, reading);
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
     for (int foot = 0; foot < c->feet; foot++) {
         const sf_real *vertical = c->wrench_map + (foot * 6 + SF_FZ) * K;
         if (s->altered) sf_multiply(up, vertical, s->spare, 1, K, K);
         else sf_copy(up, vertical, K);
-        sf_real stated = 0, known = 0, load = 0;
+        sf_real stated = 0, known = 0, load;
         for (int k = 0; k < K; k++) {
             up[k] /= c->weight;
-            row[k] = up[k] * sf_tared(c, s->mean, reading[k], k);
-            row[K + k] = up[k] * (s->mean[k] * c->unit[k]);
-            load += row[k] * s->mean[k];
+            tared[k] = sf_tared(c, s->mean, reading[k], k);
         }
+        memset(row, 0, sizeof row);
+        sf_by_scale(c, 1, up, tared, row);
+        sf_by_offset(c, up, s->mean, row + P);
+        load = sf_dot(row, s->mean, P);
         /* As it is known to, and before anything was learnt to what is stated. */
         for (int k = 0; k < M; k++) {
             stated += row[k] * row[k] * (c->stated[k] + s->drift[k]);
@@ -904,7 +1098,7 @@ SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covaria
         if (!(number > (sf_real)0.5) || (s->altered && s->lost[k] != 0)) continue;
         int at = rows->count++;
         memset(rows->H + at * N, 0, (size_t)N * sizeof(sf_real));
-        rows->H[at * N + K + k] = 1;
+        rows->H[at * N + P + k] = 1;
         rows->y[at] = -reading[k] / c->unit[k];
         if (c->distal_matters) rows->y[at] += felt[k] / (c->unit[k] * s->mean[k]);
         rows->variance[at] = c->swing_noise * c->swing_noise * SF_SWING_SAMPLES / sf_max(number, 1);
@@ -915,7 +1109,7 @@ SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covaria
 /* Parity.rows: append that the instruments of one foot measure the same wrench, for each half of the block.
  */
 SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block *b, sf_rows *rows) {
-    int K = c->channels, N = sf_unknowns(c), half = c->every / 2;
+    int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), half = c->every / 2;
     sf_real felt[SF_CHANNELS], reading[SF_CHANNELS];
     memset(felt, 0, sizeof felt);
     if (c->distal_matters) sf_distal_felt(c, b, felt);
@@ -926,17 +1120,15 @@ SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block
             known = known && b->use[t] > (sf_real)0.5;
             sf_add(reading, 1 / (sf_real)half, sf_block_force(b, t), K);
         }
+        for (int k = 0; k < K; k++) reading[k] = sf_tared(c, s->mean, reading[k], k);
         for (int p = 0; known && p < c->parities; p++) {
             const sf_real *parity = c->parity + p * K;
             int at = rows->count++;
             sf_real *H = rows->H + at * N;
             memset(H, 0, (size_t)N * sizeof(sf_real));
-            rows->y[at] = sf_dot(felt, parity, K);
-            for (int k = 0; k < K; k++) {
-                H[k] = parity[k] * sf_tared(c, s->mean, reading[k], k);
-                H[K + k] = parity[k] * (s->mean[k] * c->unit[k]);
-                rows->y[at] += H[K + k] * s->mean[K + k];
-            }
+            sf_by_scale(c, 1, parity, reading, H);
+            sf_by_offset(c, parity, s->mean, H + P);
+            rows->y[at] = sf_dot(felt, parity, K) + sf_dot(H + P, s->mean + P, K);
             rows->variance[at] = c->parity_noise * c->parity_noise;
         }
     }
@@ -1023,7 +1215,7 @@ SF_API void sf_with_prior(sf_real *out, const sf_real *precision, const sf_real 
 SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work *w, sf_real *mean) {
     static const sf_real severities[4] = {(sf_real)0.04, (sf_real)0.2, 1, 5};
     static const sf_real likely[4] = {(sf_real)0.1, (sf_real)0.1, (sf_real)0.7, (sf_real)0.1};
-    int K = c->channels, M = 2 * K, N = sf_unknowns(c);
+    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c);
     sf_real std[SF_MAP], ratio[SF_MAP], share[SF_MAP], off[SF_MAP], pull[SF_MAP], apart[SF_MAP];
     sf_real *covariance = w->covariance, *axes = w->axes, *seen = w->seen, *of_scales = w->of_scales;
     sf_real *mixed = w->mixed, *found = w->found, evidence[16], best, total = 0, constant = 0;
@@ -1051,40 +1243,41 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work
     }
     for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
         sf_real *Lo = w->L[of_offsets], *Wo = w->W[of_offsets], *So = w->S[of_offsets];
-        sf_real z[SF_CHANNELS], x[SF_CHANNELS];
+        sf_real z[SF_CHANNELS], x[SF_SCALES];
         sf_real variance = severities[of_offsets] * severities[of_offsets];
         for (int i = 0; i < K; i++) {
-            sf_copy(Lo + i * K, seen + (K + i) * M + K, i + 1);
-            Lo[i * K + i] += 1 / (variance * ratio[K + i]);
-            sf_copy(Wo + i * K, seen + (K + i) * M, K);
+            sf_copy(Lo + i * K, seen + (P + i) * M + P, i + 1);
+            Lo[i * K + i] += 1 / (variance * ratio[P + i]);
+            sf_copy(Wo + i * P, seen + (P + i) * M, P);
         }
-        sf_copy(z, pull + K, K);
+        sf_copy(z, pull + P, K);
         for (int which = of_offsets; which < 16; which += 4) evidence[which] = -HUGE_VAL;
         if (!sf_cholesky(Lo, K)) continue;
         sf_real size_of_offsets = sf_log_size(Lo, K);
-        sf_solve_lower(Lo, K, Wo, K);
+        sf_solve_lower(Lo, K, Wo, P);
         sf_solve_lower(Lo, K, z, 1);
         /* Of what was halved: S = A - W' W, and what pulls at the scales. */
-        sf_copy(x, pull, K);
-        for (int i = 0; i < K; i++) sf_copy(So + i * K, seen + i * M, i + 1);
+        sf_copy(x, pull, P);
+        for (int i = 0; i < P; i++) sf_copy(So + i * P, seen + i * M, i + 1);
         for (int k = 0; k < K; k++) {
-            const sf_real *row = Wo + k * K;
-            for (int i = 0; i < K; i++) sf_add(So + i * K, -row[i], row, i + 1);
-            sf_add(x, -z[k], row, K);
+            const sf_real *row = Wo + k * P;
+            for (int i = 0; i < P; i++) sf_add(So + i * P, -row[i], row, i + 1);
+            sf_add(x, -z[k], row, P);
         }
-        sf_solve_upper(Lo, K, Wo, K);
+        sf_solve_upper(Lo, K, Wo, P);
         sf_solve_upper(Lo, K, z, 1);
         for (int i = 0; i < 4; i++) {
             int which = 4 * i + of_offsets;
-            sf_real *answer = found + which * M, of_both = severities[i] * severities[i] * variance;
-            sf_with_prior(of_scales, So, ratio, severities[i], K);
-            if (!sf_cholesky(of_scales, K)) continue;
-            sf_copy(answer, x, K);
-            sf_solve_lower(of_scales, K, answer, 1);
-            sf_solve_upper(of_scales, K, answer, 1);
-            for (int j = 0; j < K; j++) answer[K + j] = z[j] - sf_dot(Wo + j * K, answer, K);
-            evidence[which] = sf_dot(answer, pull, M) - size_of_offsets - sf_log_size(of_scales, K) -
-                              constant - (sf_real)K * sf_log(of_both) +
+            sf_real *answer = found + which * M;
+            sf_with_prior(of_scales, So, ratio, severities[i], P);
+            if (!sf_cholesky(of_scales, P)) continue;
+            sf_copy(answer, x, P);
+            sf_solve_lower(of_scales, P, answer, 1);
+            sf_solve_upper(of_scales, P, answer, 1);
+            for (int j = 0; j < K; j++) answer[P + j] = z[j] - sf_dot(Wo + j * P, answer, P);
+            evidence[which] = sf_dot(answer, pull, M) - size_of_offsets - sf_log_size(of_scales, P) -
+                              constant - (sf_real)K * sf_log(variance) -
+                              2 * (sf_real)P * sf_log(severities[i]) +
                               2 * sf_log(likely[i] * likely[of_offsets]);
         }
     }
@@ -1101,27 +1294,27 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work
     }
     /* Lower halves, as far as they go. */
     for (int of_offsets = 0; of_offsets < 4; of_offsets++) {
-        sf_real weight = 0, *Lo = w->L[of_offsets], *Wo = w->W[of_offsets], row[SF_CHANNELS];
-        memset(mixed, 0, (size_t)(K * K) * sizeof(sf_real));
+        sf_real weight = 0, *Lo = w->L[of_offsets], *Wo = w->W[of_offsets], row[SF_SCALES];
+        memset(mixed, 0, (size_t)(P * P) * sizeof(sf_real));
         for (int i = 0; i < 4; i++) {
             int which = 4 * i + of_offsets;
             if (!(evidence[which] > SF_NEGLIGIBLE)) continue;
             weight += evidence[which];
-            sf_with_prior(of_scales, w->S[of_offsets], ratio, severities[i], K);
-            sf_cholesky(of_scales, K);
-            sf_inverse(of_scales, K);
-            sf_add(mixed, evidence[which], of_scales, K * K);
+            sf_with_prior(of_scales, w->S[of_offsets], ratio, severities[i], P);
+            sf_cholesky(of_scales, P);
+            sf_inverse(of_scales, P);
+            sf_add(mixed, evidence[which], of_scales, P * P);
             for (int j = 0; j < M; j++) apart[j] = found[which * M + j] - mean[j];
             for (int j = 0; j < M; j++) sf_add(covariance + j * M, evidence[which] * apart[j], apart, j + 1);
         }
         if (!(weight > 0)) continue;
         sf_inverse(Lo, K);
+        for (int i = 0; i < P; i++) sf_add(covariance + i * M, 1, mixed + i * P, i + 1);
         for (int i = 0; i < K; i++) {
-            sf_add(covariance + i * M, 1, mixed + i * K, i + 1);
-            for (int j = 0; j < K; j++) row[j] = -sf_dot(Wo + i * K, mixed + j * K, K);
-            sf_add(covariance + (K + i) * M, 1, row, K);
-            sf_add(covariance + (K + i) * M + K, weight, Lo + i * K, i + 1);
-            for (int j = 0; j <= i; j++) covariance[(K + i) * M + K + j] -= sf_dot(row, Wo + j * K, K);
+            for (int j = 0; j < P; j++) row[j] = -sf_dot(Wo + i * P, mixed + j * P, P);
+            sf_add(covariance + (P + i) * M, 1, row, P);
+            sf_add(covariance + (P + i) * M + P, weight, Lo + i * K, i + 1);
+            for (int j = 0; j <= i; j++) covariance[(P + i) * M + P + j] -= sf_dot(row, Wo + j * P, P);
         }
     }
     for (int i = 0; i < M; i++) {
@@ -1133,30 +1326,42 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work
     return sf_all_finite(mean, M) && sf_all_finite(covariance, M * M);
 }
 
-/* Uncertainty.of_parameters and of_channels: the covariance of (a, b) of each channel, b = a o in N. */
-SF_API void sf_of_parameters(const sf_config *c, sf_state *s) {
-    int K = c->channels, M = 2 * K;
-    const sf_real *C = s->given_covariance;
-    sf_real by_scale[SF_CHANNELS], by_offset[SF_CHANNELS];
+/* Uncertainty.to_force times a vector of M scales and offsets: what these do to forces, of which F0 are those by the
+   starting map in N, or 0. */
+SF_API void sf_to_force(const sf_config *c, const sf_real *mean, const sf_real *F0, const sf_real *x,
+                        sf_real *out) {
+    int K = c->channels, P = sf_scales(c);
+    sf_real tared[SF_CHANNELS], moved[SF_CHANNELS], by_scale[SF_CHANNELS];
     for (int i = 0; i < K; i++) {
-        by_scale[i] = s->given[K + i] * c->unit[i];
-        by_offset[i] = s->given[i] * c->unit[i];
+        tared[i] = sf_tared(c, mean, F0 ? F0[i] : 0, i);
+        moved[i] = x[P + i] * c->unit[i];
     }
-    for (int i = 0; i < K; i++)
-        for (int j = 0; j < K; j++) {
-            int own = i == j;
-            sf_real aa = C[i * M + j] + own * c->aged[i], ao = C[i * M + K + j], oa = C[(K + i) * M + j];
-            sf_real oo = C[(K + i) * M + K + j] + own * c->aged[K + i];
-            sf_real ab = aa * by_scale[j] + ao * by_offset[j], ob = oa * by_scale[j] + oo * by_offset[j];
-            s->learnt[i * M + j] = aa;
-            s->learnt[i * M + K + j] = ab;
-            s->learnt[(K + j) * M + i] = ab;
-            s->learnt[(K + i) * M + K + j] = by_scale[i] * ab + by_offset[i] * ob;
-        }
+    sf_scaled(c, mean, moved, out);
+    sf_scaled(c, x, tared, by_scale);
+    for (int i = 0; i < K; i++) out[i] += by_scale[i];
+}
+
+/* Uncertainty.of_parameters and of_channels: the covariance of (a, b) of each channel, b = A o in N. */
+SF_API void sf_of_parameters(const sf_config *c, sf_state *s) {
+    int K = c->channels, M = sf_map(c), wide = 2 * K;
+    sf_real by[SF_CHANNELS * SF_MAP], row[SF_MAP], moved[SF_CHANNELS];
+    for (int m = 0; m < M; m++) {
+        sf_copy(row, s->given_covariance + m * M, M);
+        row[m] += c->aged[m];
+        sf_to_force(c, s->given, 0, row, moved);
+        for (int i = 0; i < K; i++) by[i * M + m] = moved[i];
+    }
     for (int i = 0; i < K; i++) {
-        s->spread[i] = s->learnt[i * M + i];
-        s->spread[K + i] = 2 * s->learnt[i * M + K + i];
-        s->spread[2 * K + i] = s->learnt[(K + i) * M + K + i];
+        sf_to_force(c, s->given, 0, by + i * M, s->learnt + (K + i) * wide + K);
+        for (int j = 0; j < K; j++) {
+            s->learnt[i * wide + j] = s->given_covariance[i * M + j] + (i == j) * c->aged[i];
+            s->learnt[(K + i) * wide + j] = s->learnt[j * wide + K + i] = by[i * M + j];
+        }
+    }
+    for (int i = 0; i < K; i++) {
+        s->spread[i] = s->learnt[i * wide + i];
+        s->spread[K + i] = 2 * s->learnt[i * wide + K + i];
+        s->spread[2 * K + i] = s->learnt[(K + i) * wide + K + i];
     }
 }
 
@@ -1410,7 +1615,7 @@ SF_API sf_real sf_change(const sf_config *c, const sf_newton *newton, const sf_r
  * one. */
 SF_API int sf_with_load(const sf_config *c, sf_state *s, const sf_newton *newton, const sf_real *mean,
                         sf_real *change) {
-    int N = sf_unknowns(c), M = 2 * c->channels, possible = 1, rows = sf_groups(c) * c->kinds;
+    int N = sf_unknowns(c), M = sf_map(c), possible = 1, rows = sf_groups(c) * c->kinds;
     sf_real normal[9], fit[3];
     for (int r = 0; r < rows; r++) {
         const sf_real *column = newton->H + r * N + M;
@@ -1549,7 +1754,7 @@ SF_API void sf_residuals(const sf_config *c, const sf_real *mean, const sf_real 
    lifted robot; returns whether there are any. Noise that is learnt, or expected at first, is no reason to
    learn from them. */
 SF_API int sf_plausible(const sf_config *c, const sf_real *covariance, sf_newton *newton) {
-    int N = sf_unknowns(c), M = 2 * c->channels, rejected = 0;
+    int N = sf_unknowns(c), M = sf_map(c), rejected = 0;
     for (int group = 0; group < sf_groups(c); group++) {
         int wrong = 0;
         for (int r = group * c->kinds; r < (group + 1) * c->kinds; r++) {
@@ -1608,7 +1813,7 @@ SF_API sf_real sf_quiet(const sf_config *c, sf_state *s, const sf_block *b) {
 
 /* MomentStream._walked: the time of some blocks, in which the unknowns have drifted. */
 SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real blocks) {
-    int M = 2 * c->channels, N = sf_unknowns(c);
+    int M = sf_map(c), N = sf_unknowns(c);
     for (int i = 0; i < N; i++) s->covariance[i * N + i] += blocks * c->walk[i];
     for (int i = 0; i < M; i++) {
         s->drift[i] += blocks * c->walk[i];
@@ -1627,7 +1832,7 @@ SF_API void sf_back(const sf_config *c, sf_state *s) {
 /* MomentStream._given: what is handed out. It moves only where the unknowns did, as without new rows only the
    uncertainty changes, and not while they are unproven: a fall shows some moments after it has begun. */
 SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w, int moved) {
-    int M = 2 * c->channels, N = sf_unknowns(c);
+    int M = sf_map(c), N = sf_unknowns(c);
     if (s->unproven < (sf_real)0.5) {
         sf_real mean[SF_MAP];
         if (sf_reweighted(c, s, &w->part.severity, mean)) {
@@ -1656,11 +1861,11 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     int K = c->channels, N = sf_unknowns(c), groups = sf_groups(c), fault, loaded, found, moved = 0;
     sf_real reading[SF_GROUPS * SF_CHANNELS], force[SF_GROUPS * SF_CHANNELS];
     sf_readings(c, b, reading);
-    for (int i = 0; i < groups * K; i++) force[i] = sf_force(c, before, reading[i], i % K);
+    for (int g = 0; g < groups; g++) sf_forces(c, before, reading + g * K, force + g * K);
     found = memcmp(lost, s->lost, (size_t)K * sizeof(sf_real)) != 0;
     sf_contradicted(c, s, &w->newton, before, reading, force, &fault, &loaded);
     found = found || fault;
-    for (int i = 0; i < groups * K; i++) force[i] = sf_force(c, s->given, reading[i], i % K);
+    for (int g = 0; g < groups; g++) sf_forces(c, s->given, reading + g * K, force + g * K);
     sf_fault_learn(c, s, force, use_all && !found);
     for (int i = 0; loaded && i < N; i++) s->covariance[i * N + i] += c->change[i];
     if (found) sf_back(c, s);
@@ -1676,7 +1881,7 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
 
 /* MomentStream._learn: update the unknowns by the block that is full. */
 SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
-    int K = c->channels, M = 2 * K, N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
+    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
     int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected, waiting, changed;
     sf_block b = {s->pending, sf_width(c), {0}};
     sf_newton *newton = &w->newton;
@@ -1688,7 +1893,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     sf_silent(c, s, &b);
     /* MomentStream._complete: which samples have all readings that they need. */
     for (int t = 0; t < n; t++) {
-        int complete = sf_block_sound(c, &b, t) != 0 && sf_physical(c, sf_block_motion(c, &b, t));
+        sf_real asked[3];
+        int complete = sf_block_sound(c, &b, t) != 0 && sf_ground(c, sf_block_motion(c, &b, t), 0, asked);
         for (int i = 0; i < K; i++) {
             int replaced = s->lost[i] > (sf_real)0.5 && s->spare_std[i] < SF_UNSURE * c->weight;
             complete = complete &&
@@ -1710,7 +1916,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
         sf_real more = 0;
         for (int k = 0; k < K; k++) {
             sf_real lever = newton->places[r * K + k] * c->unit[k];
-            more += lever * lever * (s->covariance[k * N + k] * s->covariance[(K + k) * N + K + k]);
+            more += lever * lever * (s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k]);
         }
         newton->variance[r] += SF_SHARED * more / (SF_FIRST_WIDTH * SF_FIRST_WIDTH);
     }
@@ -1785,50 +1991,73 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
 }
 
+/* What forces that are added up so say of (a, b), or of the unknowns where there is cross-talk. */
+SF_API void sf_row_of(const sf_config *c, const sf_real *mean, const sf_real *F0, const sf_real *tared,
+                      const sf_real *sum, sf_real *row) {
+    int K = c->channels;
+    if (c->talks) {
+        memset(row, 0, (size_t)sf_scales(c) * sizeof(sf_real));
+        sf_by_scale(c, 1, sum, tared, row);
+        sf_by_offset(c, sum, mean, row + sf_scales(c));
+        return;
+    }
+    for (int i = 0; i < K; i++) {
+        row[i] = sum[i] * F0[i];
+        row[K + i] = sum[i];
+    }
+}
+
+/* The covariance of two such rows. */
+SF_API sf_real sf_known(const sf_config *c, const sf_real *known, const sf_real *row, const sf_real *other,
+                        sf_real *by) {
+    int M = c->talks ? sf_map(c) : 2 * c->channels;
+    memset(by, 0, (size_t)M * sizeof(sf_real));
+    for (int i = 0; i < M; i++) {
+        if (row[i] == 0) continue; /* most of a single channel's */
+        sf_add(by, row[i], known + i * M, M);
+        if (c->talks) by[i] += row[i] * c->aged[i];
+    }
+    return sf_dot(other, by, M);
+}
+
 /* MomentStream._estimate with FrontEnd.report and Uncertainty.of_estimate: apply the map to the newest
  * sample. */
-SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_real *F0, const sf_whole *flags,
-                           sf_estimate *out) {
-    int K = c->channels, M = 2 * K;
-    sf_real rows[3 * SF_CHANNELS], own[3 * SF_CHANNELS], force[SF_CHANNELS], moments[3] = {0, 0, 0};
-    sf_real turned[2 * SF_MAP], by[SF_MAP], to_force[SF_MAP];
-    sf_level_rows(c, s->motion, rows);
+SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sample *sample, sf_estimate *out) {
+    int K = c->channels, P = sf_scales(c), M = c->talks ? sf_map(c) : 2 * K;
+    const sf_real *F0 = sample->force;
+    /* The row of a channel is (F0, 1), of (a, b); that of one with cross-talk is longer, of the unknowns. */
+    const sf_real *known = c->talks ? s->given_covariance : s->learnt;
+    sf_real moved[SF_CHANNELS], change[SF_CHANNELS];
+    sf_real rows[3 * SF_CHANNELS], own[3 * SF_CHANNELS], force[SF_CHANNELS], tared[SF_CHANNELS], b[SF_CHANNELS];
+    sf_real turned[2 * SF_MAP], by[SF_MAP], one[SF_CHANNELS];
+    sf_level_rows(c, s->front.motion, rows);
     for (int i = 0; i < K; i++) {
-        force[i] = sf_force(c, s->given, F0[i], i);
+        tared[i] = sf_tared(c, s->given, F0[i], i);
+        b[i] = s->given[P + i] * c->unit[i];
+    }
+    sf_scaled(c, s->given, b, out->offset);
+    sf_scaled(c, s->given, tared, force);
+    sf_scaled(c, s->given, sample->change, moved);
+    for (int i = 0; i < K; i++) {
         out->scale[i] = s->given[i] * c->scale[i];
-        out->offset[i] = s->given[i] * c->offset[i] + s->given[i] * (s->given[K + i] * c->unit[i]);
-        out->flags[i] = flags[i] | s->status;
+        out->offset[i] = s->given[i] * c->offset[i] + out->offset[i];
+        out->flags[i] = sample->flags[i] | s->status;
     }
-    for (int i = 0; i < K; i++) out->force[i] = s->altered ? sf_dot(s->spare + i * K, force, K) : force[i];
-
-    for (int foot = 0; foot < c->feet; foot++) {
-        sf_real *wrench = out->wrench + 6 * foot, *cop = out->cop_foot + 2 * foot;
-        for (int axis = 0; axis < 6; axis++)
-            wrench[axis] = sf_dot(c->wrench_map + (foot * 6 + axis) * K, out->force, K);
-        out->vgrf[foot] = 0;
-        for (int i = 0; i < K; i++)
-            if (c->foot_of_channel[i] == foot) out->vgrf[foot] += rows[i] * out->force[i];
-        moments[0] += out->vgrf[foot];
-        out->cop_foot_valid[foot] = wrench[SF_FZ] > c->force_threshold;
-        cop[0] = out->cop_foot_valid[foot] ? -wrench[SF_MY] / wrench[SF_FZ] + 0 : (sf_real)NAN;
-        cop[1] = out->cop_foot_valid[foot] ? wrench[SF_MX] / wrench[SF_FZ] + 0 : (sf_real)NAN;
+    for (int i = 0; i < K; i++) {
+        out->force[i] = s->altered ? sf_dot(s->spare + i * K, force, K) : force[i];
+        change[i] = s->altered ? sf_dot(s->spare + i * K, moved, K) : moved[i];
     }
-    moments[1] = sf_dot(rows + K, out->force, K);
-    moments[2] = sf_dot(rows + 2 * K, out->force, K);
-    out->cop_valid = moments[0] > c->force_threshold && s->known;
-    out->cop[0] = out->cop_valid ? moments[1] / moments[0] + 0 : (sf_real)NAN;
-    out->cop[1] = out->cop_valid ? moments[2] / moments[0] + 0 : (sf_real)NAN;
 
-    /* The variance of a force is that of its row (F0, 1); that of the centre of pressure p = n / Fz, to first
-       order, of (p_i - p) / Fz times the same row. */
+    sf_real load = sf_report_now(c, &s->front, rows, change, out);
+
+    /* The variance of a force is that of its row; that of the centre of pressure p = n / Fz, to first order, of
+       (p_i - p) / Fz times the same row. */
     for (int i = 0; i < K; i++) {
         sf_real variance = (F0[i] * s->spread[i] + s->spread[K + i]) * F0[i] + s->spread[2 * K + i];
-        if (s->altered) {
-            for (int j = 0; j < K; j++) {
-                to_force[j] = s->spare[i * K + j] * F0[j];
-                to_force[K + j] = s->spare[i * K + j];
-            }
-            variance = sf_variance(to_force, s->learnt, M) + s->spare_std[i] * s->spare_std[i];
+        if (s->altered || c->talks) {
+            for (int j = 0; j < K; j++) one[j] = s->altered ? s->spare[i * K + j] : (sf_real)(i == j);
+            sf_row_of(c, s->given, F0, tared, one, turned);
+            variance = sf_known(c, known, turned, turned, by) + s->spare_std[i] * s->spare_std[i];
         }
         out->force_std[i] = sf_sqrt(variance > 0 ? variance : 0);
     }
@@ -1837,31 +2066,25 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_real 
         sf_multiply(own, rows, s->spare, 3, K, K);
         seen = own;
     }
-    sf_real load = out->cop_valid ? moments[0] : 1;
-    for (int axis = 0; axis < 2; axis++)
-        for (int i = 0; i < K; i++) {
-            sf_real arm = (seen[(1 + axis) * K + i] - out->cop[axis] * seen[i]) / load;
-            turned[axis * M + i] = arm * F0[i];
-            turned[axis * M + K + i] = arm;
-        }
+    if (!out->cop_valid) load = 1;
     for (int axis = 0; axis < 2; axis++) {
-        for (int i = 0; i < M; i++) by[i] = sf_dot(s->learnt + i * M, turned + axis * M, M);
-        for (int other = 0; other < 2; other++)
-            out->cop_covariance[2 * other + axis] = sf_dot(turned + other * M, by, M);
+        for (int i = 0; i < K; i++) one[i] = (seen[(1 + axis) * K + i] - out->cop[axis] * seen[i]) / load;
+        sf_row_of(c, s->given, F0, tared, one, turned + axis * M);
     }
+    for (int axis = 0; axis < 2; axis++)
+        for (int other = 0; other < 2; other++)
+            out->cop_covariance[2 * other + axis] = sf_known(c, known, turned + axis * M, turned + other * M, by);
 }
 
 /* ----------------------------------------------------------------------------------------- the calibrator */
 
 /* MomentStream.init: the state before any sample. */
 SF_API void sf_calibrator_init_with(const sf_config *c, sf_state *s, sf_work *w) {
-    int K = c->channels, N = sf_unknowns(c), M = 2 * K;
+    int K = c->channels, N = sf_unknowns(c), M = sf_map(c);
     memset(s, 0, sizeof *s);
-    for (int foot = 0; foot < c->feet; foot++)
-        for (int i = 0; i < 3; i++) s->motion[SF_SOLES + 3 * c->feet + 9 * foot + 4 * i] = 1;
+    sf_front_init(c, &s->front);
     for (int i = 0; i < K; i++) {
-        s->raw[i] = 0 - c->offset[i] / c->scale[i];
-        s->last[i] = c->scale[i] * s->raw[i] + c->offset[i];
+        s->last[i] = c->scale[i] * s->front.raw[i] + c->offset[i];
         s->leaps[i] = SF_LONGEST_LEAP;
         s->wiring[i * K + i] = s->spare[i * K + i] = 1;
     }
@@ -1897,51 +2120,31 @@ SF_API void sf_calibrator_retract_with(const sf_config *c, sf_state *s, sf_work 
    the last sample in s. Values never stop it: what is not finite or not possible is held and flagged. */
 SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, const sf_real *raw,
                                     const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
-    int K = c->channels, R = sf_motion(c), width = sf_width(c), read[SF_CHANNELS], good, sound = 1,
-        standing = 0;
-    int gap = !(dt > 0 && dt <= SF_LONGEST_GAP * c->dt);
-    sf_real force[SF_CHANNELS], motion[SF_MOTION], *newest;
-    sf_whole flags[SF_CHANNELS], kinds[SF_CHANNELS];
+    int K = c->channels, R = sf_motion(c), width = sf_width(c), gap, standing = 0;
+    sf_real *newest;
+    const sf_real *past = sf_past(c, &s->front);
+    sf_whole kinds[SF_CHANNELS];
+    sf_sample sample;
 
-    sf_flatten(c, reference, motion);
-    for (int i = 0; i < R; i++) sound = sound && sf_fabs(motion[i]) <= SF_LARGEST_REFERENCE;
-    for (int i = 0; i < K; i++) {
-        read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
-        flags[i] = (read[i]            ? 0
-                    : raw[i] == raw[i] ? SF_OUT_OF_RANGE
-                                       : SF_MISSING) |
-                   (sound ? 0 : SF_REFERENCE) | (gap ? SF_GAP : 0);
-        if (read[i]) s->raw[i] = raw[i];
-        force[i] = c->scale[i] * s->raw[i] + c->offset[i];
-    }
-    if (sound) sf_copy(s->motion, motion, R);
-    s->known = s->known || sound;
-    sf_fault_sample(c, s, force, read, kinds);
-
-    memmove(s->history, s->history + 2 * K, (size_t)(c->lag * 2 * K) * sizeof(sf_real));
-    newest = s->history + c->lag * 2 * K;
-    for (int i = 0; i < K; i++) {
-        newest[i] = force[i];
-        newest[K + i] = (sf_real)read[i];
-    }
-    good = sound && !gap;
-    for (int i = 0; i < K; i++) good = good && s->history[K + i] > (sf_real)0.5;
-    s->clean = good ? s->clean + 1 : 0;
+    sf_check(c, &s->front, raw, reference, 0, dt, &sample);
+    sf_fault_sample(c, s, sample.force, sample.read, kinds);
+    sf_align(c, &s->front, &sample);
+    gap = sample.gap;
 
     /* The sample that the reference describes waits until its block is full. */
     if (gap) memset(s->pending, 0, (size_t)(sf_span(c) * width) * sizeof(sf_real));
     else memmove(s->pending, s->pending + width, (size_t)((sf_span(c) - 1) * width) * sizeof(sf_real));
     newest = s->pending + (sf_span(c) - 1) * width;
-    sf_copy(newest, s->history, K);
-    sf_copy(newest + K, s->motion, R);
+    sf_copy(newest, past, K);
+    sf_copy(newest + K, s->front.motion, R);
     newest += K + R;
-    for (int i = 0; i < K; i++) newest[i] = (sf_real)(s->history[K + i] > (sf_real)0.5);
+    for (int i = 0; i < K; i++) newest[i] = (sf_real)(past[K + i] > (sf_real)0.5);
     for (int foot = 0; foot < c->feet; foot++) {
-        newest[K + foot] = (sf_real)(reference->swing[foot] && sound);
-        standing = standing || (reference->stance[foot] && sound);
+        newest[K + foot] = (sf_real)(reference->swing[foot] && sample.sound);
+        standing = standing || (reference->stance[foot] && sample.sound);
     }
     newest[K + c->feet] = (sf_real)standing;
-    newest[K + c->feet + 1] = (sf_real)(sound && !gap);
+    newest[K + c->feet + 1] = (sf_real)(sample.sound && !gap);
 
     s->step++;
     if (gap && dt > 0 && sf_finite(dt)) sf_walked(c, s, sf_min(dt, SF_LONGEST_PAUSE) / (c->every * c->dt));
@@ -1951,8 +2154,8 @@ SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w,
         sf_learn(c, s, w, &estimate->nis, &estimate->nis_rows);
         for (int i = 0; i < K; i++) kinds[i] |= s->kind[i];
     }
-    for (int i = 0; i < K; i++) flags[i] |= kinds[i];
-    sf_estimate_of(c, s, force, flags, estimate);
+    for (int i = 0; i < K; i++) sample.flags[i] |= kinds[i];
+    sf_estimate_of(c, s, &sample, estimate);
 }
 
 /* The same three with the work on the stack. */

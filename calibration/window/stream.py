@@ -93,7 +93,7 @@ class SlidingWindow:
     """The sliding window for one setup: ``init`` and ``update`` are pure functions that share constants."""
 
     def __init__(self, setup: OnlineSetup, config: WindowConfig, *, quasi_static: bool) -> None:
-        self.setup, self.config = setup, config
+        self.setup, self.config, self.quasi_static = setup, config, quasi_static
         self._weight, self._gross_length = setup.weight, config.gross_error * setup.length
         self._front_end = FrontEnd(setup, quasi_static=quasi_static)
         try:

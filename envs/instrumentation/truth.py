@@ -8,13 +8,16 @@ The cells are springs under a massless plate that covers the sole (:class:`SoleP
 share what the ground exerts, and their centre of pressure is that of the contacts.
 """
 
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Final
+from itertools import chain
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.robot import FootColumns, MeasuredRobot, TorsoColumns
+from surefoot.envs.numbers import ONE, Number, Numbers
 
 Array = NDArray[np.float64]
 
@@ -59,7 +62,8 @@ class FeetTruth:
         if self.rows.size == self.layout.size:
             # A single row, as every step of one environment makes: plain floats are faster than arrays.
             row = self.rows.ravel().tolist()
-            wrench = [_wrench(row[at : at + 21]) for at in range(_START, self._end, FootColumns.width)]
+            starts = range(_START, self._end, FootColumns.width)
+            wrench = [wrench_at_sole(row[at : at + 21], -1.0) for at in starts]
             return np.array(wrench).reshape(*self.rows.shape[:-1], -1, 6)
         feet = self._feet
         force = -feet[..., FootColumns.force]
@@ -191,19 +195,64 @@ _UP = np.array([-1.0] * 6 + [1.0] * 3)
 """Turns force and torque of a contact sensor on the ground into those on the robot."""
 
 
-def _wrench(foot: list[float]) -> list[float]:
-    """Turn a foot's columns after its ankle into the ground's wrench at and in the sole frame, shape (6,)."""
+def wrench_at_sole(foot: Sequence[Number], up: float) -> list[Number]:
+    """Return the ground's wrench on one foot at and in its sole frame in N and N m, 6 numbers.
+
+    Args:
+        foot: Force, torque and the place at which they act, origin and axes of the sole in the world: 21
+            numbers.
+        up: 1 if force and torque are the ground's on the robot, -1 if the robot's on the ground.
+    """
     fx, fy, fz, tx, ty, tz, px, py, pz, x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz = foot
-    ax, ay, az = px - x0, py - y0, pz - z0
-    tx, ty, tz = tx + ay * fz - az * fy, ty + az * fx - ax * fz, tz + ax * fy - ay * fx
+    fx, fy, fz = up * fx, up * fy, up * fz
+    rx, ry, rz = px - x0, py - y0, pz - z0
+    tx, ty, tz = up * tx + ry * fz - rz * fy, up * ty + rz * fx - rx * fz, up * tz + rx * fy - ry * fx
     return [
-        -(xx * fx + xy * fy + xz * fz),
-        -(yx * fx + yy * fy + yz * fz),
-        -(zx * fx + zy * fy + zz * fz),
-        -(xx * tx + xy * ty + xz * tz),
-        -(yx * tx + yy * ty + yz * tz),
-        -(zx * tx + zy * ty + zz * tz),
+        xx * fx + xy * fy + xz * fz,
+        yx * fx + yy * fy + yz * fz,
+        zx * fx + zy * fy + zz * fz,
+        xx * tx + xy * ty + xz * tz,
+        yx * tx + yy * ty + yz * tz,
+        zx * tx + zy * ty + zz * tz,
     ]
+
+
+class Pressed(NamedTuple):
+    """What the ground does to F feet, in plain numbers of one robot or columns of many.
+
+    Attributes:
+        wrench: Wrenches at and in the sole frames in N and N m, (F, 6).
+        vgrf: Vertical forces in the world in N, (F).
+        cop: Centres of pressure in m, (1 + F, 2): of all feet in the world, then in each foot's sole frame;
+            0 where there is none.
+        valid: Which of these there are, (1 + F).
+    """
+
+    wrench: list[list[Number]]
+    vgrf: list[Number]
+    cop: list[list[Number]]
+    valid: list[Any]
+
+
+def pressed(feet: Sequence[Sequence[Number]], up: float, m: Numbers = ONE) -> Pressed:
+    """Find what the ground does to feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21)."""
+    where = m.where
+    wrench, vgrf, cop, valid = [], [], [], []
+    load = moment_x = moment_y = 0.0
+    for foot in feet:
+        wrench.append(own := wrench_at_sole(foot, up))
+        vgrf.append(fz := 0.0 + up * foot[2])
+        load = load + fz
+        moment_x = moment_x + up * foot[3] + foot[7] * fz
+        moment_y = moment_y + up * foot[4] - foot[6] * fz
+        valid.append(enough := own[2] > CONTACT_FORCE)
+        safe = where(enough, own[2], 1.0)
+        cop.append([where(enough, -own[4] / safe, 0.0), where(enough, own[3] / safe, 0.0)])
+    enough = load > CONTACT_FORCE
+    safe = where(enough, load, 1.0)
+    cop.insert(0, [where(enough, -moment_y / safe, 0.0), where(enough, moment_x / safe, 0.0)])
+    valid.insert(0, enough)
+    return Pressed(wrench, vgrf, cop, valid)
 
 
 def _rotation(axes: Array) -> Array:
@@ -253,26 +302,18 @@ def step_truth(truth: FeetTruth) -> dict[str, Array]:
     ``force_cell`` (4 F) N where all feet have an area, ``vgrf`` (F) N, ``cop_world`` (2) m, ``cop_foot``
     (F, 2) m, ``cop_valid`` (1 + F), ``com`` (3) m and ``wrench_sole`` (F, 6) N and N m.
     """
-    layout, row, at = truth.layout, truth.rows[-1].tolist(), _START
-    vgrf: list[float] = []
-    wrenches: list[float] = []
-    cops, valid = [0.0, 0.0], [False]
-    # A few numbers of a single robot: plain floats are faster than arrays, and one array than many.
-    load = moment_x = moment_y = 0.0
-    for foot in layout.feet:
-        own = row[at : at + 21]
-        at += FootColumns.width
-        _, _, fz, tx, ty, _, x, y = own[:8]
-        vgrf.append(0.0 - fz)
-        load, moment_x, moment_y = load - fz, moment_x - (tx + y * fz), moment_y - (ty - x * fz)
-        wrench = _wrench(own)
-        wrenches += wrench
-        valid.append(wrench[2] > CONTACT_FORCE and not foot.flaw)
-        cops += [-wrench[4] / wrench[2], wrench[3] / wrench[2]] if valid[-1] else [0.0, 0.0]
-    if load > CONTACT_FORCE:
-        cops[:2], valid[0] = [-moment_y / load, moment_x / load], True
-    feet, com = len(vgrf), FootColumns.width * len(vgrf) + TorsoColumns.com.start
-    numbers = np.array([*vgrf, *cops, *row[com : com + 3], *wrenches])
+    layout, row = truth.layout, truth.rows[-1].tolist()
+    feet = len(layout.feet)
+    end = FootColumns.width * feet
+    wrench, vgrf, cop, valid = pressed(
+        [row[at : at + 21] for at in range(_START, end, FootColumns.width)], -1.0
+    )
+    for number, foot in enumerate(layout.feet, 1):
+        if foot.flaw:
+            cop[number], valid[number] = [0.0, 0.0], False
+    com = end + TorsoColumns.com.start
+    # One array is faster than many.
+    numbers = np.array([*vgrf, *chain.from_iterable(cop), *row[com : com + 3], *chain.from_iterable(wrench)])
     wrench_sole = numbers[3 * feet + 5 :]
     cells = {}
     if not layout.flaw:

@@ -16,7 +16,7 @@ from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.walks.replay import LogBatch, batches_of, starting_map
+from surefoot.experiments.walks.replay import LogBatch, age_of, batches_of, starting_map
 from surefoot.experiments.walks.score import held
 
 SNAPSHOT = 1.0  # time between looks at a covariance in s
@@ -89,7 +89,8 @@ def _undone(stream: Stream) -> Floats:
 def _play_batch(streams: list[Stream], batch: LogBatch, method: str, options: dict[str, Any]) -> list[Played]:
     first = streams[0].log
     layout, samples, robots = first.layout, len(first), len(streams)
-    calibrator = FootCalibrator(layout, method, mass=first.mass, dt=first.dt, lag=first.lag, **options)
+    known: dict[str, Any] = {"dt": first.dt, "lag": first.lag, "age": age_of(first)}
+    calibrator = FootCalibrator(layout, method, mass=first.mass, **known, **options)
     force, scale, offset = (np.empty((samples, robots, layout.channels)) for _ in range(3))
     flags = np.empty((samples, robots, layout.channels), dtype=np.int64)
     watch = _Watch(streams)

@@ -11,7 +11,7 @@ from surefoot.calibration import ground_reference
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.replay import age_of, starting_map
 from surefoot.experiments.walks.score import cop_world, score_forces, vertical_forces
 
 OTHER_WAYS = ("baseline", "reference")  # no methods: weights before the walk, kept; what the motion asks for
@@ -79,7 +79,7 @@ def _reference_score(stream: Stream, settle: float) -> dict[str, float]:
     """Score what calibrators are given, placed under the true soles of the moment that it describes."""
     log, truth = stream.log, stream.truth
     asked = ground_reference(log.reference, log.mass)
-    moment = log.time - log.lag * log.dt - float(log.about.get("sample_age_s", 0.0))
+    moment = log.time - log.lag * log.dt - age_of(log)
 
     def then(values: Floats) -> Floats:
         return np.column_stack([np.interp(moment, log.time, column) for column in values.T])

@@ -76,7 +76,8 @@ class _Together:
 
     def __init__(self, one: FootCalibrator, drawing: RobotDrawing) -> None:
         self.setup = one.setup
-        given: dict[str, Any] = {name: getattr(one.setup, name) for name in ("mass", "initial", "dt", "lag")}
+        of_setup = "mass", "initial", "dt", "lag", "age"
+        given: dict[str, Any] = {name: getattr(one.setup, name) for name in of_setup}
         layout = one.setup.layout
         self.methods = [
             FootCalibrator(layout, name, **{**given, **layout_options(layout, drawing, name)})

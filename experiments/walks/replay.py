@@ -29,7 +29,7 @@ def batches_of(logs: Sequence[Log], starts: Sequence[Parameters]) -> Iterator[Lo
     """Put those logs together that share length, mass, lag and layout; each starts from its own map."""
     groups: dict[tuple[Any, ...], list[int]] = {}
     for i, log in enumerate(logs):
-        key = (len(log), round(log.mass, 9), log.lag, log.dt, log.layout.wrench_map.tobytes())
+        key = (len(log), round(log.mass, 9), log.lag, log.dt, age_of(log), log.layout.wrench_map.tobytes())
         groups.setdefault(key, []).append(i)
     for members in groups.values():
         batch = [logs[i] for i in members]
@@ -46,8 +46,13 @@ def batches_of(logs: Sequence[Log], starts: Sequence[Parameters]) -> Iterator[Lo
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
     """Run one method over a log, N samples at once, from a map; options as of :func:`replay`."""
     steps = np.diff(log.time, prepend=log.time[0] - log.dt)
-    known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag}
+    known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag, "age": age_of(log)}
     return replay(log.layout, method, log.raw, log.reference, steps, **known, **options)
+
+
+def age_of(log: Log) -> float:
+    """Return how old a log's readings were on average when they were taken, in s; 0 where nothing says so."""
+    return float(log.about.get("sample_age_s", 0.0))
 
 
 class Replayed(NamedTuple):
@@ -90,6 +95,7 @@ def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **op
             mass=first.mass,
             initial=Parameters(np.ones(K), np.zeros(K)),
             lag=first.lag,
+            age=age_of(first),
             **options,
         )
         for i, member in enumerate(batch.members):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.native import Library, leaves_of, rebuilt
-from surefoot.sensors.corruption import Array, Corruption, Rng, device
+from surefoot.sensors.corruption import Corruption
 from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.errors import CODINGS
@@ -52,17 +52,14 @@ class NativeState:
     def __init__(self, record: NDArray[Any], owner: "NativeDevice") -> None:
         self.record, self.address, self.owner = record, record.ctypes.data, owner
 
+    def take(self, state: Any) -> None:
+        """Go on from a state as the Python has it."""
+        for path, leaf in leaves_of(state):
+            self.record["_".join(path)] = leaf
+
     def python(self) -> Any:
         """Return the state as the Python has it, which shares nothing with it."""
         return self.owner.unpack(self)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Another machine may have no library.
-        return _itself, (self.python(),)
-
-
-def _itself(state: Any) -> Any:
-    return state
 
 
 class NativeDevice:
@@ -77,16 +74,18 @@ class NativeDevice:
     Attributes:
         kind: What it is.
         constants: Its constants.
+        layout: Of its states' records.
     """
 
     def __init__(self, library: Library, kind: Kind, config: Any, constants: NDArray[Any]) -> None:
         self.kind, self._config, self.constants = kind, config, constants
-        self._felt, self._dimensions = kind.felt(config), 2 if kind.blocks else 1
+        self._felt = kind.felt(config)
         self._template = kind.build(config).init((config.channels,), np.random.default_rng(0))
         leaves = {"_".join(path): leaf.shape for path, leaf in leaves_of(self._template)}
         dtype = library.record(kind.name, leaves)
         assert dtype is not None
-        self._dtype, self._step = dtype, getattr(library.functions, f"surefoot_{kind.name}_step")
+        self.layout = dtype
+        self._step: Any = getattr(library.functions, f"surefoot_{kind.name}_step", None)
         self._counts = np.empty(config.channels)
         self._load = np.empty((0, self._felt))
         self._addresses: tuple[int, ...] = ()
@@ -97,35 +96,28 @@ class NativeDevice:
         # Where there is no library, nothing comes of it.
         return native_here, (self.kind, self._config)
 
+    def empty(self) -> NativeState:
+        """Return room for a state, before any was drawn."""
+        return NativeState(np.zeros((), self.layout), self)
+
     def pack(self, state: Any) -> NativeState:
         """Return a Python state as the library's."""
-        record = np.zeros((), self._dtype)
-        for path, leaf in leaves_of(state):
-            record["_".join(path)] = leaf
-        return NativeState(record, self)
+        native = self.empty()
+        native.take(state)
+        return native
 
     def unpack(self, state: NativeState) -> Any:
         """Return a state of the library's as the Python's, which shares nothing with it."""
         return rebuilt(self._template, lambda path, _: state.record["_".join(path)].copy())
 
-    def takes(self, load: Any, rng: Any) -> bool:
-        """Return whether the library can read loads, with what chance comes from.
+    def step(self, state: NativeState, load: Floats, stream: Stream, dt: float) -> Floats:
+        """Read loads; the state and the stream go on in place.
 
         Args:
+            state: Of this device.
             load: Of an instant, shape (L,), or of a block of S substeps, shape (S, L), as the Python has it.
-            rng: Where chance comes from.
-        """
-        return (
-            type(rng) is Stream
-            and not rng.record.ndim
-            and load.dtype == np.float64
-            and load.ndim == self._dimensions
-            and load.shape[-1] == self._felt
-            and len(load) > 0
-        )
-
-    def step(self, state: NativeState, load: Floats, stream: Stream, dt: float) -> Floats:
-        """Read loads that :meth:`takes` has looked at; the state and the stream go on in place.
+            stream: Where chance comes from, that of one robot.
+            dt: Time since the reading before in s.
 
         Raises:
             ValueError: If the wire cannot hold what is under way, see
@@ -147,7 +139,7 @@ class NativeDevice:
 
 def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDevice | None:
     """Return the device of one robot by a library; ``None`` for one that it is not made for."""
-    if library is None or library.real != np.float64:
+    if library is None:
         return None
     record = library.filled(f"{kind.name}_config", kind.constants(config))
     fits = getattr(library.functions, f"surefoot_{kind.name}_fits")
@@ -159,32 +151,6 @@ def native_device(library: Library | None, kind: Kind, config: Any) -> NativeDev
 def native_here(kind: Kind, config: Any) -> NativeDevice | None:
     """Return the device of one robot by the library that is installed here; ``None`` without one."""
     return native_device(installed(), kind, config)
-
-
-@device
-def device_here(kind: Kind, config: Any) -> Corruption[Any]:
-    """Build a device that reads by the library that is installed here where it can, else by the Python.
-
-    Its state may be the library's, a :class:`NativeState`, which goes on in place.
-    """
-    python, native = kind.build(config), native_here(kind, config)
-
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> Any:
-        return python.init(shape, rng, dtype)
-
-    def apply(load: Array, state: Any, rng: Rng, dt: float) -> tuple[Array, Any]:
-        if native is None or not native.takes(load, rng):
-            return python.apply(load, plain(state), rng, dt)
-        if not isinstance(state, NativeState):
-            state = native.pack(state)
-        return native.step(state, load, rng, dt), state
-
-    return Corruption(init, apply)
-
-
-def plain(state: Any) -> Any:
-    """Return a state as the Python has it."""
-    return state.python() if isinstance(state, NativeState) else state
 
 
 def wire_constants(

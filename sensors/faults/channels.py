@@ -139,7 +139,7 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
         ValueError: If a fault names a channel that the instrument lacks, or a rail that it has not.
     """
     faults = tuple(faults)
-    channels = _channels(config)
+    channels = channels_of(config)
     _check(faults, channels)
     chosen = [Table(np.arange(len(channels)) == fault.channel) for fault in faults]
     chance = [index for index, fault in enumerate(faults) if fault.kind in ("spiking", "dropped")]
@@ -239,7 +239,7 @@ def apply_faults(
     return read
 
 
-class _Channel(NamedTuple):
+class Channel(NamedTuple):
     """One channel of an instrument: counts per newton, code without a load, ends, and whether it rounds."""
 
     slope: float
@@ -249,30 +249,35 @@ class _Channel(NamedTuple):
     rounds: bool
 
     def clip(self, code: Array) -> Array:
+        """Return a code that a converter can put out."""
         return limit(code, self.low, self.high)
 
+    def saturated(self, level: float | None) -> tuple[float, float]:
+        """Return the lowest and the highest code that is left; without a level both are the rail."""
+        presses = self.slope > 0.0
+        if level is None:
+            return (self.high, self.high) if presses else (self.low, self.low)
+        edge = self.unloaded + self.slope * level
+        edge = float(np.rint(edge)) if self.rounds else edge
+        return (-np.inf, edge) if presses else (edge, np.inf)
 
-def _channels(config: Converter) -> list[_Channel]:
+
+def channels_of(config: Converter) -> list[Channel]:
     """Return the channels of an instrument, whose properties are numbers or shapes (K,)."""
     slope = np.asarray(config.slope, dtype=np.float64)
     rows = (slope, np.asarray(config.zero_code), *map(np.asarray, config.code_range))
     columns = np.stack([np.broadcast_to(row, slope.shape) for row in rows], axis=-1).astype(np.float64)
     rounds = bool(np.isfinite(columns).all())
-    return [_Channel(k, unloaded, low, high, rounds) for k, unloaded, low, high in columns.tolist()]
+    return [Channel(k, unloaded, low, high, rounds) for k, unloaded, low, high in columns.tolist()]
 
 
-def _misread(xp: Any, fault: Fault, channel: _Channel, code: Array, draws: Array, dt: float) -> Array:
+def _misread(xp: Any, fault: Fault, channel: Channel, code: Array, draws: Array, dt: float) -> Array:
     """Return what a faulty channel reads by its own code and by chance; a code that never came stays NaN."""
-    presses = channel.slope > 0.0
     match fault.kind:
         case "dead":
             return code * 0.0 + channel.unloaded
         case "saturated":
-            if fault.level is None:
-                return code * 0.0 + (channel.high if presses else channel.low)
-            edge = channel.unloaded + channel.slope * fault.level
-            edge = float(np.rint(edge)) if channel.rounds else edge
-            return limit(code, -np.inf, edge) if presses else limit(code, edge, np.inf)
+            return limit(code, *channel.saturated(fault.level))
         case "spiking":
             hit = draws[0] < 1.0 - np.exp(-fault.rate * dt)
             jump = xp.where(draws[1] < 0.5, code * 0.0 - 1.0, code * 0.0 + 1.0)
@@ -299,7 +304,7 @@ def _swapped(xp: Any, counts: Array, fault: Fault, active: Array) -> Array:
     return xp.where(active[..., None], xp.take(counts, index, axis=-1), counts)
 
 
-def _check(faults: tuple[Fault, ...], channels: list[_Channel]) -> None:
+def _check(faults: tuple[Fault, ...], channels: list[Channel]) -> None:
     """Raise ValueError if a fault names a channel or a rail that the instrument lacks."""
     for fault in faults:
         for name in ("channel", "other"):

@@ -1,8 +1,7 @@
 /* The sensors' headers as a shared library, with a table of where their records' fields lie. */
 
-#include "surefoot_force_torque.h"
+#include "surefoot_feet.h"
 #include "surefoot_random.h"
-#include "surefoot_sensors.h"
 #include "surefoot_telemetry.h"
 
 #include "library.h"
@@ -14,6 +13,8 @@
 #define G_INT(field) PLACE(strain_gauges_config, field, "int")
 #define G_REAL(field) PLACE(strain_gauges_config, field, "real")
 #define H_REAL(field) PLACE(strain_gauges, field, "real")
+#define B_INT(field) PLACE(faults_config, field, "int")
+#define B_REAL(field) PLACE(faults_config, field, "real")
 #define T_INT(field) PLACE(telemetry_config, field, "int")
 #define T_DOUBLE(field) PLACE(telemetry_config, field, "double")
 #define T_REAL(field) PLACE(telemetry_config, field, "real")
@@ -21,6 +22,8 @@
 #define U_WHOLE(field) PLACE(telemetry, field, "whole")
 #define R_AT(field) PLACE(sense_records, field, "word")
 #define R_INT(field) PLACE(sense_records, field, "int")
+#define FEET(field, kind)                                                                                    \
+    {"sense_records", #field, kind, offsetof(sf_sense_records, feet.field), sizeof(((sf_feet *)0)->field)}
 #define U_REAL(field) PLACE(telemetry, field, "real")
 
 /* Fields of the wire within a device's record. */
@@ -42,29 +45,25 @@
 /* Arrays that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
 typedef struct {
     const sf_telemetry_config *config;
-    const sf_real *position, *inertial, *drawn;
+    const sf_real *position, *inertial;
     sf_real *arrived;
 } telemetry_arrays;
 
-/* The same of what is under one robot's feet, cells or six-axis sensors, of its telemetry, and of what is seen. The
-   load is felt @ map + preload, with `readings` numbers felt a row, or without a map what is felt. Of `numbers` of the
-   observation `shares` are measured, and the number from[i] of the newest packet stands at to[i]. */
+/* The same of what is under one robot's feet, of its telemetry, if anybody listens, and of what is seen. The load is
+   felt @ map + preload, with `readings` numbers felt a row, or without a map what is felt. Of `numbers` of the observation
+   `shares` are measured, and the number from[i] of the newest packet stands at to[i]. */
 typedef struct {
-    const sf_cells_config *cells_config;
-    sf_cells *cells;
-    const sf_force_torque_config *force_torque_config;
-    sf_force_torque *force_torque;
-    sf_random *feet_stream, *telemetry_stream;
-    const sf_real *felt, *map, *preload;
+    sf_feet feet;
+    const sf_real *felt, *map, *preload, *wrench;
     sf_real *load;
     const telemetry_arrays *telemetry;
     sf_telemetry *telemetry_state;
+    sf_random *telemetry_stream;
     sf_real *newest, *raw;
     const float *observed, *low, *high;
     float *shown, *held, *counts;
     const int32_t *from, *to;
     int rows, readings, channels, values, numbers, shares;
-    double dt;
 } sf_sense_records;
 
 /* clang-format off */
@@ -102,6 +101,13 @@ static const place places[] = {
     H_REAL(response), H_REAL(tempco), H_REAL(offset), H_REAL(temperature), H_REAL(creep_yielded),
     H_REAL(hysteresis_plays), H_REAL(bend_cubic), H_REAL(bend_cross),
 
+    WHOLE_OF(faults_config), WHOLE_OF(faults),
+
+    B_INT(channels), B_INT(count), B_INT(kind), B_INT(channel), B_INT(other), B_INT(rounds), B_REAL(start),
+    B_REAL(stop), B_REAL(unloaded), B_REAL(lowest), B_REAL(highest), B_REAL(rate), B_REAL(size),
+    B_REAL(probability), B_REAL(burst), PLACE(faults, time, "real"), PLACE(faults, held, "real"),
+    PLACE(faults, lost, "real"),
+
     WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),
 
     T_INT(joints), T_INT(substeps), T_INT(before_start), T_INT(averaged), T_INT(skewed), T_DOUBLE(dt),
@@ -113,11 +119,14 @@ static const place places[] = {
     U_REAL(matrix), U_REAL(error), U_REAL(up), U_REAL(gyroscope_bias), U_REAL(position), U_REAL(velocity),
     U_REAL(inertial), U_DOUBLE(arrival), U_REAL(ring),
 
-    WHOLE_OF(sense_records), R_AT(cells_config), R_AT(cells), R_AT(force_torque_config),
-    R_AT(force_torque), R_AT(feet_stream), R_AT(telemetry_stream),
-    R_AT(felt), R_AT(map), R_AT(preload), R_AT(load), R_AT(telemetry), R_AT(telemetry_state), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low),
-    R_AT(high), R_AT(shown), R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(readings), R_INT(channels),
-    R_INT(values), R_INT(numbers), R_INT(shares), PLACE(sense_records, dt, "double"),
+    WHOLE_OF(sense_records), FEET(cells_config, "word"), FEET(cells, "word"), FEET(cells_stream, "word"),
+    FEET(force_torque_config, "word"), FEET(force_torque, "word"), FEET(force_torque_stream, "word"),
+    FEET(faults_config, "word"), FEET(faults, "word"), FEET(faults_stream, "word"), FEET(order, "word"),
+    FEET(dt, "double"), FEET(first, "double"), FEET(more, "int"),
+    R_AT(felt), R_AT(map), R_AT(preload), R_AT(wrench), R_AT(load), R_AT(telemetry), R_AT(telemetry_state),
+    R_AT(telemetry_stream), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low), R_AT(high), R_AT(shown),
+    R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(readings), R_INT(channels),
+    R_INT(values), R_INT(numbers), R_INT(shares),
 };
 /* clang-format on */
 
@@ -170,10 +179,15 @@ EXPORTED void surefoot_strain_gauges_step(const sf_strain_gauges_config *config,
     sf_strain_gauges_step(config, sensor, stream, block + (rows - 1) * SF_AXES, (sf_real)dt, counts);
 }
 
-EXPORTED int surefoot_telemetry_fits(const sf_telemetry_config *config) { return sf_telemetry_fits(config); }
-EXPORTED int surefoot_telemetry_draws(const sf_telemetry_config *config) {
-    return sf_telemetry_draws(config);
+/* Faults take counts for loads. */
+EXPORTED int surefoot_faults_fits(const sf_faults_config *config) { return sf_faults_fits(config); }
+EXPORTED void surefoot_faults_step(const sf_faults_config *config, sf_faults *faults, sf_random *stream,
+                                   const sf_real *block, int rows, double dt, sf_real *counts) {
+    memcpy(counts, block + (rows - 1) * config->channels, (size_t)config->channels * sizeof *counts);
+    sf_faults_step(config, faults, stream, (sf_real)dt, counts);
 }
+
+EXPORTED int surefoot_telemetry_fits(const sf_telemetry_config *config) { return sf_telemetry_fits(config); }
 EXPORTED int surefoot_telemetry_coming(const sf_telemetry_config *config, const sf_telemetry *state) {
     return sf_telemetry_coming(config, state);
 }
@@ -182,17 +196,15 @@ static int with_coming(const telemetry_arrays *at, const sf_telemetry *state, in
     return arrived < 0 ? -1 : arrived + 65536 * (sf_telemetry_coming(at->config, state) + 1);
 }
 EXPORTED int surefoot_telemetry_init(const telemetry_arrays *at, sf_telemetry *state, sf_random *stream,
-                                     const sf_real *drawn, int fresh) {
-    sf_normals normals = {stream, drawn};
+                                     int fresh) {
     return with_coming(at, state,
-                       sf_telemetry_init(at->config, state, at->position, at->inertial, fresh, &normals,
+                       sf_telemetry_init(at->config, state, at->position, at->inertial, fresh, stream,
                                          at->arrived));
 }
 EXPORTED int surefoot_telemetry_advance(const telemetry_arrays *at, sf_telemetry *state, sf_random *stream,
                                         double time) {
-    sf_normals normals = {stream, at->drawn};
     return with_coming(at, state,
-                       sf_telemetry_advance(at->config, state, at->position, at->inertial, time, &normals,
+                       sf_telemetry_advance(at->config, state, at->position, at->inertial, time, stream,
                                             at->arrived));
 }
 
@@ -212,27 +224,31 @@ static void show_raw(const sf_sense_records *at) {
 
 static const sf_real *find_load(const sf_sense_records *at) {
     if (!at->map) return at->felt;
+    int K = at->feet.cells_config->channels;
     for (int row = 0; row < at->rows; row++) {
         const sf_real *felt = at->felt + row * at->readings;
-        sf_real *load = at->load + row * at->channels;
-        memset(load, 0, (size_t)at->channels * sizeof(sf_real));
+        sf_real *load = at->load + row * K;
+        memset(load, 0, (size_t)K * sizeof(sf_real));
         for (int i = 0; i < at->readings; i++)
-            for (int k = 0; k < at->channels; k++) load[k] += felt[i] * at->map[i * at->channels + k];
-        for (int k = 0; k < at->channels; k++) load[k] += at->preload[k];
+            for (int k = 0; k < K; k++) load[k] += felt[i] * at->map[i * K + k];
+        for (int k = 0; k < K; k++) load[k] += at->preload[k];
     }
     return at->load;
 }
 
-/* A control step of one robot's feet and telemetry, for which there is room, and what is seen of it; returns
-   what surefoot_telemetry_advance does. */
-EXPORTED int surefoot_sense(const sf_sense_records *at, double time) {
+/* A control step of one robot, for whose packets there is room, or the start of an episode, for which 1 keeps the
+   telemetry's sensors and 2 draws them; and what is seen of it. Returns what surefoot_telemetry_advance does. */
+EXPORTED int surefoot_sense(const sf_sense_records *at, double time, int begins) {
     const sf_real *load = find_load(at);
-    if (at->cells)
-        sf_cells_step(at->cells_config, at->cells, at->feet_stream, load, at->rows, (sf_real)at->dt, at->raw);
+    int told = 0;
+    if (begins)
+        sf_feet_begin(&at->feet, load, at->rows, at->wrench, at->raw);
     else
-        sf_force_torque_step(at->force_torque_config, at->force_torque, at->feet_stream, load, (sf_real)at->dt,
-                             at->raw);
-    int told = surefoot_telemetry_advance(at->telemetry, at->telemetry_state, at->telemetry_stream, time);
+        sf_feet_step(&at->feet, load, at->rows, at->wrench, at->raw);
+    if (at->telemetry && begins)
+        told = surefoot_telemetry_init(at->telemetry, at->telemetry_state, at->telemetry_stream, begins - 1);
+    else if (at->telemetry)
+        told = surefoot_telemetry_advance(at->telemetry, at->telemetry_state, at->telemetry_stream, time);
     int arrived = told & 0xFFFF;
     if (told >= 0 && arrived > 0) {
         const sf_real *last = at->telemetry->arrived + (arrived - 1) * (2 + at->values);

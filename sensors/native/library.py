@@ -7,8 +7,8 @@ from surefoot.native import ADDRESS, Library, Native, Sources
 
 _SIZE = ctypes.c_size_t
 
-_DEVICES = ("cells", "force_torque", "strain_gauges")
-"""What loads go into and counts come out of."""
+_DEVICES = ("cells", "force_torque", "strain_gauges", "faults")
+"""What loads go into, or counts as they were, and counts come out of."""
 
 NATIVE = Native(
     Sources(Path(__file__).parent),
@@ -21,10 +21,9 @@ NATIVE = Native(
             for device in _DEVICES
         },
         "surefoot_telemetry_fits": (ctypes.c_int, (ADDRESS,)),
-        "surefoot_telemetry_draws": (ctypes.c_int, (ADDRESS,)),
         "surefoot_telemetry_coming": (ctypes.c_int, (ADDRESS, ADDRESS)),
-        "surefoot_telemetry_init": (ctypes.c_int, (*(ADDRESS,) * 4, ctypes.c_int)),
-        "surefoot_sense": (ctypes.c_int, (ADDRESS, ctypes.c_double)),
+        "surefoot_telemetry_init": (ctypes.c_int, (*(ADDRESS,) * 3, ctypes.c_int)),
+        "surefoot_sense": (ctypes.c_int, (ADDRESS, ctypes.c_double, ctypes.c_int)),
         "surefoot_telemetry_advance": (ctypes.c_int, (ADDRESS, ADDRESS, ADDRESS, ctypes.c_double)),
     },
 )

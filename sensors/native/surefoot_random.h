@@ -58,9 +58,15 @@ SF_API void sf_random_pair(sf_random *stream, double pair[2]) {
 /* The next block: two standard normal numbers, by Box and Muller. */
 SF_API void sf_random_normal_pair(sf_random *stream, double pair[2]) {
     sf_random_pair(stream, pair);
+#ifdef SF_SINGLE
+    float radius = sqrtf(-2 * logf((float)(1.0 - pair[0]))), angle = 6.2831853f * (float)pair[1];
+    pair[0] = radius * cosf(angle);
+    pair[1] = radius * sinf(angle);
+#else
     double radius = sqrt(-2.0 * log(1.0 - pair[0])), angle = 6.283185307179586 * pair[1];
     pair[0] = radius * cos(angle);
     pair[1] = radius * sin(angle);
+#endif
 }
 
 /* The next n numbers, normal ones or uniform ones; what is left of the last block is dropped. */

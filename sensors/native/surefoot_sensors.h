@@ -11,7 +11,7 @@
    Matrices are stored by rows without gaps, as wide as the robot at hand needs. NaN means that no reading arrived,
    so that -ffast-math is not for this file.
 
-   Before it is included: SF_SINGLE makes numbers floats; SF_LOAD_CELLS, SF_WINDOW and SF_PLAYS are the largest sizes,
+   Before it is included: SF_SINGLE makes numbers floats; SF_LOAD_CELLS, SF_SETTLING and SF_PLAYS are the largest sizes,
    as are those of surefoot_stages.h; SF_API is what stands before functions. */
 
 #ifndef SUREFOOT_SENSORS_H
@@ -22,8 +22,8 @@
 #ifndef SF_LOAD_CELLS
 #define SF_LOAD_CELLS 16 /* load cells of a robot */
 #endif
-#ifndef SF_WINDOW
-#define SF_WINDOW 8 /* conversions that a chip averages over */
+#ifndef SF_SETTLING
+#define SF_SETTLING 8 /* conversions that a chip averages over */
 #endif
 #ifndef SF_PLAYS
 #define SF_PLAYS 8 /* play operators of the hysteresis */
@@ -43,7 +43,7 @@ typedef struct {
 /* Fields are those of the Python state, by their way through its parts. */
 typedef struct {
     sf_real period[SF_LOAD_CELLS], due[SF_LOAD_CELLS], previous[SF_LOAD_CELLS], held[SF_LOAD_CELLS], error[2 * SF_LOAD_CELLS];
-    sf_real thermal[3 * SF_LOAD_CELLS], window[SF_WINDOW * SF_LOAD_CELLS];
+    sf_real thermal[3 * SF_LOAD_CELLS], window[SF_SETTLING * SF_LOAD_CELLS];
     sf_real mechanics_nonlinearity_quadratic[SF_LOAD_CELLS], mechanics_hysteresis_plays[SF_PLAYS * SF_LOAD_CELLS];
     sf_real mechanics_creep_yielded[SF_CREEPS * SF_LOAD_CELLS], mechanics_mounting_offset[SF_LOAD_CELLS];
     sf_real mechanics_mounting_load[SF_LOAD_CELLS], mechanics_mounting_impact[SF_LOAD_CELLS];
@@ -54,7 +54,7 @@ typedef struct {
 /* Whether a config that comes from elsewhere lies within the arrays. */
 SF_API int sf_cells_fits(const sf_cells_config *c) {
     int jumps = c->warp_std > 0 || c->common_std > 0;
-    return c->channels > 0 && c->channels <= SF_LOAD_CELLS && c->settling >= 1 && c->settling <= SF_WINDOW &&
+    return c->channels > 0 && c->channels <= SF_LOAD_CELLS && c->settling >= 1 && c->settling <= SF_SETTLING &&
            (c->settling == 1 || c->clocked) && c->plays >= 0 && c->plays <= SF_PLAYS && c->creeps >= 0 &&
            c->creeps <= SF_CREEPS && sf_wire_fits(&c->wire, c->channels) &&
            (!jumps || c->channels % SF_CELLS_OF_A_FOOT == 0);

@@ -7,8 +7,8 @@
 
        sf_telemetry_config config;     constants, written by surefoot.wrappers.native_telemetry
        sf_telemetry state;             all that is remembered, a plain record that may be copied
-       count = sf_telemetry_init(&config, &state, position, inertial, 1, &normals, packets);
-       count = sf_telemetry_advance(&config, &state, position, inertial, time, &normals, packets);
+       count = sf_telemetry_init(&config, &state, position, inertial, 1, &stream, packets);
+       count = sf_telemetry_advance(&config, &state, position, inertial, time, &stream, packets);
 
    A packet is a row of 10 + 2 J numbers: its number, when it arrives, J joint angles and J velocities, roll and
    pitch, angular velocity (3) and specific force (3).
@@ -71,21 +71,6 @@ typedef struct {
     sf_real ring[SF_LINK_ROOM * SF_PACKET];
 } sf_telemetry;
 
-/* Where standard normal numbers come from: a stream, or without one an array of enough of them. */
-typedef struct {
-    sf_random *stream;
-    const sf_real *next;
-} sf_normals;
-
-SF_API void sf_draw(sf_normals *normals, int n, sf_real *numbers) {
-    if (normals->stream) {
-        sf_random_fill(normals->stream, 1, n, numbers);
-        return;
-    }
-    memcpy(numbers, normals->next, (size_t)n * sizeof(sf_real));
-    normals->next += n;
-}
-
 SF_API int sf_packet_size(const sf_telemetry_config *c) { return 10 + 2 * c->joints; }
 
 /* Return whether a robot fits into the arrays; call it once for a config that comes from elsewhere. */
@@ -103,11 +88,6 @@ SF_API int sf_telemetry_coming(const sf_telemetry_config *c, const sf_telemetry 
     return count;
 }
 
-/* Return how many normal numbers a packet takes. */
-SF_API int sf_telemetry_draws(const sf_telemetry_config *c) {
-    return (c->encoder_noise != 0 ? c->joints : 0) + 12 + (c->jitter != 0);
-}
-
 /* ---------------------------------------------------------------------------------------------- measuring */
 
 SF_API sf_real sf_round_to(sf_real value, sf_real step) {
@@ -116,10 +96,10 @@ SF_API sf_real sf_round_to(sf_real value, sf_real step) {
 
 /* Read the encoders: a constant error, noise, and steps. */
 SF_API void sf_encoders(const sf_telemetry_config *c, const sf_telemetry *s, const sf_real *position,
-                        sf_normals *normals, sf_real *angle) {
+                        sf_random *stream, sf_real *angle) {
     int J = c->joints;
     if (c->encoder_noise != 0)
-        sf_draw(normals, J, angle);
+        sf_random_fill(stream, 1, J, angle);
     else
         memset(angle, 0, (size_t)J * sizeof(sf_real));
     for (int j = 0; j < J; j++)
@@ -128,9 +108,9 @@ SF_API void sf_encoders(const sf_telemetry_config *c, const sf_telemetry *s, con
 
 /* Read the IMU: axes a little off, a drifting bias, and samples that are noisy, clipped and rounded. */
 SF_API void sf_imu(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *inertial,
-                   sf_normals *normals, sf_real *sample) {
+                   sf_random *stream, sf_real *sample) {
     sf_real drawn[12];
-    sf_draw(normals, 12, drawn);
+    sf_random_fill(stream, 1, 12, drawn);
     for (int i = 0; i < 6; i++) {
         sf_real felt = inertial[i];
         if (c->skewed) {
@@ -185,12 +165,12 @@ SF_API sf_real *sf_packet(const sf_telemetry_config *c, sf_telemetry *s, int64_t
 
 /* Read the sensors once and send a packet at a time of the host's clock. */
 SF_API void sf_measure_and_send(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
-                                const sf_real *felt, double time, sf_normals *normals) {
+                                const sf_real *felt, double time, sf_random *stream) {
     int J = c->joints;
     sf_real angle[SF_JOINTS + 1], sample[6], late, *row = sf_packet(c, s, s->waiting);
     sf_real *accelerometer = sample, *gyroscope = sample + 3, *tail = row + 2 + 2 * J;
-    sf_encoders(c, s, position, normals, angle);
-    sf_imu(c, s, felt, normals, sample);
+    sf_encoders(c, s, position, stream, angle);
+    sf_imu(c, s, felt, stream, sample);
     sf_attitude(s, gyroscope, accelerometer, c->interval);
     for (int j = 0; j < J; j++) {
         sf_real rate = (angle[j] - s->position[j]) / c->interval;
@@ -208,7 +188,7 @@ SF_API void sf_measure_and_send(const sf_telemetry_config *c, sf_telemetry *s, c
 
     double delay = c->delay;
     if (c->jitter != 0) {
-        sf_draw(normals, 1, &late);
+        sf_random_fill(stream, 1, 1, &late);
         delay = fmax(0.0, delay + c->jitter * (double)late);
     }
     double arrival = time + delay;
@@ -237,17 +217,17 @@ SF_API int sf_receive(const sf_telemetry_config *c, sf_telemetry *s, double time
    `bias`, `matrix` and `error` of the state are those to keep. `arrived` holds SF_LINK_ROOM rows; the number of
    those that have arrived by time 0 is returned. */
 SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
-                             const sf_real *inertial, int fresh, sf_normals *normals, sf_real *arrived) {
+                             const sf_real *inertial, int fresh, sf_random *stream, sf_real *arrived) {
     if (fresh) {
         memset(s, 0, sizeof *s);
-        sf_draw(normals, 6, s->bias);
+        sf_random_fill(stream, 1, 6, s->bias);
         for (int i = 0; i < 6; i++) s->bias[i] *= c->bias_std[i];
-        if (c->skewed) sf_draw(normals, 18, s->matrix);
+        if (c->skewed) sf_random_fill(stream, 1, 18, s->matrix);
         for (int i = 0; i < 18; i++) s->matrix[i] = (i % 9 % 4 == 0) + c->spread[i] * s->matrix[i];
-        sf_draw(normals, c->joints, s->error);
+        sf_random_fill(stream, 1, c->joints, s->error);
         for (int j = 0; j < c->joints; j++) s->error[j] *= c->encoder_bias;
     }
-    sf_encoders(c, s, position, normals, s->position);
+    sf_encoders(c, s, position, stream, s->position);
     memset(s->velocity, 0, sizeof s->velocity);
     memset(s->inertial, 0, sizeof s->inertial);
     memset(s->gyroscope_bias, 0, sizeof s->gyroscope_bias);
@@ -255,7 +235,7 @@ SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, cons
     s->up[2] = 1;
     s->number = s->substeps = s->first = s->waiting = 0;
     for (int n = 0; n < c->before_start; n++)
-        sf_measure_and_send(c, s, position, inertial, (n + 1 - c->before_start) * c->period, normals);
+        sf_measure_and_send(c, s, position, inertial, (n + 1 - c->before_start) * c->period, stream);
     s->due = c->period;
     return sf_receive(c, s, 0, arrived);
 }
@@ -266,7 +246,7 @@ SF_API int sf_telemetry_init(const sf_telemetry_config *c, sf_telemetry *s, cons
    end. `arrived` holds SF_LINK_ROOM rows; the number of packets that have arrived is returned, or -1 if more are
    under way than there is room for: nothing has happened then. */
 SF_API int sf_telemetry_advance(const sf_telemetry_config *c, sf_telemetry *s, const sf_real *position,
-                                const sf_real *inertial, double time, sf_normals *normals, sf_real *arrived) {
+                                const sf_real *inertial, double time, sf_random *stream, sf_real *arrived) {
     int rows = c->substeps, row = 0;
     double start = time - c->dt, due = s->due;
     if (sf_telemetry_coming(c, s) < 0) return -1;
@@ -284,7 +264,7 @@ SF_API int sf_telemetry_advance(const sf_telemetry_config *c, sf_telemetry *s, c
                 s->inertial[i] = 0;
             }
         s->substeps = 0;
-        sf_measure_and_send(c, s, position + last * c->joints, felt, start + due, normals);
+        sf_measure_and_send(c, s, position + last * c->joints, felt, start + due, stream);
         row = last + 1;
     }
     if (row < rows && c->averaged) {

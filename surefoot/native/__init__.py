@@ -5,7 +5,7 @@ knows which packages have one.
 """
 
 from surefoot.native.build import Sources, compiler
-from surefoot.native.library import ADDRESS, Library, Native, required
+from surefoot.native.library import ADDRESS, Library, Native, places_at, required
 from surefoot.native.records import Record, c_header, leaves_of, rebuilt
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "c_header",
     "compiler",
     "leaves_of",
+    "places_at",
     "rebuilt",
     "required",
 ]

@@ -5,6 +5,9 @@
 #define SUREFOOT_DEVICE_H
 
 #define SF_NO_LIBC
+#ifndef NULL
+#define NULL 0
+#endif
 #ifdef __CUDACC__
 #define SF_API static __device__ __noinline__ /* inlined into one kernel it takes NVRTC ten times as long */
 #pragma nv_diag_suppress 177, 222 /* functions that a kernel does not call; infinity is meant */
@@ -15,13 +18,15 @@ SF_API double fmin(double a, double b) { return b < a || a != a ? b : a; }
 SF_API double fmax(double a, double b) { return b > a || a != a ? b : a; }
 #endif
 
+/* A word at a time: all that is moved are numbers. */
+typedef unsigned __attribute__((may_alias)) sf_word;
 SF_API void *memmove(void *to, const void *from, size_t n) {
-    char *out = (char *)to;
-    const char *in = (const char *)from;
+    sf_word *out = (sf_word *)to;
+    const sf_word *in = (const sf_word *)from;
     if (out < in)
-        for (size_t i = 0; i < n; i++) out[i] = in[i];
+        for (size_t i = 0; i < n / sizeof *out; i++) out[i] = in[i];
     else
-        for (size_t i = n; i > 0; i--) out[i - 1] = in[i - 1];
+        for (size_t i = n / sizeof *out; i > 0; i--) out[i - 1] = in[i - 1];
     return to;
 }
 

@@ -4,9 +4,14 @@
 #ifndef SUREFOOT_LIBRARY_H
 #define SUREFOOT_LIBRARY_H
 
+#ifndef SF_NO_LIBC /* see device.h: only the table is of use there */
 #include <stddef.h>
+#endif
 
-#ifdef _WIN32
+#ifdef SF_NO_LIBC
+#define EXPORTED static
+#define offsetof __builtin_offsetof
+#elif defined(_WIN32)
 #define EXPORTED __declspec(dllexport)
 #else
 #define EXPORTED __attribute__((visibility("default")))

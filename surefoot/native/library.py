@@ -95,6 +95,20 @@ class Library(NamedTuple):
         return record
 
 
+def places_at(address: int, count: int) -> dict[str, dict[str, tuple[str, int, int]]]:
+    """Return a library's table of records: kind, offset and size of each field, by record and field.
+
+    Args:
+        address: Where the table lies.
+        count: How many rows it has.
+    """
+    places: dict[str, dict[str, tuple[str, int, int]]] = {}
+    for place in (_Place * count).from_address(address):
+        fields = places.setdefault(place.record.decode(), {})
+        fields[place.field.decode()] = place.kind.decode(), place.offset, place.size
+    return places
+
+
 class Native:
     """The library of one package.
 
@@ -120,7 +134,7 @@ class Native:
         functions = ctypes.CDLL(str(path))
         try:
             functions.surefoot_source.restype = ctypes.c_char_p
-            functions.surefoot_places.restype = ctypes.POINTER(_Place)
+            functions.surefoot_places.restype = ctypes.c_size_t
             functions.surefoot_places_count.restype = ctypes.c_size_t
             functions.surefoot_real_size.restype = ctypes.c_size_t
             if source is not None and functions.surefoot_source().decode() != source:
@@ -130,10 +144,7 @@ class Native:
                 function.restype, function.argtypes = result, arguments
         except AttributeError as error:
             raise OSError(f"it is another library: {error}") from None
-        places: dict[str, dict[str, tuple[str, int, int]]] = {}
-        for place in functions.surefoot_places()[: functions.surefoot_places_count()]:
-            fields = places.setdefault(place.record.decode(), {})
-            fields[place.field.decode()] = place.kind.decode(), place.offset, place.size
+        places = places_at(functions.surefoot_places(), functions.surefoot_places_count())
         return Library(functions, np.dtype(f"f{functions.surefoot_real_size()}"), places, {})
 
     def installed(self) -> Library | None:

@@ -70,10 +70,11 @@ def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArra
     lines = [f"#define SF_{name} {size}" for name, size in sizes.items()]
     lines.append(f'#include "{header}"')
     for declared, record in records.items():
-        assert record.dtype.names is not None
+        assert record.dtype.fields is not None
+        places = record.dtype.fields
         lines += ["", f"static const {declared} = {{"]
-        for name in record.dtype.names:
-            # C++ complains of fields that are left out, C of braces with nothing in them.
+        # C++ complains of fields in another order or left out, C of braces with nothing in them.
+        for name in sorted(places, key=lambda field: places[field][1]):
             numbers = ", ".join(repr(value) for value in record[name].ravel().tolist()) or "0"
             lines.append(
                 f"    .{name} = {{{numbers}}}," if record[name].ndim else f"    .{name} = {numbers},"

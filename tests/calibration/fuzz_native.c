@@ -1,10 +1,13 @@
-/* Feed garbage to the filter: `fuzz_native CONFIG SAMPLES` reads the constants of one robot as bytes. Fails,
-   by a message and status 1, if the state or an estimate is ever not finite; sanitizers watch the rest. */
+/* Feed garbage to a method: `fuzz_native CONFIG SAMPLES METHOD` reads the constants of one robot, and of the
+   method, as bytes. Fails, by a message and status 1, if the state or an estimate is ever not finite;
+   sanitizers watch the rest. */
 
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "surefoot_calibration.h"
+#include <string.h>
+
+#include "surefoot_window.h"
 
 static unsigned long long bits = 88172645463325252ULL;
 
@@ -29,14 +32,26 @@ static void spoil(sf_real *values, int n, double share) {
 
 int main(int count, char **words) {
     static sf_config config;
+    static sf_window_config window;
+    static sf_tare_config tare;
     static sf_state state, kept;
+    static sf_window_state windowed;
+    static sf_window_work work;
+    static sf_tare_state tared;
     static sf_estimate estimate;
-    FILE *file = count == 3 ? fopen(words[1], "rb") : NULL;
-    if (!file || fread(&config, sizeof config, 1, file) != 1 || !sf_calibrator_fits(&config)) return 2;
+    FILE *file = count == 4 ? fopen(words[1], "rb") : NULL;
+    if (!file || fread(&config, sizeof config, 1, file) != 1) return 2;
+    int is_window = !strcmp(words[3], "window"), is_tare = !strcmp(words[3], "tare");
+    if (is_window && (fread(&window, sizeof window, 1, file) != 1 || !sf_window_fits(&config, &window)))
+        return 2;
+    if (is_tare && (fread(&tare, sizeof tare, 1, file) != 1 || !sf_robot_fits(&config))) return 2;
+    if (!is_window && !is_tare && !sf_calibrator_fits(&config)) return 2;
     fclose(file);
+    sf_window_init(&config, &window, &windowed);
+    sf_tare_init(&config, &tared);
     long samples = atol(words[2]);
     int K = config.channels, N = sf_unknowns(&config), broken = -1, kind = 0;
-    sf_calibrator_init(&config, &state);
+    if (!is_window && !is_tare) sf_calibrator_init(&config, &state);
     kept = state;
     for (long k = 0; k < samples; k++) {
         sf_reference reference = {{0, 0, (sf_real)0.26}, {0, 0, 0}, {0, 0, 0}, {0}, {0}, {1, 1}, {0, 0}};
@@ -71,7 +86,27 @@ int main(int count, char **words) {
             spoil(reference.position_sole, 3 * config.feet, 0.0005);
             if (chance(0.02)) reference.swing[0] = reference.swing[config.feet - 1] = 1;
         }
-        sf_calibrator_step(&config, &state, raw, &reference, chance(0.001) ? poison() : config.dt, &estimate);
+        sf_real inertial[6] = {0, 0, SF_GRAVITY, 0, 0, 0}, dt = chance(0.001) ? poison() : config.dt;
+        const sf_real *imu[] = {inertial, inertial + 3};
+        if (is_window || is_tare) {
+            spoil(inertial, 6, 0.001);
+            if (is_window)
+                sf_window_step(&config, &window, &windowed, &work, raw, &reference, imu, dt, &estimate);
+            else sf_tare_step(&config, &tare, &tared, raw, &reference, dt, &estimate);
+            if (chance(0.0005)) sf_window_begin(&config, &windowed), sf_tare_begin(&config, &tared);
+            if (k % 20000 == 0) sf_window_init(&config, &window, &windowed);
+            if (!sf_all_finite(windowed.theta, 2 * K) ||
+                !sf_all_finite(windowed.samples, SF_WINDOW * (6 * K + 3)) ||
+                !sf_all_finite(windowed.standing.information, (2 * K + 3) * (2 * K + 3)) ||
+                !sf_all_finite(tared.offset, K) || !sf_all_finite(tared.scatter, K) ||
+                !sf_all_finite(estimate.force, K) || !sf_all_finite(estimate.wrench, 6 * config.feet) ||
+                sf_finite(estimate.cop[0]) != estimate.cop_valid) {
+                printf("not finite at sample %ld\n", k);
+                return 1;
+            }
+            continue;
+        }
+        sf_calibrator_step(&config, &state, raw, &reference, dt, &estimate);
         if (chance(0.0005)) sf_calibrator_retract(&config, &state);
         if (chance(0.0005)) kept = state;
         if (chance(0.0005)) state = kept;

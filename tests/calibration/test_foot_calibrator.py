@@ -36,8 +36,8 @@ def test_the_object_is_the_stream_and_the_replay(log, method):
     calibrator = make(method)
     streamed = [calibrator.update(raw, row, DT) for raw, row in zip(log.raw, rows(log), strict=True)]
     replayed = replay(LAYOUT, method, log.raw, log.reference, DT, mass=believed_mass(FAULTS), initial=NOMINAL)
-    # The moment filter of one robot may run in C, which rounds elsewhere.
-    close = {"rtol": 1e-9, "atol": 1e-9} if method == "moment" else {"rtol": 0.0}
+    # That of one robot may run in C, which rounds elsewhere.
+    close = {"rtol": 1e-9, "atol": 1e-9}
     for field in ("force", "cop", "cop_foot", "scale", "offset", "flags", "vgrf"):
         expected = np.stack([getattr(estimate, field) for estimate in streamed])
         np.testing.assert_allclose(getattr(replayed, field), expected, **close)

@@ -82,7 +82,7 @@ def test_ankle_sensors_are_calibrated_from_walking(cross_talk):
     gain = state.mean[:, unknowns.scale]
     after, before = rms(gain - drawn.gain[-1]), rms(unknowns.start[unknowns.scale] - drawn.gain[-1])
     # Shear, and the twist above all, are small; what they excite little is found late.
-    assert after[unknowns.own].mean() < 0.8 * before[unknowns.own].mean()
+    assert after[: unknowns.channels].mean() < 0.8 * before[: unknowns.channels].mean()
     assert after.mean() < before.mean()
     offset = unknowns.offsets(state.mean, unknowns.unit)
     assert (rms(offset - drawn.offset[-1]) < 0.3 * rms(drawn.offset[-1])).all()

@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surefoot.calibration import FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Parameters, Reference
-from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.stream import MomentStream
+from surefoot.calibration.episodes import begin_episode
 from surefoot.calibration.native import NATIVE, NativeState, c_source, native_filter
+from surefoot.calibration.online import online_method
 from surefoot.native import compiler, leaves_of
 from surefoot.native.build import FLAGS
 
@@ -68,6 +68,7 @@ class Log:
         self.reference = Reference(*(part.copy() for part in own.reference))
         self.times = np.full(SAMPLES, DT)
         self.retracted = set()
+        self.begun = set()
 
     def row(self, k):
         return Reference(*(part[k] for part in self.reference))
@@ -164,6 +165,10 @@ def retracted(log):
     log.retracted = {3, 500, AT + 80, AT + 82}
 
 
+def begins(log):
+    log.begun = {2, 400, AT + 1}
+
+
 def stands_for_long(log):
     for part in (log.force, *log.reference):
         part[200:1600] = part[200]
@@ -191,8 +196,11 @@ TABLE = [
     *[("ankles", 0, event, {}) for event in (clean, retracted)],
     *[("both", 0, event, {}) for event in (clean, dead, bad_references, stands_for_long)],
     *[(f"heavy {kind}", lag, clean, {}) for kind, lag in (("cells", 2), ("ankles", 0), ("both", 0))],
+    *[("cells", 2, event, {"age": 0.006}) for event in (missing_and_impossible, gaps, dropped, flipped)],
+    ("both", 0, bad_references, {"age": np.repeat([0.005, 0.0, 0.02, 0.0], [4, 6, 4, 6])}),
     ("cells", 0, gaps, {"every": 12, "average": 3, "settle": 2, "learn_mass": False, "still": 0.0}),
     ("cells", 2, loaded, {"every": 8, "average": 1, "scale_drift": 0.0, "offset_std": 0.2}),
+    *[(layout, 1, clean, {"cross_talk": 0.0}) for layout in ("ankles", "both")],
     ("ankles", 1, lies, {"every": 8, "average": 4, "timing_noise": 0.0, "com_std": 0.0}),
 ]
 
@@ -202,18 +210,18 @@ def library(tmp_path_factory):
     return library_of(NATIVE, tmp_path_factory.mktemp("native"))
 
 
-def setup_of(layout, lag=2):
+def setup_of(layout, lag=2, age=0.0):
     feet = LAYOUTS[layout]
     initial = Parameters(np.ones(feet.channels), np.zeros(feet.channels))
-    return OnlineSetup(layout=feet, mass=MASS, initial=initial, lag=lag, foot_length=0.17)
+    return OnlineSetup(layout=feet, mass=MASS, initial=initial, lag=lag, foot_length=0.17, age=age)
 
 
-def robot(library, layout="cells", lag=2, **options):
+def robot(library, layout="cells", lag=2, method="moment", age=0.0, **options):
     """The filter of one robot, by Python and by the library."""
-    setup = setup_of(layout, lag)
-    filter_ = native_filter(library, setup, options)
+    setup = setup_of(layout, lag, age)
+    filter_ = native_filter(library, method, setup, options)
     assert filter_ is not None
-    return MomentStream(setup, MomentFilterConfig(**options)), filter_
+    return online_method(method, setup, **options), filter_
 
 
 def same(name, expected, found, close=CLOSE):
@@ -262,8 +270,11 @@ def play(stream, native, log, exchange=None, close=CLOSE):
         if k in log.retracted:
             expected = stream.retract(expected, np.asarray(True))
             native.retract(found)
+        if k in log.begun:
+            expected = begin_episode(np.asarray(True), stream.init(log.force[0]), expected)
+            native._functions.surefoot_begin(native.addresses["filter"], found.address)
         same_estimate(one, two, close)
-        if k % 48 == 47 or k == exchange or k in log.retracted:
+        if k % 48 == 47 or k == exchange or k in log.retracted | log.begun:
             same_state(stream, native, expected, found, close)
         if k == exchange:
             other = native.unpack(found)
@@ -272,7 +283,33 @@ def play(stream, native, log, exchange=None, close=CLOSE):
     return expected, one
 
 
-QUICK = [("cells", 2, dead), ("ankles", 2, missing_and_impossible)]
+QUICK = [("cells", 2, dead), ("both", 0, bad_references), ("ankles", 2, missing_and_impossible)]
+OTHERS = [
+    *[
+        ("window", "cells", lag, event, {})
+        for lag, event in ((2, clean), (0, gaps), (2, missing_and_impossible))
+    ],
+    *[("window", "cells", 2, event, {}) for event in (bad_references, lies, retracted, lifted, begins)],
+    *[("window", "ankles", lag, event, {}) for lag, event in ((2, clean), (0, lies), (1, stands_for_long))],
+    *[("window", "both", 0, event, {}) for event in (clean, bad_references)],
+    *[("window", f"heavy {kind}", 2, clean, {}) for kind in ("cells", "ankles", "both")],
+    ("window", "cells", 2, spikes, {"cutoff": None, "every": 3, "window": 0.3, "iterations": 2}),
+    ("window", "cells", 1, gaps, {"standing_start": False, "outlier_threshold": 1.0, "gross_error": 2.0}),
+    ("window", "ankles", 2, clean, {"standing_patience": 2.0, "standing_samples": 500}),
+    *[("quasi-static", layout, 2, clean, {}) for layout in ("cells", "both")],
+    *[("quasi-static", "cells", 2, event, {}) for event in (gaps, bad_references)],
+    *[
+        ("tare", "cells", lag, event, {})
+        for lag, event in ((2, clean), (0, gaps), (2, missing_and_impossible))
+    ],
+    *[("tare", "cells", 2, event, {}) for event in (bad_references, lies, begins)],
+    *[("tare", layout, 2, clean, {}) for layout in ("ankles", "both", "heavy both")],
+    ("tare", "ankles", 1, dropped_for_a_while, {"settle": 0.0, "spread": 0.2, "offset_range": 1.0}),
+    *[("none", layout, 2, missing_and_impossible, {}) for layout in ("cells", "both")],
+    *[("none", "ankles", 0, event, {}) for event in (gaps, bad_references, begins)],
+    *[(method, "cells", 2, lies, {"age": 0.006}) for method in ("window", "tare", "none")],
+    ("window", "both", 0, gaps, {"age": np.repeat([0.005, 0.0, 0.02, 0.0], [4, 6, 4, 6])}),
+]
 
 
 def named(value):
@@ -293,6 +330,19 @@ def test_the_library_is_the_python(library, layout, lag, event, options):
         assert state.faults.altered, "the fault was not found: nothing was tested"
 
 
+@pytest.mark.parametrize(
+    ("method", "layout", "lag", "event", "options"),
+    [row if row[3] is clean else pytest.param(*row, marks=pytest.mark.slow) for row in OTHERS],
+    ids=named,
+)
+def test_the_library_is_the_python_of_other_methods(library, method, layout, lag, event, options):
+    log = Log(layout)
+    event(log)
+    state, _ = play(*robot(library, layout, lag, method, **options), log, exchange=1234)
+    if method in ("window", "quasi-static"):
+        assert (np.abs(state.theta - 1.0)[: len(log.force[0])] > 0.01).any(), "nothing was learnt"
+
+
 @pytest.mark.slow
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(
@@ -307,14 +357,15 @@ def test_the_library_is_the_python(library, layout, lag, event, options):
     still=st.sampled_from([0.0, 0.02]),
     gate=st.floats(1.5, 6.0),
     exchange=st.integers(0, SAMPLES - 1),
+    age=st.sampled_from([0.0, 0.006, 0.05]),
 )
 def test_random_robots_are_the_same(
-    library, layout, lag, seed, events, shape, scale_std, offset_std, learn_mass, still, gate, exchange
+    library, layout, lag, seed, events, shape, scale_std, offset_std, learn_mass, still, gate, exchange, age
 ):
     every, average, settle = shape
     options = {
         "every": every, "average": average, "settle": settle, "scale_std": scale_std,
-        "offset_std": offset_std, "learn_mass": learn_mass, "still": still, "gate": gate,
+        "offset_std": offset_std, "learn_mass": learn_mass, "still": still, "gate": gate, "age": age,
     }  # fmt: skip
     log = Log(layout, seed)
     for event in sorted(events, key=named):
@@ -349,39 +400,71 @@ def test_single_precision_keeps_a_hundredth_of_the_uncertainty(layout, tmp_path)
     np.testing.assert_allclose(found.force, expected.force, atol=0.02)
 
 
-def play_garbage(library, tmp_path, layout, samples, *flags):
+def play_garbage(library, tmp_path, layout, samples, *flags, method="moment"):
     """Feed garbage to a program with sanitizers; return what it says."""
     compile_program(NATIVE, Path(__file__).parent / "fuzz_native.c", tmp_path / "fuzz", *SANITIZED, *flags)
-    _, native = robot(library, layout)
-    (tmp_path / "config").write_bytes(native.config.tobytes())
+    _, native = robot(library, layout, method=method)
+    own = native.constants.own
+    (tmp_path / "config").write_bytes(
+        native.constants.config.tobytes() + (b"" if own is None else own.tobytes())
+    )
     done = subprocess.run(
-        [tmp_path / "fuzz", tmp_path / "config", str(samples)], capture_output=True, text=True, check=False
+        [tmp_path / "fuzz", tmp_path / "config", str(samples), method],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("layout", ["cells", "ankles", "heavy both"])
-def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, layout):
-    play_garbage(library, tmp_path, layout, 100_000)
+@pytest.mark.parametrize(
+    ("layout", "method"),
+    [
+        ("cells", "moment"),
+        ("ankles", "moment"),
+        ("heavy both", "moment"),
+        ("ankles", "window"),
+        ("both", "tare"),
+    ],
+)
+def test_garbage_leaves_the_state_finite_and_memory_alone(library, tmp_path, layout, method):
+    play_garbage(library, tmp_path, layout, 20_000 if method == "window" else 100_000, method=method)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("method", ["moment", "window", "tare"])
 @pytest.mark.parametrize("layout", ["cells", "heavy both"])
-def test_garbage_does_no_harm_in_single_precision(tmp_path, layout):
+def test_garbage_does_no_harm_in_single_precision(tmp_path, layout, method):
     assert NATIVE.sources.compile(tmp_path / "single.so", [*FLAGS, "-DSF_SINGLE"]) is None
-    play_garbage(NATIVE.load(tmp_path / "single.so"), tmp_path, layout, 100_000, "-DSF_SINGLE")
+    library = NATIVE.load(tmp_path / "single.so")
+    samples = 20_000 if method == "window" else 100_000
+    play_garbage(library, tmp_path, layout, samples, "-DSF_SINGLE", method=method)
 
 
+@pytest.mark.parametrize("method", ["moment", "window", "tare"])
 @pytest.mark.parametrize("layout", ["cells", "ankles", "both"])
-def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, layout):
+def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, layout, method):
     monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
-    (tmp_path / "robot.h").write_text(c_source(setup_of(layout)))
+    (tmp_path / "robot.h").write_text(c_source(setup_of(layout), method))
+    state, begun, fits = {
+        "moment": ("sf_state", "sf_calibrator_init(&robot, &state)", "sf_calibrator_fits(&robot)"),
+        "window": (
+            "sf_window_state",
+            "sf_window_init(&robot, &window, &state)",
+            "sf_window_fits(&robot, &window)",
+        ),
+        "tare": (
+            "sf_tare_state",
+            "sf_tare_init(&robot, &state)",
+            "tare.minimum_samples && sf_robot_fits(&robot)",
+        ),
+    }[method]
     (tmp_path / "size.c").write_text(
         '#include <stdio.h>\n#include "robot.h"\n'
-        "int main(void) { static sf_state state; sf_calibrator_init(&robot, &state);\n"
-        'printf("%lu", (unsigned long)sizeof state); return !sf_calibrator_fits(&robot); }\n'
+        f"int main(void) {{ static {state} state; {begun};\n"
+        f'printf("%lu", (unsigned long)sizeof state); return !({fits}); }}\n'
     )
     sizes = []
     for flags in ([], ["-DSF_SINGLE"]):
@@ -399,7 +482,7 @@ def test_a_robots_own_programs_print_what_python_replays(library, tmp_path, monk
         pytest.skip("the examples are not part of the wheel")
     monkeypatch.setattr("surefoot.calibration.native.config.installed", lambda: library)
     programs = runpy.run_path(str(path))["build_robot"](setup_of("cells"), tmp_path)
-    stream, log, lines, expected = MomentStream(setup_of("cells"), MomentFilterConfig()), Log("cells"), [], []
+    stream, log, lines, expected = online_method("moment", setup_of("cells")), Log("cells"), [], []
     missing_and_impossible(log)
     state = stream.init(log.force[0])
     for k in range(1000):
@@ -431,11 +514,12 @@ def test_every_field_of_a_record_is_in_the_table(library):
 def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library):
     initial = Parameters(np.ones(12), np.zeros(12))
     setup = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17)
-    assert native_filter(library, setup, {"cross_talk": 0.01}) is None
-    assert native_filter(library, setup, {"every": 32}) is None
+    assert native_filter(library, "moment", setup, {"every": 32}) is None
+    assert native_filter(library, "window", setup, {"window": 2.0}) is None
+    assert native_filter(library, "module:mine", setup, {}) is None
     late = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17, lag=9)
-    assert native_filter(library, late, {}) is None
-    assert native_filter(None, setup, {}) is None
+    assert native_filter(library, "moment", late, {}) is None
+    assert native_filter(None, "moment", setup, {}) is None
 
 
 @pytest.fixture

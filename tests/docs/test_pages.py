@@ -90,6 +90,7 @@ def trained_policy(_: Any = None) -> dict[str, Any]:
 def gpu_simulator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Two robots as tensors, and what the managers of Isaac Lab and mjlab hand out."""
     torch = pytest.importorskip("torch")
+    pytest.importorskip("warp")
 
     class Config:
         def __init__(self, **options: Any) -> None: ...

@@ -90,7 +90,7 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
     [
         ("import surefoot.envs", "gymnasium", "sim"),
         ("surefoot.wrappers.FootSensors", "mujoco", "sim"),
-        ("import surefoot.wrappers.gpu", "torch", "rl"),
+        ("import surefoot.wrappers.gpu", "torch", "gpu"),
         ("from surefoot.experiments import read_log", "pyarrow", "experiments"),
         ("import surefoot.wrappers.vector.sb3", "stable_baselines3", "rl"),
     ],

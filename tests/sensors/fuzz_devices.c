@@ -4,8 +4,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "surefoot_force_torque.h"
-#include "surefoot_sensors.h"
+#include "surefoot_feet.h"
 
 #if defined FORCE_TORQUE
 typedef sf_force_torque_config constants;
@@ -21,11 +20,18 @@ typedef sf_strain_gauges memory;
 #define STEP(load, dt) sf_strain_gauges_step(&config, &state, &stream, load, dt, counts)
 #define FELT SF_AXES
 #define CHANNELS config.channels
+#elif defined FAULTS
+typedef sf_faults_config constants;
+typedef sf_faults memory;
+#define FITS sf_faults_fits
+#define STEP(load, dt) (memcpy(counts, load, FELT * sizeof *load), sf_faults_step(&config, &state, &stream, dt, counts))
+#define FELT config.channels
+#define CHANNELS FELT
 #else
 typedef sf_cells_config constants;
 typedef sf_cells memory;
 #define FITS sf_cells_fits
-#define STEP(load, dt) sf_cells_step(&config, &state, &stream, load, SUBSTEPS, dt, counts)
+#define STEP(load, dt) read_feet(load, dt, k % 97 == 0)
 #define FELT (SUBSTEPS * config.channels)
 #define CHANNELS config.channels
 #endif
@@ -33,6 +39,23 @@ typedef sf_cells memory;
 
 static constants config;
 static memory state;
+static sf_random stream = {7, 0};
+static sf_real counts[SF_LOAD_CELLS];
+
+#ifdef CELLS
+/* By all that is under the feet, with an episode's start now and then. */
+static void read_feet(const sf_real *load, sf_real dt, int begins) {
+    static const int order[SF_LOAD_CELLS] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+    sf_feet feet;
+    memset(&feet, 0, sizeof feet);
+    feet.cells_config = &config, feet.cells = &state, feet.cells_stream = &stream;
+    feet.order = order, feet.dt = feet.first = dt, feet.more = 3;
+    if (begins)
+        sf_feet_begin(&feet, load, SUBSTEPS, NULL, counts);
+    else
+        sf_feet_step(&feet, load, SUBSTEPS, NULL, counts);
+}
+#endif
 
 static int fill(const char *name, void *record, size_t size) {
     FILE *file = fopen(name, "rb");
@@ -43,8 +66,7 @@ static int fill(const char *name, void *record, size_t size) {
 
 int main(int count, char **names) {
     static const double all[] = {NAN, HUGE_VAL, -HUGE_VAL, 3e38, -3e38, 1e-30, 0.0, -0.0, 1e6, -1e6};
-    static sf_real load[SUBSTEPS * SF_LOAD_CELLS], counts[SF_LOAD_CELLS];
-    sf_random stream = {7, 0};
+    static sf_real load[SUBSTEPS * SF_LOAD_CELLS];
     if (count != 4 || !fill(names[1], &config, sizeof config) || !fill(names[2], &state, sizeof state)) return 1;
     if (!FITS(&config)) return 2;
     long samples = atol(names[3]);

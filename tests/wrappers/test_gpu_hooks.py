@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip install 'surefoot[gpu]'")
+
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 from surefoot.wrappers.gpu.hooks import modifier_class, noise_model_class, observation_term_class
 

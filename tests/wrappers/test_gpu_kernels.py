@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(compiler() is None, reason="t
 
 HEADERS = "".join(
     f'#include "{name}.h"\n'
-    for name in ("device", "surefoot_view", "surefoot_force_torque", "surefoot_sensors", "surefoot_telemetry")
+    for name in ("device", "surefoot_view", "surefoot_window", "surefoot_feet", "surefoot_telemetry")
 )
 
 # One robot a thread: its own record of each array, but for the constants, which all share.
@@ -39,11 +39,22 @@ STEP = """
     double *out = (double *)found.data;
     sf_random *own = (sf_random *)stream.data + robot;
     if (what == 0) {
-        const sf_config *robot_config = (const sf_config *)c;
-        sf_calibrator_step_with(robot_config, (sf_state *)state.data + robot, (sf_work *)stream.data + robot,
-                                in + robot * robot_config->channels,
-                                (const sf_reference *)beliefs.data + robot, dt,
-                                (sf_estimate *)found.data + robot);
+        /* The constants of the method lie behind those of the robot; `rows` is its number. */
+        const sf_config *of = (const sf_config *)c;
+        const sf_belief *belief = (const sf_belief *)beliefs.data + robot;
+        const sf_reference *now = &belief->reference;
+        const sf_real *imu[] = {belief->accelerometer, belief->gyroscope}, *raw = in + robot * of->channels;
+        sf_estimate *told = (sf_estimate *)found.data + robot;
+        if (rows == 0)
+            sf_calibrator_step_with(of, (sf_state *)state.data + robot, (sf_work *)stream.data + robot, raw,
+                                    now, dt, told);
+        else if (rows == 1)
+            sf_window_step(of, (const sf_window_config *)(of + 1), (sf_window_state *)state.data + robot,
+                           (sf_window_work *)stream.data + robot, raw, now, imu, dt, told);
+        else if (rows == 2)
+            sf_tare_step(of, (const sf_tare_config *)(of + 1), (sf_tare_state *)state.data + robot, raw, now,
+                         dt, told);
+        else sf_uncorrected_step(of, (sf_front *)state.data + robot, raw, now, dt, told);
     } else if (what == 1) {
         const int K = ((const sf_cells_config *)c)->channels;
         sf_cells_step((const sf_cells_config *)c, (sf_cells *)state.data + robot, own, in + robot * rows * K,
@@ -57,9 +68,8 @@ STEP = """
         sf_strain_gauges_step((const sf_strain_gauges_config *)c, (sf_strain_gauges *)state.data + robot, own,
                               in + robot * SF_AXES, dt, out + robot * K);
     } else if (what == 4) {
-        sf_normals normals = {own, nullptr};
         sf_telemetry_advance((const sf_telemetry_config *)c, (sf_telemetry *)state.data + robot, in, in, dt,
-                             &normals, out);
+                             own, out);
     } else {
         const sf_timing *timing = (const sf_timing *)((const sf_model *)c + 1);
         sf_beliefs *s = (sf_beliefs *)state.data + robot;
@@ -151,27 +161,33 @@ def walking(rng):
     )
 
 
-def test_the_filter_in_a_kernel_is_that_of_the_library(module, tmp_path):
+@pytest.mark.parametrize("method", ["moment", "window", "tare", "none"])
+def test_a_calibrator_in_a_kernel_is_that_of_the_library(module, tmp_path, method):
     library = library_of(FILTER, tmp_path)
     setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
-    native = native_filter(library, setup, {})
+    native = native_filter(library, method, setup, {})
     expected = of_robots([native.init().record] * ROBOTS)
-    state, beliefs = expected.copy(), np.zeros(ROBOTS, native._reference.dtype)
-    work = np.full(ROBOTS * library.places["work"][""][2] // 8, np.nan)  # nothing of it is remembered
+    state, beliefs = expected.copy(), np.zeros(ROBOTS, native.belief.dtype)
+    own, number = native.constants.own, native.constants.number
+    constants = [one.reshape(1).view(np.uint8) for one in (native.constants.config, own) if one is not None]
+    size = library.places["window_work" if number else "work"][""][2]
+    work = np.full(ROBOTS * size // 8, np.nan)  # nothing of it is remembered
     estimate, wanted = (np.zeros(ROBOTS, native.estimate.now.dtype) for _ in range(2))
     raw, motion = walking(np.random.default_rng(5))
     for k in range(SAMPLES):
         for name in beliefs.dtype.names:
             beliefs[name] = getattr(motion, name)[k]
-        launch(0, 1, native.config, state, work, raw[k], beliefs, estimate)
+        launch(0, number, np.concatenate(constants), state, work, raw[k], beliefs, estimate)
         for robot in range(ROBOTS):
-            records = native.config, expected[robot : robot + 1], raw[k, robot], beliefs[robot : robot + 1]
-            out = wanted[robot : robot + 1].ctypes.data
-            library.functions.surefoot_step(*(part.ctypes.data for part in records), DT, out)
+            records = expected[robot : robot + 1], raw[k, robot], beliefs[robot : robot + 1]
+            at, out = native.addresses["filter"], wanted[robot : robot + 1].ctypes.data
+            library.functions.surefoot_step(at, *(part.ctypes.data for part in records), DT, out)
         same(estimate, wanted)
     same(state, expected)
-    assert estimate["flags"][1, 2] != 0
-    assert (np.abs(estimate["scale"] - 1.0) > 0.01).any(axis=1).all()
+    if method == "moment":
+        assert estimate["flags"][1, 2] != 0
+    learnt = np.abs(estimate["scale"] - 1.0) > 0.01, np.abs(estimate["offset"]) > 0.1
+    assert np.stack(learnt).any(axis=(0, 2)).all() == (method != "none")
 
 
 @pytest.mark.parametrize("name", INSTRUMENTS)
@@ -204,5 +220,12 @@ def test_all_headers_compile_for_a_gpu(module, tmp_path):
     (path,) = wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path), use_ptx=True)
     text = Path(path).read_text(errors="replace")
     assert ".target sm_90" in text
-    for function in ("sf_calibrator_step", "sf_cells_step", "sf_beliefs_packet", "sf_view_show", "sf_wire"):
+    for function in (
+        "sf_calibrator_step",
+        "sf_window_step",
+        "sf_cells_step",
+        "sf_beliefs_packet",
+        "sf_view_show",
+        "sf_wire",
+    ):
         assert function in text

@@ -229,6 +229,17 @@ def test_a_reference_may_be_asked_for_any_moment(library, model):
             same(expected.soles(time), native.soles(time))
 
 
+def test_an_episode_begins_with_nothing_believed(library, model):
+    native, fresh = (NativeBeliefs(library, python(model)) for _ in range(2))
+    native.update(motion(len(model.joint_names))[:60])
+    native.sample(0.4, None)
+    assert native.begun() is native
+    for name in native._state.dtype.names:
+        np.testing.assert_array_equal(native._state[name], fresh._state[name], err_msg=name)
+    same_info(fresh.info(), native.info())
+    np.testing.assert_array_equal(numbers(native, 0.0), numbers(fresh, 0.0))
+
+
 def test_other_masses_are_believed_from_then_on(library, model):
     packets = motion(len(model.joint_names))[:60]
     expected = python(model)

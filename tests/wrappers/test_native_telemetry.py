@@ -95,22 +95,16 @@ def same_state(native: NativeTelemetry, expected, found) -> None:
 
 
 QUICK = ("usual", "axes that are off", "jitter that holds packets up")
-RNGS = {"generator": np.random.default_rng, "stream": Stream.of}
 
 
 @pytest.mark.parametrize(
-    ("name", "rng"),
-    [
-        pytest.param(name, rng, marks=() if name in QUICK and rng == "stream" else pytest.mark.slow)
-        for name in TABLE
-        for rng in RNGS
-    ],
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in TABLE]
 )
-def test_the_library_is_the_python(library, name: str, rng: str) -> None:
+def test_the_library_is_the_python(library, name: str) -> None:
     arguments = TABLE[name]
     joints, _, _, _, dt, substeps = arguments
     python, native = Telemetry(*arguments), NativeTelemetry(library, *arguments)
-    motion, rngs = Motion(joints, dt, substeps), [RNGS[rng](3), RNGS[rng](3)]
+    motion, rngs = Motion(joints, dt, substeps), [Stream.of(3), Stream.of(3)]
     rest = np.array([0.1, 0.0, 9.8, 0.0, 0.0, 0.01])
     packets, expected = python.init(np.full(joints, 0.2), rest, rngs[0])
     others, found = native.init(np.full(joints, 0.2), rest, rngs[1])
@@ -139,10 +133,10 @@ def test_hardware_is_kept_and_exchanged(library, name: str) -> None:
     arguments = TABLE[name]
     joints = arguments[0]
     python, native = Telemetry(*arguments), NativeTelemetry(library, *arguments)
-    rng, rest = np.random.default_rng(5), np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
+    rng, rest = Stream.of(5), np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
     _, first = python.init(np.zeros(joints), rest, rng)
     hardware = python.hardware(first)
-    rngs = [np.random.default_rng(6), np.random.default_rng(6)]
+    rngs = [Stream.of(6), Stream.of(6)]
     _, expected = python.init(np.zeros(joints), rest, rngs[0], hardware)
     _, found = native.init(np.zeros(joints), rest, rngs[1], hardware)
     same_state(native, expected, found)
@@ -155,7 +149,7 @@ def test_hardware_is_kept_and_exchanged(library, name: str) -> None:
 def test_a_crowded_link_goes_on_in_python_and_comes_back(library) -> None:
     arguments = TABLE["usual"]
     python, native = Telemetry(*arguments), NativeTelemetry(library, *arguments)
-    motion, rngs = Motion(24, 1 / 80, 10), [np.random.default_rng(3), np.random.default_rng(3)]
+    motion, rngs = Motion(24, 1 / 80, 10), [Stream.of(3), Stream.of(3)]
     rest = np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
     _, expected = python.init(np.zeros(24), rest, rngs[0])
     _, found = native.init(np.zeros(24), rest, rngs[1])
@@ -186,7 +180,7 @@ def test_what_does_not_fit_is_python(library, monkeypatch) -> None:
 
 def test_a_step_of_other_rows_goes_the_python_way(library) -> None:
     python, native = Telemetry(*TABLE["usual"]), NativeTelemetry(library, *TABLE["usual"])
-    rngs = [np.random.default_rng(3), np.random.default_rng(3)]
+    rngs = [Stream.of(3), Stream.of(3)]
     expected, found = (
         telemetry.init(np.zeros(24), np.zeros(6), rng)[1]
         for telemetry, rng in zip((python, native), rngs, strict=True)

@@ -1,16 +1,22 @@
-"""What torch modules over batches of robots have in common: who is meant, which step it is, what is kept."""
+"""What modules over many robots have in common: who is meant, which step it is, and their records."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from surefoot.calibration.setup import OLD_NAMES
+from surefoot.wrappers.gpu.kernels import Kernel
 
 RobotIds = Tensor | slice | Sequence[int] | int | None
 """Robots as managers name them: their numbers or one, a mask (bool), a slice, or ``None`` for all."""
+
+DTYPES = {torch.float32: True, torch.float64: False}
+"""Dtypes of readings, and whether the kernels' numbers are floats rather than doubles then."""
 
 Counter = Callable[[], int]
 """Returns the number of the simulation step, such as ``lambda: env.common_step_counter``."""
@@ -62,21 +68,21 @@ def mask_of(env_ids: RobotIds, num_envs: int, device: torch.device) -> Tensor:
 
 
 class BatchModule(nn.Module, ABC):
-    """A module that holds the state of N robots and steps with a simulator.
+    """A module that holds a record of each of N robots and steps with a simulator.
 
-    Its state is a value that each step replaces, so that it is no buffer of the module's: it goes into
-    ``state_dict()`` as extra state, and stays on the device and in the dtype that it was made for.
+    Records are bytes on the device, which kernels change in place. They are no buffers of torch's, as their
+    layout is of one dtype: they go into ``state_dict()`` as extra state.
 
     Args:
         num_envs: Number N of robots.
         device: Where everything is; readings must be there as well.
-        dtype: A floating dtype; readings are brought to it.
+        dtype: ``float32`` or ``float64``; readings are brought to it.
         dt: Time between steps in s.
         counter: Returns the number of the simulation step; ``None`` if it is given at the calls, or every
             call is a step. May be set later.
 
     Raises:
-        ValueError: If there is no robot, no time between steps, or the dtype cannot hold NaN.
+        ValueError: If there is no robot, no time between steps, or no kernel of that dtype.
     """
 
     counter: Counter | None
@@ -94,14 +100,16 @@ class BatchModule(nn.Module, ABC):
             raise ValueError(f"'num_envs' must be a positive whole number, got {num_envs!r}.")
         if not 0.0 < dt < float("inf"):
             raise ValueError(f"'dt' must be a positive time between steps in s, got {dt}.")
-        if not dtype.is_floating_point:
-            raise ValueError(f"'dtype' must be a floating one, got {dtype}.")
+        if dtype not in DTYPES:
+            raise ValueError(f"'dtype' must be torch.float32 or torch.float64, got {dtype}.")
         self.num_envs, self.dt, self.dtype = num_envs, float(dt), dtype
         # A plain "cuda" is the current device, as tensors made on it have it.
         self.device = torch.empty(0, device=device).device
         self.counter = counter
         self._last: int | None = None
-        self._starting: Tensor | None = None
+        self._records: dict[str, Tensor] = {}
+        self._starting = self._kept("starting", torch.ones(num_envs, dtype=torch.bool))
+        self._asked = True  # whether an episode may have started since the last call
 
     @abstractmethod
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
@@ -124,21 +132,46 @@ class BatchModule(nn.Module, ABC):
         self._last = step
         return not again
 
+    def _kept(self, name: str, values: Tensor) -> Tensor:
+        """Move values to the device, and let them be saved and restored in place."""
+        self._records[name] = values.to(self.device, copy=True).contiguous()
+        return self._records[name]
+
+    def _record(self, record: NDArray[Any], robots: int = 1) -> Tensor:
+        """Return one record for each of some robots, or records as they are, on the device, in bytes."""
+        rows = torch.from_numpy(np.atleast_1d(record).view(np.uint8).reshape(record.size, -1))
+        return rows.to(self.device).expand(max(robots, record.size), -1).clone()
+
     def _note_starting(self, env_ids: RobotIds) -> Tensor:
         """Remember until the next call whose episodes start, and return the mask, shape (N,)."""
         mask = mask_of(env_ids, self.num_envs, self.device)
-        self._starting = mask if self._starting is None else self._starting | mask
+        self._starting |= mask
+        self._asked = True
         return mask
 
-    def _saved_steps(self) -> dict[str, Any]:
-        """Return which step it is and whose episodes start."""
-        return {"returned": self._starting, "last": self._last}
+    def _saved(self, kernel: Kernel, identity: dict[str, Any]) -> dict[str, Any]:
+        """Return all that is kept, for ``state_dict()``."""
+        kept = {name: record.clone() for name, record in self._records.items()}
+        return {"identity": identity | {"records": kernel.layout}, "last": self._last, **kept}
 
-    def _restore_steps(self, saved: dict[str, Any]) -> None:
-        """Go on from what :meth:`_saved_steps` returned."""
-        returned = saved["returned"]
-        self._starting = None if returned is None else returned.to(self.device, copy=True)
-        self._last = saved["last"]
+    def _restore(self, kernel: Kernel, saved: dict[str, Any], identity: dict[str, Any]) -> None:
+        """Go on from what :meth:`_saved` returned.
+
+        Raises:
+            ValueError: If it is of another module, with the first difference.
+        """
+        for name, ours in (identity | {"records": kernel.layout}).items():
+            theirs = saved.get("identity", {}).get(name)
+            if name == "method":
+                theirs = OLD_NAMES.get(theirs, theirs)
+            if theirs != ours:
+                raise ValueError(
+                    f"The saved state is of another {type(self).__name__}: its {name} is {theirs!r}, this "
+                    f"one's {ours!r}; make the module as it was when the state was saved."
+                )
+        for name, record in self._records.items():
+            record.copy_(saved[name])
+        self._last, self._asked = saved["last"], True
 
     def _bring(self, values: Tensor, name: str, tails: tuple[tuple[str, ...], ...], channels: int) -> Tensor:
         """Check a batch of values and bring it to the module's dtype, without its graph.
@@ -176,51 +209,17 @@ class BatchModule(nn.Module, ABC):
             )
         return super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
 
-    def _check_saved(self, saved: dict[str, Any], identity: dict[str, Any]) -> None:
-        """Raise ValueError if a saved state is of another module, with the first difference."""
-        for name, ours in identity.items():
-            theirs = saved.get("identity", {}).get(name)
-            if name == "method":
-                theirs = OLD_NAMES.get(theirs, theirs)
-            if theirs != ours:
-                raise ValueError(
-                    f"The saved state is of another {type(self).__name__}: its {name} is {theirs!r}, this "
-                    f"one's {ours!r}; make the module as it was when the state was saved."
-                )
 
+def views(records: Tensor, layout: np.dtype[Any]) -> dict[str, Tensor]:
+    """Return the fields of records of N robots, which share their memory, by name, shape (N, ...).
 
-def flat(tree: Any) -> list[Any]:
-    """List the leaves of a state."""
-    return [leaf for part in tree for leaf in flat(part)] if isinstance(tree, tuple) else [tree]
-
-
-def saved_leaves(tree: Any) -> list[Any]:
-    """Copy the leaves of a state, to be kept."""
-    return [leaf.clone() if isinstance(leaf, Tensor) else leaf for leaf in flat(tree)]
-
-
-def restored(like: Any, leaves: list[Any], device: torch.device) -> Any:
-    """Put saved leaves back into a tree of the same form.
-
-    Raises:
-        ValueError: If they are not of such a tree.
+    Args:
+        records: The records in bytes, shape (N, size).
+        layout: What is in one.
     """
-    wanted = flat(like)
-    if [_kind(leaf) for leaf in wanted] != [_kind(leaf) for leaf in leaves]:
-        raise ValueError(
-            "The saved state does not fit: its arrays have other shapes or dtypes than this module's."
-        )
-    rest = iter(leaves)
-
-    def rebuild(tree: Any) -> Any:
-        if isinstance(tree, tuple):
-            parts = [rebuild(part) for part in tree]
-            return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
-        leaf = next(rest)
-        return leaf.to(device, copy=True) if isinstance(leaf, Tensor) else leaf
-
-    return rebuild(like)
-
-
-def _kind(leaf: Any) -> Any:
-    return (tuple(leaf.shape), leaf.dtype) if isinstance(leaf, Tensor) else type(leaf)
+    found = {}
+    for name, (field, offset, *_) in (layout.fields or {}).items():
+        kind, shape = field.subdtype or (field, ())
+        part = records[:, offset : offset + field.itemsize].view(getattr(torch, kind.name))
+        found[name] = part.view(len(part), *shape) if shape else part[:, 0]
+    return found

@@ -4,25 +4,66 @@
     counts = feet(force, step=env.common_step_counter)      # (N, K), or (N, S, K) for S substeps of a step
     feet.reset(env_ids)                                     # as managers call it
 
-Nothing is copied to the host. torch is imported by the modules of this package alone.
+A step is one kernel of ``sensors/native/surefoot_feet.h``, a robot a thread; nothing is copied to the host.
 """
 
-from collections.abc import Mapping, Sequence
-from math import ceil
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
-from surefoot.sensors import Fault, LoadCells, channel_faults, parse_fault, scaled
+from surefoot.sensors import Fault, LoadCells, parse_fault, scaled
 from surefoot.sensors.devices.load_cells import true_map
-from surefoot.sensors.faults.words import CELLS, FEET
+from surefoot.sensors.devices.native_cells import CELLS
+from surefoot.sensors.devices.native_device import Kind, NativeDevice, NativeState, native_device
+from surefoot.sensors.devices.native_faults import FAULTS, Broken
+from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
+from surefoot.sensors.faults.words import CELLS as CELL_NAMES
+from surefoot.sensors.faults.words import FEET
 from surefoot.sensors.presets import resolve
-from surefoot.sensors.select import batch_axes, select
+from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.foot_device import FootDevice, foot_corruption, foot_device
-from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, restored, saved_leaves
+from surefoot.wrappers.foot_device import (
+    SENSOR_STREAM,
+    FootDevice,
+    device_streams,
+    first_steps,
+    foot_device,
+)
+from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds
+from surefoot.wrappers.gpu.kernels import Kernel, kernel
+
+_ADVANCE, _BROKEN = 1, 2
+"""What a thread is told: that this is a new step, and that channels have faults."""
+
+_BODY = """
+    sf_random *streams = (sf_random *)own.data + 2 * robot;
+    unsigned char *starts = (unsigned char *)marks.data + robot;
+    const sf_{kind}_config *device = (const sf_{kind}_config *)config.data;
+    const int K = {channels};
+    const sf_real *load = (const sf_real *)given.data + (size_t)robot * rows * K;
+    sf_real *counts = (sf_real *)found.data + (size_t)robot * K;
+    sf_feet feet;
+    memset(&feet, 0, sizeof feet);
+    feet.{kind}_config = device, feet.{kind} = (sf_{kind} *)state.data + robot, feet.{kind}_stream = streams;
+    if (what & 2) {{
+        feet.faults_config = (const sf_faults_config *)more.data;
+        feet.faults = (sf_faults *)other.data + robot, feet.faults_stream = streams + 1;
+    }}
+    feet.dt = dt, feet.first = span, feet.more = count;
+    if (*starts) sf_feet_begin(&feet, load, rows, load, counts);
+    else if (what & 1) sf_feet_step(&feet, load, rows, load, counts);
+    *starts = 0;
+"""
+
+_DEVICES = {
+    True: (CELLS, "device->channels", "cells"),
+    False: (FORCE_TORQUE, "6 * device->sensors", "ankles"),
+}
+"""For load cells and for others: how the library has them, their channels there, who draws for them."""
 
 
 class FootSensorsModule(BatchModule):
@@ -33,21 +74,22 @@ class FootSensorsModule(BatchModule):
     of the same readings at the others. Without one every call is a step.
 
     **Resets.** Sensors are hardware: a robot that starts an episode keeps its own, and drift goes on. With
-    ``fresh=True`` it gets fresh ones. Either way converters with a clock run through under the first load of
-    the new episode, so that no reading is of the one before, even when asked again within the same step.
+    ``fresh=True`` it gets fresh ones, which are drawn on the host. Either way the first load of the new
+    episode runs through converters, filters and wires, so that no reading is of the one before, even when
+    asked again within the same step.
 
     **Loads that are not finite**, as of a simulation that blew up, read NaN at the robot that has them and
     have no effect after its next finite ones. Forces come in without their graph: nothing is differentiated.
 
-    **Chance.** One generator on the device, seeded, draws for the whole batch: the same seed, calls and
-    resets give the same readings on the same device, but what one robot reads depends on how many there are.
+    **Chance** belongs to the robot: robot i of a module with seed s has the sensors and reads the counts of
+    :class:`~surefoot.wrappers.FootSensors` with seed s + i, however many there are and on any device.
 
     Args:
         config: The name of a preset, a mapping or a configuration.
         num_envs: Number N of robots.
         device: Where forces are and readings are wanted.
-        dtype: Of readings. ``float32`` holds every code of a 24-bit converter.
-        seed: Of the generator.
+        dtype: Of readings, ``float32`` or ``float64``. ``float32`` holds every code of a 24-bit converter.
+        seed: Of the first robot; it counts up.
         dt: Time between steps in s.
         severity: Factor of all errors: 0 for none, 1 for the configuration's; see
             :func:`surefoot.sensors.scaled`.
@@ -64,12 +106,9 @@ class FootSensorsModule(BatchModule):
         nominal: The map that a robot may know, by the data sheet, shape (K,) each: where a calibrator starts.
 
     Raises:
-        ValueError: If a preset is unknown, a value is refused, a fault cannot happen, or more readings are
-            under way than the wire holds (:func:`~surefoot.sensors.transport.wire.check_wire`).
-
-    >>> feet = FootSensorsModule("perfect", 2, dt=0.02)
-    >>> feet(torch.full((2, 8), 6.5)).tolist()[0]
-    [6.5, 6.5, 6.5, 6.5, 6.5, 6.5, 6.5, 6.5]
+        ValueError: If a preset is unknown, a value is refused, a fault cannot happen, there is no kernel for
+            such sensors, or more readings are under way than the wire holds
+            (:func:`~surefoot.sensors.transport.wire.check_wire`).
     """
 
     def __init__(
@@ -91,20 +130,21 @@ class FootSensorsModule(BatchModule):
         self.channels = self.config.channels
         self.nominal = Parameters(1.0 / self.config.slope, -self.config.zero_code / self.config.slope)
         self._blocks = isinstance(self.config, LoadCells)
-        self._cells = foot_corruption(self.config)
-        broken = tuple(_fault(fault, self.config) for fault in faults)
-        self._faults = channel_faults(broken, self.config) if broken else None
-        self._fault_notes = repr(broken)
-        self._first_steps = _first_steps(self.config, self.dt)
-        for _, apart in [(1, self.dt), *self._first_steps]:
-            check_wire(self.config, apart)
+        self._broken = Broken(tuple(_fault(fault, self.config) for fault in faults), self.config)
+        FAULTS.build(self._broken)  # refuses faults that cannot happen
+        check_wire(self.config, self.dt)
+        first, *more = first_steps((self.config,), self.dt)
+        self._first = len(more), first
         self._slope = torch.as_tensor(self.config.slope, dtype=dtype, device=self.device)
-        axes = batch_axes(self._cells, self.channels)
-        self._axes = (axes, () if self._faults is None else batch_axes(self._faults, self.channels))
-        self._generator = torch.Generator(device=self.device)
-        self._generator.manual_seed(seed)
-        self._state = self._draw()
-        self._reading: Tensor | None = None
+        self._kernel = self._build()
+        kind, _, self._part = _DEVICES[self._blocks]
+        parts = self._device(kind, self.config), self._device(FAULTS, self._broken)
+        self._config, self._faults_config = (self._record(part.constants) for part in parts)
+        streams = [device_streams(SENSOR_STREAM, seed + robot) for robot in range(num_envs)]
+        drawn = self._draw((own[self._part], own["faults"]) for own in streams)
+        names = "sensors", "faults", "streams"
+        self._sensors, self._faults, self._streams = map(self._kept, names, drawn)
+        self._reading = self._kept("reading", torch.full((num_envs, self.channels), torch.nan, dtype=dtype))
 
     def forward(self, force: Tensor, step: int | None = None) -> Tensor:
         """Read the sensors.
@@ -122,35 +162,38 @@ class FootSensorsModule(BatchModule):
             ValueError: If their shape or device is not the module's.
         """
         tails = (("channels",), ("S", "channels")) if self._blocks else (("channels",),)
-        force = self._bring(force, "force", tails, self.channels)
-        block = force[:, None] if force.ndim == 2 and self._blocks else force
-        advances, before, starting = self._begins(step), self._state, self._starting
-        plain, first = [(block, self.dt)], self._first(block)
-        if self._reading is None:
-            reading, state = self._read(first, self._with_finite_loads(before, block))
-        else:
-            reading, state = self._read(plain, before) if advances else (self._reading, before)
-            # Sensors that remember no load read the step itself as their first.
-            if starting is not None and (len(self._first_steps) > 0 or not advances):
-                first_reading, after = self._read(first, self._with_finite_loads(before, block))
-                reading = torch.where(starting[:, None], first_reading, reading)
-                state = select(starting, after, state, self._axes)
-        self._reading, self._state, self._starting = reading, state, None
-        return reading.clone()
+        force = self._bring(force, "force", tails, self.channels).contiguous()
+        advances = self._begins(step)
+        if advances or self._asked:
+            count, first = self._first
+            given = (
+                *(self._config, self._sensors, self._streams, force, self._faults_config, self._reading),
+                *(self._starting, self._faults),
+            )
+            what = _ADVANCE * advances + _BROKEN * bool(self._broken.faults)
+            rows = force.shape[1] if force.ndim == 3 else 1
+            self._kernel.launch(self.num_envs, given, what, rows, count, self.dt, first)
+            self._asked = False
+        return self._reading.clone()
 
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
         """Start new episodes.
 
         Args:
             env_ids: Robots that begin one; all by default.
-            fresh: Whether they get fresh sensors: scales, offsets, clocks, and the time of faults.
+            fresh: Whether they get fresh sensors: scales, offsets, clocks, and the time of faults. They are
+                drawn on the host, which waits for a GPU.
 
         Raises:
             ValueError: If there is no such robot.
         """
         mask = self._note_starting(env_ids)
         if fresh:
-            self._state = select(mask, self._draw(), self._state, self._axes)
+            those = mask.nonzero()[:, 0]
+            keys = self._streams[those].cpu().numpy().view(np.uint64).reshape(-1, 2, 2)
+            drawn = self._draw(tuple(map(_stream, pair)) for pair in keys)
+            for kept, new in zip((self._sensors, self._faults, self._streams), drawn, strict=True):
+                kept[those] = new.to(self.device)
 
     def newtons(self, counts: Tensor) -> Tensor:
         """Return counts in N (and N m) by the data sheet: what a robot without a calibrator believes."""
@@ -159,22 +202,23 @@ class FootSensorsModule(BatchModule):
     def true_parameters(self) -> Parameters:
         """Return the map that undoes the load cells' errors now, shape (N, K) each: truth, to score by.
 
+        It is worked out on the host.
+
         Raises:
             TypeError: If the sensors are not load cells.
         """
         if not isinstance(self.config, LoadCells):
             raise TypeError("Only load cells have a map of their own for each channel.")
-        return Parameters(*true_map(self.config, self._state[0]))
+        cells = self._device(CELLS, self.config)
+        records = np.split(self._sensors.cpu().numpy().view(cells.layout), self.num_envs)
+        states = (cells.unpack(NativeState(one.reshape(()), cells)) for one in records)
+        maps = [true_map(self.config, state) for state in states]
+        parts = (np.stack(part) for part in zip(*maps, strict=True))
+        return Parameters(*(torch.as_tensor(p, dtype=self.dtype, device=self.device) for p in parts))
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Return everything for ``state_dict()``: sensors, the last readings and the random stream."""
-        return {
-            "identity": self._identity(),
-            "leaves": saved_leaves(self._state),
-            "generator": self._generator.get_state(),
-            "reading": None if self._reading is None else self._reading.clone(),
-            **self._saved_steps(),
-        }
+        """Return everything for ``state_dict()``: sensors, the last readings and the random streams."""
+        return self._saved(self._kernel, self._identity())
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Go on, bit for bit, from what :meth:`get_extra_state` returned.
@@ -182,55 +226,55 @@ class FootSensorsModule(BatchModule):
         Raises:
             ValueError: If it is of other sensors.
         """
-        self._check_saved(state, self._identity())
-        self._state = restored(self._state, state["leaves"], self.device)
-        self._generator.set_state(state["generator"].cpu())
-        reading = state["reading"]
-        self._reading = None if reading is None else reading.to(self.device, copy=True)
-        self._restore_steps(state)
+        self._restore(self._kernel, state, self._identity())
 
     def _identity(self) -> dict[str, Any]:
         return {
             "configuration": repr(self.config),
-            "faults": self._fault_notes,
+            "faults": repr(self._broken.faults),
             "num_envs": self.num_envs,
             "dt": self.dt,
             "dtype": str(self.dtype),
-            "device": self.device.type,  # the streams of generators differ
         }
 
-    def _draw(self) -> Any:
-        """Draw sensors for all robots."""
-        shape = (self.num_envs, self.channels)
-        cells = self._cells.init(shape, self._generator, self.dtype)
-        faults = () if self._faults is None else self._faults.init(shape, self._generator, self.dtype)
-        return cells, faults
+    def _build(self) -> Kernel:
+        """Return the kernel, with room for these sensors."""
+        kind, channels, _ = _DEVICES[self._blocks]
+        config = self.config
+        cells = isinstance(config, LoadCells)
+        sizes = {
+            "ON_WIRE": max(16, self.channels),
+            "UNDER_WAY": max(16, config.wire.under_way),
+            "LOAD_CELLS": max(16, self.channels if cells else 0),
+            "SETTLING": max(8, config.settling if isinstance(config, LoadCells) else 0),
+            "SIX_AXIS": max(2, 0 if cells else self.channels // 6),
+            "FAULTS": max(16, len(self._broken.faults)),
+        }
+        fits = tuple(f"surefoot_{name}_fits" for name in (kind.name, FAULTS.name))
+        body = _BODY.format(kind=kind.name, channels=channels)
+        return kernel("sensors", ("surefoot_feet",), body, fits, tuple(sizes.items()), DTYPES[self.dtype])
 
-    def _with_finite_loads(self, state: Any, block: Tensor) -> Any:
-        """Return a state in which loads before an episode that were not finite are its first load."""
-        if not self._blocks:
-            return state
-        cells, faults = state
-        known = torch.isfinite(cells.previous)
-        return cells._replace(previous=torch.where(known, cells.previous, block[:, -1])), faults
+    def _device(self, kind: Kind, config: Any) -> NativeDevice:
+        device = native_device(self._kernel.library, kind, config)
+        if device is None:
+            raise ValueError(
+                "There is no kernel for such sensors, which FootSensors reads in Python: cells that average "
+                "('settling') without a clock ('rate'), or of more mechanics than docs/native.md allows."
+            )
+        return device
 
-    def _first(self, block: Tensor) -> list[tuple[Tensor, float]]:
-        """Return for how long the last load of a block lasts before an episode's first reading."""
-        if not self._first_steps:
-            return [(block, self.dt)]
-        if not self._blocks:
-            return [(block, dt) for _, dt in self._first_steps]
-        return [(block[:, -1:].expand(-1, rows, -1), dt) for rows, dt in self._first_steps]
-
-    def _read(self, blocks: list[tuple[Tensor, float]], state: Any) -> tuple[Tensor, Any]:
-        """Apply loads one after the other, and return the last reading."""
-        cells, faults = state
-        counts = blocks[0][0]
-        for block, dt in blocks:
-            counts, cells = self._cells.apply(block, cells, self._generator, dt)
-        if self._faults is not None:
-            counts, faults = self._faults.apply(counts, faults, self._generator, self.dt)
-        return counts, (cells, faults)
+    def _draw(self, streams: Iterable[tuple[Stream, ...]]) -> tuple[Tensor, Tensor, Tensor]:
+        """Draw sensors of some robots, each from its own two streams; return records and streams in bytes."""
+        kind, _, _ = _DEVICES[self._blocks]
+        makers = [
+            (self._device(*of), of[0].build(of[1])) for of in ((kind, self.config), (FAULTS, self._broken))
+        ]
+        drawn: list[list[Any]] = [[], [], []]
+        for own in streams:
+            for (device, python), stream, records in zip(makers, own, drawn, strict=False):
+                records.append(device.pack(python.init((self.channels,), stream)).record)
+            drawn[2].append(np.stack([stream.record for stream in own]))
+        return tuple(_in_bytes(records) for records in drawn)  # type: ignore[return-value]
 
 
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -241,24 +285,19 @@ def _fault(given: str | Fault | Mapping[str, Any], config: FootDevice) -> Fault:
     """Make a fault of what a user gives."""
     if not isinstance(given, str):
         return resolve(given, Fault)
-    cells = CELLS if isinstance(config, LoadCells) else AXES
+    cells = CELL_NAMES if isinstance(config, LoadCells) else AXES
     feet = config.channels // len(cells)
     names = FEET[:feet] if feet <= len(FEET) else [str(number) for number in range(1, feet + 1)]
     return parse_fault(given, names, cells)
 
 
-def _first_steps(config: FootDevice, dt: float) -> list[tuple[int, float]]:
-    """Return in how many substeps, and for how long each, a load must last until readings are of it alone.
+def _stream(record: Any) -> Stream:
+    """Return a stream that goes on where a kernel's did, of its key and the number of its next block."""
+    stream = Stream(record[0])
+    stream.record["count"] = record[1]
+    return stream
 
-    Returns:
-        Pairs of the number of substeps and their time in s; none for an instrument that remembers no load.
-    """
-    rate = config.rate if isinstance(config, LoadCells) else None
-    period = dt if rate is None else 1.0 / rate[0]
-    averaged = config.settling if isinstance(config, LoadCells) else 1
-    late = ceil((config.wire.delay + 3.0 * config.wire.jitter) / period - 1e-9)
-    if rate is None and averaged + late == 1:
-        return []
-    # Of two substeps of the same load the second begins with that load, and every chip converts in it.
-    first = (1, period) if rate is None else (2, 2.0 * period)
-    return [first, *[(1, period)] * (averaged - 1 + late)]
+
+def _in_bytes(records: list[Any]) -> Tensor:
+    """Return records of robots, a row each."""
+    return torch.from_numpy(np.stack([np.atleast_1d(one).view(np.uint8) for one in records]))

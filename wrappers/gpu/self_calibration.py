@@ -5,19 +5,97 @@
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
 
-Nothing is copied to the host but a few bits a step: whether anything is to be done for faults.
+A step is one kernel of the headers in ``calibration/native/``, a robot a thread; nothing is copied to the
+host.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, online_method
-from surefoot.calibration.episodes import begin_episode, select, update_frozen
+from surefoot.calibration.native import native_filter
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.names import plain_name
-from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of, restored, saved_leaves
+from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds, mask_of, views
+from surefoot.wrappers.gpu.kernels import kernel
+from surefoot.wrappers.lag import waiting_samples
+
+_ADVANCE, _FROZEN, _FRESH, _RETRACT = 1, 2, 4, 8
+"""What a thread is told: that this is a new step; that nothing is learnt; in place of a step to start fresh,
+or to take back, if its robot is marked."""
+
+
+_HEADERS = "surefoot_beliefs", "surefoot_window"
+
+
+class _Steps(NamedTuple):
+    """A method in C: its state, what it works in, its own constants, and calls of its functions."""
+
+    state: str
+    work: str
+    own: str
+    step: str
+    retract: str = ""
+
+
+_WINDOW = _Steps(
+    "sf_window_state",
+    "sf_window_work",
+    "sf_window_config",
+    "sf_window_step(c, m, s, work, raw, &belief.reference, imu, (sf_real)dt, out)",
+)
+_STEPS = {
+    "moment": _Steps(
+        "sf_state",
+        "sf_work",
+        "char",
+        "sf_calibrator_step_with(c, s, work, raw, &belief.reference, (sf_real)dt, out)",
+        "sf_calibrator_retract_with(c, s, work)",
+    ),
+    "window": _WINDOW,
+    "quasi-static": _WINDOW,
+    "tare": _Steps(
+        "sf_tare_state",
+        "char",
+        "sf_tare_config",
+        "sf_tare_step(c, m, s, raw, &belief.reference, (sf_real)dt, out)",
+    ),
+    "none": _Steps(
+        "sf_front", "char", "char", "sf_uncorrected_step(c, s, raw, &belief.reference, (sf_real)dt, out)"
+    ),
+}
+
+_BODY = """
+    const sf_config *c = (const sf_config *)config.data;
+    const {own} *m = (const {own} *)rest.data;
+    {state} *s = ({state} *)state.data + robot;
+    {work} *work = ({work} *)own.data + (own.shape[0] > 1 ? robot : 0);
+    if (what & 12) {{
+        if (!((const unsigned char *)given.data)[robot]) return;
+        if (what & 4) *s = *(const {state} *)more.data;
+        else {{ {retract}; }}
+        return;
+    }}
+    unsigned char *starts = (unsigned char *)marks.data + robot;
+    int *waits = (int *)other.data + robot;
+    if (!*starts && !(what & 1)) return;
+    sf_belief belief = ((const sf_belief *)more.data)[robot];
+    if (what & 2 || *waits > 0) {{ /* nothing is learnt of a reference that is not known */
+        belief.reference.com[0] = (sf_real)NAN;
+        memset(belief.reference.stance, 0, sizeof belief.reference.stance);
+        memset(belief.reference.swing, 0, sizeof belief.reference.swing);
+    }}
+    *waits -= *waits > 0;
+    *starts = 0;
+    const sf_real *imu[] = {{belief.accelerometer, belief.gyroscope}};
+    const sf_real *raw = (const sf_real *)given.data + (size_t)robot * c->channels;
+    sf_estimate *out = (sf_estimate *)found.data + robot;
+    (void)imu, (void)m, (void)work;
+    {step};
+"""
 
 
 class SelfCalibrationModule(BatchModule):
@@ -26,18 +104,21 @@ class SelfCalibrationModule(BatchModule):
     **Steps.** As of :class:`~surefoot.wrappers.gpu.FootSensorsModule`: with a step's number, from the
     argument ``step`` or from ``counter``, a sample is taken in once however often it is handed over.
 
-    **Resets.** A robot that begins a new episode keeps what it has learnt, and nothing is learnt from samples
-    on two sides of the seam. With ``fresh=True``, for a robot that got fresh sensors, it starts fresh.
+    **Resets.** A robot that begins a new episode keeps what it has learnt, and nothing is learnt before its
+    references are of the new episode. With ``fresh=True``, for a robot that got fresh sensors, it starts
+    fresh.
 
     **Beliefs.** A reference must hold what a robot can know of itself, never the simulator's truth: joint
     encoders and an IMU with their errors, and a model with a mass and a centre of mass that are a little off.
 
+    Each robot is a :class:`~surefoot.calibration.FootCalibrator` of its own, with its numbers to rounding.
+
     Args:
         layout: How the channels make up the feet's wrenches.
-        method: A key of :data:`~surefoot.calibration.online.METHODS`.
+        method: A key of :data:`~surefoot.calibration.online.METHODS` that comes with this package.
         num_envs: Number N of robots.
         device: Where everything is.
-        dtype: Of readings and estimates.
+        dtype: Of readings and estimates, ``float32`` or ``float64``.
         mass: Mass of the robots as they believe it, in kg.
         dt: Time between steps in s. Options that count samples (``every``, ``average``, ``settle``) are made
             for 80 of them a second.
@@ -54,7 +135,7 @@ class SelfCalibrationModule(BatchModule):
         frozen: Whether nothing is learnt for the time being.
 
     Raises:
-        ValueError: If the method or an option does not exist, or a value has no meaning.
+        ValueError: If the method or an option does not exist or has no kernel, or a value has no meaning.
     """
 
     def __init__(
@@ -77,13 +158,39 @@ class SelfCalibrationModule(BatchModule):
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
-        self._method = online_method(self.method, self.setup, **options)
         self._options = dict(sorted(options.items()))
-        self._fresh = self._method.init(
-            torch.zeros((num_envs, layout.channels), dtype=dtype, device=self.device)
+        online_method(self.method, self.setup, **options)  # refuses what there is not
+        if self.method not in _STEPS:
+            raise ValueError(
+                f"Method {self.method!r} has no kernel; methods that have one: {', '.join(_STEPS)}."
+            )
+        steps, sizes = _STEPS[self.method], _sizes(layout, self.setup.lag)
+        body, fits = _BODY.format(**steps._asdict()), ("surefoot_fits",)
+        self._kernel = kernel("calibration", _HEADERS, body, fits, sizes, DTYPES[dtype])
+        library = self._kernel.library
+        native = native_filter(library, self.method, self.setup, options)
+        fresh = None if native is None else native.pack(native.constants.like)
+        if native is None or fresh is None:
+            raise ValueError(
+                f"There is no kernel of {self.method!r} with the options {self._options}; docs/native.md has "
+                "its limits."
+            )
+        own = native.constants.own
+        self._config, self._fresh = self._record(native.constants.config), self._record(fresh.record)
+        self._own = self._config if own is None else self._record(own)
+        # On a CPU robots come one after the other, and nothing is remembered in what they work in.
+        working = num_envs if self.device.type == "cuda" else 1
+        size = library.places[steps.work.removeprefix("sf_")][""][2] if steps.work != "char" else 1
+        self._work = self._nothing(working, size)
+        self._beliefs, estimate = (
+            self._nothing(num_envs, library.places[name][""][2]) for name in ("belief", "estimate")
         )
-        self._state = self._fresh
-        self._estimate: Estimate | None = None
+        self._state = self._kept("state", self._fresh.expand(num_envs, -1))
+        self._estimate = self._kept("estimate", estimate)
+        self._waiting = self._kept("waiting", torch.zeros(num_envs, dtype=torch.int32))
+        self._told = native.estimate.now.dtype
+        self._believed = views(self._beliefs, native.belief.dtype)
+        self._covariance = views(self._state, fresh.record.dtype)["learnt"] if native.certain else None
 
     def forward(self, counts: Tensor, reference: Reference, step: int | None = None) -> Estimate:
         """Take in one sample of all robots.
@@ -94,24 +201,25 @@ class SelfCalibrationModule(BatchModule):
             step: Number of the simulation step, if the module has no ``counter``.
 
         Returns:
-            The calibrated sample. Its arrays may be the module's own: do not write into them.
+            The calibrated sample, the caller's own.
 
         Raises:
             TypeError: If readings or a field are no tensor.
             ValueError: If a shape or a device is not the module's.
         """
-        counts = self._bring(counts, "counts", (("channels",),), self.setup.layout.channels)
-        reference = Reference(*(self._belief(name, part) for name, part in reference._asdict().items()))
-        begins = self._begins(step)
-        if self._estimate is not None and not begins and self._starting is None:
-            return self._estimate
-        state, estimate = self._update(counts, reference)
-        if self._estimate is not None and not begins and self._starting is not None:
-            # Asked again within a step: only robots whose episode has started since are updated.
-            state = select(self._starting, state, self._state)
-            estimate = select(self._starting, estimate, self._estimate)
-        self._state, self._estimate, self._starting = state, estimate, None
-        return estimate
+        counts = self._bring(counts, "counts", (("channels",),), self.setup.layout.channels).contiguous()
+        for name, believed in self._believed.items():
+            believed.copy_(self._belief(name, getattr(reference, name), believed.shape))
+        advances = self._begins(step)
+        if advances or self._asked:
+            self._run(_ADVANCE * advances + _FROZEN * self.frozen, counts, self._beliefs)
+            self._asked = False
+        one: dict[str, Any] = views(self._estimate.clone(), self._told)
+        if self._covariance is None:
+            one |= dict.fromkeys(("force_std", "cop_covariance", "nis", "nis_rows"))
+        else:
+            one["covariance"] = self._covariance.clone()
+        return Estimate(**{name: one.get(name) for name in Estimate._fields})
 
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
         """Start new episodes.
@@ -124,7 +232,11 @@ class SelfCalibrationModule(BatchModule):
             ValueError: If there is no such robot.
         """
         mask = self._note_starting(env_ids)
-        self._state = (select if fresh else begin_episode)(mask, self._fresh, self._state)
+        # Readings of the last episode wait for references for as long.
+        age = float(np.max(self.setup.age))
+        self._waiting.masked_fill_(mask, 0 if fresh else waiting_samples(self.setup.lag, age, self.dt))
+        if fresh:
+            self._run(_FRESH, mask, self._fresh)
 
     def retract(self, env_ids: RobotIds = None) -> None:
         """Take back what robots have learnt in the last seconds: they have fallen, which began before.
@@ -135,37 +247,21 @@ class SelfCalibrationModule(BatchModule):
         Raises:
             ValueError: If there is no such robot.
         """
-        which = mask_of(env_ids, self.num_envs, self.device)
-        self._state = self._method.retract(self._state, which)
+        self._run(_RETRACT, mask_of(env_ids, self.num_envs, self.device), self._fresh)
 
     def freeze(self, frozen: bool = True) -> None:
-        """Stop learning, or go on: what was learnt is applied either way, and stays bit for bit meanwhile.
+        """Stop learning, or go on: what was learnt is applied either way.
+
+        What was measured by now still counts, so that estimates may move for another fraction of a second.
 
         Args:
             frozen: Whether to stop.
-
-        Raises:
-            ValueError: If the method learns at every sample, ``every=1``, and so cannot be kept from it.
         """
-        if frozen and self._options.get("every") == 1:
-            raise ValueError(
-                "A method that learns at every sample cannot be frozen; build it with 'every' of 2 or more."
-            )
-        if self.frozen and not frozen:
-            everyone = mask_of(None, self.num_envs, self.device)
-            self._state = begin_episode(everyone, self._fresh, self._state)
         self.frozen = frozen
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return everything for ``state_dict()``."""
-        estimate = self._estimate
-        return {
-            "identity": self._identity(),
-            "leaves": saved_leaves(self._state),
-            "estimate": None if estimate is None else saved_leaves(tuple(estimate)),
-            **self._saved_steps(),
-            "frozen": self.frozen,
-        }
+        return self._saved(self._kernel, self._identity()) | {"frozen": self.frozen}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Go on, bit for bit, from what :meth:`get_extra_state` returned.
@@ -173,21 +269,18 @@ class SelfCalibrationModule(BatchModule):
         Raises:
             ValueError: If it is of another calibrator.
         """
-        self._check_saved(state, self._identity())
-        self._state = restored(self._fresh, state["leaves"], self.device)
-        estimate = state["estimate"]
-        parts = () if estimate is None else restored(tuple(estimate), estimate, self.device)
-        self._estimate = Estimate(*parts) if parts else None
-        self._restore_steps(state)
+        self._restore(self._kernel, state, self._identity())
         self.frozen = state["frozen"]
 
-    def _update(self, counts: Tensor, reference: Reference) -> tuple[Any, Estimate]:
-        if self.frozen:
-            return update_frozen(self._method, self._state, counts, reference, self.dt)
-        return self._method.update(self._state, counts, reference, self.dt)
+    def _run(self, what: int, given: Tensor, more: Tensor) -> None:
+        given_to = self._config, self._state, self._work, given, more, self._estimate, self._starting
+        self._kernel.launch(self.num_envs, (*given_to, self._waiting, self._own), what, dt=self.dt)
 
-    def _belief(self, name: str, values: Tensor) -> Tensor:
-        """Check one field of a reference and bring it to the module's dtype, without its graph."""
+    def _nothing(self, rows: int, size: int) -> Tensor:
+        return torch.zeros((rows, size), dtype=torch.uint8, device=self.device)
+
+    def _belief(self, name: str, values: Tensor, shape: torch.Size) -> Tensor:
+        """Check one field of a reference."""
         if not isinstance(values, Tensor):
             raise TypeError(f"'reference.{name}' must be a torch tensor, got {type(values).__name__}.")
         if values.device != self.device:
@@ -195,7 +288,9 @@ class SelfCalibrationModule(BatchModule):
                 f"'reference.{name}' is on {values.device}, but the module on {self.device}; make the module "
                 f"with device='{values.device}'."
             )
-        return values if values.dtype == torch.bool else values.detach().to(self.dtype)
+        if values.shape != shape:
+            raise ValueError(f"'reference.{name}' must have shape {tuple(shape)}, got {tuple(values.shape)}.")
+        return values.detach()
 
     def _identity(self) -> dict[str, Any]:
         setup = self.setup
@@ -205,8 +300,23 @@ class SelfCalibrationModule(BatchModule):
             "channels": " ".join(setup.layout.channel_names),
             "mass": float(setup.mass),
             "lag": int(setup.lag),
+            "age": np.asarray(setup.age, dtype=np.float64).tolist(),
             "initial": repr([[float(value) for value in part] for part in setup.initial]),
             "num_envs": self.num_envs,
             "dt": self.dt,
             "dtype": str(self.dtype),
         }
+
+
+def _sizes(layout: FeetLayout, lag: int) -> tuple[tuple[str, int], ...]:
+    """Return how large the arrays are: for these feet, and for any options of the methods' usual sizes."""
+    six_axis = any(sensor.six_axis for foot in layout.feet for sensor in foot.sensors)
+    sizes = {
+        "CHANNELS": layout.channels,
+        "CELLS": layout.channels,
+        "FEET": len(layout.feet),
+        "KINDS": 6 if six_axis else 3,
+        "LAG": max(8, lag),
+        "SENSORS": sum(len(foot.sensors) for foot in layout.feet),
+    }
+    return tuple(sizes.items())

@@ -7,19 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import Reference
-from surefoot.calibration.native import ReferenceRecord
-from surefoot.wrappers.beliefs import reference_info
 from surefoot.wrappers.foot_view import seen_below
-from surefoot.wrappers.robot_calibration import (
-    CalibrationSetup,
-    RobotCalibration,
-    load_learnt,
-    save_learnt,
-    told_of,
-)
+from surefoot.wrappers.robot_calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
 from surefoot.wrappers.vector.sensors import BatchSensors
-from surefoot.wrappers.vector.together import Together
 
 Mask = NDArray[np.bool_]
 
@@ -27,8 +17,7 @@ Mask = NDArray[np.bool_]
 class BatchCalibration:
     """Calibrates the readings of :class:`BatchSensors`, and makes the observations of the feet.
 
-    Where the library calibrates, each robot has a calibrator of its own. Python takes in the samples of all
-    robots at once (:class:`~surefoot.wrappers.vector.together.Together`).
+    Each robot has a calibrator of its own.
 
     Args:
         owner: The wrapper that asks, for messages.
@@ -37,7 +26,7 @@ class BatchCalibration:
         options: All others of it, and options of the method.
 
     Attributes:
-        robots: The beliefs of each robot, and its calibrator if it has one of its own.
+        robots: The beliefs of each robot, and its calibrator.
         setup: How they are calibrated.
         shown: What is observed now, with the robots in front; arrays that later steps do not change.
         ended: The same before the last episodes started.
@@ -49,11 +38,9 @@ class BatchCalibration:
     """
 
     def __init__(self, owner: str, sensors: BatchSensors, method: str = "moment", /, **options: Any) -> None:
-        self._sensors, count = sensors, len(sensors.robots)
+        self._sensors = sensors
         self.setup = setup = CalibrationSetup(owner, sensors.equipment, method, **options)
-        self.robots = [RobotCalibration(setup, robot, setup.native) for robot in sensors.robots]
-        self._view = None if setup.native else setup.view(count)
-        self._together: Together | None = None
+        self.robots = [RobotCalibration(setup, robot) for robot in sensors.robots]
         self._judged = False
         self.shown: dict[str, NDArray[Any]] = {}
         self.ended = self.shown
@@ -65,12 +52,8 @@ class BatchCalibration:
         if starting is not None:
             self._begin(np.flatnonzero(starting).tolist(), [None] * len(starting), None)
         self._sample(list(range(len(self.robots))))
-        if fell is not None and fell.any():
-            if self._together is not None:
-                self._together.retract(fell)
-            else:
-                for i in np.flatnonzero(fell).tolist():
-                    self.robots[i].retract()
+        for i in [] if fell is None else np.flatnonzero(fell).tolist():
+            self.robots[i].retract()
 
     def begin(self, mask: Mask, seeds: Sequence[int | None], choice: str | None) -> None:
         """Take in robots that were reset, after their sensors; as of :class:`Listener`."""
@@ -98,7 +81,7 @@ class BatchCalibration:
         Raises:
             RuntimeError: If the environments have not been reset.
         """
-        save_learnt(path, self.robots, *self._shared())
+        save_learnt(path, self.robots)
 
     def load(self, path: str | PathLike[str]) -> None:
         """Go on with what a file of :meth:`save` has learnt; a reset without a seed keeps it.
@@ -107,37 +90,19 @@ class BatchCalibration:
             RuntimeError: If the environments have not been reset.
             ValueError: If the file is of other or of more robots, other sensors, another method or lag.
         """
-        found = load_learnt(path, self.robots, *self._shared())
-        if self._together is not None:
-            self._together.state = found
-
-    def _shared(self) -> tuple[Any, ...]:
-        return () if self._together is None else (self._together.state,)
+        load_learnt(path, self.robots)
 
     def _begin(self, which: list[int], seeds: Sequence[int | None], choice: str | None) -> None:
         """Start episodes of robots; of those that have learnt nothing for long the first one is told."""
-        moved = None if self._together is None else self._together.moved()
-        fresh = []
         for i in which:
             robot = self.robots[i]
-            self._judged = self._judged or robot.judge(None if moved is None else bool(moved[i]))
-            if robot.reset(seeds[i], choice):
-                fresh.append(i)
-        if self._view is not None:
-            self._view.begin_episode(which)
-        if not self.setup.native and fresh:
-            if self._together is None:
-                one, dt = self.robots[0], self._sensors.robots[0].telemetry.dt
-                calibrator = self.setup.calibrator(self.setup.mass, None, dt, one.late)
-                self._together = Together(calibrator, len(self.robots))
-            self._together.start(fresh, [(self.robots[i].initial, self.robots[i].model.mass) for i in fresh])
+            self._judged = self._judged or robot.judge()
+            robot.reset(seeds[i], choice)
 
     def _sample(self, which: list[int]) -> None:
         """Take in one sample of some robots."""
         planned, count = self._sensors.planned, len(self.robots)
-        if self._together is not None:
-            self._sample_together(self._together, which)
-        elif len(natives := [own for robot in self.robots if (own := robot.by_library())]) == count:
+        if len(natives := [own for robot in self.robots if (own := robot.by_library())]) == count:
             for i in which:
                 self.robots[i].feed(natives[i], planned[i])
             self.shown, self.told = natives[0].told_by(natives)
@@ -145,26 +110,6 @@ class BatchCalibration:
             shown, told = zip(*(self.robots[i].sample(planned[i]) for i in which), strict=True)
             self.shown, self.told = _put(shown, which, self.shown), _put(told, which, self.told)
         self.told["lag"] = np.full(count, self.robots[0].late)
-
-    def _sample_together(self, together: Together, which: list[int]) -> None:
-        everyone = self._sensors.robots
-        fell = np.zeros(len(everyone), dtype=bool)
-        for i in which:
-            fell[i] = self.robots[i].believe(self._sensors.planned[i])
-        if fell.any():
-            together.retract(fell)
-        believed = [robot.beliefs.believed for robot in self.robots]
-        records = [one for one in believed if isinstance(one, ReferenceRecord)]
-        if len(records) == len(believed):
-            reference = ReferenceRecord.side_by_side(records)
-        else:
-            reference = Reference(
-                *map(np.array, zip(*(robot.reference for robot in self.robots), strict=True))
-            )
-        estimate = together.update(np.array([robot.raw for robot in everyone]), reference, which)
-        assert self._view is not None
-        self.shown = self._view.show(estimate, np.array([robot.soles() for robot in self.robots]))
-        self.told = told_of(estimate, reference_info(reference))
 
 
 def _put(rows: Sequence[Any], which: list[int], old: Any) -> Any:

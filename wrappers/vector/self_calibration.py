@@ -21,7 +21,7 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     ``"parameters"``, ``"covariance"``, ``"flags"``, ``"vgrf"``, ``"reference"`` and ``"lag"``: all as
     :class:`~surefoot.wrappers.SelfCalibration` has it for one robot, in arrays with the robots in front. Each
     robot has beliefs and a calibrator of its own, and what it learns does not depend on who stands beside
-    it. Where the library is missing, or has no such method, one calibrator serves all at once.
+    it.
 
     What was learnt is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
     robots that are not upright (:class:`~surefoot.wrappers.contacts.Upright`). Calibration starts fresh at a

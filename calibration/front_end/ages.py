@@ -1,0 +1,64 @@
+r"""Forces of now, from readings that are some milliseconds old.
+
+A chip on its own clock is read up to a conversion late, and a filter or a wire adds to that. The mean age
+:math:`\alpha` of its readings is known from data sheets; the phase of its clock is not. A force is carried on
+with the slope that it had over the last :math:`n = 3` samples,
+
+.. math:: \delta_i = \alpha_i \frac{F_i(k) - F_i(k - n)}{n \Delta t} .
+
+The feet's vertical force stays as it was read. While a robot shifts its weight the sum hardly changes, and
+what slope it has is mostly that chips are read at different moments. With :math:`v_i` what a newton on a
+channel adds to the vertical force, least squares relative to the :math:`\delta` themselves give
+
+.. math:: \delta_i \leftarrow \delta_i - v_i \delta_i^2 \frac{\sum_j v_j \delta_j}{\sum_j v_j^2 \delta_j^2} .
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.calibration.arrays import Array, namespace_of
+from surefoot.calibration.setup import OnlineSetup
+
+SLOPE_SAMPLES = 3
+"""Samples over which a slope is taken: shorter ones are noisier, longer ones later."""
+
+_LONGEST = 4.0
+"""Samples by which a force is carried on at most: that it helps for longer has not been seen."""
+
+
+def carried_time(setup: OnlineSetup) -> NDArray[np.float64]:
+    """Return by how long each channel is carried on in s, shape (K,)."""
+    age = np.asarray(setup.age, dtype=np.float64)
+    return np.minimum(age, _LONGEST * setup.dt) + np.zeros(setup.layout.channels)
+
+
+def expected_change(history: Array, clean: Array, time: Array, interval: float) -> Array:
+    """Return by how much forces are expected to have changed since they were read, in N, shape (..., K).
+
+    That is nothing where a reading at an end of the slope did not come, or a sample between was not good.
+
+    Args:
+        history: The last samples, the newest at the end: F0 and whether it was read, shape (..., n, 2K).
+        clean: Good samples since the last bad one, shape (...).
+        time: By how long each channel is carried on in s, shape (K,).
+        interval: Time between samples in s.
+    """
+    xp, K = namespace_of(history), time.shape[-1]
+    newest, before = history[..., -1, :], history[..., -1 - SLOPE_SAMPLES, :]
+    there = (newest[..., K:] > 0.5) & (before[..., K:] > 0.5) & (clean >= SLOPE_SAMPLES)[..., None]
+    slope = (newest[..., :K] - before[..., :K]) / (SLOPE_SAMPLES * interval)
+    return xp.where(there, time * slope, 0.0 * time)
+
+
+def with_total_kept(change: Array, up: Array) -> Array:
+    """Return changes of forces that leave the vertical force as it is.
+
+    Args:
+        change: Changes in N, shape (..., K).
+        up: What a newton on each channel adds to the vertical force, shape (..., K).
+    """
+    xp = namespace_of(change)
+    by = up * change * change
+    room = xp.sum(by * up, axis=-1)
+    excess = xp.sum(up * change, axis=-1) / xp.where(room > 0.0, room, 1.0)
+    return xp.where((room > 0.0)[..., None], change - by * excess[..., None], 0.0 * change)

@@ -1,0 +1,99 @@
+"""All sensors of a wrapped robot by the library against the Python that specifies them, side by side."""
+
+import copy
+import pickle
+from typing import Any
+from unittest.mock import patch
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surefoot  # noqa: F401
+from surefoot.native import compiler
+from surefoot.sensors import Fault, LoadCells, Wire
+from surefoot.sensors.native import NATIVE
+from surefoot.wrappers import FootSensors, robot_sensors
+
+CLOSE, STEPS = 1e-9, 25
+WIRE = Wire(spike_rate=9.0, packet_loss=0.2, delay=0.02, jitter=0.004, under_way=12)
+BROKEN = (
+    "at t=0.1 s cell left/2 dies",
+    "from t=0 s to t=0.9 s cell left/3 drops 40 % in gaps of 0.1 s",
+    "at t=0.2 s cell right/1 spikes 20 /s by 9 N",
+    "at t=0.5 s cell right/3 swaps with left/1",
+)
+CASES: dict[str, dict[str, Any]] = {
+    "usual": {},
+    "cells that remember": {
+        "config": LoadCells(settling=4, wire=WIRE, scale_tempco=1e-3, temperature_ramp=0.5)
+    },
+    "broken": {"config": "hx711-bar-cells", "faults": BROKEN},
+    "ankles": {"config": "icub-ftsens", "faults": [Fault("stuck", 7, 0.2), Fault("flipped", 2)]},
+    "both": {"ankles": "icub-ftsens", "faults": BROKEN, "severity": 0.5},
+    "nobody listens": {"faults": BROKEN, "measure_state": False},
+}
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+
+def leaves(state: Any) -> list[Any]:
+    if isinstance(state, tuple):
+        return [leaf for part in state for leaf in leaves(part)]
+    return [] if state is None else [state]
+
+
+def same(one: FootSensors, other: FootSensors) -> None:
+    np.testing.assert_allclose(one.raw, other.raw, rtol=CLOSE, atol=CLOSE)
+    for mine, theirs in zip(leaves(one.robot.hardware()), leaves(other.robot.hardware()), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=CLOSE, atol=CLOSE)
+    for mine, theirs in zip(one.packets, other.packets, strict=True):
+        np.testing.assert_allclose(mine.values, theirs.values, rtol=CLOSE, atol=CLOSE)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_episodes_are_the_same(case: str) -> None:
+    """The library's robot is pickled on the way, and Python goes on for a step with what the library had."""
+    without, rng = patch.object(NATIVE, "_found", (None,)), np.random.default_rng(0)
+
+    def made() -> FootSensors:
+        return FootSensors(gym.make("surefoot/NaoBalance-v0", disable_env_checker=True), **CASES[case])
+
+    library = made()
+    with without:
+        python = made()
+    fresh = {"surefoot": {"sensors": "fresh"}}
+    for seed, options in ((3, None), (None, None), (5, None), (None, fresh)):
+        found, _ = library.reset(seed=seed, options=options)
+        with without:
+            expected, _ = python.reset(seed=seed, options=options)
+        for k in range(STEPS):
+            assert library.robot._sensing is not None
+            assert python.robot._sensing is None
+            for part, shown in found.items():
+                np.testing.assert_allclose(shown, expected[part], rtol=1e-6, atol=1e-6, err_msg=part)
+            same(library, python)
+            if k == 5:
+                library.robot = pickle.loads(pickle.dumps(copy.deepcopy(library.robot)))
+            action = rng.uniform(-0.2, 0.2, library.action_space.shape).astype(np.float32)
+            if k == 10:
+                library.robot._leave_library()
+                with patch.object(robot_sensors, "native_sensing", lambda *_: None):
+                    found, *_ = library.step(action)
+                assert library.robot._sensing is None
+                library.robot._by_library(library.source.truth)
+            else:
+                found, *_ = library.step(action)
+            with without:
+                expected, *_ = python.step(action)
+
+
+@pytest.mark.parametrize(
+    "options", [{"faults": ["at t=0 s cell left/2 dies"] * 17}, {"link": {"delay": 0.2, "jitter": 0.2}}]
+)
+def test_what_has_no_room_is_read_by_python(options: dict[str, Any]) -> None:
+    env = FootSensors(gym.make("surefoot/NaoStand-v0", disable_env_checker=True), **options)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    assert env.robot._sensing is None

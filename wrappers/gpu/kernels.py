@@ -1,0 +1,153 @@
+"""The headers in C as kernels of Warp: one robot is one thread, on the CPU or on a GPU; see docs/native.md.
+
+Records are laid out by the compiler that makes the kernel, of the sizes and the precision that are asked
+for: the table in ``library.c``, compiled for the CPU, tells where their fields are.
+"""
+
+# Warp reads types of arguments that mypy does not know.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, valid-type"
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from hashlib import sha256
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from surefoot.calibration.native import NATIVE as CALIBRATION
+from surefoot.native import Library, places_at
+from surefoot.native.build import SHARED
+from surefoot.sensors.native import NATIVE as SENSORS
+
+SOURCES = MappingProxyType({"calibration": CALIBRATION.sources, "sensors": SENSORS.sources})
+"""Where headers lie, by package."""
+
+ARRAYS = 9
+"""Arrays that a kernel is given."""
+
+Bytes = wp.array2d[wp.uint8]
+
+
+class Kernel:
+    """What one thread does for one robot.
+
+    Args:
+        package: Whose headers, a key of :data:`SOURCES`.
+        headers: Those that are needed.
+        body: What a thread does, in C. It has the number ``robot`` and what :meth:`launch` is given.
+        fits: Functions of ``library.c`` that say whether constants fit.
+        sizes: Largest sizes, by their names without ``SF_``.
+        single: Whether its numbers are floats rather than doubles.
+
+    Attributes:
+        library: Where the fields of its records lie, and the functions.
+        layout: What tells this layout from others.
+    """
+
+    library: Library
+    layout: str
+
+    def __init__(
+        self, package: str, headers: tuple[str, ...], body: str, fits: tuple[str, ...],
+        sizes: tuple[tuple[str, int], ...], single: bool,
+    ) -> None:  # fmt: skip
+        wp.init()
+        self._given = package, headers, body, fits, sizes, single
+        lines = [f"#define SF_{name} {size}" for name, size in sizes] + ["#define SF_SINGLE"] * single
+        lines.append('#include "device.h"')
+        told = "surefoot_places()", "surefoot_places_count()", *fits
+        tell = "".join(f"((size_t *)config.data)[{i}] = (size_t){one};" for i, one in enumerate(told))
+        table = torch.zeros((1, len(told)), dtype=torch.int64)
+        self._steps = _compiled(package, [*lines, '#include "library.c"'], tell)
+        self.launch(1, [table])
+        first, count, *functions = table[0].tolist()
+        kind = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+        callable_ = {name: kind(at) for name, at in zip(fits, functions, strict=True)}
+        # They live as long as the module that holds them.
+        library = SimpleNamespace(**callable_, kept=self._steps)
+        places = places_at(first, count)
+        self.library = Library(library, np.dtype("f4" if single else "f8"), places, {})
+        self.layout = sha256(repr(places).encode()).hexdigest()[:16]
+        self._steps = _compiled(package, [*lines, *(f'#include "{name}.h"' for name in headers)], body)
+
+    def launch(
+        self, robots: int, arrays: Sequence[Tensor], what: int = 0, rows: int = 0, count: int = 0,
+        dt: float = 0.0, span: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Run it for all robots on the stream that torch uses.
+
+        Nothing is copied, and nobody waits for the end on a GPU, so that it may be captured in a graph.
+
+        Args:
+            robots: How many.
+            arrays: Up to nine contiguous tensors on one device, a row a robot, or one for all. In C they are
+                ``config``, ``state``, ``own``, ``given``, ``more``, ``found``, ``marks``, ``other`` and
+                ``rest``.
+            what: The first whole number, as are the next two.
+            rows: The second.
+            count: The third.
+            dt: The first time in s.
+            span: The second.
+        """
+        device = arrays[0].device
+        shared = [wp.from_torch(array.view(torch.uint8).reshape(len(array), -1)) for array in arrays]
+        shared += shared[:1] * (ARRAYS - len(shared))
+        stream = wp.stream_from_torch(torch.cuda.current_stream(device)) if device.type == "cuda" else None
+        inputs = [what, rows, count, dt, span, *shared]
+        wp.launch(self._steps, robots, inputs, device=wp.device_from_torch(device), stream=stream)
+
+    @property
+    def module(self) -> Any:
+        """The kernel's module of Warp, to compile it ahead of time."""
+        return self._steps.module
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return kernel, self._given
+
+
+kernel = cache(Kernel)
+"""A :class:`Kernel`, made once; its first launch on a device compiles it, unless Warp's cache has it."""
+
+
+def _compiled(package: str, lines: Sequence[str], body: str) -> Any:
+    """Return a kernel of Warp in a module of its own; nothing is compiled yet."""
+
+    @wp.func_native(body)
+    def step(
+        what: int, rows: int, count: int, dt: wp.float64, span: wp.float64, config: Bytes, state: Bytes,
+        own: Bytes, given: Bytes, more: Bytes, found: Bytes, marks: Bytes, other: Bytes, rest: Bytes,
+        robot: int,
+    ): ...  # fmt: skip
+
+    def steps(
+        what: int, rows: int, count: int, dt: wp.float64, span: wp.float64, config: Bytes, state: Bytes,
+        own: Bytes, given: Bytes, more: Bytes, found: Bytes, marks: Bytes, other: Bytes, rest: Bytes,
+    ):  # fmt: skip
+        step(
+            what, rows, count, dt, span, config, state, own, given, more, found, marks, other, rest, wp.tid()
+        )
+
+    folders = [folder.resolve() for folder in (SHARED, SOURCES[package].folder)]
+    preamble = "\n".join([*lines, ""])
+    options = wp.ModuleBuildOptions(
+        extra_cuda_include_dirs=folders,
+        extra_cpu_include_dirs=folders,
+        extra_cuda_preamble=preamble,
+        extra_cpu_preamble=preamble,
+        extra_build_dependencies=[path for folder in folders for path in sorted(folder.glob("*.[ch]"))],
+    )
+    module = wp.get_module(f"surefoot_{package}_{sha256((preamble + body).encode()).hexdigest()[:12]}")
+    chosen = {
+        "extra_build_options": options,
+        "enable_backward": False,
+        "fuse_fp": False,  # a product and a sum are rounded one after the other, as everywhere
+        "optimization_level": 3,
+        "cpu_compiler_flags": "-march=native",  # Warp's own flags inline all of it, which takes a minute
+    }
+    wp.set_module_options(chosen, module=module)
+    return wp.kernel(steps, module=module, enable_backward=False)
