@@ -11,7 +11,8 @@ swing, and only where a robot is sure of the swing and the readings agree:
 Scales stay as they are. The weight of the sole itself is in the offset; its inertia (some 50 g, up and down
 within a swing) averages out.
 
-**None.** The starting map as it is, behind the same checks as every method.
+**None.** The starting map as it is, behind the same checks as every method, and readings as they were read:
+they are not carried on to now.
 """
 
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from array_api_compat import device as device_of
 from surefoot.calibration.arrays import Array, Constants, namespace_of
 from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
@@ -135,12 +137,12 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
 
 
 def uncorrected(setup: OnlineSetup) -> OnlineMethod:
-    """Return the method that leaves the starting map as it is.
+    """Return the method that leaves the starting map as it is, and readings as they were read.
 
     Args:
         setup: The robot.
     """
-    front_end = FrontEnd(setup, imu=False)
+    front_end = FrontEnd(as_read(setup), imu=False)
 
     def update(state: FrontState, raw: Array, reference: Reference, dt: float) -> tuple[FrontState, Estimate]:
         state, sample = front_end.observe(state, raw, reference, dt)

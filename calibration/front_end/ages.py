@@ -13,6 +13,8 @@ channel adds to the vertical force, least squares relative to the :math:`\delta`
 .. math:: \delta_i \leftarrow \delta_i - v_i \delta_i^2 \frac{\sum_j v_j \delta_j}{\sum_j v_j^2 \delta_j^2} .
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +32,11 @@ def carried_time(setup: OnlineSetup) -> NDArray[np.float64]:
     """Return by how long each channel is carried on in s, shape (K,)."""
     age = np.asarray(setup.age, dtype=np.float64)
     return np.minimum(age, _LONGEST * setup.dt) + np.zeros(setup.layout.channels)
+
+
+def as_read(setup: OnlineSetup) -> OnlineSetup:
+    """Return a setup whose readings are not carried on."""
+    return replace(setup, age=0.0)
 
 
 def expected_change(history: Array, clean: Array, time: Array, interval: float) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.baselines import TareConfig, tare
+from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.moment.config import MomentFilterConfig
@@ -79,7 +80,7 @@ def constants_of(
         window = SlidingWindow(setup, WindowConfig(**options), quasi_static=method == "quasi-static")
         front, like, own = window._front_end, window.init(raw), _window(window)
     else:
-        front = FrontEnd(setup, imu=False)
+        front = FrontEnd(setup if method == "tare" else as_read(setup), imu=False)
         like = front.init(raw)
         if method == "tare":
             config = TareConfig(**options)

@@ -70,7 +70,7 @@ class _Line:
             initial=sensors.instruments.nominal,
             dt=setup.dt,
             lag=setup.lag,
-            age=0.0 if method == "none" else setup.age,  # raw is as it was read
+            age=setup.age,
             **layout_options(env.layout, drawing, method),
         )
         self.view = FootView(DEFAULT, env.layout, setup.mass, drawing.flaw)
