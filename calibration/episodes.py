@@ -1,4 +1,4 @@
-"""Episode starts of some robots of a batch: what they drop, what they keep, and how none of them learns.
+"""Episode starts of some robots of a batch: what they drop, and what they keep.
 
 States of online methods have their batch dimensions in front, and two kinds of numbers in them:
 
@@ -9,28 +9,23 @@ States of online methods have their batch dimensions in front, and two kinds of 
   reference (``lag`` samples of them) become *unread*, so that nothing is learnt until the first reference
   of the new episode meets a force of the new episode.
 
-A few whole numbers are shared by the batch (:data:`COUNTERS`): when blocks are full, and whether anything
-at all is to be done for standing starts and broken channels. They go on in such a way that a robot with a
-fresh state is served as it would be alone, but that its first block is as short as the others' has become.
+A few whole numbers are shared by the batch: when blocks are full, and whether anything at all is to be done
+for standing starts and broken channels. They go on, so that an episode's first block may be a part of one.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 from surefoot.calibration.arrays import Array, namespace_of
 from surefoot.calibration.baselines import TareState
-from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
 from surefoot.calibration.moment.state import MomentState
-from surefoot.calibration.reference import Reference
-from surefoot.calibration.setup import OnlineMethod
 from surefoot.calibration.standing import StandingState
 from surefoot.calibration.window.stream import WindowState
 
-__all__ = ["COUNTERS", "LEARNT", "begin_episode", "select", "update_frozen"]
-
+__all__ = ["LEARNT", "begin_episode"]
 
 Tree = TypeVar("Tree", bound=tuple[Any, ...])
 
@@ -59,44 +54,9 @@ def _learnt(state: Any) -> tuple[str, ...]:
         raise TypeError(
             f"What a {kind.__name__} has learnt is not known; states of "
             f"{[known.__name__ for known in LEARNT]} can begin an episode, and those whose class names such "
-            "fields in an attribute LEARNT; others can only be selected."
+            "fields in an attribute LEARNT."
         )
     return found
-
-
-COUNTERS: Mapping[str, Callable[[int, int], int]] = MappingProxyType(
-    {
-        # Blocks fill up for all at once.
-        "step": lambda fresh, kept: kept,
-        # Whether all standing starts are over: a fresh robot has its own before it.
-        "all_walking": min,
-        # Whether any channel is out: those of the others may be.
-        "altered": max,
-    }
-)
-"""``merge(fresh, kept)`` of the whole numbers that robots share, by their names: what they are once some
-robots have taken a fresh state."""
-
-_FROZEN: Mapping[str, int] = MappingProxyType({"step": 0, "all_walking": 1})
-"""What stands in for them where nothing is to be learnt: after 0 comes 1, at which no block is full."""
-
-
-def select(mask: Array, fresh: Tree, state: Tree) -> Tree:
-    """Return a state in which some robots are fresh, or take any other state or estimate.
-
-    Args:
-        mask: Robots that take it (bool), shape (...) of the batch, of the states' library and device.
-        fresh: The state to take, for the same batch: ``init(raw)`` forgets.
-        state: The state that the others keep bit for bit.
-
-    Returns:
-        A new state; neither argument is changed.
-
-    Raises:
-        ValueError: If the mask or the fresh state is not of the same robots as the state.
-    """
-    merged: Tree = _merge(mask, fresh, state, keep_learnt=False)
-    return merged
 
 
 def begin_episode(mask: Array, fresh: Tree, state: Tree) -> Tree:
@@ -111,54 +71,21 @@ def begin_episode(mask: Array, fresh: Tree, state: Tree) -> Tree:
         A new state; neither argument is changed.
 
     Raises:
-        ValueError: As of :func:`select`.
+        ValueError: If the mask or the fresh state is not of the same robots as the state.
         TypeError: If the state is not one of :data:`LEARNT`.
     """
-    merged: Tree = _merge(mask, fresh, state, keep_learnt=True)
-    return merged
-
-
-def update_frozen(
-    method: OnlineMethod, state: Any, raw: Array, reference: Reference, dt: float
-) -> tuple[Any, Estimate]:
-    """Return ``method.update`` of one sample, without learning from it.
-
-    What was learnt is applied and stays bit for bit, its covariance too: it does not grow by the drift that
-    nobody follows. Single readings are checked and held as ever. Before learning goes on, let all robots
-    :func:`begin_episode`, as windows were not filled meanwhile.
-
-    Raises:
-        ValueError: If the method learns at every sample, ``every=1``, and so cannot be kept from it.
-    """
-    shared = {name: getattr(state, name) for name in _FROZEN if hasattr(state, name)}
-    stopped = {name: _FROZEN[name] for name in shared}
-    if isinstance(state, TareState):
-        # A foot that has not been in the air until now shows no offset.
-        stopped["airborne"] = state.airborne * 0 - 1
-    kept = {name: getattr(state, name) for name in _learnt(state)}
-    after, estimate = method.update(state._replace(**stopped), raw, reference, dt)
-    if any(getattr(after, name) is not kept[name] for name in ("mean", "theta") if name in kept):
-        raise ValueError(
-            "A method that learns at every sample cannot be frozen; build it with 'every' of 2 or more."
-        )
-    return after._replace(**kept, **shared), estimate
-
-
-def _merge(mask: Array, fresh: Any, state: Any, *, keep_learnt: bool) -> Any:
-    """Merge two trees of the same form, field by field."""
-    kept = _learnt(state) if keep_learnt else ()
-    merged = {}
-    for name in state._fields:
+    own: Any = state
+    kept, merged = _learnt(state), {}
+    for name in own._fields:
         new, old = getattr(fresh, name), getattr(state, name)
-        if name in kept or old is None:
+        if name in kept or isinstance(old, int | None):
             merged[name] = old
         elif isinstance(old, tuple):
-            merged[name] = _merge(mask, new, old, keep_learnt=keep_learnt)
-        elif isinstance(old, int):
-            merged[name] = old if keep_learnt else COUNTERS[name](new, old)
+            merged[name] = begin_episode(mask, new, old)
         else:
             merged[name] = _where(name, mask, new, old)
-    return type(state)(**merged)
+    begun: Tree = own._replace(**merged)
+    return begun
 
 
 def _where(name: str, mask: Array, new: Array, old: Array) -> Array:
