@@ -27,7 +27,7 @@ class InSituSet:
     Attributes:
         raw: Counts of the k >= 6 channels, shape (n, k); NaN where no sample arrived.
         gravity: g (moving: g - a) in the sensor's frame in m/s^2, pointing down, shape (n, 3).
-        added_mass: Mass of what was added to the limb in kg.
+        added_mass: Mass of what was added to the limb in kg; in motion it counts as a cube of steel.
         added_com: Its centre of mass in the sensor's frame in m, shape (3,).
         angular_velocity: Of the limb in the sensor's frame in rad/s, shape (n, 3); None if it stood still.
         angular_acceleration: In the sensor's frame in rad/s^2, shape (n, 3); given with the velocity

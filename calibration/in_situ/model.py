@@ -44,6 +44,7 @@ __all__ = [
     "RELATIVE_ERRORS",
     "STATIC",
     "LinearSensor",
+    "compact_inertia",
     "different_masses",
     "inertia_matrix",
     "inertial_parameters",
@@ -76,6 +77,9 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 ENOUGH_MASSES = 3
 """Different added masses that a matrix needs (in-situ paper, Lemma 2)."""
+
+_STEEL = 7850.0
+"""Density of what is added in kg/m^3."""
 
 _NOISE_FLOOR = 1e-6
 """Noise counts as at least this share of what the limb's weight does to a channel: a simulation may have
@@ -135,8 +139,14 @@ def _symmetric(pair: tuple[int, int], value: float = 1.0) -> Matrix:
 
 def inertial_parameters(mass: float, com: NDArray[np.float64], moving: bool) -> NDArray[np.float64]:
     """Return phi of a compact body: (m, m c), and moving its inertia about the origin, (4,) or (10,)."""
-    inertia = mass * (com @ com * np.eye(3) - np.outer(com, com)) if moving else None
+    own = compact_inertia(mass)
+    inertia = mass * (com @ com * np.eye(3) - np.outer(com, com)) + own * np.eye(3) if moving else None
     return limb_parameters(mass, mass * com, inertia)
+
+
+def compact_inertia(mass: float) -> float:
+    """Return the moment of inertia about its centre of a cube of steel in kg m^2."""
+    return float(mass * np.cbrt(mass / _STEEL) ** 2 / 6.0)
 
 
 def limb_parameters(

@@ -37,6 +37,7 @@ from surefoot.calibration.in_situ.model import (
     MOMENT,
     PAIRS,
     STATIC,
+    compact_inertia,
     inertial_parameters,
     signals,
     transform_basis,
@@ -55,9 +56,12 @@ _REACH = 2.0
 """Distance of the accelerometer over that of the limb's centre of mass, along any axis: its deviation."""
 
 
-_ROUND = np.array([1.0 if i == j else 0.5 for i, j in PAIRS]) / 3.0
-"""Deviation of each entry of the inertia about the limb's centre of mass, over that of a point there about
-the sensor: for a rod that hangs from it a third. Products are at most half as large."""
+_ROD = 1.0 / 3.0
+"""Inertia of the limb about its centre of mass over that of a point there about the sensor: its deviation is
+that of a rod that hangs from it. An added mass's is a compact body's: its shape and density are not known."""
+
+_ROUND = np.array([1.0 if i == j else 0.5 for i, j in PAIRS])
+"""Products of inertia are at most half as large."""
 
 _COLUMNS = 1 + 3 + 6
 
@@ -76,8 +80,8 @@ def errors_of_imu(sets: Sequence[InSituSet], problem: Problem, solution: Solutio
     """Return what turning and the accelerometer's bias may have added.
 
     The limb's inertia as a point comes first, then the accelerometer's place along each axis, then the
-    entries of the limb's inertia about its centre of mass: zero for a limb whose motion was recorded, for
-    sets without times, and for postures that were held. Then biases.
+    entries of the inertia of limb and added mass about their centres: zero for sets without times, for
+    postures that were held, and, but for the added mass's, for a limb whose motion was recorded. Then biases.
     """
     limb = solution.limb[:STATIC]
     com = limb[MOMENT] / limb[MASS]
@@ -87,24 +91,27 @@ def errors_of_imu(sets: Sequence[InSituSet], problem: Problem, solution: Solutio
     found, lengths = [], []
     for data, part in zip(sets, problem.sets, strict=True):
         thin, places = _thinned(replace(data, gravity=data.gravity @ solution.rotation.T))
-        moved = turning(thin)
+        moved = thin if data.moves else turning(thin)
         body = bare + inertial_parameters(data.added_mass, data.added_com, True)
-        turns = not data.moves and moved.moves and _smooth(moved)
+        turns = moved.moves and (data.moves or _smooth(moved))
+        unknown = float(not data.moves)
         of_offset = np.zeros((AXES, _COLUMNS))
-        felt = reach * felt_by_turning(moved if turns else replace(thin, **_STILL), np.arange(len(thin.raw)))
+        felt = reach * felt_by_turning(
+            moved if turns and not data.moves else replace(thin, **_STILL), np.arange(len(thin.raw))
+        )
         if not data.moves:
             lengths.append(_of_length(thin.gravity, felt))
         if not turns:
             found.append(np.zeros((part.uu.shape[0], len(problem.whitening), _COLUMNS)))
             continue
-        u = signals(moved, moving=True)
+        u = np.nan_to_num(signals(moved, moving=True))
         u[:, DIRECT] = 0.0
-        of_inertia = zip(limb[MASS] * com @ com * _ROUND, basis[INERTIA], strict=True)
+        inertia = unknown * limb[MASS] * com @ com * _ROD + compact_inertia(data.added_mass)
         # One after the other: all of a long set at once take more memory than the set.
         added = chain(
-            (u @ np.einsum("p,pws->ws", body, basis).T,),
+            (u @ np.einsum("p,pws->ws", unknown * body, basis).T,),
             (_weight_of(body, a) for a in np.moveaxis(felt, 2, 0)),
-            (size * (u @ entry.T) for size, entry in of_inertia),
+            (size * (u @ entry.T) for size, entry in zip(inertia * _ROUND, basis[INERTIA], strict=True)),
         )
         rows = np.stack([np.interp(part.index, places, one) for wrench in added for one in wrench.T], axis=1)
         rows *= part.source.weight[:, None]

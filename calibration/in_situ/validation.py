@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
+from surefoot.calibration.in_situ.model import MOMENT, inertia_matrix, inertial_parameters, limb_parameters
 
 __all__ = [
     "AddedMassEstimate",
@@ -182,8 +183,8 @@ def motion_wrench(data: InSituSet, limb: Limb, *, added: bool = True) -> NDArray
 
     Args:
         data: The set.
-        limb: The bare limb; where its inertia is unknown it counts as a point at its centre of mass.
-        added: Whether to count the set's added mass, as a point.
+        limb: The bare limb; where its inertia is unknown it counts as compact.
+        added: Whether to count the set's added mass, as compact.
 
     Returns:
         N and N m, shape (n, 6).
@@ -192,11 +193,13 @@ def motion_wrench(data: InSituSet, limb: Limb, *, added: bool = True) -> NDArray
     if data.angular_velocity is None or data.angular_acceleration is None:
         return found
     spin, rate = data.angular_velocity, data.angular_acceleration
-    first = np.asarray(limb.mass_com, dtype=np.float64)
-    inertia = _point(limb.mass, limb.com) if limb.inertia is None else np.asarray(limb.inertia)
+    if limb.inertia is None:
+        body = inertial_parameters(limb.mass, limb.com, True)
+    else:
+        body = limb_parameters(limb.mass, limb.mass_com, limb.inertia)
     if added:
-        first = first + data.added_mass * data.added_com
-        inertia = inertia + _point(data.added_mass, data.added_com)
+        body = body + inertial_parameters(data.added_mass, data.added_com, True)
+    first, inertia = body[MOMENT], inertia_matrix(body)
     found[:, :3] = -np.cross(rate, first) - np.cross(spin, np.cross(spin, first))
     found[:, 3:] = -rate @ inertia.T - np.cross(spin, spin @ inertia.T)
     return found
@@ -214,12 +217,6 @@ def expected_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
     first = np.asarray(limb.mass_com) + data.added_mass * data.added_com
     still = np.concatenate([mass * data.gravity, np.cross(first, data.gravity)], axis=1)
     return np.asarray(still + motion_wrench(data, limb))
-
-
-def _point(mass: float, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inertia of a point mass about the origin in kg m^2."""
-    place = np.asarray(position, dtype=np.float64)
-    return np.asarray(mass * (place @ place * np.eye(3) - np.outer(place, place)))
 
 
 def _pair(

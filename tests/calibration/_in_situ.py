@@ -114,8 +114,11 @@ def with_arrays(one, raw, gravity, added_com=None):
     return InSituSet(raw, gravity, added_mass=one.added_mass, added_com=place, name=one.name)
 
 
-def moving_sets(rng, noise, slower=1.0):
-    """A leg that swings at about 1 Hz, or so many times slower, its motion known."""
+def moving_sets(rng, noise, slower=1.0, own=1.0):
+    """A leg that swings at about 1 Hz, or so many times slower, its motion known.
+
+    What is added has so many times the inertia of a cube of steel about its centre.
+    """
     matrix, mass, com, places = SENSORS["leg"]
     inertia = np.diag([0.3, 0.28, 0.02]) + mass * (com @ com * np.eye(3) - np.outer(com, com))
     response, time = np.linalg.inv(matrix), slower * np.arange(1500) / 100.0
@@ -134,7 +137,10 @@ def moving_sets(rng, noise, slower=1.0):
         omega, alpha = rate(time), (rate(time + 1e-3) - rate(time - 1e-3)) / 2e-3
         gravity = turn(time).inv().apply([0.0, 0.0, 9.81])
         moment = mass * com + added * place
-        total = inertia + added * (place @ place * np.eye(3) - np.outer(place, place))
+        cube = added * np.cbrt(added / 7850.0) ** 2 / 6.0
+        total = (
+            inertia + added * (place @ place * np.eye(3) - np.outer(place, place)) + own * cube * np.eye(3)
+        )
         force = (mass + added) * gravity - np.cross(alpha, moment) - np.cross(omega, np.cross(omega, moment))
         torque = np.cross(moment, gravity) - alpha @ total - np.cross(omega, omega @ total)
         wrench = np.concatenate([force, torque], axis=1) + noise * NOISE * rng.standard_normal((1500, 6))

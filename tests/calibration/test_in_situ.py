@@ -332,6 +332,17 @@ def test_a_moving_limb_shows_its_inertia_and_needs_no_rest():
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 4.0 * fit.limb_mass_std
 
 
+@pytest.mark.parametrize("own", [0.0, 2.0])
+def test_the_inertia_of_what_is_added_is_open_by_as_much_as_is_claimed(own):
+    off = []
+    for seed in range(3):
+        sets, _ = moving_sets(np.random.default_rng([14, seed]), noise=0.1, own=own)
+        fit = calibrate_in_situ(sets)
+        off.append(errors(fit, "leg", 500.0) / np.sqrt(np.diag(fit.covariance)))
+    # As a point it moved the limb's first moment by four deviations.
+    assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2.0
+
+
 def test_a_slow_sweep_that_is_taken_as_rest_is_off_by_as_much_as_is_claimed():
     """The leg's own inertia, which no residual shows; with its motion it is as sure as noise lets it be."""
     rng = np.random.default_rng(71)
