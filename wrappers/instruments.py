@@ -149,7 +149,7 @@ class SensorsInAnkles:
         self.config = config
         self.channels = config.channels
         self.nominal = Parameters(config.nominal_scale, np.zeros(config.channels))
-        self.slope, self.zero_code, self.age = config.slope, config.zero_code, 0.0
+        self.slope, self.zero_code, self.age = config.slope, config.zero_code, config.nominal_age
         self.code_range = config.code_range
         self.feet = tuple(
             FootLayout.force_torque(

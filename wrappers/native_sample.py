@@ -31,6 +31,9 @@ class NativeSample:
         state: The filter's state.
         view: What is shown.
         dt: Time between samples in s.
+
+    Attributes:
+        sampled: Whether it has taken in any sample.
     """
 
     def __init__(
@@ -38,7 +41,7 @@ class NativeSample:
     ) -> None:
         library = beliefs.library
         self._of = beliefs, state, beliefs.model.revision
-        self._filter, self._raw = native, native.raw
+        self._filter, self._raw, self.sampled = native, native.raw, False
         config = view_record(library, view)
         told, names = _told(library, beliefs, native, view)
         self._dtype, self._memory = told, np.zeros(library.places["told"][""][2], np.uint8)
@@ -94,6 +97,7 @@ class NativeSample:
         how = beliefs.plan(command) + 2 * hold
         found = self._sample(self._at, *(arrived or _NOTHING), *times, how)
         beliefs.tell(found)
+        self.sampled = True
         if found & 9:
             state.changed()
 

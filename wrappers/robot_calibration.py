@@ -99,7 +99,9 @@ class CalibrationSetup:
             )
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
-        self.options = {"age": instruments.ages} | layout_options(self.layout, drawing, self.method) | options
+        self.options = (
+            {"age": instruments.ages.tolist()} | layout_options(self.layout, drawing, self.method) | options
+        )
         self.mass = self.model().mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)

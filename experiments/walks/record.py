@@ -37,8 +37,9 @@ class Condition:
 
     @property
     def age(self) -> float:
-        """Mean age in s of a reading when the host takes it; six-axis sensors are read at once."""
-        return 0.0 if self.cells is None else self.cells.nominal_age
+        """Mean age in s of a reading when the host takes it; the cells' where there are both."""
+        device = self.cells or self.ankle
+        return 0.0 if device is None else device.nominal_age
 
 
 CONDITIONS = (

@@ -170,6 +170,11 @@ class ForceTorque:
         return int(self.code_range[1].max()).bit_length() + 1 if self.converts else 0
 
     @property
+    def nominal_age(self) -> float:
+        """Mean age in s of a reading when the host takes it, by the data sheet: the delay of the wire."""
+        return self.wire.delay
+
+    @property
     def nominal_scale(self) -> NDArray[np.float64]:
         """N and N m per count by the maker's matrix, shape (K,)."""
         return 1.0 / self.slope

@@ -105,7 +105,7 @@ static const place places[] = {
 
     B_INT(channels), B_INT(count), B_INT(kind), B_INT(channel), B_INT(other), B_INT(rounds), B_REAL(start),
     B_REAL(stop), B_REAL(unloaded), B_REAL(lowest), B_REAL(highest), B_REAL(rate), B_REAL(size),
-    B_REAL(probability), B_REAL(burst), PLACE(faults, time, "real"), PLACE(faults, held, "real"),
+    B_REAL(probability), B_REAL(burst), PLACE(faults, time, "double"), PLACE(faults, held, "real"),
     PLACE(faults, lost, "real"),
 
     WHOLE_OF(telemetry_config), WHOLE_OF(telemetry),

@@ -16,7 +16,7 @@
 #ifndef SF_FAULTS
 #define SF_FAULTS 16
 #endif
-#define SF_FAULT_ROUNDING ((sf_real)1e-6)
+#define SF_FAULT_ROUNDING 1e-6
 
 /* Kinds, as KINDS of the Python counts them. */
 enum {
@@ -34,7 +34,8 @@ typedef struct {
 
 /* Fields are those of the Python state. */
 typedef struct {
-    sf_real time[1], held[SF_FAULTS], lost[SF_FAULTS];
+    double time[1]; /* in floats it would be seconds off after an hour */
+    sf_real held[SF_FAULTS], lost[SF_FAULTS];
 } sf_faults;
 
 /* Whether a config that comes from elsewhere lies within the arrays. */
@@ -64,12 +65,13 @@ SF_API sf_real sf_spiked(const sf_faults_config *c, int f, sf_real code, const s
 /* Turn the counts of all channels into what the host reads, dt after the reading before. */
 SF_API void sf_faults_step(const sf_faults_config *c, sf_faults *s, sf_random *stream, sf_real dt,
                            sf_real *counts) {
-    sf_real drawn[2 * SF_FAULTS], *own = drawn, now = s->time[0] += dt;
+    sf_real drawn[2 * SF_FAULTS], *own = drawn;
+    double now = s->time[0] += (double)dt;
     int chances = 0;
     for (int f = 0; f < c->count; f++) chances += c->kind[f] == SF_FAULT_SPIKING || c->kind[f] == SF_FAULT_DROPPED;
     sf_random_fill(stream, 0, 2 * chances, drawn);
     for (int f = 0; f < c->count; f++) {
-        int active = now >= c->start[f] - SF_FAULT_ROUNDING && now < c->stop[f] - SF_FAULT_ROUNDING;
+        int active = now >= (double)c->start[f] - SF_FAULT_ROUNDING && now < (double)c->stop[f] - SF_FAULT_ROUNDING;
         sf_real *read = counts + c->channel[f], code = *read, wrong = code, *held = s->held + f;
         if (!(active && !isnan(*held)) && !isnan(code)) *held = code;
         switch (c->kind[f]) {

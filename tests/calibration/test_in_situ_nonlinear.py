@@ -168,7 +168,6 @@ def test_other_degrees_are_refused(given):
         InSituOptions(nonlinear=given)
 
 
-@pytest.mark.slow
 def test_where_wider_tolerances_do_not_help_the_linear_fit_says_why():
     def answer(sets, options):
         raise CalibrationRefused("It bends." if options == InSituOptions() else "An axis is unseen.", "")
@@ -177,6 +176,7 @@ def test_where_wider_tolerances_do_not_help_the_linear_fit_says_why():
         with_nonlinear((), AUTO, answer, weighed=False)
 
 
+@pytest.mark.slow
 def test_a_limb_that_bends_is_no_sensor_that_is_not_linear():
     sets, _ = noisy_sets("leg", np.random.default_rng(68), n=1200)
     response = np.linalg.inv(MATRIX)

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from surefoot.calibration import METHODS, FootCalibrator, Parameters, Reference, nao_shoe_layout
+from surefoot.calibration import (
+    METHODS,
+    FeetLayout,
+    FootCalibrator,
+    FootLayout,
+    Parameters,
+    Reference,
+    nao_shoe_layout,
+)
 
 warp = pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip install 'surefoot[gpu]'")
 
@@ -227,6 +235,36 @@ def test_a_calibrator_starts_where_the_sensors_data_sheet_does(log):
     module = make("none", initial=feet.nominal)
     counts = feet(log[1][0])
     torch.testing.assert_close(module(counts, row(log, 0)[1]).force, log[1][0].float(), atol=1e-3, rtol=0.0)
+
+
+@pytest.mark.parametrize("cross_talk", [0.0, 0.01])
+def test_ankle_sensors_have_the_matrix_of_a_calibrator_alone(cross_talk, log):
+    ankles = FeetLayout(
+        tuple(
+            FootLayout.force_torque(
+                name,
+                position_sensor_sole=np.array([0.0, 0.0, 0.05]),
+                R_sole_sensor=np.eye(3),
+                mass_below=0.1,
+                com_below_sole=np.zeros(3),
+            )
+            for name in ("left", "right")
+        )
+    )
+    known = {"mass": MASS, "dt": DT, "lag": 0, "foot_length": 0.16, "cross_talk": cross_talk}
+    module = SelfCalibrationModule(ankles, "moment", 1, dtype=torch.float64, **known)
+    alone = FootCalibrator(ankles, "moment", **known)
+    for k in range(200):
+        force, rng = log[1][k][0].numpy(), np.random.default_rng(k)
+        raw = 0.2 * rng.normal(size=(2, 6))
+        raw[:, 2] += 1.1 * force.reshape(2, 4).sum(axis=1)
+        reference = Reference(*(part[k, :1] for part in log[2]))
+        found = module(torch.as_tensor(raw.reshape(1, 12)), reference)
+        expected = alone.update(raw.ravel(), Reference(*(part[0].numpy() for part in reference)))
+    assert (found.matrix is None) == (expected.matrix is None) == (cross_talk == 0.0)
+    if cross_talk:
+        np.testing.assert_allclose(found.matrix[0], expected.matrix, rtol=1e-9, atol=1e-9)
+        assert np.abs(expected.matrix - np.diag(np.diagonal(expected.matrix))).max() > 1e-5
 
 
 @pytest.mark.slow

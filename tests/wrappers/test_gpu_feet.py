@@ -14,7 +14,8 @@ from surefoot.wrappers import FootSensors
 
 pytest.importorskip("warp", "1.19", reason="GPU modules need Warp: pip install 'surefoot[gpu]'")
 
-from surefoot.wrappers.gpu.batch import mask_of
+from surefoot.sensors.devices.native_faults import FAULTS
+from surefoot.wrappers.gpu.batch import mask_of, views
 from surefoot.wrappers.gpu.foot_sensors import FootSensorsModule
 
 N, DT = 5, 0.02
@@ -280,6 +281,18 @@ def test_faults_begin_when_they_should():
     read = torch.stack([feet.newtons(feet(force))[:, 3] for _ in range(8)])
     dead = (read.abs() < 0.1).all(dim=1).tolist()
     assert dead == [False] * 4 + [True] * 4
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_faults_begin_when_they_should_after_hours(dtype):
+    feet = FootSensorsModule(
+        "hx711-load-cells", 1, dtype=dtype, dt=0.005, faults=[Fault("dead", 3, start=7201.0)], severity=0.0
+    )
+    faults = feet._device(FAULTS, feet._broken)
+    views(feet._faults, faults.layout)["time"].fill_(7200.0)
+    force = torch.full((1, 8), 10.0)
+    read = [abs(float(feet.newtons(feet(force))[0, 3])) < 0.1 for _ in range(203)]
+    assert read.index(True) == pytest.approx(199, abs=1)
 
 
 def test_a_mapping_of_either_kind_is_a_configuration():

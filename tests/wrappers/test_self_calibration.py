@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import FootCalibrator, Parameters
+from surefoot.sensors import ForceTorque, Wire
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 from surefoot.wrappers.contacts import CONTACT_MARGIN, Plan
@@ -216,6 +217,16 @@ def test_a_late_link_has_brought_packets_when_an_episode_begins(link: dict[str, 
     for observation, info in walk(env, 60):
         assert np.isfinite(observation["state"]).all()
         assert info["surefoot"]["reference"]["known"]
+
+
+def test_a_reference_is_of_the_moment_at_which_late_ankle_sensors_were_read(make_bare) -> None:
+    sensors = FootSensors(make_bare(), ForceTorque(wire=Wire(delay=0.03)))
+    env = SelfCalibration(sensors)
+    env.reset(seed=0)
+    env.step(STILL)
+    np.testing.assert_array_equal(env.calibrator.setup.age, np.full(12, 0.03))
+    late = env.robot.late * sensors.telemetry.dt
+    assert env.robot.reference_time == pytest.approx(sensors.time - late - 0.03)
 
 
 def test_links_and_lags_that_nothing_is_kept_for_are_refused(make_bare) -> None:

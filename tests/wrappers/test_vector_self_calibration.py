@@ -99,6 +99,22 @@ def test_what_was_learnt_outlives_episodes_in_all_modes(mode):
     assert (before != start).any(axis=1).all()
 
 
+def test_what_a_loaded_robot_showed_stands_while_others_are_reset(tmp_path):
+    env = _vector(mode=AutoresetMode.DISABLED)
+    env.reset(seed=2)
+    for _ in range(12):
+        shown, *_, told = env.step(ACTIONS)
+    env.save(tmp_path / "learnt.npz")
+    env.load(tmp_path / "learnt.npz")
+    seen, infos = env.reset(options={"reset_mask": np.array([True, False, False])})
+    for part, before in shown.items():
+        np.testing.assert_array_equal(seen[part][1:], before[1:], err_msg=part)
+    for part in ("vgrf", "covariance"):
+        np.testing.assert_array_equal(infos["surefoot"][part][1:], told["surefoot"][part][1:], err_msg=part)
+    for part in ("foot_force", "cop_foot"):
+        assert (env.step(ACTIONS)[0][part] != 0.0).any(), part
+
+
 @pytest.mark.slow
 def test_a_seed_repeats_all_on_the_same_object():
     env = _vector()

@@ -190,7 +190,9 @@ class SelfCalibrationModule(BatchModule):
         self._waiting = self._kept("waiting", torch.zeros(num_envs, dtype=torch.int32))
         self._told = native.estimate.now.dtype
         self._believed = views(self._beliefs, native.belief.dtype)
-        self._covariance = views(self._state, fresh.record.dtype)["learnt"] if native.certain else None
+        self._learnt = views(self._state, fresh.record.dtype)
+        self._certain = native.certain
+        self._talks = None if native.constants.matrix is None else self._scales(native.constants.config)
 
     def forward(self, counts: Tensor, reference: Reference, step: int | None = None) -> Estimate:
         """Take in one sample of all robots.
@@ -215,10 +217,14 @@ class SelfCalibrationModule(BatchModule):
             self._run(_ADVANCE * advances + _FROZEN * self.frozen, counts, self._beliefs)
             self._asked = False
         one: dict[str, Any] = views(self._estimate.clone(), self._told)
-        if self._covariance is None:
+        if not self._certain:
             one |= dict.fromkeys(("force_std", "cop_covariance", "nis", "nis_rows"))
         else:
-            one["covariance"] = self._covariance.clone()
+            one["covariance"] = self._learnt["learnt"].clone()
+        if self._talks is not None:
+            to, origin = self._talks
+            one["matrix"] = counts.new_zeros((*counts.shape, counts.shape[-1]))
+            one["matrix"][:, to, origin] = self._learnt["given"][:, : len(to)]
         return Estimate(**{name: one.get(name) for name in Estimate._fields})
 
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
@@ -278,6 +284,13 @@ class SelfCalibrationModule(BatchModule):
 
     def _nothing(self, rows: int, size: int) -> Tensor:
         return torch.zeros((rows, size), dtype=torch.uint8, device=self.device)
+
+    def _scales(self, config: Any) -> tuple[Tensor, Tensor]:
+        """Return the channel that each scale acts on, and that on whose reading, shape (P,) each."""
+        own = list(range(self.setup.layout.channels))
+        places = (own + config[name].tolist() for name in ("talk_to", "talk_from"))
+        to, origin = (torch.tensor(place, device=self.device) for place in places)
+        return to, origin
 
     def _belief(self, name: str, values: Tensor, shape: torch.Size) -> Tensor:
         """Check one field of a reference."""

@@ -102,7 +102,10 @@ class BatchCalibration:
     def _sample(self, which: list[int]) -> None:
         """Take in one sample of some robots."""
         planned, count = self._sensors.planned, len(self.robots)
-        if len(natives := [own for robot in self.robots if (own := robot.by_library())]) == count:
+        natives = [own for robot in self.robots if (own := robot.by_library())]
+        # What was shown of a robot that has other records since then stands in `shown` alone.
+        known = len(which) == count or all(native.sampled for native in natives)
+        if len(natives) == count and known:
             for i in which:
                 self.robots[i].feed(natives[i], planned[i])
             self.shown, self.told = natives[0].told_by(natives)
