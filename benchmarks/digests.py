@@ -16,7 +16,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 
 import surefoot
 from surefoot.calibration import InSituSet, calibrate_accelerometer, calibrate_in_situ, fit_channels
@@ -66,8 +65,6 @@ class Digest:
         elif isinstance(value, (list, tuple)):
             for item in value:
                 self.add(item)
-        elif isinstance(value, torch.Tensor):
-            self.add(value.detach().numpy())
         elif isinstance(value, (bool, int, float, np.generic, np.ndarray)):
             self.hash.update(np.ascontiguousarray(value).tobytes())
 
@@ -95,7 +92,7 @@ def environments() -> Iterator[tuple[str, Digest]]:
 
 
 def sensors() -> Iterator[tuple[str, Digest]]:
-    """Read a made-up load through every preset, at two severities, with NumPy and torch."""
+    """Read a made-up load through every preset, at two severities."""
     makers: dict[type, tuple[int, Any]] = {
         LoadCells: (8, load_cells),
         ForceTorque: (12, force_torque),
@@ -110,17 +107,13 @@ def sensors() -> Iterator[tuple[str, Digest]]:
         chain = make(scaled(config, severity))
         time = np.arange(STEPS)[:, None] / 80
         loads = 10.0 + 8.0 * np.sin(time * (1.0 + np.arange(channels)))
-        for library in ("numpy", "torch"):
-            torches = library == "torch"
-            rng: Any = torch.Generator().manual_seed(3) if torches else np.random.default_rng(3)
-            digest = Digest()
-            state = chain.init((channels,), rng, torch.float64 if torches else np.float64)
-            for row in loads:
-                row = np.tile(row, (10, 1)) if kind is LoadCells else row  # ten substeps of a block
-                load: Any = torch.as_tensor(row) if torches else row
-                reading, state = chain.apply(load, state, rng, 1 / 80)
-                digest.add(reading)
-            yield f"sensor {name} x{severity:g} {library}", digest
+        rng, digest = np.random.default_rng(3), Digest()
+        state = chain.init((channels,), rng)
+        for row in loads:
+            row = np.tile(row, (10, 1)) if kind is LoadCells else row  # ten substeps of a block
+            reading, state = chain.apply(row, state, rng, 1 / 80)
+            digest.add(reading)
+        yield f"sensor {name} x{severity:g} numpy", digest
 
 
 def walks() -> Iterator[tuple[str, Digest]]:

@@ -1,4 +1,4 @@
-"""How long emulated load cells take: 4,096 robots of 8 cells in torch, one robot in NumPy.
+"""How long emulated load cells take in NumPy: 4,096 robots of 8 cells at once, and one robot.
 
 Run ``python benchmarks/sensor_speed.py``. The whole chain is the preset ``hx711-bar-cells``: each link of the
 mechanics, the bridge, the converter with its clock and filter, and the wire. Each link is timed as what the
@@ -13,12 +13,10 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from surefoot.sensors import LoadCells, Mechanics, Wire, load_cells
 from surefoot.sensors.presets import BAR_CELLS_ON_HX711 as WHOLE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-from surefoot.sensors.randomness import normal
 
 DT = 1 / 80
 BARE = replace(HX711_LOAD_CELLS, scale_drift=0.0, offset_drift=0.0, input_noise=0.0, rate=None)
@@ -62,8 +60,8 @@ def variants() -> dict[str, LoadCells]:
 def stepper(config: LoadCells, block: Any, rng: Any) -> Callable[[], None]:
     """Make a function that passes loads through the cells once."""
     cells = load_cells(config)
-    state = cells.init((*block.shape[:-2], config.channels), rng, block.dtype)
-    loads = [block + 2.0 * normal(rng, block.shape, block.dtype) for _ in range(5)]
+    state = cells.init((*block.shape[:-2], config.channels), rng)
+    loads = [block + 2.0 * rng.standard_normal(block.shape) for _ in range(5)]
     count = 0
 
     def step() -> None:
@@ -98,22 +96,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=4096)
     parser.add_argument("--substeps", type=int, default=1, help="substeps of a block for the batch")
-    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--rounds", type=int, default=15)
     arguments = parser.parse_args()
 
-    shape = (arguments.robots, arguments.substeps, WHOLE.channels)
-    for threads in arguments.threads:
-        torch.set_num_threads(threads)
-        rng = torch.Generator().manual_seed(0)
-        block = 10.0 + torch.randn(shape, generator=rng)
+    rng = np.random.default_rng(0)
+    for robots, shape, each in (
+        (f"{arguments.robots} robots", (arguments.robots, arguments.substeps, WHOLE.channels), 20),
+        ("one robot", (10, WHOLE.channels), 200),
+    ):
+        block = 10.0 + rng.standard_normal(shape)
         steps = {name: stepper(config, block, rng) for name, config in variants().items()}
-        title = f"torch float32, {arguments.robots} robots, S = {arguments.substeps}, {threads} thread(s)"
-        show(title, medians(steps, arguments.rounds, 20))
-    generator = np.random.default_rng(0)
-    one = 10.0 + generator.standard_normal((10, WHOLE.channels))
-    steps = {name: stepper(config, one, generator) for name, config in variants().items()}
-    show("NumPy float64, one robot, S = 10", medians(steps, arguments.rounds, 200))
+        show(f"{robots}, S = {shape[-2]}", medians(steps, arguments.rounds, each))
 
 
 if __name__ == "__main__":

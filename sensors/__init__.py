@@ -1,4 +1,4 @@
-"""Honest models of foot sensors, IMUs and encoders: arrays in, arrays out, on a robot or a GPU.
+"""Honest models of foot sensors, IMUs and encoders: NumPy arrays in, NumPy arrays out.
 
 The top level has configurations, presets, builders of devices, faults, and the simplest stages. All other
 stages are in :mod:`surefoot.sensors.stages` and :mod:`surefoot.sensors.transport`, states beside what makes

@@ -1,4 +1,4 @@
-r"""Draws from a stream of a robot's own, or from a NumPy or a torch generator: no stage needs to know which.
+r"""Draws from a stream of a robot's own or from a NumPy generator: no stage needs to know which.
 
 A :class:`Stream` is counter-based (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011).
 A block of four words is a function, Philox4x32-10, of a key and of the block's number alone, so that a
@@ -10,11 +10,8 @@ and the same of c and d, and two normal ones by Box and Muller,
 :math:`\sqrt{-2 \log(1 - u_1)}\, (\cos 2 \pi u_2, \sin 2 \pi u_2)`. A draw of n numbers takes
 :math:`\lceil n / 2 \rceil` blocks; what is left of the last one is dropped.
 ``sensors/native/surefoot_random.h`` is the same in C, and draws here where it is compiled.
-
-torch is never imported here: a caller with a ``torch.Generator`` has imported it.
 """
 
-import sys
 from collections.abc import Iterable, Sequence
 from math import prod
 from typing import Any, NamedTuple, Self
@@ -23,8 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.sensors.native import installed
-
-Array = Any
 
 AHEAD = 256
 """Blocks that a lone robot's stream makes at a time where there is no library."""
@@ -205,73 +200,40 @@ class Stream:
         self._settle(kept["_marks"])
 
 
-def _is_torch(rng: Any) -> bool:
-    return type(rng).__module__.startswith("torch")
-
-
-def _check(rng: Any, dtype: Any) -> None:
-    of_torch = type(dtype).__module__.startswith("torch")
-    if not _is_torch(rng) and not isinstance(rng, np.random.Generator | Stream):
-        raise TypeError(
-            "Sensors draw from a numpy.random.Generator or a torch.Generator, "
-            f"got {type(rng).__name__}; pass numpy.random.default_rng(seed)."
-        )
-    if dtype is not None and of_torch != _is_torch(rng):
-        raise TypeError(
-            f"Readings of type {dtype} cannot be mixed with a {type(rng).__module__}.{type(rng).__name__}: "
-            "torch tensors need a torch.Generator, NumPy arrays a numpy.random.Generator."
-        )
-
-
-def normal(rng: Any, shape: tuple[int, ...], dtype: Any = None, *, before: int = 0) -> Array:
+def normal(
+    rng: np.random.Generator | Stream, shape: tuple[int, ...], *, before: int = 0
+) -> NDArray[np.float64]:
     """Draw standard normal numbers.
 
     Args:
-        rng: A stream, or a NumPy or a torch generator; torch draws on the generator's device.
+        rng: A stream or a NumPy generator.
         shape: The shape of the result.
-        dtype: A floating dtype of the same library; by default the library's own default.
         before: How many of the axes come before those of a batch of robots.
 
     Raises:
-        TypeError: If the generator and the dtype belong to different libraries.
+        TypeError: If ``rng`` is neither.
     """
-    if type(rng) is np.random.Generator and (dtype is None or dtype == np.float64):
-        return rng.standard_normal(shape)
-    _check(rng, dtype)
     if isinstance(rng, Stream):
-        return rng.standard_normal(shape, before).astype(dtype or np.float64, copy=False)
-    if _is_torch(rng):
-        return sys.modules["torch"].randn(shape, generator=rng, device=rng.device, dtype=dtype)
-    return rng.standard_normal(shape, dtype=dtype)
+        return rng.standard_normal(shape, before)
+    _check(rng)
+    return rng.standard_normal(shape)
 
 
 def uniform(
-    rng: Any, low: float, high: float, shape: tuple[int, ...], dtype: Any = None, *, before: int = 0
-) -> Array:
+    rng: np.random.Generator | Stream, low: float, high: float, shape: tuple[int, ...], *, before: int = 0
+) -> NDArray[np.float64]:
     """Draw numbers uniformly from [low, high); arguments as for :func:`normal`."""
-    _check(rng, dtype)
     if isinstance(rng, Stream):
-        drawn = rng.random(shape, before).astype(dtype or np.float64, copy=False)
-    elif _is_torch(rng):
-        drawn = sys.modules["torch"].rand(shape, generator=rng, device=rng.device, dtype=dtype)
+        drawn = rng.random(shape, before)
     else:
-        drawn = rng.random(shape, dtype=np.float64 if dtype is None else dtype)
+        _check(rng)
+        drawn = rng.random(shape)
     return drawn if (low, high) == (0.0, 1.0) else low + (high - low) * drawn
 
 
-def filled(rng: Any, value: float, shape: tuple[int, ...], dtype: Any = None) -> Array:
-    """Return an array of the generator's library and device, filled with one value; nothing is drawn."""
-    _check(rng, dtype)
-    if _is_torch(rng):
-        torch = sys.modules["torch"]
-        return torch.full(shape, value, device=rng.device, dtype=dtype or torch.get_default_dtype())
-    return np.full(shape, value, dtype=dtype or np.float64)
-
-
-def constant(rng: Any, value: Any, dtype: Any = None) -> Array:
-    """Return a NumPy array (or a number) as an array of the generator's library, on its device."""
-    _check(rng, dtype)
-    if _is_torch(rng):
-        torch = sys.modules["torch"]
-        return torch.as_tensor(value, device=rng.device, dtype=dtype or torch.get_default_dtype())
-    return np.asarray(value, dtype=dtype or np.float64)
+def _check(rng: Any) -> None:
+    if not isinstance(rng, np.random.Generator):
+        raise TypeError(
+            "Sensors draw from a numpy.random.Generator or a Stream, "
+            f"got {type(rng).__name__}; pass numpy.random.default_rng(seed)."
+        )

@@ -118,8 +118,8 @@ class NativeTelemetry(Telemetry):
     ) -> tuple[Packets, Any]:
         """Measure a control step; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
         native = state if type(state) is NativeTelemetryState else self.pack(state)
-        other = position.shape != self._shape or type(rng) is not Stream
-        if native is None or native.coming < 0 or other:
+        other = position.shape != self._shape
+        if native is None or native.coming < 0 or other or type(rng) is not Stream:
             # More packets are under way than the library has room for, or a step is not as long as others.
             return super().advance(position, inertial, time, self.unpack(state), rng)
         self._position[...], self._inertial[...] = position, inertial

@@ -26,9 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng, device
+from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.transport.wire import DIRECT, Wire, wire
@@ -215,36 +214,33 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
         config: The instrument.
     """
     eye = np.eye(AXES)
-    spread = Table(config.initial_scale_std * eye + config.cross_talk_std * (1.0 - eye))
-    diagonal, ratio = Table(eye), Table(full_scale_ratio(config))
-    offset_std = Table(per_axis(config.initial_offset_force_std, config.initial_offset_torque_std))
-    offset_walk = Table(per_axis(config.offset_drift_force, config.offset_drift_torque))
+    spread = config.initial_scale_std * eye + config.cross_talk_std * (1.0 - eye)
+    ratio = full_scale_ratio(config)
+    offset_std = per_axis(config.initial_offset_force_std, config.initial_offset_torque_std)
+    offset_walk = per_axis(config.offset_drift_force, config.offset_drift_torque)
     scale_walk = config.scale_drift
-    noise = Table(np.tile(per_axis(config.noise_force, config.noise_torque), config.sensors))
-    slope, ends = Table(config.slope), tuple(Table(end) for end in config.code_range)
-    rated = config.full_scale * config.slope
-    way = wire(config.wire, rated, config.code_range, config.word_bits) if config.wire.acts else None
+    noise = np.tile(per_axis(config.noise_force, config.noise_torque), config.sensors)
+    slope, converts, (low, high) = config.slope, config.converts, config.code_range
+    rated = config.full_scale * slope
+    way = wire(config.wire, rated, (low, high), config.word_bits) if config.wire.acts else None
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ForceTorqueState:
+    def init(shape: tuple[int, ...], rng: Rng) -> ForceTorqueState:
         if not shape or shape[-1] != config.channels:
             raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
         each = (*shape[:-1], config.sensors, AXES)
-        error, offset = normal(rng, (*each, AXES), dtype), normal(rng, each, dtype)
-        brought = way.init(shape, rng, dtype) if way else ()
-        return ForceTorqueState(error * spread.like(error), offset * offset_std.like(offset), brought)
+        error, offset = normal(rng, (*each, AXES)), normal(rng, each)
+        brought = way.init(shape, rng) if way else ()
+        return ForceTorqueState(error * spread, offset * offset_std, brought)
 
     def apply(wrench: Array, state: ForceTorqueState, rng: Rng, dt: float) -> tuple[Array, ForceTorqueState]:
-        xp = namespace(wrench)
-        error, offset = cast_like(state.error, wrench), cast_like(state.offset, wrench)
-        of_scale, of_offset, of_noise = normal(rng, (3, *offset.shape), wrench.dtype, before=1)
-        error = error + (scale_walk * dt**0.5) * of_scale[..., None] * diagonal.like(wrench)
-        offset = offset + dt**0.5 * offset_walk.like(wrench) * of_offset
-        true = xp.reshape(wrench, offset.shape)
-        felt = true + xp.sum(error * ratio.like(wrench) * true[..., None, :], axis=-1) + offset
-        read = xp.reshape(felt, wrench.shape) + xp.reshape(of_noise, wrench.shape) * noise.like(wrench)
-        if config.converts:
-            low, high = (end.like(wrench) for end in ends)
-            read = round_off(limit(read * slope.like(wrench), low, high))
+        of_scale, of_offset, of_noise = normal(rng, (3, *state.offset.shape), before=1)
+        error = state.error + (scale_walk * dt**0.5) * of_scale[..., None] * eye
+        offset = state.offset + dt**0.5 * offset_walk * of_offset
+        true = wrench.reshape(offset.shape)
+        felt = true + (error * ratio * true[..., None, :]).sum(axis=-1) + offset
+        read = felt.reshape(wrench.shape) + of_noise.reshape(wrench.shape) * noise
+        if converts:
+            read = np.rint(limit(read * slope, low, high))
         brought = state.wire
         if way:
             read, brought = way.apply(read, brought, rng, dt)
@@ -260,10 +256,8 @@ def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Ar
         The matrix C in N and N m per count, shape (..., sensors, 6, 6), and the offset o in counts, shape
         (..., sensors, 6): the true wrench is C (s - o).
     """
-    xp = namespace(state.offset)
-    slope = Table(config.slope[:AXES]).like(state.offset)
-    eye, ratio = (Table(part).like(state.offset) for part in (np.eye(AXES), full_scale_ratio(config)))
-    return xp.linalg.inv(eye + state.error * ratio) / slope, state.offset * slope
+    slope = config.slope[:AXES]
+    return np.linalg.inv(np.eye(AXES) + state.error * full_scale_ratio(config)) / slope, state.offset * slope
 
 
 def full_scale_ratio(config: ForceTorque) -> NDArray[np.float64]:

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import require, require_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, device
+from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
 from surefoot.sensors.randomness import normal
 
 NO_STEP = 2.0**-60
@@ -107,42 +106,39 @@ def imu(config: Imu) -> Corruption[ImuState]:
             _pair(config.accelerometer_noise, config.gyroscope_noise),
         ]
     )
-    bias_std = Table(_pair(config.accelerometer_bias_std, config.gyroscope_bias_std))
+    bias_std = _pair(config.accelerometer_bias_std, config.gyroscope_bias_std)
     resolution = _pair(config.accelerometer_resolution, config.gyroscope_resolution)
     rounds = bool(resolution.any())
-    step = Table(np.where(resolution > 0.0, resolution, NO_STEP))
+    step = np.where(resolution > 0.0, resolution, NO_STEP)
     most = _pair(config.accelerometer_range, config.gyroscope_range)
     clips = bool(most.any())
-    highest = Table(np.where(most > 0.0, most, np.inf))
+    highest = np.where(most > 0.0, most, np.inf)
     scales = np.array([config.accelerometer_scale_std, config.gyroscope_scale_std])[:, None, None]
     axes = np.eye(3)
     spread = scales * axes + config.misalignment_std * (1.0 - axes)
-    skewed, skew, upright = bool(spread.any()), Table(spread), Table(axes)
-    scaled = lru_cache(maxsize=16)(lambda dt: Table(walk_and_noise * [[dt**0.5], [dt**-0.5]]))
+    skewed = bool(spread.any())
+    scaled = lru_cache(maxsize=16)(lambda dt: walk_and_noise * [[dt**0.5], [dt**-0.5]])
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ImuState:
-        drawn = normal(rng, shape, dtype)
-        bias = bias_std.like(drawn) * drawn
+    def init(shape: tuple[int, ...], rng: Rng) -> ImuState:
+        drawn = normal(rng, shape)
+        bias = bias_std * drawn
         if not skewed:
             return ImuState(bias)
-        drawn = normal(rng, (*shape[:-1], 2, 3, 3), dtype)
-        return ImuState(bias, upright.like(drawn) + skew.like(drawn) * drawn)
+        drawn = normal(rng, (*shape[:-1], 2, 3, 3))
+        return ImuState(bias, axes + spread * drawn)
 
     def apply(reading: Array, state: ImuState, rng: Rng, dt: float) -> tuple[Array, ImuState]:
-        drawn = normal(rng, (*reading.shape[:-1], 2, 6), reading.dtype) * scaled(dt).like(reading)
-        bias = cast_like(state.bias, reading) + drawn[..., 0, :]
+        drawn = normal(rng, (*reading.shape[:-1], 2, 6)) * scaled(dt)
+        bias = state.bias + drawn[..., 0, :]
         felt = reading
         if skewed:
-            xp, matrix = namespace(reading), cast_like(state.matrix, reading)
-            components = xp.reshape(reading, (*reading.shape[:-1], 2, 1, 3))
-            felt = xp.reshape(xp.sum(matrix * components, axis=-1), reading.shape)
+            components = reading.reshape((*reading.shape[:-1], 2, 1, 3))
+            felt = (state.matrix * components).sum(axis=-1).reshape(reading.shape)
         measured = felt + bias + drawn[..., 1, :]
         if clips:
-            ends = highest.like(reading)
-            measured = limit(measured, -ends, ends)
+            measured = limit(measured, -highest, highest)
         if rounds:
-            unit = step.like(reading)
-            measured = round_off(measured / unit) * unit
+            measured = np.rint(measured / step) * step
         return measured, ImuState(bias, state.matrix)
 
     return Corruption(init, apply)

@@ -20,10 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain, device
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain, device, limit
 from surefoot.sensors.devices.load_cell_config import LoadCells
-from surefoot.sensors.randomness import filled, normal
+from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
 from surefoot.sensors.stages.clock import (
     init_clock,
@@ -84,9 +83,6 @@ class LoadCellState(NamedTuple):
 SCALE, OFFSET, RISE = 0, 1, 2
 """Rows of :attr:`LoadCellState.error` and :attr:`LoadCellState.thermal`."""
 
-_OWN = ("period", "due", "previous", "held", "error", "thermal")
-"""Fields with arrays of the cells themselves; the others are states of their parts, which cast them."""
-
 
 def load_cell_chain(config: LoadCells) -> Corruption[Any]:
     """Build load cells from the single stages: the definition that :func:`load_cells` is tested against.
@@ -137,86 +133,84 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     zero_code, rate, clipped = config.zero_code, config.rate, config.adc_bits > 0
     walks, noise = (config.scale_drift, config.offset_drift), config.noise_counts
     drawn_per_step = sum(walk > 0.0 for walk in walks) + (noise > 0.0)
-    slopes, both_walks = Table(config.slope), Table(walks)
-    initial_std = Table([config.initial_scale_std, config.initial_offset_std])
+    slope, both_walks = config.slope, np.array(walks)
+    initial_std = np.array([config.initial_scale_std, config.initial_offset_std])
     warms, ramp, rise = config.warms, config.temperature_ramp, config.temperature_rise
-    tempco_std = Table([config.scale_tempco, config.offset_tempco])
+    tempco_std = np.array([config.scale_tempco, config.offset_tempco])
     settling = config.settling
     average = moving_average(settling)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
     way = _wire(config) if config.wire.acts else None
     remembers = element is not None or settling > 1
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LoadCellState:
+    def init(shape: tuple[int, ...], rng: Rng) -> LoadCellState:
         if not shape or shape[-1] != config.channels:
             raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
-        nothing = filled(rng, 0.0, shape, dtype)
-        period, due = (nothing, nothing) if rate is None else init_clock(rate, shape, rng, dtype)
-        unread = nothing + float("nan")
+        nothing = np.zeros(shape)
+        period, due = (nothing, nothing) if rate is None else init_clock(rate, shape, rng)
         window: Any = ()
         if settling > 1 and rate is None:
-            window = average.init(shape, rng, dtype)
+            window = average.init(shape, rng)
         elif settling > 1:
-            window = init_window(settling, shape, rng, dtype)
-        felt = element.init(shape, rng, dtype) if element else ()
+            window = init_window(settling, shape)
+        felt = element.init(shape, rng) if element else ()
         # In the order of the single stages: scale, offset, each with its coefficient in cells that warm up.
-        drawn = normal(rng, (4 if warms else 2, *shape), dtype, before=1)
-        error = drawn[:: 2 if warms else 1] * initial_std.like(drawn, len(shape))
-        thermal = filled(rng, 0.0, (0,), dtype)
+        drawn = normal(rng, (4 if warms else 2, *shape), before=1)
+        rows = (2, *(1,) * len(shape))
+        error = drawn[:: 2 if warms else 1] * initial_std.reshape(rows)
+        thermal = np.zeros(0)
         if warms:
-            tempco = drawn[1::2] * tempco_std.like(drawn, len(shape))
-            thermal = namespace(drawn).concat([tempco, nothing[None]])
-        brought = way.init(shape, rng, dtype) if way else ()
-        return LoadCellState(period, due, nothing, unread, error, thermal, window, felt, brought)
+            tempco = drawn[1::2] * tempco_std.reshape(rows)
+            thermal = np.concatenate([tempco, nothing[None]])
+        brought = way.init(shape, rng) if way else ()
+        return LoadCellState(
+            period, due, nothing, np.full(shape, np.nan), error, thermal, window, felt, brought
+        )
 
     def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
-        if state.error.dtype != block.dtype:
-            state = state._replace(**{name: cast_like(getattr(state, name), block) for name in _OWN})
-        xp = namespace(block)
         period, due, previous, held, error, thermal, window, felt, brought = state
         if remembers:
-            block = xp.where(xp.isfinite(block), block, float("nan"))
+            block = np.where(np.isfinite(block), block, np.nan)
         load = last = block[..., -1, :] + 0.0
-        drawn = number = finished = last
+        drawn = number = last
         if rate is not None:
             number, at, due = latest_conversion(period, due, dt)
-            finished = number >= 0.0
             position = at * (block.shape[-2] / dt)
             if remembers:
                 # A chip that finishes no conversion: its cell feels the load at the block's start.
-                position = limit(position, 0.0, float("inf"))
+                position = np.maximum(position, 0.0)
             load = interpolate(block, previous, position)
             if remembers:
-                last = xp.where(xp.isnan(last), previous, last)
+                last = np.where(np.isnan(last), previous, last)
         if element:
             load, felt = element.apply(load, felt, rng, dt)
         if drawn_per_step:
-            drawn = normal(rng, (drawn_per_step, *load.shape), load.dtype, before=1)
+            drawn = normal(rng, (drawn_per_step, *load.shape), before=1)
         if all(walks):
-            error = error + drawn[:2] * (dt**0.5 * both_walks.like(load, load.ndim))
+            error = error + drawn[:2] * (dt**0.5 * both_walks.reshape((2, *(1,) * load.ndim)))
         elif any(walks):
             only = SCALE if walks[SCALE] else OFFSET
             rows = [error[SCALE], error[OFFSET]]
             rows[only] = rows[only] + walks[only] * dt**0.5 * drawn[0]
-            error = xp.stack(rows)
+            error = np.stack(rows)
         if warms:
             tempco, before = thermal[:RISE], thermal[RISE]
             temperature = warmed(before, ramp, rise, dt)
             error = error + tempco * (temperature - before)
-            thermal = xp.concat([tempco, temperature[None]])
+            thermal = np.concatenate([tempco, temperature[None]])
         bridge = load * (1.0 + error[SCALE]) + error[OFFSET]
         if settling > 1 and rate is None:
             bridge, window = average.apply(bridge, window, rng, dt)
         elif settling > 1 and rate is not None:
             most = most_conversions(rate, dt)
-            bridge, window = settle(cast_like(window, bridge), bridge, number, finished, most)
-        counts = bridge * slopes.like(load) + zero_code
+            bridge, window = settle(window, bridge, number, most)
+        counts = bridge * slope + zero_code
         if noise:
             counts = counts + noise * drawn[-1]
         if clipped:
-            counts = round_off(limit(counts, low, high))
+            counts = np.rint(limit(counts, low, high))
         if rate is not None:
-            counts = xp.where(finished, counts, held)
+            counts = np.where(number >= 0.0, counts, held)
         held = counts
         if way:
             counts, brought = way.apply(counts, brought, rng, dt)
@@ -273,7 +267,7 @@ def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
         Scale in N per count and offset in N, both (..., K): the true load is scale * counts + offset.
     """
     scale_true = 1.0 + state.error[SCALE]
-    scale = 1.0 / (Table(config.slope).like(scale_true) * scale_true)
+    scale = 1.0 / (config.slope * scale_true)
     offset = -config.zero_code * scale - state.error[OFFSET] / scale_true
     if state.mechanics:
         offset = offset - shifted_offset(config.mechanics, state.mechanics)

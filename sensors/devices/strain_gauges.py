@@ -24,14 +24,12 @@ scales (:mod:`surefoot.sensors.stages.temperature`), and the converter rounds an
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, device
+from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
 from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
-from surefoot.sensors.randomness import filled, normal, uniform
+from surefoot.sensors.randomness import normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep
 from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
 from surefoot.sensors.stages.nonlinearity import coupled_nonlinearity
@@ -88,16 +86,15 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     (0.0, True)
     """
     k, (low, high) = config.channels, config.code_range
-    full_scale, nominal = config.full_scale, config.nominal_response
-    eye, response = Table(np.eye(AXES)), Table(nominal)
-    talk = config.scale_error_std * np.eye(AXES) + config.cross_talk_std * (1.0 - np.eye(AXES))
-    change = Table(talk * full_scale[:, None] / full_scale / 2.0**DOUBLINGS)
-    offset_map = Table(gauge_map(config, config.offset_force, config.offset_torque).T)
-    tempco_map = Table(gauge_map(config, config.offset_tempco_force, config.offset_tempco_torque).T)
+    eye, full_scale, response = np.eye(AXES), config.full_scale, config.nominal_response
+    talk = config.scale_error_std * eye + config.cross_talk_std * (1.0 - eye)
+    change = talk * full_scale[:, None] / full_scale / 2.0**DOUBLINGS
+    offset_map = gauge_map(config, config.offset_force, config.offset_torque).T
+    tempco_map = gauge_map(config, config.offset_tempco_force, config.offset_tempco_torque).T
     # One matrix for each draw of a step: noise and, where offsets drift, their drift.
     noisy, walks = config.noisy, config.walks
-    noise_map = Table(gauge_map(config, config.noise_force, config.noise_torque).T)
-    walk_map = Table(gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T)
+    noise_map = gauge_map(config, config.noise_force, config.noise_torque).T
+    walk_map = gauge_map(config, config.offset_drift_force, config.offset_drift_torque).T
     of_load = config.hysteresis_of == "load"
     most, true_at = lag(config)
     lagging = hysteresis(config.hysteresis, most, smallest=SMALLEST_LOOP, true_at=true_at)
@@ -105,37 +102,34 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     bends = config.bends
     bending = coupled_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> StrainGaugeState:
+    def init(shape: tuple[int, ...], rng: Rng) -> StrainGaugeState:
         if not shape or shape[-1] != k:
             raise ValueError(f"The last axis must hold the {k} gauges, got shape {shape}.")
-        batch = tuple(shape[:-1])
-        drawn = normal(rng, (*batch, AXES, AXES), dtype)
-        grown = eye.like(drawn) + drawn * change.like(drawn)
+        batch = shape[:-1]
+        drawn = normal(rng, (*batch, AXES, AXES))
+        grown = eye + drawn * change
         for _ in range(DOUBLINGS):
             grown = grown @ grown
-        offset = uniform(rng, -1.0, 1.0, shape, dtype) @ offset_map.like(drawn)
-        heat = normal(rng, (2, *shape), dtype, before=1)
-        tempco = namespace(drawn).stack([config.scale_tempco * heat[0], heat[1] @ tempco_map.like(drawn)])
+        offset = uniform(rng, -1.0, 1.0, shape) @ offset_map
+        heat = normal(rng, (2, *shape), before=1)
+        tempco = np.stack([config.scale_tempco * heat[0], heat[1] @ tempco_map])
         return StrainGaugeState(
-            response.like(drawn) @ grown,
+            response @ grown,
             tempco,
             offset,
-            filled(rng, 0.0, batch, dtype),
-            creeping.init((*batch, AXES), rng, dtype),
-            lagging.init((*batch, AXES if of_load else k), rng, dtype),
-            bending.init((*batch, AXES), rng, dtype) if bends else (),
+            np.zeros(batch),
+            creeping.init((*batch, AXES), rng),
+            lagging.init((*batch, AXES if of_load else k), rng),
+            bending.init((*batch, AXES), rng) if bends else (),
         )
 
     def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
-        if tuple(wrench.shape) != (*state.offset.shape[:-1], AXES):
+        if wrench.shape != (*state.offset.shape[:-1], AXES):
             raise ValueError(
                 f"Wrenches of these sensors must have the shape {(*state.offset.shape[:-1], AXES)}, "
-                f"got {tuple(wrench.shape)}."
+                f"got {wrench.shape}."
             )
-        matrix, tempco, offset, before = (
-            cast_like(part, wrench)
-            for part in (state.response, state.tempco, state.offset, state.temperature)
-        )
+        matrix, tempco, offset, before = state[:4]
         bent, bend = bending.apply(wrench, state.bend, rng, dt) if bends else (wrench, ())
         load, crept = creeping.apply(bent, state.creep, rng, dt)
         lagged = state.hysteresis
@@ -145,8 +139,8 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         if not of_load:
             counts, lagged = lagging.apply(counts, lagged, rng, dt)
         if walks:
-            drawn = normal(rng, tuple(offset.shape), wrench.dtype)
-            offset = offset + dt**0.5 * (drawn @ walk_map.like(wrench))
+            drawn = normal(rng, offset.shape)
+            offset = offset + dt**0.5 * (drawn @ walk_map)
         temperature = before
         if config.temperature_ramp:
             temperature = warmed(before, config.temperature_ramp, config.temperature_rise, dt)
@@ -154,9 +148,9 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
             counts = counts * (1.0 + tempco[SCALE] * temperature[..., None])
         counts = counts + offset
         if noisy:
-            counts = counts + normal(rng, tuple(counts.shape), wrench.dtype) @ noise_map.like(wrench)
+            counts = counts + normal(rng, counts.shape) @ noise_map
         if config.adc_bits:
-            counts = round_off(limit(counts, low, high))
+            counts = np.rint(limit(counts, low, high))
         return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged, bend)
 
     return Corruption(init, apply)
@@ -179,12 +173,11 @@ def read_sequence(
         Counts, shape (..., n, k), the sensor after the last of them, and the rise of its temperature since
         power-up in K at each of them, shape (..., n).
     """
-    xp, sensor = namespace(wrench), strain_gauges(config)
-    batch, count = tuple(state.offset.shape[:-1]), wrench.shape[-2]
-    wrench = xp.broadcast_to(wrench, (*batch, count, AXES))
-    space = {"dtype": wrench.dtype, "device": device_of(wrench)}
-    counts = xp.empty((*batch, count, config.channels), **space)
-    temperature = xp.empty((*batch, count), **space)
+    sensor = strain_gauges(config)
+    batch, count = state.offset.shape[:-1], wrench.shape[-2]
+    wrench = np.broadcast_to(wrench, (*batch, count, AXES))
+    counts = np.empty((*batch, count, config.channels))
+    temperature = np.empty((*batch, count))
     for index in range(count):
         counts[..., index, :], state = sensor.apply(wrench[..., index, :], state, rng, dt)
         temperature[..., index] = state.temperature
@@ -223,8 +216,8 @@ def shift_offset(
         The sensor after.
     """
     check_not_negative(force_std=force_std, torque_std=torque_std)
-    drawn = normal(rng, tuple(state.offset.shape), state.offset.dtype)
-    jump = drawn @ Table(gauge_map(config, force_std, torque_std).T).like(drawn)
+    drawn = normal(rng, state.offset.shape)
+    jump = drawn @ gauge_map(config, force_std, torque_std).T
     return state._replace(offset=state.offset + jump)
 
 

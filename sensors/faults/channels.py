@@ -20,14 +20,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from array_api_compat import array_namespace
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors.arrays import Table, cast_like, limit, round_off
 from surefoot.sensors.configuration import is_whole, require, require_not_negative, require_positive
-from surefoot.sensors.corruption import Array, Corruption, Rng, device
-from surefoot.sensors.randomness import filled, uniform
+from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
+from surefoot.sensors.randomness import uniform
 
 KINDS = ("dead", "stuck", "saturated", "spiking", "dropped", "swapped", "flipped")
 """What can go wrong with a channel."""
@@ -141,51 +138,43 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
     faults = tuple(faults)
     channels = channels_of(config)
     _check(faults, channels)
-    chosen = [Table(np.arange(len(channels)) == fault.channel) for fault in faults]
     chance = [index for index, fault in enumerate(faults) if fault.kind in ("spiking", "dropped")]
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> FaultState:
+    def init(shape: tuple[int, ...], rng: Rng) -> FaultState:
         if not shape or shape[-1] != len(channels):
             raise ValueError(f"The last axis must hold the {len(channels)} channels, got shape {shape}.")
         flags = (*shape[:-1], len(faults))
-        return FaultState(
-            filled(rng, 0.0, (*shape[:-1], 1), dtype),
-            filled(rng, float("nan"), flags, dtype),
-            filled(rng, 0.0, flags, dtype),
-        )
+        return FaultState(np.zeros((*shape[:-1], 1)), np.full(flags, np.nan), np.zeros(flags))
 
     def apply(reading: Array, state: FaultState, rng: Rng, dt: float) -> tuple[Array, FaultState]:
-        xp = array_namespace(reading)
         time = state.time + dt
         now, counts = time[..., 0], reading + 0.0
-        held, lost = cast_like(state.held, reading), cast_like(state.lost, reading)
         shape = (len(chance), 2, *counts.shape[:-1])
-        drawn = uniform(rng, 0.0, 1.0, shape, reading.dtype, before=2) if chance else ()
+        drawn = uniform(rng, 0.0, 1.0, shape, before=2) if chance else ()
         draws = dict(zip(chance, drawn, strict=True))
         held_next, lost_next = [], []
         for index, fault in enumerate(faults):
             active = now >= fault.start - ROUNDING
             if fault.stop is not None:
                 active = active & (now < fault.stop - ROUNDING)
-            code, kept, gap = counts[..., fault.channel], held[..., index], lost[..., index]
-            kept = xp.where((active & ~xp.isnan(kept)) | xp.isnan(code), kept, code)
+            code, kept, gap = counts[..., fault.channel], state.held[..., index], state.lost[..., index]
+            kept = np.where((active & ~np.isnan(kept)) | np.isnan(code), kept, code)
             held_next.append(kept)
             if fault.kind == "swapped":
-                counts = _swapped(xp, counts, fault, active)
+                counts = _swapped(counts, fault, active)
             else:
                 if fault.kind == "dropped":
-                    gap = _gap(xp, fault, gap, draws[index][0], dt)
-                    wrong = xp.where(gap > 0.5, code * 0.0 + float("nan"), code)
+                    gap = _gap(fault, gap, draws[index][0], dt)
+                    wrong = np.where(gap > 0.5, np.nan, code)
                 elif fault.kind == "stuck":
                     wrong = kept
                 else:
-                    wrong = _misread(xp, fault, channels[fault.channel], code, draws.get(index), dt)
-                where = chosen[index].like(counts) > 0.5
-                counts = xp.where(where & active[..., None], wrong[..., None], counts)
-            lost_next.append(xp.where(active, gap, gap * 0.0))
+                    wrong = _misread(fault, channels[fault.channel], code, draws.get(index), dt)
+                counts[..., fault.channel] = np.where(active, wrong, code)
+            lost_next.append(np.where(active, gap, 0.0))
         if not faults:
-            return counts, FaultState(time, held, lost)
-        return counts, FaultState(time, xp.stack(held_next, axis=-1), xp.stack(lost_next, axis=-1))
+            return counts, FaultState(time, state.held, state.lost)
+        return counts, FaultState(time, np.stack(held_next, axis=-1), np.stack(lost_next, axis=-1))
 
     return Corruption(init, apply)
 
@@ -271,7 +260,7 @@ def channels_of(config: Converter) -> list[Channel]:
     return [Channel(k, unloaded, low, high, rounds) for k, unloaded, low, high in columns.tolist()]
 
 
-def _misread(xp: Any, fault: Fault, channel: Channel, code: Array, draws: Array, dt: float) -> Array:
+def _misread(fault: Fault, channel: Channel, code: Array, draws: Any, dt: float) -> Array:
     """Return what a faulty channel reads by its own code and by chance; a code that never came stays NaN."""
     match fault.kind:
         case "dead":
@@ -280,28 +269,28 @@ def _misread(xp: Any, fault: Fault, channel: Channel, code: Array, draws: Array,
             return limit(code, *channel.saturated(fault.level))
         case "spiking":
             hit = draws[0] < 1.0 - np.exp(-fault.rate * dt)
-            jump = xp.where(draws[1] < 0.5, code * 0.0 - 1.0, code * 0.0 + 1.0)
+            jump = code * 0.0 + np.where(draws[1] < 0.5, -1.0, 1.0)
             off = channel.clip(code + jump * (abs(channel.slope) * fault.size))
-            return xp.where(hit, round_off(off) if channel.rounds else off, code)
+            return np.where(hit, np.rint(off) if channel.rounds else off, code)
     return channel.clip(2.0 * channel.unloaded - code)  # flipped
 
 
-def _gap(xp: Any, fault: Fault, gap: Array, drawn: Array, dt: float) -> Array:
+def _gap(fault: Fault, gap: Array, drawn: Array, dt: float) -> Array:
     """Return whether a reading is in a gap, by one step of a chain with two states."""
     if fault.burst == 0.0 or fault.probability == 1.0:
-        return cast_like(drawn < fault.probability, gap)
+        return (drawn < fault.probability).astype(np.float64)
     leave = 1.0 - np.exp(-dt / fault.burst)
     enter = min(leave * fault.probability / (1.0 - fault.probability), 1.0)
-    return cast_like(xp.where(gap > 0.5, drawn >= leave, drawn < enter), gap)
+    lost: Array = np.where(gap > 0.5, drawn >= leave, drawn < enter).astype(np.float64)
+    return lost
 
 
-def _swapped(xp: Any, counts: Array, fault: Fault, active: Array) -> Array:
+def _swapped(counts: Array, fault: Fault, active: NDArray[np.bool_]) -> Array:
     """Return counts with two channels exchanged where the fault is active."""
     order = list(range(counts.shape[-1]))
     assert fault.other is not None
     order[fault.channel], order[fault.other] = fault.other, fault.channel
-    index = xp.asarray(order, device=device_of(counts))
-    return xp.where(active[..., None], xp.take(counts, index, axis=-1), counts)
+    return np.where(active[..., None], counts[..., order], counts)
 
 
 def _check(faults: tuple[Fault, ...], channels: list[Channel]) -> None:

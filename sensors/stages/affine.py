@@ -4,14 +4,15 @@ The drifting ones are random walks, b_{k+1} = b_k + sigma sqrt(dt) w_k with w_k 
 depends on the time that has passed and not on how finely that time was stepped.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors.arrays import cast_like
 from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import constant, normal
+from surefoot.sensors.randomness import normal
 
 PER_SQRT_MINUTE = 60.0**-0.5
 """Turns a density "per square root of a minute" into one per square root of a second."""
@@ -45,7 +46,7 @@ def scale(value: ArrayLike) -> Corruption[FixedState]:
     """
 
     def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
-        return reading * cast_like(state.value, reading), state
+        return reading * state.value, state
 
     return Corruption(_fixed_init(value), apply)
 
@@ -58,7 +59,7 @@ def offset(value: ArrayLike) -> Corruption[FixedState]:
     """
 
     def apply(reading: Array, state: FixedState, rng: Rng, dt: float) -> tuple[Array, FixedState]:
-        return reading + cast_like(state.value, reading), state
+        return reading + state.value, state
 
     return Corruption(_fixed_init(value), apply)
 
@@ -76,7 +77,7 @@ def scale_drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[Wa
     check_not_negative(initial_std=initial_std, density=density)
 
     def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
-        error = _walk_step(state, reading, density, rng, dt)
+        error = _walk_step(state.error, density, rng, dt)
         return reading * (1.0 + error), WalkState(error)
 
     return Corruption(_walk_init(initial_std), apply)
@@ -95,28 +96,28 @@ def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkStat
     check_not_negative(initial_std=initial_std, density=density)
 
     def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
-        error = _walk_step(state, reading, density, rng, dt)
+        error = _walk_step(state.error, density, rng, dt)
         return reading + error, WalkState(error)
 
     return Corruption(_walk_init(initial_std), apply)
 
 
-def _fixed_init(value: ArrayLike) -> Any:
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> FixedState:
-        return FixedState(constant(rng, value, dtype))
+def _fixed_init(value: ArrayLike) -> Callable[[tuple[int, ...], Rng], FixedState]:
+    def init(shape: tuple[int, ...], rng: Rng) -> FixedState:
+        return FixedState(np.asarray(value, dtype=np.float64))
 
     return init
 
 
-def _walk_init(initial_std: float) -> Any:
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> WalkState:
-        return WalkState(initial_std * normal(rng, shape, dtype))
+def _walk_init(initial_std: float) -> Callable[[tuple[int, ...], Rng], WalkState]:
+    def init(shape: tuple[int, ...], rng: Rng) -> WalkState:
+        return WalkState(initial_std * normal(rng, shape))
 
     return init
 
 
-def _walk_step(state: WalkState, reading: Array, density: float, rng: Rng, dt: float) -> Array:
-    error = cast_like(state.error, reading)
+def _walk_step(error: Array, density: float, rng: Rng, dt: float) -> Array:
     if density == 0.0:
         return error
-    return error + density * dt**0.5 * normal(rng, tuple(error.shape), reading.dtype)
+    walked: Array = error + density * dt**0.5 * normal(rng, error.shape)
+    return walked

@@ -8,14 +8,11 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import array_namespace
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors.arrays import cast_like, limit, namespace
 from surefoot.sensors.configuration import check_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain
-from surefoot.sensors.randomness import filled, uniform
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain, limit
+from surefoot.sensors.randomness import uniform
 
 
 class ClockState(NamedTuple):
@@ -37,16 +34,14 @@ class ClockState(NamedTuple):
     previous: Array
     held: Array
     inner: Any
-    window: Array
+    window: Any
     converter: Any
 
 
-def init_clock(
-    rate: tuple[float, float], shape: tuple[int, ...], rng: Rng, dtype: Any = None
-) -> tuple[Array, Array]:
+def init_clock(rate: tuple[float, float], shape: tuple[int, ...], rng: Rng) -> tuple[Array, Array]:
     """Draw the periods of chips and the times to their first conversions, both in s."""
-    period = 1.0 / uniform(rng, rate[0], rate[1], shape, dtype)
-    return period, uniform(rng, 0.0, 1.0, shape, dtype) * period
+    period = 1.0 / uniform(rng, rate[0], rate[1], shape)
+    return period, uniform(rng, 0.0, 1.0, shape) * period
 
 
 def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Array, Array]:
@@ -57,7 +52,7 @@ def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Arra
         one since the start of the block in s, negative where there is none; and the time from the end of the
         block to the next one; each (..., K).
     """
-    number = namespace(period).floor((dt - due) / period)
+    number = np.floor((dt - due) / period)
     at = due + number * period
     return number, at, at + (period - dt)
 
@@ -77,21 +72,20 @@ def interpolate(block: Array, previous: Array, position: Array) -> Array:
     substeps = block.shape[-2]
     if substeps == 1:
         return previous + position * (block[..., 0, :] - previous)
-    if type(block) is np.ndarray and block.ndim == 2:
+    if block.ndim == 2:
         channels = block.shape[1]
-        rows = np.empty((substeps + 1, channels), dtype=block.dtype)
+        rows = np.empty((substeps + 1, channels))
         rows[0], rows[1:] = previous, block
         low = np.minimum(position.astype(np.intp), substeps - 1)
         index = low * channels + _channel_numbers(channels)
         # A position before the start wraps around within the block: the reading is not used.
-        start = rows.take(index, mode="wrap")
-        part = np.subtract(position, low, dtype=block.dtype)
-        return start + part * (rows.take(index + channels, mode="wrap") - start)
-    xp = array_namespace(block)
-    rows = xp.concat([previous[..., None, :], block], axis=-2)
-    numbers = xp.arange(substeps + 1, dtype=position.dtype, device=device_of(position))
-    weight = 1.0 - xp.abs(position[..., None, :] - numbers[:, None])
-    return xp.sum(xp.clip(weight, 0.0, 1.0) * rows, axis=-2)
+        start, end = rows.take(index, mode="wrap"), rows.take(index + channels, mode="wrap")
+        between: Array = start + (position - low) * (end - start)
+        return between
+    rows = np.concatenate([previous[..., None, :], block], axis=-2)
+    weight = 1.0 - np.abs(position[..., None, :] - np.arange(substeps + 1.0)[:, None])
+    weighted: Array = (limit(weight, 0.0, 1.0) * rows).sum(axis=-2)
+    return weighted
 
 
 @cache
@@ -99,7 +93,7 @@ def _channel_numbers(channels: int) -> NDArray[np.intp]:
     return np.arange(channels)
 
 
-def settle(window: Array, signal: Array, number: Array, finished: Array, most: int) -> tuple[Array, Array]:
+def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Array, Array]:
     """Return the mean of the last conversions of chips; a block has any number of new ones.
 
     Of several conversions in one block only the last one's signal is known; the others are taken on the
@@ -111,18 +105,17 @@ def settle(window: Array, signal: Array, number: Array, finished: Array, most: i
             how far each before it lies above it, zero before the first.
         signal: The signal at the last conversion of the block, shape (..., K).
         number: How many follow the first one in the block, -1 where there is none, shape (..., K).
-        finished: Whether there is one, ``number >= 0``, shape (..., K).
         most: Largest number of conversions that a block of this length can have.
 
     Returns:
         The mean, shape (..., K), and the window after the block.
     """
-    xp, length = namespace(signal), window.shape[0]
-    before, *lags = (window[row] for row in range(length))
-    sound = xp.isfinite(signal)
-    signal, came = xp.where(finished & sound, signal, before), number + 1.0
+    length = len(window)
+    before, *lags = window
+    sound = np.isfinite(signal)
+    signal, came = np.where((number >= 0.0) & sound, signal, before), number + 1.0
     step = before - signal
-    step = xp.where(xp.isnan(step), 0.0 * came, step) / limit(came, 1.0, float("inf"))
+    step = np.where(np.isnan(step), 0.0, step) / np.maximum(came, 1.0)
     for push in range(min(most, length - 1)):
         # 1 where there was another conversion, which goes in front, and 0 elsewhere.
         another = limit(came - float(push), 0.0, 1.0)
@@ -133,8 +126,8 @@ def settle(window: Array, signal: Array, number: Array, finished: Array, most: i
             change += lag
             moved.append(change)
         lags = moved
-    mean = xp.where(sound, signal + sum(lags[1:], lags[0]) / length, float("nan"))
-    return mean, xp.stack([signal, *lags])
+    mean = np.where(sound, signal + sum(lags[1:], lags[0]) / length, np.nan)
+    return mean, np.stack([signal, *lags])
 
 
 def most_conversions(rate: tuple[float, float], dt: float) -> int:
@@ -142,12 +135,12 @@ def most_conversions(rate: tuple[float, float], dt: float) -> int:
     return int(rate[1] * dt) + 1
 
 
-def init_window(settling: int, shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> Array:
+def init_window(settling: int, shape: tuple[int, ...]) -> Any:
     """Make the window of :func:`settle` at power-up; ``()`` for chips that settle at once."""
     if settling == 1:
         return ()
-    unread = filled(rng, float("nan"), (1, *shape), dtype)
-    return namespace(unread).concat([unread, filled(rng, 0.0, (settling - 1, *shape), dtype)])
+    unread = np.full((1, *shape), np.nan)
+    return np.concatenate([unread, np.zeros((settling - 1, *shape))])
 
 
 def sample_and_hold(
@@ -178,29 +171,29 @@ def sample_and_hold(
     check_whole(settling=settling)
     converter = converter or chain()
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ClockState:
-        period, due = init_clock(rate, shape, rng, dtype)
+    def init(shape: tuple[int, ...], rng: Rng) -> ClockState:
+        period, due = init_clock(rate, shape, rng)
         return ClockState(
             period,
             due,
-            filled(rng, 0.0, shape, dtype),
-            filled(rng, float("nan"), shape, dtype),
-            inner.init(shape, rng, dtype),
-            init_window(settling, shape, rng, dtype),
-            converter.init(shape, rng, dtype),
+            np.zeros(shape),
+            np.full(shape, np.nan),
+            inner.init(shape, rng),
+            init_window(settling, shape),
+            converter.init(shape, rng),
         )
 
     def apply(block: Array, state: ClockState, rng: Rng, dt: float) -> tuple[Array, ClockState]:
-        period, due, previous, held = (cast_like(part, block) for part in state[:4])
+        period, due, previous, held = state[:4]
         number, at, due = latest_conversion(period, due, dt)
-        position = limit(at * (block.shape[-2] / dt), 0.0, float("inf"))
+        position = np.maximum(at * (block.shape[-2] / dt), 0.0)
         signal, inner_state = inner.apply(interpolate(block, previous, position), state.inner, rng, dt)
-        window, finished = state.window, number >= 0.0
+        window = state.window
         if settling > 1:
             most = most_conversions(rate, dt)
-            signal, window = settle(cast_like(window, block), signal, number, finished, most)
+            signal, window = settle(window, signal, number, most)
         converted, converter_state = converter.apply(signal, state.converter, rng, dt)
-        held = namespace(block).where(finished, converted, held)
+        held = np.where(number >= 0.0, converted, held)
         last = block[..., -1, :] + 0.0
         return held, ClockState(period, due, last, held, inner_state, window, converter_state)
 

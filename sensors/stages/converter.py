@@ -1,8 +1,9 @@
 """What a converter does to a voltage: it adds noise, it clips, and it rounds."""
 
-from surefoot.sensors.arrays import limit, round_off
+import numpy as np
+
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
+from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import normal
 
 
@@ -20,7 +21,7 @@ def white_noise(std: float) -> Corruption[tuple[()]]:
     def add(reading: Array, rng: Rng, dt: float) -> Array:
         if std == 0.0:
             return reading + 0.0
-        return reading + std * normal(rng, tuple(reading.shape), reading.dtype)
+        return reading + std * normal(rng, reading.shape)
 
     return stateless(add)
 
@@ -42,7 +43,8 @@ def noise_density(density: float) -> Corruption[tuple[()]]:
     def add(reading: Array, rng: Rng, dt: float) -> Array:
         if density == 0.0:
             return reading + 0.0
-        return reading + density / dt**0.5 * normal(rng, tuple(reading.shape), reading.dtype)
+        noisy: Array = reading + density / dt**0.5 * normal(rng, reading.shape)
+        return noisy
 
     return stateless(add)
 
@@ -76,8 +78,8 @@ def quantize(resolution: float) -> Corruption[tuple[()]]:
     def round_to(reading: Array, rng: Rng, dt: float) -> Array:
         if resolution == 0.0:
             return reading + 0.0
-        if resolution == 1.0:
-            return round_off(reading)
-        return round_off(reading / resolution) * resolution
+        whole = resolution == 1.0
+        rounded: Array = np.rint(reading) if whole else np.rint(reading / resolution) * resolution
+        return rounded
 
     return stateless(round_to)

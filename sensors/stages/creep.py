@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from math import expm1, isfinite
 from typing import Any, NamedTuple
 
-from surefoot.sensors.arrays import cast_like, namespace
+import numpy as np
+
 from surefoot.sensors.configuration import require
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import filled
 
 
 class CreepState(NamedTuple):
@@ -72,20 +72,18 @@ def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruptio
     shares, time_constants = tuple(shares), tuple(time_constants)
     count = len(shares)
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> CreepState:
-        return CreepState(filled(rng, 0.0, (count, *shape), dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> CreepState:
+        return CreepState(np.zeros((count, *shape)))
 
     def apply(reading: Array, state: CreepState, rng: Rng, dt: float) -> tuple[Array, CreepState]:
         if not count:
             return reading + 0.0, state
-        xp, yielded, read = namespace(reading), [], reading
-        felt = xp.isfinite(reading)
-        for share, constant, part in zip(
-            shares, time_constants, cast_like(state.yielded, reading), strict=True
-        ):
+        yielded, read = [], reading
+        felt = np.isfinite(reading)
+        for share, constant, part in zip(shares, time_constants, state.yielded, strict=True):
             followed = part - expm1(-dt / constant) * (reading - part)
-            yielded.append(xp.where(felt, followed, part))
+            yielded.append(np.where(felt, followed, part))
             read = read + share * yielded[-1]
-        return read, CreepState(xp.stack(yielded))
+        return read, CreepState(np.stack(yielded))
 
     return Corruption(init, apply)

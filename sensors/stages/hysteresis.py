@@ -20,15 +20,13 @@ chooses at which amplitude the slope is one.
 """
 
 from math import ceil, log2
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors.arrays import Table, cast_like, limit, namespace
 from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import filled
 
 
 class HysteresisState(NamedTuple):
@@ -99,27 +97,19 @@ def hysteresis(
             f"'share' must be below {share / most:.3g}, or readings would fall while a small load grows; "
             f"got {share}."
         )
-    scale, slacks, kappa, halves = Table(scales), Table(thresholds), Table(excess), thresholds.tolist()
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> HysteresisState:
-        return HysteresisState(filled(rng, 0.0, (count, *shape), dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> HysteresisState:
+        return HysteresisState(np.zeros((count, *shape)))
 
     def apply(reading: Array, state: HysteresisState, rng: Rng, dt: float) -> tuple[Array, HysteresisState]:
         if not count:
             return reading + 0.0, state
-        xp, plays = namespace(reading), cast_like(state.plays, reading)
-        full = scale.like(reading)
+        plays = state.plays
         # The smallest play lies within the slack of all others: fed to them, it moves none.
-        load = xp.where(xp.isfinite(reading), reading / full, plays[-1])
-        if xp is np:
-            slack = slacks.like(reading, reading.ndim)
-            plays = np.maximum(load - slack, np.minimum(load + slack, plays))
-        else:
-            # One after the other, clipped by numbers: that is much faster than by an array of them.
-            before, plays = plays, xp.empty_like(plays)
-            for number, half in enumerate(halves):
-                plays[number, ...] = load - limit(load - before[number, ...], -half, half)
-        bent = share * (xp.sum(plays, axis=0) + plays[-1]) - kappa.like(reading) * load
-        return reading + full * bent, HysteresisState(plays)
+        load = np.where(np.isfinite(reading), reading / scales, plays[-1])
+        slacks = thresholds.reshape((count, *(1,) * reading.ndim))
+        plays = np.maximum(load - slacks, np.minimum(load + slacks, plays))
+        bent = share * (plays.sum(axis=0) + plays[-1]) - excess * load
+        return reading + scales * bent, HysteresisState(plays)
 
     return Corruption(init, apply)

@@ -10,9 +10,10 @@ Every part is off where its field is zero, costs nothing then and draws nothing.
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from surefoot.sensors.arrays import namespace
+import numpy as np
+
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, limit
 from surefoot.sensors.stages.creep import check_creep, creep
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mounting import WARP, mounting
@@ -146,12 +147,12 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
         on["overload"] = overload(config.overload_share, config.safe_overload * capacity)
     off = MechanicsState(*((),) * len(MechanicsState._fields))
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> MechanicsState:
-        return off._replace(**{name: stage.init(shape, rng, dtype) for name, stage in on.items()})
+    def init(shape: tuple[int, ...], rng: Rng) -> MechanicsState:
+        return off._replace(**{name: stage.init(shape, rng) for name, stage in on.items()})
 
     def apply(load: Array, state: MechanicsState, rng: Rng, dt: float) -> tuple[Array, MechanicsState]:
-        after, xp = {}, namespace(load)
-        load = xp.where(xp.isfinite(load), load, float("nan"))
+        after = {}
+        load = np.where(np.isfinite(load), load, np.nan)
         for name, stage in on.items():
             load, after[name] = stage.apply(load, getattr(state, name), rng, dt)
         return load, off._replace(**after)
@@ -159,9 +160,9 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
     return Corruption(init, apply)
 
 
-def shifted_offset(config: Mechanics, state: MechanicsState) -> Array:
+def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
     """Return what impacts and overloads have done to the offsets in N, shape (..., K); 0.0 without."""
-    offset = 0.0
+    offset: Array | float = 0.0
     if state.mounting:
         offset = offset + state.mounting.offset
     if state.overload:
@@ -173,5 +174,6 @@ def bent(state: MechanicsState, load: Array, capacity: float) -> Array:
     """Return what cells at rest make of loads by their nonlinearity alone; both in N, shape (..., K)."""
     if not state.nonlinearity:
         return load
-    u = (load / capacity).clip(-1.0, 1.0)
-    return load + 4.0 * capacity * state.nonlinearity.quadratic * u * (1.0 - u)
+    u = limit(load / capacity, -1.0, 1.0)
+    read: Array = load + 4.0 * capacity * state.nonlinearity.quadratic * u * (1.0 - u)
+    return read

@@ -13,12 +13,13 @@ files of ezc3d). Nobody has published what one impact of a robot's foot does: ch
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from surefoot.sensors.arrays import Table, cast_like, namespace
+import numpy as np
+
 from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import filled, normal
+from surefoot.sensors.randomness import normal
 from surefoot.sensors.rare import change_rows
 
 WARP = (1, -1, -1, 1)
@@ -62,37 +63,36 @@ def mounting(
     cells = len(warp)
     if not cells or any(sign not in (-1, 1) for sign in warp):
         raise ValueError(f"'warp' must hold +1 or -1 for each cell of a foot, got {tuple(warp)}.")
-    modes = ([warp_std * sign for sign in warp], [common_std] * cells)
-    moving = [Table(mode) for mode in modes if any(mode)]
+    modes = warp_std * np.array(warp), np.full(cells, common_std)
+    moving = [mode for mode in modes if mode.any()]
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> MountingState:
+    def init(shape: tuple[int, ...], rng: Rng) -> MountingState:
         if not shape or shape[-1] % cells:
             raise ValueError(f"The last axis must hold whole feet of {cells} cells, got shape {shape}.")
         feet = (*shape[:-1], shape[-1] // cells)
         return MountingState(
-            filled(rng, 0.0, shape, dtype),
-            filled(rng, float("nan"), feet, dtype),
-            filled(rng, 0.0, feet, dtype),
+            np.zeros(shape),
+            np.full(feet, np.nan),
+            np.zeros(feet),
         )
 
     def apply(reading: Array, state: MountingState, rng: Rng, dt: float) -> tuple[Array, MountingState]:
-        xp = namespace(reading)
-        offset, before, impact = (cast_like(part, reading) for part in state)
-        by_foot = xp.reshape(reading, (*before.shape, cells))
-        # Added up one by one: libraries are slow at short sums.
+        offset, before, impact = state
+        by_foot = reading.reshape((*before.shape, cells))
+        # Added up one by one: NumPy is slow at short sums.
         load = sum((by_foot[..., cell] for cell in range(1, cells)), by_foot[..., 0])
-        lost = ~xp.isfinite(load)
+        lost = ~np.isfinite(load)
         # Neither the first reading nor one without a value is compared: NaN exceeds nothing.
-        hit = (xp.abs(load - before) > threshold) & ~lost
+        hit = (np.abs(load - before) > threshold) & ~lost
         start = hit & (impact < 0.5)
 
         def jump(few: Array) -> Array:
-            one, *others = (normal(rng, (*few.shape[:-1], 1), few.dtype) * mode.like(few) for mode in moving)
+            one, *others = (normal(rng, (*few.shape[:-1], 1)) * mode for mode in moving)
             return few + sum(others, one)
 
         if moving:
             offset = change_rows(offset, start, jump, rng)
-        load, hit = xp.where(lost, before, load), cast_like(hit, reading)
-        return reading + offset, MountingState(offset, load, hit)
+        load = np.where(lost, before, load)
+        return reading + offset, MountingState(offset, load, hit.astype(np.float64))
 
     return Corruption(init, apply)

@@ -12,14 +12,13 @@ sheet, 50 ms at 80 SPS, as :math:`n = 4` does at its conversion rate and :math:`
 on substeps of the length :math:`T` of a conversion's :math:`T_c`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from surefoot.sensors.arrays import cast_like, namespace, on_host
 from surefoot.sensors.configuration import check_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import filled
 
 
 class MovingAverageState(NamedTuple):
@@ -65,38 +64,36 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
     weights = kernel.tolist()
     length = len(weights) - 1
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> MovingAverageState:
-        return MovingAverageState(filled(rng, float("nan"), (length, *shape), dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> MovingAverageState:
+        return MovingAverageState(np.full((length, *shape), np.nan))
 
     def apply(
         reading: Array, state: MovingAverageState, rng: Rng, dt: float
     ) -> tuple[Array, MovingAverageState]:
         if not length:
             return reading + 0.0, state
-        xp = namespace(reading)
-        block = xp.moveaxis(reading, -2, 0) if blocks else reading[None]
-        window = cast_like(state.window, reading)
-        came = xp.isfinite(block)
-        if not on_host(block) or not xp.all(came):
-            block = _filled_up(xp, block, came, window[-1])
-        rows = xp.concat([xp.where(xp.isnan(window), block[:1], window), block])
+        block = np.moveaxis(reading, -2, 0) if blocks else reading[None]
+        window, came = state.window, np.isfinite(block)
+        if not came.all():
+            block = _filled_up(block, came, window[-1])
+        rows = np.concatenate([np.where(np.isnan(window), block[:1], window), block])
         # The kernel is its own mirror image: the oldest row comes first either way.
         averaged = weights[0] * rows[: block.shape[0]]
         for number, weight in enumerate(weights[1:], start=1):
             averaged = averaged + weight * rows[number : number + block.shape[0]]
-        averaged = xp.where(came, averaged, float("nan"))
+        averaged = np.where(came, averaged, np.nan)
         kept = MovingAverageState(rows[block.shape[0] :])
-        return (xp.moveaxis(averaged, 0, -2) if blocks else averaged[0]), kept
+        return (np.moveaxis(averaged, 0, -2) if blocks else averaged[0]), kept
 
     return Corruption(init, apply)
 
 
-def _filled_up(xp: Any, block: Array, came: Array, before: Array) -> Array:
+def _filled_up(block: Array, came: NDArray[np.bool_], before: Array) -> Array:
     """Replace each reading that did not come by the one before it, or at the start by the one after it."""
     rows = []
     for row, here in zip(block, came, strict=True):
-        before = xp.where(here, row, before)
+        before = np.where(here, row, before)
         rows.append(before)
     for index in range(len(rows) - 2, -1, -1):
-        rows[index] = xp.where(xp.isnan(rows[index]), rows[index + 1], rows[index])
-    return xp.stack(rows)
+        rows[index] = np.where(np.isnan(rows[index]), rows[index + 1], rows[index])
+    return np.stack(rows)

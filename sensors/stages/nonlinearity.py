@@ -15,14 +15,13 @@ The element of a six-axis sensor bends in all directions at once. There the cubi
 company of products, :math:`x_{FS} \sum_{j < k} c_{jk} u_j u_k`, that vanish while one axis alone is loaded.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors.arrays import Table, cast_like, limit
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
+from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import uniform
 
 CUBIC_PEAK = 1.5 * 3.0**0.5
@@ -62,11 +61,11 @@ def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) 
             "'quadratic' and 'cubic' must leave readings that grow with the load from minus to plus the full "
             f"scale, got {quadratic!r} and {cubic!r}; one alone may be below 0.083 or 0.19."
         )
-    first, second, scales = Table(a * scale), Table(b * scale), Table(scale)
+    first, second = a * scale, b * scale
 
     def bend(reading: Array, rng: Rng, dt: float) -> Array:
-        u = limit(reading / scales.like(reading), -1.0, 1.0)
-        return reading + u * (1.0 - u) * (first.like(reading) + second.like(reading) * (1.0 + u))
+        u = limit(reading / scale, -1.0, 1.0)
+        return reading + u * (1.0 - u) * (first + second * (1.0 + u))
 
     return stateless(bend)
 
@@ -95,17 +94,16 @@ def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonline
     """
     check_not_negative(most=most)
     nonlinearity(most, 0.0, full_scale)
-    scales = Table(full_scale)
+    scale = np.asarray(full_scale, dtype=np.float64)
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> NonlinearityState:
-        return NonlinearityState(uniform(rng, -most, most, shape, dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> NonlinearityState:
+        return NonlinearityState(uniform(rng, -most, most, shape))
 
     def apply(
         reading: Array, state: NonlinearityState, rng: Rng, dt: float
     ) -> tuple[Array, NonlinearityState]:
-        scale, quadratic = scales.like(reading), cast_like(state.quadratic, reading)
         u = limit(reading / scale, -1.0, 1.0)
-        return reading + (4.0 * quadratic * scale) * (u - u * u), NonlinearityState(quadratic)
+        return reading + (4.0 * state.quadratic * scale) * (u - u * u), state
 
     return Corruption(init, apply)
 
@@ -146,26 +144,24 @@ def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> C
         ValueError: If an argument is negative, or two loads could have one reading.
     """
     check_not_negative(cubic=cubic, cross=cross)
-    scales = Table(full_scale)
-    axes = len(scales.values)
+    scale = np.asarray(full_scale, dtype=np.float64)
+    axes = len(scale)
     if coupled_slope(cubic, cross, axes) >= 1.0:
         raise ValueError(
             f"'cubic' and 'cross' must keep {2.0 * CUBIC_PEAK:.3g} cubic + {axes * (axes - 1)} cross below "
             f"1, or two loads could have one reading, got {cubic!r} and {cross!r}."
         )
-    pairs = Table(np.triu(np.ones((axes, axes)), 1))
+    pairs = np.triu(np.ones((axes, axes)), 1)
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> CoupledState:
-        terms = uniform(rng, -cubic, cubic, shape, dtype)
-        products = uniform(rng, -cross, cross, (*shape, axes, axes), dtype)
-        return CoupledState(terms, products * pairs.like(products))
+    def init(shape: tuple[int, ...], rng: Rng) -> CoupledState:
+        terms = uniform(rng, -cubic, cubic, shape)
+        products = uniform(rng, -cross, cross, (*shape, axes, axes))
+        return CoupledState(terms, products * pairs)
 
     def apply(reading: Array, state: CoupledState, rng: Rng, dt: float) -> tuple[Array, CoupledState]:
-        scale = scales.like(reading)
-        own, cross_terms = (cast_like(part, reading) for part in state)
         u = limit(reading / scale, -1.0, 1.0)
-        products = ((cross_terms @ u[..., None, :, None])[..., 0] @ u[..., None])[..., 0]
-        off = CUBIC_PEAK * own * (u - u * u * u) + products
-        return reading + scale * off, CoupledState(own, cross_terms)
+        products = ((state.cross @ u[..., None, :, None])[..., 0] @ u[..., None])[..., 0]
+        off = CUBIC_PEAK * state.cubic * (u - u * u * u) + products
+        return reading + scale * off, state
 
     return Corruption(init, apply)

@@ -11,15 +11,13 @@ its own. A second overload as large as the first changes nothing. Data sheets gi
 not what happens beyond: choose the share yourself.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.sensors.arrays import Table, cast_like, limit, namespace, on_host
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import filled
+from surefoot.sensors.corruption import Array, Corruption, Rng, limit
 
 
 class OverloadState(NamedTuple):
@@ -59,24 +57,21 @@ def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
         raise ValueError(f"'share' must be at most 1, got {share}.")
     if not np.all((limits > 0.0) & np.isfinite(limits)):
         raise ValueError(f"'safe' must be finite and positive, got {safe!r}.")
-    table, smallest = Table(limits), float(limits.min())
+    smallest = float(limits.min())
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> OverloadState:
-        return OverloadState(filled(rng, 0.0, (2, *shape), dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> OverloadState:
+        return OverloadState(np.zeros((2, *shape)))
 
     def apply(reading: Array, state: OverloadState, rng: Rng, dt: float) -> tuple[Array, OverloadState]:
-        xp = namespace(reading)
-        excesses = cast_like(state.excess, reading)
-        highest, lowest = excesses[0, ...], excesses[1, ...]
-        # Overloads are rare: on the host, where a look costs nothing, skip the rest if there is none.
-        if on_host(reading) and xp.max(xp.abs(reading)) <= smallest:
-            return reading + share * (highest + lowest), OverloadState(excesses)
-        most = table.like(reading)
-        excess = reading - limit(reading, -most, most)
+        highest, lowest = state.excess
+        # Overloads are rare: skip the rest if there is none.
+        if np.abs(reading).max() <= smallest:
+            return reading + share * (highest + lowest), state
+        excess = reading - limit(reading, -limits, limits)
         # What is not finite is neither more nor less.
-        excess = xp.where(xp.isfinite(excess), excess, 0.0 * most)
-        highest = xp.where(excess > highest, excess, highest)
-        lowest = xp.where(excess < lowest, excess, lowest)
-        return reading + share * (highest + lowest), OverloadState(xp.stack([highest, lowest]))
+        excess = np.where(np.isfinite(excess), excess, 0.0)
+        highest = np.where(excess > highest, excess, highest)
+        lowest = np.where(excess < lowest, excess, lowest)
+        return reading + share * (highest + lowest), OverloadState(np.stack([highest, lowest]))
 
     return Corruption(init, apply)

@@ -7,12 +7,13 @@ the error at this moment.
 """
 
 from math import exp
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from surefoot.sensors.arrays import cast_like
+import numpy as np
+
 from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import filled, normal
+from surefoot.sensors.randomness import normal
 
 
 class ThermalState(NamedTuple):
@@ -67,14 +68,14 @@ def thermal_drift(
     """
     check_not_negative(initial_std=initial_std, density=density, tempco_std=tempco_std, ramp=ramp, rise=rise)
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> ThermalState:
-        error = initial_std * normal(rng, shape, dtype)
-        return ThermalState(error, tempco_std * normal(rng, shape, dtype), filled(rng, 0.0, shape, dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> ThermalState:
+        error = initial_std * normal(rng, shape)
+        return ThermalState(error, tempco_std * normal(rng, shape), np.zeros(shape))
 
     def apply(reading: Array, state: ThermalState, rng: Rng, dt: float) -> tuple[Array, ThermalState]:
-        error, tempco, before = (cast_like(part, reading) for part in state)
+        error, tempco, before = state
         if density:
-            error = error + density * dt**0.5 * normal(rng, tuple(error.shape), reading.dtype)
+            error = error + density * dt**0.5 * normal(rng, error.shape)
         temperature = warmed(before, ramp, rise, dt)
         error = error + tempco * (temperature - before)
         read = reading * (1.0 + error) if relative else reading + error

@@ -32,16 +32,14 @@ All of these are properties of an instrument. What breaks in one channel at a gi
 """
 
 from math import expm1
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from array_api_compat import array_namespace
 from numpy.typing import ArrayLike
 
-from surefoot.sensors.arrays import Table, cast_like, limit, namespace, round_off
 from surefoot.sensors.configuration import check_not_negative, is_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
-from surefoot.sensors.randomness import filled, normal, uniform
+from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
+from surefoot.sensors.randomness import normal, uniform
 from surefoot.sensors.rare import RARE, change_at_random, replace_where
 
 CODINGS = ("offset-binary", "two's complement")
@@ -86,15 +84,13 @@ def spikes(
     sizes = np.asarray(size, dtype=np.float64)
     if not np.all((sizes >= 0.0) & np.isfinite(sizes)):
         raise ValueError(f"'size' must be finite and not negative, got {size!r}.")
-    tables = [Table(values) for values in (sizes, *(code_range or ()))]
 
     def add(reading: Array, rng: Rng, dt: float) -> Array:
         def spike(few: Array, spread: Array, *ends: Array) -> Array:
-            off = few + spread * normal(rng, tuple(few.shape), few.dtype)
-            return round_off(limit(off, *ends)) if ends else off
+            off = few + spread * normal(rng, few.shape)
+            return np.rint(limit(off, *ends)) if ends else off
 
-        values = (table.like(reading) for table in tables)
-        return change_at_random(reading, -expm1(-rate * dt), spike, rng, *values)
+        return change_at_random(reading, -expm1(-rate * dt), spike, rng, sizes, *(code_range or ()))
 
     return stateless(add)
 
@@ -102,8 +98,7 @@ def spikes(
 def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary") -> Corruption[tuple[()]]:
     """Turn one bit of a reading over now and then, every bit alike.
 
-    Readings are counts, whole numbers that the word can hold; what is not (NaN) stays as it is. float32 holds
-    words of up to 24 bits.
+    Readings are counts, whole numbers that the word can hold; what is not (NaN) stays as it is.
 
     Args:
         probability: Probability that a word is wrong, for each channel and reading on its own.
@@ -128,19 +123,14 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
     places = 2.0 ** np.arange(bits)
     signs = np.where((places == places[-1]) & (coding == CODINGS[1]), -1.0, 1.0)
     # A reading adds what the bit is worth where it was 0 and loses it where it was 1.
-    table = Table([places, places * signs])
+    worths = places * signs
 
     def flip(word: Array, rng: Rng) -> Array:
-        xp = namespace(word)
-        drawn = uniform(rng, 0.0, 1.0, tuple(word.shape), word.dtype)
-        which = array_namespace(drawn).astype(limit(drawn * bits, 0.0, bits - 1.0), xp.int64)
-        place, worth = (
-            xp.reshape(xp.take(values, xp.reshape(which, (-1,)), axis=0), word.shape)
-            for values in table.like(word)
-        )
+        which = (uniform(rng, 0.0, 1.0, word.shape) * bits).astype(np.intp)
+        place, worth = places[which], worths[which]
         # Halving rounds down, so negative words show the bits of their two's complement.
-        above = xp.floor(word / place)
-        bit = above - 2.0 * xp.floor(above / 2.0)
+        above = np.floor(word / place)
+        bit = above - 2.0 * np.floor(above / 2.0)
         return word + (1.0 - 2.0 * bit) * worth
 
     def read(reading: Array, rng: Rng, dt: float) -> Array:
@@ -164,14 +154,13 @@ def stale_repeats(probability: float, *, each: bool = False) -> Corruption[Repea
     if not 0.0 <= probability < 1.0:
         raise ValueError(f"'probability' must lie in [0, 1), got {probability}.")
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> RepeatState:
-        return RepeatState(filled(rng, float("nan"), shape, dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> RepeatState:
+        return RepeatState(np.full(shape, np.nan))
 
     def apply(reading: Array, state: RepeatState, rng: Rng, dt: float) -> tuple[Array, RepeatState]:
-        held = cast_like(state.held, reading)
-        shape = tuple(reading.shape) if each else (*reading.shape[:-1], 1)
-        stale = uniform(rng, 0.0, 1.0, shape, reading.dtype) < probability
-        read = replace_where(reading, held, stale, probability <= RARE)
+        shape = reading.shape if each else (*reading.shape[:-1], 1)
+        stale = uniform(rng, 0.0, 1.0, shape) < probability
+        read = replace_where(reading, state.held, stale, probability <= RARE)
         return read, RepeatState(read)
 
     return Corruption(init, apply)
@@ -195,16 +184,14 @@ def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corru
     if not 0.0 < mean_length < float("inf"):
         raise ValueError(f"'mean_length' must be finite and positive, got {mean_length}.")
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> GapState:
-        drawn = uniform(rng, 0.0, 1.0, shape if each else (*shape[:-1], 1), dtype)
-        return GapState(cast_like(drawn < share, drawn))
+    def init(shape: tuple[int, ...], rng: Rng) -> GapState:
+        drawn = uniform(rng, 0.0, 1.0, shape if each else (*shape[:-1], 1))
+        return GapState((drawn < share).astype(np.float64))
 
     def apply(reading: Array, state: GapState, rng: Rng, dt: float) -> tuple[Array, GapState]:
-        before = cast_like(state.lost, reading)
-        drawn = uniform(rng, 0.0, 1.0, tuple(before.shape), reading.dtype)
+        drawn = uniform(rng, 0.0, 1.0, state.lost.shape)
         decayed = -expm1(-dt / (mean_length * (1.0 - share)))
-        lost = drawn < before * (1.0 - decayed) + decayed * share
-        gone = namespace(reading).where(lost, 0.0 * drawn + float("nan"), 0.0 * drawn)
-        return reading + gone, GapState(cast_like(lost, reading))
+        lost = drawn < state.lost * (1.0 - decayed) + decayed * share
+        return reading + np.where(lost, np.nan, 0.0), GapState(lost.astype(np.float64))
 
     return Corruption(init, apply)

@@ -6,16 +6,14 @@ arrival, for one robot whose host needs them all.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.sensors.arrays import cast_like, limit, namespace
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
 from surefoot.sensors.corruption import Array, Corruption, Rng
-from surefoot.sensors.randomness import filled, normal
+from surefoot.sensors.randomness import normal
 
 ROUNDING = 1e-9
 """Time in s by which a packet may be late and still count: one that arrives with the host's own step must not
@@ -72,26 +70,22 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
     if depth < 1:
         raise ValueError(f"'depth' must be at least 1, got {depth}.")
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> LatencyState:
-        due = filled(rng, -float("inf"), (depth, *shape[:-1], 1), dtype)
-        readings = filled(rng, float("nan"), (depth, *shape), dtype)
-        return LatencyState(due, readings, filled(rng, float("nan"), shape, dtype))
+    def init(shape: tuple[int, ...], rng: Rng) -> LatencyState:
+        due = np.full((depth, *shape[:-1], 1), -np.inf)
+        readings = np.full((depth, *shape), np.nan)
+        return LatencyState(due, readings, np.full(shape, np.nan))
 
     def apply(reading: Array, state: LatencyState, rng: Rng, dt: float) -> tuple[Array, LatencyState]:
-        xp = namespace(reading)
-        drawn = jitter * normal(rng, (*reading.shape[:-1], 1), reading.dtype) + delay
-        waiting = cast_like(state.due, reading) - dt
-        due = xp.maximum(limit(drawn, 0.0, float("inf")), waiting[-1, ...])
-        due = xp.concat([waiting[1:, ...], due[None, ...]])
+        drawn = jitter * normal(rng, (*reading.shape[:-1], 1)) + delay
+        waiting = state.due - dt
+        due = np.maximum(np.maximum(drawn, 0.0), waiting[-1])
+        due = np.concatenate([waiting[1:], due[None]])
         # Readings come in order, so their number is the row. Row 0, for none, is the last that came before.
-        arrived = xp.reshape(xp.sum(due <= 0.0, axis=0, dtype=xp.int64), (-1,))
-        robots = arrived.shape[0]
-        last, under_way = cast_like(state.held, reading), cast_like(state.readings, reading)
-        rows = xp.concat([last[None, ...], under_way[1:, ...], reading[None, ...]])
-        which = robots * arrived + xp.arange(robots, dtype=xp.int64, device=device_of(reading))
-        taken = xp.take(xp.reshape(rows, (-1, reading.shape[-1])), which, axis=0)
-        held = xp.reshape(taken, reading.shape)
-        return held, LatencyState(due, rows[1:, ...], held)
+        arrived = (due <= 0.0).sum(axis=0).ravel()
+        rows = np.concatenate([state.held[None], state.readings[1:], reading[None]])
+        which = len(arrived) * arrived + np.arange(len(arrived))
+        held = rows.reshape((-1, reading.shape[-1])).take(which, axis=0).reshape(reading.shape)
+        return held, LatencyState(due, rows[1:], held)
 
     return Corruption(init, apply)
 

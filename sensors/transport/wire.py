@@ -168,8 +168,8 @@ def wire(
         on["latency"] = latency(config.delay, config.jitter, config.under_way)
     off = WireState(*((),) * len(WireState._fields))
 
-    def init(shape: tuple[int, ...], rng: Rng, dtype: Any = None) -> WireState:
-        return off._replace(**{name: stage.init(shape, rng, dtype) for name, stage in on.items()})
+    def init(shape: tuple[int, ...], rng: Rng) -> WireState:
+        return off._replace(**{name: stage.init(shape, rng) for name, stage in on.items()})
 
     def apply(counts: Array, state: WireState, rng: Rng, dt: float) -> tuple[Array, WireState]:
         check_wire(config, dt)

@@ -3,13 +3,8 @@
 from typing import Any
 
 import numpy as np
-import torch
 
 DT = 1 / 80
-
-
-def generator(library: str, seed: int = 0) -> Any:
-    return np.random.default_rng(seed) if library == "numpy" else torch.Generator().manual_seed(seed)
 
 
 def leaves(state: Any) -> list[Any]:

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from _streams import DT, generator, leaves
+from _streams import DT, leaves
 
 from surefoot.sensors import (
     PRESETS,
@@ -216,81 +215,61 @@ NULL = {
 }
 
 stages = pytest.mark.parametrize("name", STAGES)
-libraries = pytest.mark.parametrize("library", ["numpy", "torch"])
 
 
-def dtype_of(library: str, precision: str) -> Any:
-    return getattr(torch if library == "torch" else np, precision)
-
-
-def readings(name: str, library: str, precision: str = "float64", batch: tuple[int, ...] = ()) -> list[Any]:
+def readings(name: str, batch: tuple[int, ...] = ()) -> list[Any]:
     """Ten readings in the shape that a stage takes, around 5 N."""
     _, channels, blocks = STAGES[name]
     shape = (10, *batch, SUBSTEPS, channels) if blocks else (10, *batch, channels)
-    values = np.random.default_rng(1).normal(5.0, 2.0, shape).astype(precision)
-    return list(torch.from_numpy(values) if library == "torch" else values)
+    return list(np.random.default_rng(1).normal(5.0, 2.0, shape))
 
 
-def run(name: str, inputs: list[Any], state_dtype: Any = None) -> list[Any]:
+def run(name: str, inputs: list[Any]) -> Any:
     make, channels, blocks = STAGES[name]
-    stage, rng = make(), generator("torch" if isinstance(inputs[0], torch.Tensor) else "numpy")
-    state = stage.init((*inputs[0].shape[: -2 if blocks else -1], channels), rng, state_dtype)
+    stage, rng = make(), np.random.default_rng(0)
+    state = stage.init((*inputs[0].shape[: -2 if blocks else -1], channels), rng)
     outputs = []
     for reading in inputs:
         output, state = stage.apply(reading, state, rng, DT)
         outputs.append(output)
-    return outputs
+    return np.stack(outputs)
 
 
-def as_numpy(outputs: list[Any]) -> np.ndarray[Any, Any]:
-    return np.stack([np.asarray(output) for output in outputs])
-
-
-@libraries
 @stages
-def test_a_step_follows_from_its_arguments_and_changes_none(name: str, library: str) -> None:
+def test_a_step_follows_from_its_arguments_and_changes_none(name: str) -> None:
     make, channels, _ = STAGES[name]
-    stage, inputs = make(), readings(name, library)
-    state, same = (stage.init((channels,), generator(library)) for _ in range(2))
+    stage, inputs, seeded = make(), readings(name), np.random.default_rng
+    state, same = (stage.init((channels,), seeded(0)) for _ in range(2))
     for one, other in zip(leaves(state), leaves(same), strict=True):
         np.testing.assert_array_equal(one, other)
-    _, state = stage.apply(inputs[0], state, generator(library, 6), DT)
-    kept = as_numpy(inputs)
-    first, _ = stage.apply(inputs[1], state, generator(library, 7), DT)
-    first = np.asarray(first).copy()
-    _, later = stage.apply(inputs[2], state, generator(library, 8), DT)
-    stage.apply(inputs[3], later, generator(library, 9), DT)
-    again, _ = stage.apply(inputs[1], state, generator(library, 7), DT)
-    np.testing.assert_array_equal(as_numpy(inputs), kept)
+    _, state = stage.apply(inputs[0], state, seeded(6), DT)
+    kept = np.stack(inputs)
+    first, _ = stage.apply(inputs[1], state, seeded(7), DT)
+    first = first.copy()
+    _, later = stage.apply(inputs[2], state, seeded(8), DT)
+    stage.apply(inputs[3], later, seeded(9), DT)
+    again, _ = stage.apply(inputs[1], state, seeded(7), DT)
+    np.testing.assert_array_equal(np.stack(inputs), kept)
     np.testing.assert_array_equal(again, first)
     if name != "empty chain":
-        assert not np.shares_memory(np.asarray(again), np.asarray(inputs[1])), "no view of the reading"
+        assert not np.shares_memory(again, inputs[1]), "no view of the reading"
 
 
-@libraries
 @stages
-def test_shape_dtype_and_library_are_kept_for_any_batch(name: str, library: str) -> None:
-    """Also where the state was drawn in another precision than that of the readings."""
-    for state_precision, precision in (
-        ("float64", "float64"),
-        ("float32", "float32"),
-        ("float64", "float32"),
-    ):
-        inputs = readings(name, library, precision, batch=(3, 2))
-        for output in run(name, inputs, dtype_of(library, state_precision)):
-            assert type(output) is type(inputs[0])
-            assert output.dtype == inputs[0].dtype
-            assert tuple(output.shape) == (3, 2, STAGES[name][1])
+def test_shape_and_dtype_are_kept_for_any_batch(name: str) -> None:
+    read = run(name, readings(name, batch=(3, 2)))
+    assert read.shape == (10, 3, 2, STAGES[name][1])
+    assert read.dtype == np.float64
 
 
 @stages
 def test_robots_of_a_batch_do_not_touch_each_other(name: str) -> None:
     """Change what the first robot feels: the others read what they read before."""
-    inputs = readings(name, "numpy", batch=(3,))
+    inputs = readings(name, batch=(3,))
     changed = [reading.copy() for reading in inputs]
     for reading in changed:
         reading[0] += 1.0
-    one, other = (as_numpy(run(name, values)) for values in (inputs, changed))
+    one, other = (run(name, values) for values in (inputs, changed))
     np.testing.assert_array_equal(one[:, 1:], other[:, 1:])
 
 
@@ -304,7 +283,7 @@ def test_a_robot_with_a_stream_reads_the_same_alone_and_in_any_batch(name: str, 
             monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda: None)
         many, alone = Stream.of_each(keys), Stream.of(*keys[1])
         batch, single = stage.init((3, channels), many), stage.init((channels,), alone)
-        for reading in readings(name, "numpy", batch=(3,)):
+        for reading in readings(name, batch=(3,)):
             output, batch = stage.apply(reading, batch, many, DT)
             own, single = stage.apply(reading[1], single, alone, DT)
             np.testing.assert_allclose(output[1], own, rtol=1e-12, atol=1e-12)
@@ -314,57 +293,35 @@ def test_a_robot_with_a_stream_reads_the_same_alone_and_in_any_batch(name: str, 
 class Still(np.random.Generator):
     """A generator without chance, so that the order of draws does not matter."""
 
-    def standard_normal(self, size: Any = None, dtype: Any = np.float64, out: Any = None) -> Any:
-        return np.zeros(size, dtype)
+    def standard_normal(self, size: Any = None, dtype: Any = None, out: Any = None) -> Any:
+        return np.zeros(size)
 
-    def random(self, size: Any = None, dtype: Any = np.float64, out: Any = None) -> Any:
-        return np.full(size, 0.5, dtype)
+    def random(self, size: Any = None, dtype: Any = None, out: Any = None) -> Any:
+        return np.full(size, 0.5)
 
 
 @stages
-def test_a_batch_torch_and_single_robots_read_the_same_without_chance(name: str, monkeypatch: Any) -> None:
-    def draws(value: float) -> Callable[..., Any]:
-        return lambda shape, generator, device, dtype: torch.full(shape, value, dtype=dtype)
-
-    monkeypatch.setattr(torch, "randn", draws(0.0))
-    monkeypatch.setattr(torch, "rand", draws(0.5))
+def test_a_batch_and_single_robots_read_the_same_without_chance(name: str) -> None:
     make, channels, _ = STAGES[name]
-    stage, rng, of_torch = make(), Still(np.random.PCG64()), torch.Generator()
+    stage, rng = make(), Still(np.random.PCG64())
     batched, single = stage.init((2, channels), rng), stage.init((channels,), rng)
-    tensors = stage.init((2, channels), of_torch, torch.float64)
-    for reading in readings(name, "numpy", batch=(2,)):
+    for reading in readings(name, batch=(2,)):
         output, batched = stage.apply(reading, batched, rng, DT)
         alone, single = stage.apply(reading[1], single, rng, DT)
-        same, tensors = stage.apply(torch.from_numpy(reading), tensors, of_torch, DT)
         np.testing.assert_allclose(output[1], alone, rtol=1e-12, atol=1e-9)
-        np.testing.assert_allclose(same, output, rtol=1e-12, atol=1e-9)
 
 
-@libraries
 @pytest.mark.parametrize("name", NULL)
-def test_a_null_model_changes_nothing(name: str, library: str) -> None:
+def test_a_null_model_changes_nothing(name: str) -> None:
     make, kind = NULL[name]
-    stage, rng = make(), generator(library)
+    stage, rng = make(), np.random.default_rng(0)
     channels = {Imu: 6, ForceTorque: 12}.get(kind, 8)
-    for precision in ("float32", "float64"):
-        state = stage.init((channels,), rng, dtype_of(library, precision))
-        for seed in range(5):
-            shape = (SUBSTEPS, channels) if kind is LoadCells else (channels,)
-            reading: Any = np.random.default_rng(seed).normal(0.0, 20.0, shape).astype(precision)
-            expected = reading[-1] if kind is LoadCells else reading
-            if library == "torch":
-                reading = torch.from_numpy(reading)
-            output, state = stage.apply(reading, state, rng, DT)
-            np.testing.assert_array_equal(output, expected)
-
-
-@pytest.mark.parametrize(
-    ("reading", "rng"), [("numpy", "torch"), ("torch", "numpy")], ids=["NumPy readings", "torch readings"]
-)
-def test_libraries_cannot_be_mixed(reading: str, rng: str) -> None:
-    stage = white_noise(1.0)
-    with pytest.raises(TypeError, match=r"torch tensors need a torch\.Generator"):
-        stage.apply(readings("white noise", reading)[0], (), generator(rng), DT)
+    state = stage.init((channels,), rng)
+    for seed in range(5):
+        shape = (SUBSTEPS, channels) if kind is LoadCells else (channels,)
+        reading = np.random.default_rng(seed).normal(0.0, 20.0, shape)
+        output, state = stage.apply(reading, state, rng, DT)
+        np.testing.assert_array_equal(output, reading[-1] if kind is LoadCells else reading)
 
 
 def test_anything_else_is_no_generator() -> None:

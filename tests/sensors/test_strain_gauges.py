@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-import torch
 
 from surefoot.sensors import StrainGauges, preset, strain_gauges
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142
@@ -241,29 +240,6 @@ def test_a_sequence_is_the_loop_and_a_recording_may_be_felt_by_many():
         np.testing.assert_array_equal(counts[:, :, step], expected)
         np.testing.assert_array_equal(temperature[:, :, step], state.temperature)
     np.testing.assert_array_equal(last.offset, state.offset)
-
-
-@pytest.mark.parametrize("of", ["load", "gauges"])
-def test_torch_reads_the_same(of):
-    config = replace(LEG, noise_force=0.0, noise_torque=0.0, offset_drift_force=0.0, offset_drift_torque=0.0)
-    config = replace(config, temperature_ramp=0.1, hysteresis_of=of)
-    _, state, rng = drawn(config, (4,), seed=16)
-    recorded = np.random.default_rng(17).normal(0.0, 5.0, (4, 50, 6))
-
-    def convert(part):
-        return type(part)(*map(convert, part)) if isinstance(part, tuple) else torch.from_numpy(part)
-
-    counts, last, temperature = read_sequence(config, recorded, state, rng, 0.1)
-    same, end, warm = read_sequence(
-        config, torch.from_numpy(recorded), convert(state), torch.Generator(), 0.1
-    )
-    assert same.dtype == torch.float64
-    np.testing.assert_array_equal(same, counts)
-    np.testing.assert_allclose(warm, temperature, rtol=1e-14)
-    np.testing.assert_allclose(true_response(config, end)[0], true_response(config, last)[0], rtol=1e-14)
-    jumped = shift_offset(config, end, torch.Generator().manual_seed(1), 1.0, 0.1)
-    assert jumped.offset.dtype == torch.float64
-    assert not torch.equal(jumped.offset, end.offset)
 
 
 def test_matrices_may_come_as_arrays_and_lists():
