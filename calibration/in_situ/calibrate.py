@@ -224,7 +224,12 @@ def _fit(
         # Masses in one plane leave a rotation and its mirror image: the matrix knows which.
         by_data = min(minima(free, starts(free, None, None)), key=partial(_from_factory, problem))
         determined = not data_rank(free, by_data.limb).missing
-        warnings += check_factory(factory, problem, by_data, determined=determined)
+        try:
+            warnings += check_factory(factory, problem, by_data, determined=determined)
+        except CalibrationRefused:
+            if not rank.missing:  # Sets that contradict each other without the matrix say nothing of it.
+                check_masses(free, by_data, pooled_noise(parts), options)
+            raise
         known_alone = determined and not _without_priors(free, by_data, rank, options).missing
         problem, first = _leaning(problem, first, options, by_data if known_alone else None)
     found = minima(problem, first)
