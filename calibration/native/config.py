@@ -91,7 +91,8 @@ def constants_of(
                 "spread": config.spread * setup.weight,
                 "limit": config.offset_range * setup.weight,
             }
-    record, name = library.filled("config", _robot(front) | values), _OWN[number]
+    # A header holds all fields, those as well that a method has no use for.
+    record, name = library.filled("config", library.zeros("config") | _robot(front) | values), _OWN[number]
     of_method = library.filled(name, own) if name else None
     if record is None or (name and of_method is None):
         return None

@@ -3,6 +3,7 @@
 import copy
 import pickle
 import runpy
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -473,6 +474,9 @@ def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, la
         sizes.append(f"{int(done.stdout):,} bytes")
     page = ROOT / "docs" / "native.md"
     assert not page.exists() or " | ".join(sizes) in page.read_text()
+    if plus := shutil.which("c++"):
+        strict = ("-std=c++20", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-I", NATIVE.sources.folder)
+        subprocess.run([plus, "-x", "c++", *strict, tmp_path / "size.c"], check=True)
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """Calibrators of many robots on torch tensors, on the toy of the example, by kernels on Warp's CPU device."""
 
+import copy
 import importlib.util
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +237,16 @@ def test_a_calibrator_starts_where_the_sensors_data_sheet_does(log):
     module = make("none", initial=feet.nominal)
     counts = feet(log[1][0])
     torch.testing.assert_close(module(counts, row(log, 0)[1]).force, log[1][0].float(), atol=1e-3, rtol=0.0)
+
+
+def test_a_calibrator_can_be_copied(log):
+    module = make()
+    run(module, log, 40)
+    copies = copy.deepcopy(module), pickle.loads(pickle.dumps(module))
+    for k in range(40, 90):
+        estimate = module(*row(log, k))
+        for other in copies:
+            assert_same(other(*row(log, k)), estimate)
 
 
 @pytest.mark.parametrize("cross_talk", [0.0, 0.01])

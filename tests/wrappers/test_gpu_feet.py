@@ -1,6 +1,7 @@
 """Foot sensors of many robots on torch tensors, by kernels on Warp's CPU device."""
 
 import copy
+import pickle
 from dataclasses import replace
 
 import gymnasium as gym
@@ -398,11 +399,11 @@ def test_no_graph_is_kept_and_a_module_can_be_copied():
     force = forces(feet).requires_grad_()
     for _ in range(3):
         assert not feet(2.0 * force).requires_grad
-    twin = copy.deepcopy(feet)
+    twin, other = copy.deepcopy(feet), pickle.loads(pickle.dumps(feet))
     for k in range(3):
-        torch.testing.assert_close(
-            twin(forces(feet, k)), feet(forces(feet, k)), rtol=0, atol=0, equal_nan=True
-        )
+        read = feet(forces(feet, k))
+        for copied in (twin, other):
+            torch.testing.assert_close(copied(forces(feet, k)), read, rtol=0, atol=0, equal_nan=True)
 
 
 def test_a_wire_too_short_is_refused_when_the_module_is_made():

@@ -110,8 +110,10 @@ class Kernel:
         return kernel, self._given
 
 
-kernel = cache(Kernel)
-"""A :class:`Kernel`, made once; its first launch on a device compiles it, unless Warp's cache has it."""
+@cache
+def kernel(*given: Any) -> Kernel:
+    """Return a :class:`Kernel`, made once; its first launch compiles it, unless Warp's cache has it."""
+    return Kernel(*given)
 
 
 def _compiled(package: str, lines: Sequence[str], body: str) -> Any:

@@ -188,9 +188,8 @@ class SelfCalibrationModule(BatchModule):
         self._state = self._kept("state", self._fresh.expand(num_envs, -1))
         self._estimate = self._kept("estimate", estimate)
         self._waiting = self._kept("waiting", torch.zeros(num_envs, dtype=torch.int32))
-        self._told = native.estimate.now.dtype
-        self._believed = views(self._beliefs, native.belief.dtype)
-        self._learnt = views(self._state, fresh.record.dtype)
+        self._layouts = native.belief.dtype, fresh.record.dtype, native.estimate.now.dtype
+        self._view()
         self._certain = native.certain
         self._talks = None if native.constants.matrix is None else self._scales(native.constants.config)
 
@@ -216,7 +215,7 @@ class SelfCalibrationModule(BatchModule):
         if advances or self._asked:
             self._run(_ADVANCE * advances + _FROZEN * self.frozen, counts, self._beliefs)
             self._asked = False
-        one: dict[str, Any] = views(self._estimate.clone(), self._told)
+        one: dict[str, Any] = views(self._estimate.clone(), self._layouts[2])
         if not self._certain:
             one |= dict.fromkeys(("force_std", "cop_covariance", "nis", "nis_rows"))
         else:
@@ -277,6 +276,14 @@ class SelfCalibrationModule(BatchModule):
         """
         self._restore(self._kernel, state, self._identity())
         self.frozen = state["frozen"]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)  # type: ignore[no-untyped-call]
+        self._view()  # copies of views see nothing of what they were views of
+
+    def _view(self) -> None:
+        self._believed = views(self._beliefs, self._layouts[0])
+        self._learnt = views(self._state, self._layouts[1])
 
     def _run(self, what: int, given: Tensor, more: Tensor) -> None:
         given_to = self._config, self._state, self._work, given, more, self._estimate, self._starting
