@@ -22,7 +22,7 @@ from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case
 from surefoot.experiments.walks.closed_loop import run_loop
-from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.replay import age_of, starting_map
 
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
 TIMED = 1600  # samples of one walk on which an update is timed: 20 s
@@ -88,9 +88,8 @@ def bound_of(log: Log, judged: NDArray[np.bool_], options: Mapping[str, Any]) ->
 def time_method(path: Path, method: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """Time one robot's updates: median, mean, and the median of the slowest of four phases, in us."""
     log = read_log(path)
-    calibrator = FootCalibrator(
-        log.layout, method, mass=log.mass, initial=starting_map(log), dt=log.dt, lag=log.lag, **options
-    )
+    known: dict[str, Any] = {"mass": log.mass, "dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    calibrator = FootCalibrator(log.layout, method, initial=starting_map(log), **known, **options)
     taken = []
     for k in range(min(TIMED, len(log))):
         reference = Reference(*(part[k] for part in log.reference))
