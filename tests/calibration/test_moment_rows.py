@@ -66,6 +66,7 @@ def test_each_error_of_the_reference_is_told_to_first_order(layout, cross_talk, 
         left = [np.abs(body.residual(**{name: error * size})).max() for size in (1.0, 0.1, 0.01)]
         untold = [np.abs(body.residual(told=0.0, **{name: error * size})).max() for size in (1.0, 0.01)]
         shown = max(shown, untold[0])
+        assert untold[0] > 3e-5
         assert 50.0 < untold[0] / untold[1] < 200.0, "and be of first order"
         for coarse, fine in pairwise(left):
             assert fine < max(coarse / 80.0, 1e-12), "what is left must be of second order"
