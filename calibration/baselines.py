@@ -19,9 +19,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from array_api_compat import device as device_of
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.ages import as_read
@@ -87,49 +86,45 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
     settle = round(options.settle / setup.dt)
     foot = setup.layout.foot_of_channel
     spread, limit = options.spread * setup.weight, options.offset_range * setup.weight
-    constants = Constants(by_foot=np.eye(len(setup.layout.feet))[:, foot])
+    by_foot = np.eye(len(setup.layout.feet))[:, foot]
 
     def init(raw: Array) -> TareState:
         front = front_end.init(raw)
-        xp, device = namespace_of(raw), device_of(raw)
-        counter = xp.zeros(raw.shape, dtype=xp.int64, device=device)
-        zero = xp.zeros_like(front.raw)
+        counter = np.zeros(raw.shape, dtype=np.int64)
+        zero = np.zeros_like(front.raw)
         return TareState(front, counter, counter, zero, zero, zero)
 
     def update(state: TareState, raw: Array, reference: Reference, dt: float) -> tuple[TareState, Estimate]:
-        xp = namespace_of(raw)
         front, sample = front_end.observe(state.front, raw, reference, dt)
-        by_foot = constants.like(raw).by_foot
-        in_air = xp.matmul(xp.astype(sample.swing, raw.dtype), by_foot) > 0.5
+        in_air = sample.swing @ by_foot > 0.5
         # Across a gap the foot may have stood: what was counted before is not of this swing.
-        airborne = xp.where(in_air, (state.airborne * 0 if sample.gap else state.airborne) + 1, 0)
+        airborne = np.where(in_air, (state.airborne * 0 if sample.gap else state.airborne) + 1, 0)
         fresh = airborne == 1
         used = (airborne > settle) & sample.read
 
         # Welford's running mean and scatter of this swing.
-        before = xp.where(fresh, 0, state.count)
-        count = before + xp.astype(used, before.dtype)
-        number = xp.astype(xp.where(count > 0, count, 1), raw.dtype)
-        deviation = xp.where(used, sample.past - state.mean, 0.0)
-        deviation = xp.where(before == 0, xp.where(used, sample.past, 0.0), deviation)
-        mean = xp.where(before == 0, 0.0, state.mean) + deviation / number
-        scatter = xp.where(before == 0, 0.0, state.scatter) + deviation * xp.where(
-            used, sample.past - mean, 0.0
-        )
+        before = np.where(fresh, 0, state.count)
+        count = before + used
+        number = np.maximum(count, 1)
+        deviation = np.where(used, sample.past - state.mean, 0.0)
+        deviation = np.where(before == 0, np.where(used, sample.past, 0.0), deviation)
+        mean = np.where(before == 0, 0.0, state.mean) + deviation / number
+        off = np.where(used, sample.past - mean, 0.0)
+        scatter = np.where(before == 0, 0.0, state.scatter) + deviation * off
 
         enough = used & (count >= options.minimum_samples)
         still = scatter <= number * spread**2
-        small = xp.abs(mean) <= limit
+        small = np.abs(mean) <= limit
         # Where one channel carries load, or all together do, the foot did not swing.
-        feet_of = xp.matrix_transpose(by_foot)
-        doubt = xp.matmul(xp.astype(enough & ~(still & small), raw.dtype), feet_of)
-        carries = xp.abs(xp.matmul(xp.where(enough, mean, 0.0), feet_of)) > limit
-        hangs = xp.astype((doubt < 0.5) & ~carries, raw.dtype)
-        foot_hangs = xp.matmul(hangs, by_foot) > 0.5
-        offset = xp.where(enough & foot_hangs, -mean, state.offset)
-        rejected = xp.where(enough & ~foot_hangs, int(Flag.REJECTED), 0)
+        feet_of = by_foot.mT
+        doubt = (enough & ~(still & small)) @ feet_of
+        carries = np.abs(np.where(enough, mean, 0.0) @ feet_of) > limit
+        hangs = (doubt < 0.5) & ~carries
+        foot_hangs = hangs @ by_foot > 0.5
+        offset = np.where(enough & foot_hangs, -mean, state.offset)
+        rejected = np.where(enough & ~foot_hangs, int(Flag.REJECTED), 0)
 
-        estimate = front_end.estimate(sample, xp.ones_like(offset), offset)
+        estimate = front_end.estimate(sample, np.ones_like(offset), offset)
         estimate = estimate._replace(flags=estimate.flags | rejected)
         return TareState(front, airborne, count, mean, scatter, offset), estimate
 
@@ -146,7 +141,6 @@ def uncorrected(setup: OnlineSetup) -> OnlineMethod:
 
     def update(state: FrontState, raw: Array, reference: Reference, dt: float) -> tuple[FrontState, Estimate]:
         state, sample = front_end.observe(state, raw, reference, dt)
-        xp = namespace_of(raw)
-        return state, front_end.estimate(sample, xp.ones_like(sample.force), xp.zeros_like(sample.force))
+        return state, front_end.estimate(sample, np.ones_like(sample.force), np.zeros_like(sample.force))
 
     return OnlineMethod(front_end.init, update)

@@ -12,13 +12,13 @@ give, with c = (x, y, z) the centre of mass and p_z the height of the ground,
 
 Han's earlier method supposes a quasi-static robot: Fz = M g and p = (x, y).
 
-Only the ground's forces enter: a hand on the robot shows up as an error of this reference. Everything runs on
-the array API standard with any leading batch dimensions ``...`` and keeps the dtype.
+Only the ground's forces enter: a hand on the robot shows up as an error of this reference. Arrays have any
+leading batch dimensions ``...``.
 """
 
 from typing import NamedTuple
 
-from array_api_compat import array_namespace
+import numpy as np
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_tail
@@ -51,8 +51,7 @@ def ground_height(reference: Reference) -> Array:
         Height p_z in the level frame in m, shape (...).
     """
     check_tail(reference.position_sole, (2, 3), "position_sole")
-    xp = array_namespace(reference.position_sole)
-    return xp.min(reference.position_sole[..., 2], axis=-1)
+    return reference.position_sole[..., 2].min(axis=-1)
 
 
 def ground_reference(
@@ -85,15 +84,14 @@ def ground_reference(
     check_tail(reference.com, (3,), "com")
     check_tail(reference.com_acceleration, (3,), "com_acceleration")
     check_tail(reference.angular_momentum_rate, (3,), "angular_momentum_rate")
-    xp = array_namespace(reference.com)
     com, acceleration, rate = reference.com, reference.com_acceleration, reference.angular_momentum_rate
     if quasi_static:
-        fz = mass * gravity * xp.ones_like(com[..., 2])
+        fz = mass * gravity * np.ones_like(com[..., 2])
         moment = com[..., :2] * fz[..., None]
     else:
         fz = mass * (acceleration[..., 2] + gravity)  # Eq. 9
         lever = mass * (com[..., 2] - (ground_height(reference) if height is None else height))
-        moment = xp.stack(
+        moment = np.stack(
             [
                 com[..., 0] * fz - (lever * acceleration[..., 0] + rate[..., 1]),  # Eq. 10 times Fz
                 com[..., 1] * fz - (lever * acceleration[..., 1] - rate[..., 0]),  # Eq. 11 times Fz

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from surefoot.calibration.arrays import Array
 
@@ -16,7 +15,7 @@ def check_floating(array: Array, what: str) -> None:
     """
     if not hasattr(array, "dtype"):
         raise ValueError(f"'{what}' must be an array, got {type(array).__name__}.")
-    if not array_namespace(array).isdtype(array.dtype, "real floating"):
+    if not np.isdtype(array.dtype, "real floating"):
         raise ValueError(f"'{what}' must hold floating-point numbers, got dtype {array.dtype}.")
 
 
@@ -32,7 +31,7 @@ def check_tail(array: Array, tail: tuple[int | str, ...], what: str) -> None:
         ValueError: If the dtype is not floating or the last axes do not match.
     """
     check_floating(array, what)
-    shape = tuple(array.shape)
+    shape = array.shape
     last = shape[len(shape) - len(tail) :] if len(shape) >= len(tail) else ()
     fits = [isinstance(wanted, str) or wanted == length for wanted, length in zip(tail, last, strict=False)]
     if len(last) != len(tail) or not all(fits):

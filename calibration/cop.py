@@ -10,13 +10,12 @@ epsilon) it is NaN here. Holding the last value for an observation is the busine
 For a wrench (fx, fy, fz, tx, ty, tz) at and in a sole frame the same point on the sole is (-ty, tx) / fz.
 Both feet are brought together as *moments*, (Fz, Fz px, Fz py), which add and are linear in the cells'
 forces; the one division comes last. A force plate is one foot alone: shapes given with a 2 for the feet
-have a 1 then. Everything runs on the array API standard with any leading batch dimensions ``...`` and
-keeps the dtype.
+have a 1 then. Arrays have any leading batch dimensions ``...``.
 """
 
-from array_api_compat import array_namespace
+import numpy as np
 
-from surefoot.calibration.arrays import Array, constant_like
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_floating, check_tail
 from surefoot.calibration.layout import FeetLayout
 
@@ -53,18 +52,17 @@ def cop_of_cells(force: Array, position: Array, threshold: float = FORCE_THRESHO
     if force.ndim < 1 or position.ndim < 2 or position.shape[-1] not in (2, 3):
         raise ValueError(
             "'force' must have shape (..., cells) and 'position' (..., cells, 2) or (..., cells, 3), "
-            f"got {tuple(force.shape)} and {tuple(position.shape)}."
+            f"got {force.shape} and {position.shape}."
         )
     if force.shape[-1] != position.shape[-2]:
         raise ValueError(
             f"'force' holds {force.shape[-1]} cells on its last axis but 'position' places "
-            f"{position.shape[-2]}: got shapes {tuple(force.shape)} and {tuple(position.shape)}."
+            f"{position.shape[-2]}: got shapes {force.shape} and {position.shape}."
         )
-    xp = array_namespace(force, position)
-    known = xp.all(xp.isfinite(force), axis=-1)
-    known_force = xp.where(known[..., None], force, xp.zeros_like(force))
-    moment = xp.sum(position[..., :2] * known_force[..., None], axis=-2)
-    total = xp.where(known, xp.sum(known_force, axis=-1), constant_like(xp.nan, force))
+    known = np.isfinite(force).all(axis=-1)
+    known_force = np.where(known[..., None], force, 0.0)
+    moment = (position[..., :2] * known_force[..., None]).sum(axis=-2)
+    total = np.where(known, known_force.sum(axis=-1), np.nan)
     return cop_of_moments(total, moment, threshold)
 
 
@@ -79,10 +77,9 @@ def cop_of_moments(fz: Array, moment: Array, threshold: float = FORCE_THRESHOLD)
     Returns:
         Centre of pressure in m, shape (..., 2).
     """
-    xp = array_namespace(fz, moment)
     valid = cop_is_valid(fz, threshold)[..., None]
-    safe_fz = xp.where(valid, fz[..., None], xp.ones_like(fz[..., None]))
-    return xp.where(valid, moment / safe_fz, constant_like(xp.nan, moment))
+    safe_fz = np.where(valid, fz[..., None], 1.0)
+    return np.where(valid, moment / safe_fz, np.nan)
 
 
 def cop_is_valid(fz: Array, threshold: float = FORCE_THRESHOLD) -> Array:
@@ -100,14 +97,12 @@ def cop_is_valid(fz: Array, threshold: float = FORCE_THRESHOLD) -> Array:
     """
     if not threshold >= 0:
         raise ValueError(f"'threshold' must not be negative, got {threshold} N.")
-    xp = array_namespace(fz)
-    return (fz > threshold) & xp.isfinite(fz)
+    return (fz > threshold) & np.isfinite(fz)
 
 
 def _finite_or_nan(array: Array) -> Array:
     """Return NaN for infinities, which passes through products with zero without a warning."""
-    xp = array_namespace(array)
-    return xp.where(xp.isfinite(array), array, constant_like(xp.nan, array))
+    return np.where(np.isfinite(array), array, np.nan)
 
 
 def sole_wrenches(force: Array, layout: FeetLayout) -> Array:
@@ -126,13 +121,12 @@ def sole_wrenches(force: Array, layout: FeetLayout) -> Array:
     """
     check_floating(force, "force")
     layout.check_raw(force, "force")
-    xp = array_namespace(force)
     finite = _finite_or_nan(force)
     wrenches = [
-        xp.matmul(finite[..., None, where], constant_like(foot.wrench_map.T, force))[..., 0, :]
+        (finite[..., None, where] @ foot.wrench_map.T)[..., 0, :]
         for foot, where in zip(layout.feet, layout.slices, strict=True)
     ]
-    return xp.stack(wrenches, axis=-2)
+    return np.stack(wrenches, axis=-2)
 
 
 def cop_of_wrench(wrench: Array, threshold: float = FORCE_THRESHOLD) -> Array:
@@ -149,9 +143,8 @@ def cop_of_wrench(wrench: Array, threshold: float = FORCE_THRESHOLD) -> Array:
         ValueError: If the last axis is not a wrench.
     """
     check_tail(wrench, (6,), "wrench")
-    xp = array_namespace(wrench)
     finite = _finite_or_nan(wrench)
-    moment = xp.stack([-finite[..., 4], finite[..., 3]], axis=-1)
+    moment = np.stack([-finite[..., 4], finite[..., 3]], axis=-1)
     return cop_of_moments(finite[..., 2], moment, threshold)
 
 
@@ -177,12 +170,11 @@ def level_moments(wrench_sole: Array, position_sole: Array, R_level_sole: Array)
     feet = wrench_sole.shape[-2]
     check_tail(position_sole, (feet, 3), "position_sole")
     check_tail(R_level_sole, (feet, 3, 3), "R_level_sole")
-    xp = array_namespace(wrench_sole, position_sole, R_level_sole)
     finite = _finite_or_nan(wrench_sole)
-    force_level = xp.matmul(R_level_sole, finite[..., :3, None])[..., 0]
-    torque_level = xp.matmul(R_level_sole, finite[..., 3:, None])[..., 0]
+    force_level = (R_level_sole @ finite[..., :3, None])[..., 0]
+    torque_level = (R_level_sole @ finite[..., 3:, None])[..., 0]
     fz = force_level[..., 2]
-    lever = xp.stack([-torque_level[..., 1], torque_level[..., 0]], axis=-1)
+    lever = np.stack([-torque_level[..., 1], torque_level[..., 0]], axis=-1)
     return fz, position_sole[..., :2] * fz[..., None] + lever
 
 
@@ -203,9 +195,8 @@ def cop_of_feet(
     Raises:
         ValueError: If a shape is not as above.
     """
-    xp = array_namespace(wrench_sole, position_sole, R_level_sole)
     fz, moment = level_moments(wrench_sole, position_sole, R_level_sole)
-    return cop_of_moments(xp.sum(fz, axis=-1), xp.sum(moment, axis=-2), threshold)
+    return cop_of_moments(fz.sum(axis=-1), moment.sum(axis=-2), threshold)
 
 
 def moment_rows(layout: FeetLayout, position_sole: Array, R_level_sole: Array) -> Array:
@@ -229,10 +220,9 @@ def moment_rows(layout: FeetLayout, position_sole: Array, R_level_sole: Array) -
     feet = len(layout.feet)
     check_tail(position_sole, (feet, 3), "position_sole")
     check_tail(R_level_sole, (feet, 3, 3), "R_level_sole")
-    xp = array_namespace(position_sole, R_level_sole)
-    wrench_map = constant_like(layout.wrench_map, position_sole)
-    force_level = xp.matmul(R_level_sole, wrench_map[..., :3, :])
-    torque_level = xp.matmul(R_level_sole, wrench_map[..., 3:, :])
+    wrench_map = layout.wrench_map
+    force_level = R_level_sole @ wrench_map[..., :3, :]
+    torque_level = R_level_sole @ wrench_map[..., 3:, :]
     fz = force_level[..., 2:3, :]
-    lever = xp.stack([-torque_level[..., 1, :], torque_level[..., 0, :]], axis=-2)
-    return xp.concat([fz, position_sole[..., :2, None] * fz + lever], axis=-2)
+    lever = np.stack([-torque_level[..., 1, :], torque_level[..., 0, :]], axis=-2)
+    return np.concatenate([fz, position_sole[..., :2, None] * fz + lever], axis=-2)

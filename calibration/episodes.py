@@ -17,7 +17,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from surefoot.calibration.arrays import Array, namespace_of
+import numpy as np
+
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.baselines import TareState
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
@@ -90,9 +92,9 @@ def begin_episode(mask: Array, fresh: Tree, state: Tree) -> Tree:
 
 def _where(name: str, mask: Array, new: Array, old: Array) -> Array:
     """Take a leaf of one or the other, robot by robot."""
-    if tuple(new.shape) != tuple(old.shape) or tuple(old.shape[: mask.ndim]) != tuple(mask.shape):
+    if new.shape != old.shape or old.shape[: mask.ndim] != mask.shape:
         raise ValueError(
-            f"'{name}' has shape {tuple(old.shape)}, that of the fresh state {tuple(new.shape)}, and 'mask' "
-            f"{tuple(mask.shape)}: all three must be of the same batch of robots."
+            f"'{name}' has shape {old.shape}, that of the fresh state {new.shape}, and 'mask' "
+            f"{mask.shape}: all three must be of the same batch of robots."
         )
-    return namespace_of(old).where(mask[(..., *[None] * (old.ndim - mask.ndim))], new, old)
+    return np.where(mask[(..., *[None] * (old.ndim - mask.ndim))], new, old)

@@ -5,7 +5,6 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from array_api_compat import is_array_api_obj
 from numpy.typing import ArrayLike
 
 from surefoot.calibration.arrays import Array
@@ -114,23 +113,22 @@ class FootCalibrator:
         self._state = kept
 
     def update(
-        self, raw: ArrayLike | Array, reference: Reference | ReferenceRecord, dt: float | None = None
+        self, raw: ArrayLike, reference: Reference | ReferenceRecord, dt: float | None = None
     ) -> Estimate:
         """Take in one sample of one robot or of a batch.
 
         Args:
-            raw: Readings, shape (..., K): an array of any library, or numbers. NaN: no sample arrived.
-            reference: The robot's beliefs ``lag`` samples ago, in arrays of the same library, or a record.
+            raw: Readings, shape (..., K). NaN: no sample arrived.
+            reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record.
             dt: Time since the last sample in s; the nominal one by default.
 
         Returns:
             The calibrated sample.
 
         Raises:
-            ValueError: If an array has a wrong shape, or another batch shape or dtype than the first one had.
+            ValueError: If an array has a wrong shape, or another batch shape than the first one had.
         """
-        if raw.dtype.kind in "iu" if isinstance(raw, np.ndarray) else not is_array_api_obj(raw):
-            raw = np.asarray(raw, dtype=np.float64)
+        raw = np.asarray(raw, dtype=np.float64)
         dt = self.setup.dt if dt is None else dt
         if self._native is not None and self._native.takes(raw, reference, dt):
             native = self.native()
@@ -190,8 +188,8 @@ class FootCalibrator:
 
         Args:
             path: The file.
-            like: Readings of the kind to come, shape (..., K), for a batch, another dtype than float64, or
-                another library than NumPy; not needed once there was a sample.
+            like: Readings of a batch, shape (..., K), if there was no sample of it yet; their values do not
+                matter.
 
         Raises:
             ValueError: If the file is not from this method and setup, or its arrays do not fit.
@@ -202,7 +200,7 @@ class FootCalibrator:
         self._state = load_state(path, self.fresh_state(like), **self._notes())
 
     def fresh_state(self, raw: Any) -> Any:
-        """Return a state in which nothing was learnt, for readings of this kind, shape (..., K)."""
+        """Return a state in which nothing was learnt, for readings of this shape, (..., K)."""
         state = self._pure.init(raw)
         if not isinstance(_front(state), FrontState):
             raise TypeError(

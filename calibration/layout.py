@@ -284,7 +284,7 @@ class FeetLayout:
         Raises:
             ValueError: If the last axis does not hold one reading a channel.
         """
-        shape = tuple(np.shape(raw)) if not hasattr(raw, "shape") else tuple(raw.shape)
+        shape = np.shape(raw) if not hasattr(raw, "shape") else raw.shape
         if not shape or shape[-1] != self.channels:
             raise ValueError(
                 f"'{what}' must hold one reading for each of the {self.channels} channels "

@@ -3,13 +3,12 @@
 An online method is a set of pure functions over a state that is a value,
 
     init, update, retract = online_method("moment", setup)
-    state = init(raw)                                       # the kind and batch shape of readings to come
+    state = init(raw)                                       # the shape of readings to come
     state, estimate = update(state, raw, reference, dt)     # one sample
     state = retract(state, fell)                            # what robots learnt as they began to fall
 
-on the array API standard: NumPy for one robot or many, torch on any device. A state is a ``NamedTuple`` of
-arrays and whole numbers: keeping one, copying one, and :func:`surefoot.calibration.state.save_state` lose
-nothing.
+of NumPy's arrays, in float64, for one robot or a batch. A state is a ``NamedTuple`` of arrays and whole
+numbers: keeping one, copying one, and :func:`surefoot.calibration.state.save_state` lose nothing.
 
 Methods differ in what they learn from. What they share (checks, the delay of the reference, what an
 estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:

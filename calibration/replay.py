@@ -65,9 +65,7 @@ def replay(
         ValueError: If a field has another length than the readings, or an array or option does not fit.
     """
     method = method_name(method)
-    readings = np.asarray(raw)
-    if readings.dtype.kind != "f":
-        readings = readings.astype(np.float64)
+    readings = np.asarray(raw, dtype=np.float64)
     layout.check_raw(readings)
     if readings.ndim < 2 or len(readings) == 0:
         raise ValueError(f"'raw' must have shape (samples, ..., channels), got {readings.shape}.")
@@ -98,7 +96,7 @@ def replay(
         if "cutoff" in getattr(method_entry(method).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
         low, high = front_end.plausible
-        learnt_from = _filter_plausible(readings, low, high, cutoff, nominal).astype(readings.dtype)
+        learnt_from = _filter_plausible(readings, low, high, cutoff, nominal)
         limits = (-LARGEST_REFERENCE, LARGEST_REFERENCE)
         learnt_with = log._replace(
             com_acceleration=_filter_plausible(log.com_acceleration, *limits, cutoff, nominal),

@@ -37,7 +37,7 @@ class OnlineMethod(NamedTuple):
     """An online calibrator as pure functions.
 
     Attributes:
-        init: ``init(raw) -> state``. ``raw`` only gives the library, dtype, device and batch shape.
+        init: ``init(raw) -> state``. ``raw``, float64 of shape (..., K), only gives the shape.
         update: ``update(state, raw, reference, dt) -> (state, Estimate)``.
         retract: ``retract(state, which) -> state`` takes back what robots have learnt in the last seconds,
             those of ``which`` (bool, the batch shape), as something happened to them that began before it was

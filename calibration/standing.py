@@ -28,8 +28,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import array_namespace
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
@@ -49,7 +47,7 @@ PLAUSIBLE_WEIGHTS = 20.0
 
 
 class StandingState(NamedTuple):
-    """What has been seen so far, in double precision whatever the readings; any batch dimensions ``...``.
+    """What has been seen so far; any batch dimensions ``...``.
 
     Attributes:
         time: Time since the start in s, shape (...).
@@ -162,20 +160,19 @@ class QuietStanding:
         """Return the state before any sample.
 
         Args:
-            raw: Readings of the kind to come (library, device, batch dimensions), shape (..., K).
+            raw: Readings of the shape to come, (..., K); their values do not matter.
         """
         self.layout.check_raw(raw)
-        xp, device = array_namespace(raw), device_of(raw)
-        batch, unknowns = tuple(raw.shape[:-1]), 2 * self.layout.channels + _ROWS
+        batch, unknowns = raw.shape[:-1], 2 * self.layout.channels + _ROWS
 
-        def zeros(*tail: int, dtype: Any = xp.float64) -> Array:
-            return xp.zeros((*batch, *tail), dtype=dtype, device=device)
+        def zeros(*tail: int, dtype: Any = np.float64) -> Array:
+            return np.zeros((*batch, *tail), dtype=dtype)
 
         return StandingState(
             time=zeros(),
-            samples=zeros(dtype=xp.int64),
-            dropped=zeros(dtype=xp.int64),
-            gated=zeros(dtype=xp.int64),
+            samples=zeros(dtype=np.int64),
+            dropped=zeros(dtype=np.int64),
+            gated=zeros(dtype=np.int64),
             information=zeros(unknowns, unknowns),
             gradient=zeros(unknowns),
             energy=zeros(),
@@ -193,19 +190,18 @@ class QuietStanding:
         Returns:
             The new state.
         """
-        xp = array_namespace(raw)
         rows, target, finite, quiet = self.rows(raw, reference)
         warm = state.time >= self.warm_up - 1e-9
-        used = xp.astype(warm & finite & quiet, xp.float64)
+        used = warm & finite & quiet
         rows_used = rows * used[..., None, None]
         return StandingState(
             time=state.time + dt,
-            samples=state.samples + xp.astype(warm & finite & quiet, xp.int64),
-            dropped=state.dropped + xp.astype(warm & ~finite, xp.int64),
-            gated=state.gated + xp.astype(warm & finite & ~quiet, xp.int64),
-            information=state.information + xp.matmul(xp.matrix_transpose(rows_used), rows),
-            gradient=state.gradient + xp.sum(rows_used * target[..., None], axis=-2),
-            energy=state.energy + used * xp.sum(target**2, axis=-1),
+            samples=state.samples + used,
+            dropped=state.dropped + (warm & ~finite),
+            gated=state.gated + (warm & finite & ~quiet),
+            information=state.information + rows_used.mT @ rows,
+            gradient=state.gradient + (rows_used * target[..., None]).sum(axis=-2),
+            energy=state.energy + used * (target**2).sum(axis=-1),
         )
 
     def ready(self, state: StandingState) -> Array:
@@ -218,29 +214,24 @@ class QuietStanding:
 
         Without samples it is the starting map.
         """
-        xp = array_namespace(state.gradient)
-        channels = self.layout.channels
-        dtype, device = state.gradient.dtype, device_of(state.gradient)
-        deviation = xp.asarray(self._deviations(), dtype=dtype, device=device)
-        identity = xp.eye(state.gradient.shape[-1], dtype=dtype, device=device)
-        posterior = xp.linalg.inv(state.information + identity)
-        posterior = 0.5 * (posterior + xp.matrix_transpose(posterior))
-        whitened = xp.matmul(posterior, state.gradient[..., None])[..., 0]
+        channels, deviation = self.layout.channels, self._deviations()
+        posterior = np.linalg.inv(state.information + np.eye(state.gradient.shape[-1]))
+        posterior = 0.5 * (posterior + posterior.mT)
+        whitened = (posterior @ state.gradient[..., None])[..., 0]
         shift = whitened[..., : 2 * channels] * deviation
         correction = Parameters(1 + shift[..., :channels], shift[..., channels:])
-        start = Parameters(*(xp.asarray(part, dtype=dtype, device=device) for part in self.start))
         kept = posterior[..., : 2 * channels, : 2 * channels]
-        variance = xp.linalg.eigvalsh(kept)
-        explained = xp.matmul(state.information, whitened[..., None])[..., 0] - 2 * state.gradient
-        left = state.energy + xp.sum(whitened * explained, axis=-1)
-        rows = _ROWS * xp.astype(xp.where(state.samples > 0, state.samples, 1), dtype)
+        variance = np.linalg.eigvalsh(kept)
+        explained = (state.information @ whitened[..., None])[..., 0] - 2 * state.gradient
+        left = state.energy + (whitened * explained).sum(axis=-1)
+        rows = _ROWS * np.maximum(state.samples, 1)
         return StandingEstimate(
-            parameters=correction.after(start),
+            parameters=correction.after(self.start),
             correction=correction,
             covariance=deviation[:, None] * kept * deviation,
-            rank=xp.sum(xp.astype(variance < 0.5, xp.int64), axis=-1),
-            residual_rms=xp.sqrt(xp.clip(left, 0.0, None) / rows),
-            condition=xp.sqrt(variance[..., -1] / variance[..., 0]),
+            rank=(variance < 0.5).sum(axis=-1),
+            residual_rms=np.sqrt(np.maximum(left, 0.0) / rows),
+            condition=np.sqrt(variance[..., -1] / variance[..., 0]),
             ready=self.ready(state),
         )
 
@@ -264,21 +255,12 @@ class QuietStanding:
             ("gyroscope", (3,)),
         ):
             check_tail(getattr(reference, field), tail, field)
-        xp, device = array_namespace(raw), device_of(raw)
-
-        def double(values: Any) -> Array:
-            return xp.asarray(values, dtype=xp.float64, device=device)
 
         def clean(values: Array, axes: int, limit: float = LARGEST_REFERENCE) -> tuple[Array, Array]:
-            values = double(values)
-            finite = xp.all(xp.abs(values) <= limit, axis=tuple(range(-axes, 0)))
-            return xp.where(finite[(..., *[None] * axes)], values, xp.zeros_like(values)), finite
+            finite = (np.abs(values) <= limit).all(axis=tuple(range(-axes, 0)))
+            return np.where(finite[(..., *[None] * axes)], values, 0.0), finite
 
-        force, finite = clean(
-            double(self.start.scale) * double(raw) + double(self.start.offset),
-            1,
-            PLAUSIBLE_WEIGHTS * self.mass * GRAVITY,
-        )
+        force, finite = clean(self.start.force(raw), 1, PLAUSIBLE_WEIGHTS * self.mass * GRAVITY)
         com, com_finite = clean(reference.com, 1)
         sole, sole_finite = clean(reference.position_sole, 2)
         R, R_finite = clean(reference.R_level_sole, 3)
@@ -286,22 +268,22 @@ class QuietStanding:
         rate, rate_finite = clean(reference.gyroscope, 1)
         finite = finite & com_finite & sole_finite & R_finite & acceleration_finite & rate_finite
 
-        about_com = xp.concat([sole[..., :2] - com[..., None, :2], sole[..., 2:]], axis=-1)
-        by_channel = xp.sum(moment_rows(self.layout, about_com, R), axis=-3)
-        total = xp.matmul(by_channel, force[..., None])[..., 0]
+        about_com = np.concatenate([sole[..., :2] - com[..., None, :2], sole[..., 2:]], axis=-1)
+        by_channel = moment_rows(self.layout, about_com, R).sum(axis=-3)
+        total = (by_channel @ force[..., None])[..., 0]
         weight = self.mass * GRAVITY
-        noise = double([self.force_noise, weight * self.cop_noise, weight * self.cop_noise])
-        shared = double(np.diag([weight * self.mass_error, *[weight * self.com_error] * 2]))
-        by_unknown = xp.concat([by_channel * force[..., None, :], by_channel], axis=-1)
-        by_unknown = by_unknown * double(self._deviations())
-        shared = xp.broadcast_to(shared, (*by_unknown.shape[:-1], _ROWS))
-        rows = xp.concat([by_unknown, shared], axis=-1) / noise[:, None]
-        target = (double([weight, 0.0, 0.0]) - total) / noise
+        noise = np.array([self.force_noise, weight * self.cop_noise, weight * self.cop_noise])
+        shared = np.diag([weight * self.mass_error, *[weight * self.com_error] * 2])
+        by_unknown = np.concatenate([by_channel * force[..., None, :], by_channel], axis=-1)
+        by_unknown = by_unknown * self._deviations()
+        shared = np.broadcast_to(shared, (*by_unknown.shape[:-1], _ROWS))
+        rows = np.concatenate([by_unknown, shared], axis=-1) / noise[:, None]
+        target = (np.array([weight, 0.0, 0.0]) - total) / noise
 
         def length(vector: Array) -> Array:
-            return xp.sqrt(xp.sum(vector**2, axis=-1))
+            return np.sqrt((vector**2).sum(axis=-1))
 
-        still = (xp.abs(length(acceleration) - GRAVITY) < self.acceleration_threshold) & (
+        still = (np.abs(length(acceleration) - GRAVITY) < self.acceleration_threshold) & (
             length(rate) < self.rate_threshold
         )
         return rows, target, finite, (total[..., 0] > self.threshold) & still

@@ -9,8 +9,6 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace, is_array_api_obj
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
 from surefoot.calibration.setup import OLD_NAMES
@@ -26,7 +24,7 @@ def save_state(path: str | PathLike[str], state: Any, **notes: str) -> None:
         state: The state of an online method.
         notes: Texts to keep with it, checked again by :func:`load_state`.
     """
-    leaves = {f"state.{name}": _to_numpy(leaf) for name, leaf in _leaves(state).items()}
+    leaves = {f"state.{name}": np.asarray(leaf) for name, leaf in _leaves(state).items()}
     texts = {f"note.{name}": np.asarray(text) for name, text in notes.items()}
     # Replaced in one step: whoever is interrupted while writing keeps the file that was there.
     temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
@@ -45,8 +43,8 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
 
     Args:
         path: A file that :func:`save_state` wrote.
-        like: A state of the same method and setup, such as a fresh one: it gives the library, the device and
-            what must fit. It is not changed.
+        like: A state of the same method and setup, such as a fresh one, which says what must fit. It is
+            not changed.
         notes: Texts that must be as they were saved; under ``method`` an old name of the method is accepted.
 
     Returns:
@@ -74,7 +72,7 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
             "in both. Calibrate afresh."
         )
     for name, leaf in wanted.items():
-        expected, found = _to_numpy(leaf), saved_leaves[name]
+        expected, found = np.asarray(leaf), saved_leaves[name]
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise ValueError(
                 f"'{name}' in '{path}' has shape {found.shape} and dtype {found.dtype}, but this state needs "
@@ -131,13 +129,4 @@ def _rebuild(like: Any, leaves: dict[str, NDArray[Any]], path: str) -> Any:
     if like is None:
         return None
     value = leaves[path]
-    if not is_array_api_obj(like):
-        return type(like)(value)
-    return array_namespace(like).asarray(value, device=device_of(like))
-
-
-def _to_numpy(leaf: Any) -> NDArray[Any]:
-    """Bring a leaf to NumPy."""
-    if hasattr(leaf, "detach"):
-        leaf = leaf.detach().cpu()
-    return np.asarray(leaf)
+    return value if isinstance(like, np.ndarray | np.generic) else type(like)(value)

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.setup import OnlineSetup
 
 SLOPE_SAMPLES = 3
@@ -50,11 +50,11 @@ def expected_change(history: Array, clean: Array, time: Array, interval: float) 
         time: By how long each channel is carried on in s, shape (K,).
         interval: Time between samples in s.
     """
-    xp, K = namespace_of(history), time.shape[-1]
+    K = time.shape[-1]
     newest, before = history[..., -1, :], history[..., -1 - SLOPE_SAMPLES, :]
     there = (newest[..., K:] > 0.5) & (before[..., K:] > 0.5) & (clean >= SLOPE_SAMPLES)[..., None]
     slope = (newest[..., :K] - before[..., :K]) / (SLOPE_SAMPLES * interval)
-    return xp.where(there, time * slope, 0.0 * time)
+    return np.where(there, time * slope, 0.0 * time)
 
 
 def with_total_kept(change: Array, up: Array) -> Array:
@@ -64,8 +64,7 @@ def with_total_kept(change: Array, up: Array) -> Array:
         change: Changes in N, shape (..., K).
         up: What a newton on each channel adds to the vertical force, shape (..., K).
     """
-    xp = namespace_of(change)
     by = up * change * change
-    room = xp.sum(by * up, axis=-1)
-    excess = xp.sum(up * change, axis=-1) / xp.where(room > 0.0, room, 1.0)
-    return xp.where((room > 0.0)[..., None], change - by * excess[..., None], 0.0 * change)
+    room = (by * up).sum(axis=-1)
+    excess = (up * change).sum(axis=-1) / np.where(room > 0.0, room, 1.0)
+    return np.where((room > 0.0)[..., None], change - by * excess[..., None], 0.0 * change)

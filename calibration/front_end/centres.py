@@ -6,16 +6,14 @@ loop divides at every sample.
 
 import numpy as np
 
-from surefoot.calibration.arrays import Array, namespace_of
+from surefoot.calibration.arrays import Array
 
-LEVER_MAP = np.zeros((6, 3))
-LEVER_MAP[[2, 4, 3], [0, 1, 2]] = 1.0, -1.0, 1.0
+_LEVER_MAP = np.zeros((6, 3))
+_LEVER_MAP[[2, 4, 3], [0, 1, 2]] = 1.0, -1.0, 1.0
 """Takes a wrench to (f_z, -t_y, t_x)."""
 
 
-def centres(
-    wrench: Array, moments: Array, known: Array, threshold: float, lever_map: Array
-) -> tuple[Array, Array]:
+def centres(wrench: Array, moments: Array, known: Array, threshold: float) -> tuple[Array, Array]:
     """Return centres of pressure: moments divided by loads.
 
     Args:
@@ -23,22 +21,20 @@ def centres(
         moments: (Fz, Fz px, Fz py) of each foot in the level frame in N and N m, shape (..., F, 3).
         known: Whether the level frame is known (bool), shape (...).
         threshold: Load in N at or below which there is no centre.
-        lever_map: :data:`LEVER_MAP` in the arrays' library.
 
     Returns:
         Centres in m, shape (..., F + 1, 2): those of the feet in their sole frames, and the one of all
         together in the level frame last; and whether they exist (bool), shape (..., F + 1). Elsewhere they
         are NaN.
     """
-    xp = namespace_of(moments)
-    if xp is np and moments.ndim == 2:
+    if moments.ndim == 2:
         return _of_one_robot(wrench, moments, bool(known), threshold)
     # One division for the centres of all soles and of all together, as (Fz, n_x, n_y).
-    parts = xp.concat([xp.matmul(wrench, lever_map), sum_feet(moments)[..., None, :]], axis=-2)
+    parts = np.concatenate([wrench @ _LEVER_MAP, sum_feet(moments)[..., None, :]], axis=-2)
     fz = parts[..., :1]
     loaded = fz > threshold
-    loaded = xp.concat([loaded[..., :-1, :], loaded[..., -1:, :] & known[..., None, None]], axis=-2)
-    return xp.where(loaded, parts[..., 1:] / xp.where(loaded, fz, 1.0), xp.nan), loaded[..., 0]
+    loaded = np.concatenate([loaded[..., :-1, :], loaded[..., -1:, :] & known[..., None, None]], axis=-2)
+    return np.where(loaded, parts[..., 1:] / np.where(loaded, fz, 1.0), np.nan), loaded[..., 0]
 
 
 def _of_one_robot(wrench: Array, moments: Array, known: bool, threshold: float) -> tuple[Array, Array]:
@@ -52,7 +48,7 @@ def _of_one_robot(wrench: Array, moments: Array, known: bool, threshold: float) 
         for there, (fz, x, y) in zip(loaded, parts, strict=True)
     ]
     # Adding zero makes -0.0, which a negation leaves, the 0.0 of a sum.
-    return np.array(cop, dtype=moments.dtype) + 0.0, np.array(loaded)
+    return np.array(cop) + 0.0, np.array(loaded)
 
 
 def sum_feet(values: Array) -> Array:

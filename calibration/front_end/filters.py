@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.arrays import Array
 
 
 class LowPass(NamedTuple):
@@ -50,15 +50,12 @@ def low_pass(cutoff: float, dt: float) -> LowPass:
     array([0.0976])
     """
     transition, steady = coefficients(cutoff, dt)
-    constants = Constants(transition=transition, steady=steady)
 
     def init(signal: Array) -> Array:
-        return constants.like(signal).steady * signal[..., None, :]
+        return steady * signal[..., None, :]
 
     def apply(signal: Array, state: Array) -> tuple[Array, Array]:
-        xp = namespace_of(signal)
-        transition = constants.like(signal).transition
-        both = xp.matmul(transition, xp.concat([signal[..., None, :], state], axis=-2))
+        both = transition @ np.concatenate([signal[..., None, :], state], axis=-2)
         return both[..., 0, :], both[..., 1:, :]
 
     return LowPass(init, apply)

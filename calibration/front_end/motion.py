@@ -7,12 +7,12 @@ the new and the last good one. The equations are those of :mod:`surefoot.calibra
 The order is that of :class:`MotionColumns`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, in_a_row, namespace_of, shaped
+from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.setup import OnlineSetup
@@ -28,6 +28,9 @@ LARGEST_WEIGHTS = 5.0
 
 LARGEST_REACH = 10.0
 """Distance of a reference's centre of pressure from a sole, in foot lengths, taken for an error."""
+
+_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
+"""Takes (x, y, z) to (y, -x)."""
 
 
 class MotionColumns(NamedTuple):
@@ -55,7 +58,7 @@ class MotionColumns(NamedTuple):
         """Return the soles of flat references: positions (..., F, 3) and rotations (..., F, 3, 3)."""
         position, R = motion[..., self.position_sole], motion[..., self.R_level_sole]
         each = (*motion.shape[:-1], position.shape[-1] // 3)
-        return shaped(position, (*each, 3)), shaped(R, (*each, 3, 3))
+        return position.reshape(*each, 3), R.reshape(*each, 3, 3)
 
 
 class Motions:
@@ -92,16 +95,14 @@ class Motions:
         }
         level = np.tile(np.eye(3).ravel(), self._feet)
         self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
-        quarter_turn = [[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]]
-        self._constants = Constants(row_map=_row_map(setup.layout), quarter_turn=quarter_turn)
+        self._row_map = _row_map(setup.layout)
 
-    def check(self, reference: Reference, batch: tuple[int, ...], boolean: Any) -> None:
+    def check(self, reference: Reference, batch: tuple[int, ...]) -> None:
         """Raise an error if a reference does not fit.
 
         Args:
             reference: The reference.
             batch: The batch shape that it must have.
-            boolean: The dtype of booleans.
 
         Raises:
             ValueError: If a field has another shape, or contacts are no booleans.
@@ -112,29 +113,25 @@ class Motions:
         for field, value in zip(Reference._fields, reference, strict=True):
             shape = batch + self.tails[field]
             if getattr(value, "shape", None) != shape:
-                found = tuple(value.shape) if hasattr(value, "shape") else type(value).__name__
+                found = value.shape if hasattr(value, "shape") else type(value).__name__
                 raise ValueError(f"'reference.{field}' must have shape {shape}, got {found}.")
         for field, value in (("stance", reference.stance), ("swing", reference.swing)):
-            if value.dtype != boolean:
+            if value.dtype != np.bool:
                 raise ValueError(f"'reference.{field}' must hold booleans, got dtype {value.dtype}.")
 
-    def flatten(self, reference: Reference, like: Array) -> Array:
-        """Return the numbers of a reference side by side, in the dtype of the readings, shape (..., R)."""
-        xp, batch = namespace_of(like), tuple(like.shape[:-1])
+    def flatten(self, reference: Reference) -> Array:
+        """Return the numbers of a reference side by side, in float64, shape (..., R)."""
+        batch = reference.com.shape[:-1]
         parts = (
             reference.com,
             reference.com_acceleration,
             reference.angular_momentum_rate,
-            reference.accelerometer if self.imu else xp.zeros_like(reference.com),
-            reference.gyroscope if self.imu else xp.zeros_like(reference.com),
-            shaped(reference.position_sole, (*batch, 3 * self._feet)),
-            shaped(reference.R_level_sole, (*batch, 9 * self._feet)),
+            reference.accelerometer if self.imu else np.zeros_like(reference.com),
+            reference.gyroscope if self.imu else np.zeros_like(reference.com),
+            reference.position_sole.reshape(*batch, 3 * self._feet),
+            reference.R_level_sole.reshape(*batch, 9 * self._feet),
         )
-        if any(part.dtype != like.dtype for part in parts):
-            # Clipped before they are converted, as what overflows would warn; it is refused all the same.
-            limit = 2 * LARGEST_REFERENCE
-            parts = tuple(xp.astype(xp.clip(part, -limit, limit), like.dtype) for part in parts)
-        return xp.concat(parts, axis=-1)
+        return np.concatenate(parts, axis=-1, dtype=np.float64)
 
     def unflatten(self, motion: Array, stance: Array, swing: Array) -> Reference:
         """Return a flat motion as a reference again, with contacts of its own."""
@@ -162,9 +159,9 @@ class Motions:
             Vertical force in N (Eq. 9, or M g), shape (...); centre of pressure in m (Eqs. 10, 11, or (x,
             y)), shape (..., 2); and whether a robot can do that at all (bool), shape (...).
         """
-        xp, columns = namespace_of(motion), self.columns
+        columns = self.columns
         threshold, mass, weight = self._threshold, self._mass, self._weight
-        soles = shaped(motion[..., columns.position_sole], (*motion.shape[:-1], self._feet, 3))
+        soles = motion[..., columns.position_sole].reshape(*motion.shape[:-1], self._feet, 3)
         com = motion[..., columns.com]
         if self._quasi_static:
             vgrf, cop = 0.0 * com[..., 2] + weight, com[..., :2]
@@ -172,14 +169,13 @@ class Motions:
             acceleration = motion[..., columns.com_acceleration]
             rate = motion[..., columns.angular_momentum_rate]
             vgrf = mass * (acceleration[..., 2] + GRAVITY)  # Eq. 9
-            safe_vgrf = xp.where(vgrf > threshold, vgrf, weight)
+            safe_vgrf = np.where(vgrf > threshold, vgrf, weight)
             # The lower sole is on the ground whatever the robot believes of its contacts.
-            height = mass * (com[..., 2] - xp.min(soles[..., 2], axis=-1))
-            quarter_turn = self._constants.like(motion).quarter_turn
-            moment = height[..., None] * acceleration[..., :2] + xp.matmul(rate, quarter_turn)
+            height = mass * (com[..., 2] - soles[..., 2].min(axis=-1))
+            moment = height[..., None] * acceleration[..., :2] + rate @ _QUARTER_TURN
             cop = com[..., :2] - moment / safe_vgrf[..., None]  # Eqs. 10, 11
-        reach = xp.abs(soles[..., :2] - cop[..., None, :])
-        near = xp.all(reach <= self._reach, axis=(-2, -1))
+        reach = np.abs(soles[..., :2] - cop[..., None, :])
+        near = (reach <= self._reach).all(axis=(-2, -1))
         return vgrf, cop, near & (vgrf > threshold) & (vgrf < LARGEST_WEIGHTS * weight)
 
     def rows(self, motion: Array) -> Array:
@@ -191,15 +187,14 @@ class Motions:
         Returns:
             Shape (..., F, 3, K).
         """
-        xp, columns, row_map = namespace_of(motion), self.columns, self._constants.like(motion).row_map
-        batch, feet = tuple(motion.shape[:-1]), self._feet
-        position = shaped(motion[..., columns.position_sole], (*batch, feet, 3))
-        rotation = shaped(motion[..., columns.R_level_sole], (*batch, feet, 9))
+        columns, batch, feet = self.columns, motion.shape[:-1], self._feet
+        position = motion[..., columns.position_sole].reshape(*batch, feet, 3)
+        rotation = motion[..., columns.R_level_sole].reshape(*batch, feet, 9)
         axes, up = rotation[..., :6], rotation[..., 6:]
-        lever = shaped(position[..., :2, None] * up[..., None, :], (*batch, feet, 6))
-        features = xp.concat([up, lever, axes], axis=-1)
-        rows = xp.matmul(shaped(features, (*batch, _FEATURES * feet)), row_map)
-        return shaped(rows, (*batch, feet, 3, self._channels))
+        lever = (position[..., :2, None] * up[..., None, :]).reshape(*batch, feet, 6)
+        features = np.concatenate([up, lever, axes], axis=-1)
+        rows = features.reshape(*batch, _FEATURES * feet) @ self._row_map
+        return rows.reshape(*batch, feet, 3, self._channels)
 
 
 def _row_map(layout: FeetLayout) -> NDArray[np.float64]:

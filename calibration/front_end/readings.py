@@ -4,7 +4,7 @@
   NaN (no sample arrived) and impossible forces are replaced by the last good reading and flagged; a
   reference that is not finite or not physical is held and flagged, and nothing is learnt from that sample.
 * **Relative forces.** Everything works on F0 = c0 raw + d0, the force by the starting map, and F = a F0 +
-  b, so that a is near 1 and b near 0 N, in float32 as well as in float64.
+  b, so that a is near 1 and b near 0 N.
 * **Lag.** The reference given now describes the foot sample of ``lag`` samples ago, so forces wait that
   long before they are compared. The map that is learnt applies to the newest reading.
 * **Age.** Forces that are older when they are read are carried on to now
@@ -16,10 +16,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from array_api_compat import device as device_of
 
-from surefoot.calibration.arrays import Array, Constants, all_along, cast, namespace_of, shaped, surely
-from surefoot.calibration.checks import check_floating
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.ages import (
     SLOPE_SAMPLES,
@@ -27,7 +25,7 @@ from surefoot.calibration.front_end.ages import (
     expected_change,
     with_total_kept,
 )
-from surefoot.calibration.front_end.centres import LEVER_MAP, centres
+from surefoot.calibration.front_end.centres import centres
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup
@@ -115,61 +113,49 @@ class FrontEnd:
         self.motions = Motions(setup, quasi_static=quasi_static, imu=imu)
         self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
         self._threshold = setup.force_threshold
-        scale, offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
+        self._scale, self._offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
         limit = setup.plausible_weights * setup.weight
-        ends = np.stack([(-limit - offset) / scale, (limit - offset) / scale])
+        ends = (np.array([[-limit], [limit]]) - self._offset) / self._scale
         self.plausible = ends.min(axis=0), ends.max(axis=0)
         self.carried = carried_time(setup)
         self._aged = bool(self.carried.any())
         self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
-        self._constants = Constants(
-            scale=scale,
-            offset=offset,
-            lowest=self.plausible[0],
-            highest=self.plausible[1],
-            wrench_map=setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T,
-            lever_map=LEVER_MAP,
-            carried=self.carried,
-            resting=self.motions.resting,
-        )
+        self._wrench_map = setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T
 
     def init(self, raw: Array) -> FrontState:
         """Return the state before any sample.
 
         Args:
-            raw: Readings of the kind to come, shape (..., K); their values do not matter.
+            raw: Readings of the shape to come, (..., K); their values do not matter.
 
         Raises:
-            ValueError: If they are not floating-point numbers, one a channel.
+            ValueError: If they are not one a channel.
         """
-        check_floating(raw, "raw")
         self.setup.layout.check_raw(raw)
-        xp, device = namespace_of(raw), device_of(raw)
-        own = self._constants.like(raw)
-        batch = tuple(raw.shape[:-1])
+        batch = raw.shape[:-1]
         return FrontState(
-            raw=xp.zeros_like(raw) - own.offset / own.scale,
-            history=xp.zeros((*batch, self.kept + 1, 2 * self._channels), dtype=raw.dtype, device=device),
-            motion=xp.zeros((*batch, own.resting.shape[0]), dtype=raw.dtype, device=device) + own.resting,
-            known=xp.zeros(batch, dtype=xp.bool, device=device),
-            clean=xp.zeros(batch, dtype=xp.int64, device=device),
+            raw=np.zeros(raw.shape) - self._offset / self._scale,
+            history=np.zeros((*batch, self.kept + 1, 2 * self._channels)),
+            motion=np.zeros((*batch, 1)) + self.motions.resting,
+            known=np.zeros(batch, dtype=np.bool),
+            clean=np.zeros(batch, dtype=np.int64),
         )
 
     def check(self, state: FrontState, raw: Array, reference: Reference) -> None:
         """Raise ValueError if arrays do not fit the state.
 
         Raises:
-            ValueError: If a shape or the dtype of the readings is not as it was at ``init``.
+            ValueError: If a shape is not as it was at ``init``, or readings are not in float64.
         """
         if not hasattr(raw, "shape") or raw.shape != state.raw.shape:
             self.setup.layout.check_raw(raw)
             raise ValueError(
-                f"'raw' must keep the shape {tuple(state.raw.shape)} that the state was made for, "
-                f"got {tuple(raw.shape)}; make a new state with init(raw) for another batch."
+                f"'raw' must keep the shape {state.raw.shape} that the state was made for, "
+                f"got {raw.shape}; make a new state with init(raw) for another batch."
             )
-        if raw.dtype != state.raw.dtype:
-            raise ValueError(f"'raw' must keep the dtype {state.raw.dtype} of the state, got {raw.dtype}.")
-        self.motions.check(reference, tuple(raw.shape[:-1]), state.known.dtype)
+        if raw.dtype != np.float64:
+            raise ValueError(f"'raw' must hold float64 numbers, got dtype {raw.dtype}.")
+        self.motions.check(reference, raw.shape[:-1])
 
     def observe(
         self,
@@ -195,37 +181,37 @@ class FrontEnd:
             ValueError: If an array does not fit the state.
         """
         self.check(state, raw, reference)
-        xp, K = namespace_of(raw), self._channels
-        own = self._constants.like(raw)
+        K = self._channels
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
 
-        read = (raw >= own.lowest) & (raw <= own.highest)
-        all_read = surely(read)
-        held = raw.copy() if all_read else xp.where(read, raw, state.raw)
-        force, sure = own.scale * held + own.offset, read
+        low, high = self.plausible
+        read = (raw >= low) & (raw <= high)
+        all_read = read.all()
+        held = raw.copy() if all_read else np.where(read, raw, state.raw)
+        force, sure = self._scale * held + self._offset, read
         if repair is not None:
             force, sure = repair(force, read)
-        newest = xp.concat([force, cast(sure, raw.dtype)], axis=-1)
-        history = xp.concat([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
+        newest = np.concatenate([force, sure], axis=-1)
+        history = np.concatenate([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
         described = history[..., self.kept - self.setup.lag, :]
         past, past_read = described[..., :K], described[..., K:] > 0.5
 
-        flat = self.motions.flatten(reference, raw)
-        sound = all_along(xp.abs(flat) <= LARGEST_REFERENCE)
-        known = surely(sound)
-        motion = flat if known else xp.where(sound[..., None], flat, state.motion)
+        flat = self.motions.flatten(reference)
+        sound = (np.abs(flat) <= LARGEST_REFERENCE).all(axis=-1)
+        known = sound.all()
+        motion = flat if known else np.where(sound[..., None], flat, state.motion)
         usable = sound & False if gap else sound
-        good = usable & all_along(past_read)
+        good = usable & past_read.all(axis=-1)
         clean = (state.clean + 1) * good
         ahead = None
         if self._aged:
             # Samples that come late are further apart than they should be.
-            ahead = force + expected_change(history, clean, own.carried, max(dt, self.setup.dt))
+            ahead = force + expected_change(history, clean, self.carried, max(dt, self.setup.dt))
 
         if all_read and known:
             flags = np.zeros(raw.shape, dtype=np.int64)
         else:
-            wrong = xp.where(raw == raw, _OUT_OF_RANGE, _MISSING)
+            wrong = np.where(raw == raw, _OUT_OF_RANGE, _MISSING)
             flags = wrong * (~read) | _REFERENCE * (~sound)[..., None]
         sample = Sample(
             force=force,
@@ -262,7 +248,6 @@ class FrontEnd:
             status: Flags that all channels share, shape (...).
             covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
         """
-        own = self._constants.like(sample.force)
         force, ahead = (
             None if part is None else correction_scale * part + correction_offset
             for part in (sample.force, sample.ahead)
@@ -270,8 +255,8 @@ class FrontEnd:
         return self.report(
             sample,
             force,
-            correction_scale * own.scale,
-            correction_scale * own.offset + correction_offset,
+            correction_scale * self._scale,
+            correction_scale * self._offset + correction_offset,
             status if isinstance(status, int) else status[..., None],
             covariance,
             ahead,
@@ -301,7 +286,7 @@ class FrontEnd:
         wrench, moments, cop, loaded = self._centres(sample, force)
         measured = cop[..., -1, :]
         if ahead is not None:
-            up = namespace_of(force).sum(sample.rows[..., 0, :], axis=-2)
+            up = sample.rows[..., 0, :].sum(axis=-2)
             force = force + with_total_kept(ahead - force, up)
             wrench, moments, cop, loaded = self._centres(sample, force)
         return Estimate(
@@ -321,7 +306,6 @@ class FrontEnd:
 
     def _centres(self, sample: Sample, force: Array) -> tuple[Array, Array, Array, Array]:
         """Return wrenches, (Fz, Fz px, Fz py) of the feet, and centres with where they are, of forces."""
-        xp, own = namespace_of(force), self._constants.like(force)
-        wrench = shaped(xp.matmul(force, own.wrench_map), (*force.shape[:-1], self._feet, 6))
-        moments = xp.matmul(sample.rows, force[..., None, :, None])[..., 0]
-        return wrench, moments, *centres(wrench, moments, sample.known, self._threshold, own.lever_map)
+        wrench = (force @ self._wrench_map).reshape(*force.shape[:-1], self._feet, 6)
+        moments = (sample.rows @ force[..., None, :, None])[..., 0]
+        return wrench, moments, *centres(wrench, moments, sample.known, self._threshold)

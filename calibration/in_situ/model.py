@@ -24,12 +24,13 @@ one (:class:`LinearSensor`). For k > 6 channels D moves A within the space that 
 """
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of, skew
+from surefoot.calibration.arrays import Array, skew
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.reference import GRAVITY
 
@@ -190,7 +191,7 @@ class LinearSensor:
         floor = _NOISE_FLOOR * np.linalg.norm(response @ weight, axis=1)
         self.whitening = np.linalg.inv(np.linalg.cholesky(noise + np.diag(floor**2)))
         self._maps = [
-            Constants(
+            SimpleNamespace(
                 transform=np.einsum("p,pws->ws", parameters[: len(basis)], basis),
                 basis=np.moveaxis(basis[:STATIC], 0, 1).copy(),
                 whitened=self.whitening @ response,
@@ -204,17 +205,17 @@ class LinearSensor:
 
     def rows(self, signals: Array) -> Array:
         """Return whitened rows by (D, m, m c), shape (..., k, 40)."""
-        xp, known = namespace_of(signals), self._constants(signals)
+        known = self._constants(signals)
         w = self.wrench(signals)
         relative = known.whitened[..., :, None] * w[..., None, None, :]
-        relative = xp.reshape(relative, (*w.shape[:-1], known.whitened.shape[0], RELATIVE_ERRORS))
+        relative = relative.reshape(*w.shape[:-1], known.whitened.shape[0], RELATIVE_ERRORS)
         # (6, 4, s) by u: what a kilogram and a kilogram metre add to the wrench.
         limb = (known.basis @ signals[..., None, :, None])[..., 0]
-        return xp.concat([relative, known.whitened @ limb], axis=-1)
+        return np.concatenate([relative, known.whitened @ limb], axis=-1)
 
     def _constants(self, signals: Array) -> Any:
         moving = signals.shape[-1] > DIRECT.stop
-        return self._maps[int(moving)].like(signals)
+        return self._maps[int(moving)]
 
 
 def offset_covariance(response: Matrix, force: float, torque: float) -> Matrix:

@@ -7,9 +7,8 @@ Its theory is in :mod:`surefoot.calibration.in_situ.tracker`, its rows in
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import device as device_of
 
-from surefoot.calibration.arrays import Array, Constants, constant_like, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_tail
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.in_situ.fit import ErrorColumns, InSituFit, check_calibrated, error_covariance
@@ -127,21 +126,17 @@ class InSituStream:
         learnt = np.zeros(size)
         learnt[at.offset] = learnt[at.lag] = 1.0
         learnt[at.response] = {"offset": 0.0, "axes": diagonal, "matrix": 1.0}[config.learn]
-        self._constants = Constants(
-            covariance=covariance,  # before the first sample, (N, N)
-            drift=drift,  # growth of the covariance in a second, (N, N)
-            learnt=learnt,  # one for unknowns that are estimated, zero for those that are considered, (N,)
-            identity=np.eye(size),
-            lag=np.diag(lag**2),  # covariance of h, (6, 6)
-            offset=fit.offset,  # o in counts, (k,)
-            whitening=sensor.whitening,  # W, (k, k)
-            whitened=sensor.whitening @ fit.response,  # W A, (k, 6)
-            matrix=fit.matrix,  # C, (6, k)
-            axes=np.eye(AXES),
-            unwhiten=fit.matrix @ np.linalg.inv(sensor.whitening),  # C W^-1, (6, k)
-            # Wrench below which an innovation is the sensor's, (6,).
-            touch=config.touch * np.repeat([weight[:3].max(), np.linalg.norm(weight[3:], 2)], 3),
-        )
+        self._covariance = covariance  # before the first sample, (N, N)
+        self._drift = drift  # growth of the covariance in a second, (N, N)
+        self._learnt = learnt  # one for unknowns that are estimated, zero for those that are considered, (N,)
+        self._identity = np.eye(size)
+        self._lag = np.diag(lag**2)  # covariance of h, (6, 6)
+        self._offset = fit.offset  # o in counts, (k,)
+        self._whitened = sensor.whitening @ fit.response  # W A, (k, 6)
+        self._matrix = fit.matrix  # C, (6, k)
+        self._unwhiten = fit.matrix @ np.linalg.inv(sensor.whitening)  # C W^-1, (6, k)
+        # Wrench below which an innovation is the sensor's, (6,).
+        self._touch = config.touch * np.repeat([weight[:3].max(), np.linalg.norm(weight[3:], 2)], 3)
 
     def _jump(self, force: float, torque: float) -> np.ndarray[Any, np.dtype[np.float64]]:
         return offset_covariance(self.sensor.response, force, torque)
@@ -149,15 +144,15 @@ class InSituStream:
     def init(self, raw: Array) -> InSituState:
         """Return the state before any sample; see :class:`~surefoot.calibration.in_situ.InSituTracker`."""
         check_tail(raw, (self.channels,), "raw")
-        xp, batch, known = namespace_of(raw), tuple(raw.shape[:-1]), self._constants.like(raw)
+        batch = raw.shape[:-1]
 
         def zeros(*tail: int) -> Array:
-            return xp.zeros((*batch, *tail), dtype=raw.dtype, device=device_of(raw))
+            return np.zeros((*batch, *tail))
 
         return InSituState(
             mean=zeros(self._size),
-            covariance=zeros(1, 1) + known.covariance,
-            raw=zeros(1) + known.offset,
+            covariance=zeros(1, 1) + self._covariance,
+            raw=zeros(1) + self._offset,
             anchor=zeros(DIRECT.stop),
         )
 
@@ -165,7 +160,7 @@ class InSituStream:
         """Return a state that allows a leap of the offset, of that deviation in N and N m."""
         more = np.zeros((self._size, self._size))
         more[self._at.offset, self._at.offset] = self._jump(force, torque)
-        return state._replace(covariance=state.covariance + constant_like(more, state.mean))
+        return state._replace(covariance=state.covariance + more)
 
     def update(
         self,
@@ -182,61 +177,60 @@ class InSituStream:
 
         See :class:`~surefoot.calibration.in_situ.InSituTracker`.
         """
-        xp, known, sensor = namespace_of(raw), self._constants.like(raw), self.sensor
+        sensor = self.sensor
         signals = _signals_of(
             raw, gravity, angular_velocity, angular_acceleration, like=state.raw, inertia=sensor.inertia
         )
         flags, ready, physical, passed = _flags_of(raw, signals, dt, self.config.code_range)
-        signals = xp.where(physical[..., None], signals, 0.0)
-        state = state._replace(raw=xp.where(xp.isfinite(raw), raw, state.raw))
-        aloft = xp.asarray(in_air, dtype=xp.bool, device=device_of(raw)) & xp.ones_like(ready)
+        signals = np.where(physical[..., None], signals, 0.0)
+        state = state._replace(raw=np.where(np.isfinite(raw), raw, state.raw))
+        aloft = np.broadcast_to(np.asarray(in_air, dtype=np.bool), ready.shape)
         pause = min(dt, _LONGEST_PAUSE) if passed else 0.0
         state = self._predict(state, signals[..., DIRECT], physical, aloft, pause)
 
-        expected = (known.whitened @ sensor.wrench(signals)[..., None])[..., 0]
-        y = (known.whitening @ (state.raw - known.offset)[..., None])[..., 0] - expected
-        batch = tuple(y.shape[:-1])
-        H = xp.concat(
+        expected = (self._whitened @ sensor.wrench(signals)[..., None])[..., 0]
+        y = (sensor.whitening @ (state.raw - self._offset)[..., None])[..., 0] - expected
+        batch = y.shape[:-1]
+        H = np.concatenate(
             [
-                xp.broadcast_to(known.whitening, (*batch, *known.whitening.shape)),
+                np.broadcast_to(sensor.whitening, (*batch, *sensor.whitening.shape)),
                 sensor.rows(signals),
-                xp.broadcast_to(known.whitened, (*batch, *known.whitened.shape)),
+                np.broadcast_to(self._whitened, (*batch, *self._whitened.shape)),
             ],
             axis=-1,
         )
         innovation = y - (H @ state.mean[..., None])[..., 0]
-        V = H @ state.covariance @ H.mT + known.identity[: self.channels, : self.channels]
-        distance = xp.sum(innovation * xp.linalg.solve(V, innovation[..., None])[..., 0], axis=-1)
+        V = H @ state.covariance @ H.mT + self._identity[: self.channels, : self.channels]
+        distance = (innovation * np.linalg.solve(V, innovation[..., None])[..., 0]).sum(axis=-1)
         touched = ~(distance <= self.config.reject**2) & self._felt(innovation)
         use = ready & aloft
         learns = use & ~touched
         step = kalman_step(
             state.mean,
             state.covariance,
-            xp.where(learns[..., None, None], H, 0.0),
-            xp.where(learns[..., None], y, 0.0),
-            xp.ones_like(y),
-            known.learnt,
-            known.identity,
+            np.where(learns[..., None, None], H, 0.0),
+            np.where(learns[..., None], y, 0.0),
+            np.ones_like(y),
+            self._learnt,
+            self._identity,
             self.config.gate,
         )
-        finite = xp.all(xp.isfinite(step.mean), axis=-1)
-        finite = finite & xp.all(xp.isfinite(step.covariance), axis=(-2, -1))
+        finite = np.isfinite(step.mean).all(axis=-1)
+        finite = finite & np.isfinite(step.covariance).all(axis=(-2, -1))
         taken = learns & finite
         state = state._replace(
-            mean=xp.where(taken[..., None], step.mean, state.mean),
-            covariance=xp.where(taken[..., None, None], step.covariance, state.covariance),
+            mean=np.where(taken[..., None], step.mean, state.mean),
+            covariance=np.where(taken[..., None, None], step.covariance, state.covariance),
         )
         marks = int(Flag.REJECTED) * (use & touched) + int(Flag.SINGULAR) * (learns & ~finite)
-        estimate = self._estimate(state, flags | xp.asarray(marks, dtype=xp.int64)[..., None])
-        nis = xp.where(taken, step.nis, xp.nan)
+        estimate = self._estimate(state, flags | np.asarray(marks, dtype=np.int64)[..., None])
+        nis = np.where(taken, step.nis, np.nan)
         return state, estimate._replace(nis=nis, nis_rows=step.rows, learnt=taken)
 
     def _felt(self, innovation: Array) -> Array:
         """Return whether innovations are those of a force or a torque that counts beside the limb's own."""
-        xp, known = namespace_of(innovation), self._constants.like(innovation)
-        shares = xp.abs((known.unwhiten @ innovation[..., None])[..., 0]) / known.touch
-        return ~xp.all(shares <= 1.0, axis=-1)
+        shares = np.abs((self._unwhiten @ innovation[..., None])[..., 0]) / self._touch
+        return ~(shares <= 1.0).all(axis=-1)
 
     def _predict(
         self, state: InSituState, gravity: Array, physical: Array, aloft: Array, dt: float
@@ -245,64 +239,60 @@ class InSituStream:
 
         Another load than the limb's own makes it forget at once.
         """
-        xp, known, lag = namespace_of(gravity), self._constants.like(gravity), self._at.lag
-        covariance = state.covariance + dt * known.drift
-        angle = xp.sqrt(xp.sum((gravity - state.anchor) ** 2, axis=-1)) / GRAVITY
+        lag = self._at.lag
+        covariance = state.covariance + dt * self._drift
+        angle = np.sqrt(((gravity - state.anchor) ** 2).sum(axis=-1)) / GRAVITY
         turned = physical & (angle > _STEP * self.config.lag_angle)
-        kept = xp.where(turned, xp.exp(-angle / self.config.lag_angle), xp.ones_like(angle))
-        kept = xp.where(aloft, kept, xp.zeros_like(kept))
-        f = xp.concat(
-            [
-                xp.ones((*kept.shape, lag.start), dtype=kept.dtype, device=device_of(kept)),
-                xp.broadcast_to(kept[..., None], (*kept.shape, AXES)),
-            ],
-            axis=-1,
-        )
+        kept = np.where(turned, np.exp(-angle / self.config.lag_angle), 1.0)
+        kept = np.where(aloft, kept, 0.0)
+        f = np.ones((*kept.shape, lag.stop))
+        f[..., lag] = kept[..., None]
         covariance = f[..., :, None] * covariance * f[..., None, :]
-        fresh = (1.0 - kept**2)[..., None, None] * known.lag
+        fresh = (1.0 - kept**2)[..., None, None] * self._lag
         corner = covariance[..., lag, lag] + fresh
-        below = xp.concat([covariance[..., lag, : lag.start], corner], axis=-1)
+        below = np.concatenate([covariance[..., lag, : lag.start], corner], axis=-1)
         return state._replace(
             mean=f * state.mean,
-            covariance=xp.concat([covariance[..., : lag.start, :], below], axis=-2),
-            anchor=xp.where(turned[..., None], gravity, state.anchor),
+            covariance=np.concatenate([covariance[..., : lag.start, :], below], axis=-2),
+            anchor=np.where(turned[..., None], gravity, state.anchor),
         )
 
     def _estimate(self, state: InSituState, flags: Array) -> InSituEstimate:
         """Return the map undone: w = (1 + D)^-1 (C (r - o) - h)."""
-        xp, known, at = namespace_of(state.mean), self._constants.like(state.mean), self._at
-        D = xp.reshape(state.mean[..., at.response], (*state.mean.shape[:-1], AXES, AXES))
-        scale = known.axes + D
-        offset = known.offset + state.mean[..., at.offset]
-        load = (known.matrix @ (state.raw - offset)[..., None])[..., 0] - state.mean[..., at.lag]
-        wrench = xp.linalg.solve(scale, load[..., None])[..., 0]
+        at = self._at
+        D = state.mean[..., at.response].reshape(*state.mean.shape[:-1], AXES, AXES)
+        axes = np.eye(AXES)
+        scale = axes + D
+        offset = self._offset + state.mean[..., at.offset]
+        load = (self._matrix @ (state.raw - offset)[..., None])[..., 0] - state.mean[..., at.lag]
+        wrench = np.linalg.solve(scale, load[..., None])[..., 0]
         # d w = -(1 + D)^-1 (C d o + dD w + d h)
-        batch = tuple(wrench.shape[:-1])
-        spread = known.axes[:, :, None] * wrench[..., None, None, :]
+        batch = wrench.shape[:-1]
+        spread = axes[:, :, None] * wrench[..., None, None, :]
         columns = [
-            xp.broadcast_to(known.matrix, (*batch, *known.matrix.shape)),
-            xp.reshape(spread, (*batch, AXES, RELATIVE_ERRORS)),
-            xp.broadcast_to(known.axes, (*batch, AXES, AXES)),
+            np.broadcast_to(self._matrix, (*batch, *self._matrix.shape)),
+            spread.reshape(*batch, AXES, RELATIVE_ERRORS),
+            np.broadcast_to(axes, (*batch, AXES, AXES)),
         ]
-        J = xp.linalg.solve(scale, xp.concat(columns, axis=-1))
+        J = np.linalg.solve(scale, np.concatenate(columns, axis=-1))
         # Offset, D and h: all but the limb, which does not enter the map.
         sensor = at.response.stop
         P = state.covariance
-        P = xp.concat([P[..., :sensor], P[..., at.lag]], axis=-1)
-        P = xp.concat([P[..., :sensor, :], P[..., at.lag, :]], axis=-2)
-        variance = xp.sum((J @ P) * J, axis=-1)
+        P = np.concatenate([P[..., :sensor], P[..., at.lag]], axis=-1)
+        P = np.concatenate([P[..., :sensor, :], P[..., at.lag, :]], axis=-2)
+        variance = ((J @ P) * J).sum(axis=-1)
         covariance = P[..., :sensor, :sensor]
-        std = xp.sqrt(xp.linalg.diagonal(covariance))
+        std = np.sqrt(np.linalg.diagonal(covariance))
         nothing = 0.0 * state.mean[..., 0]
         return InSituEstimate(
             wrench=wrench,
-            wrench_std=xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
+            wrench_std=np.sqrt(np.where(variance > 0.0, variance, 0.0)),
             offset=offset,
             offset_std=std[..., at.offset],
             scale=scale,
-            scale_std=xp.reshape(std[..., at.response], D.shape),
+            scale_std=std[..., at.response].reshape(D.shape),
             covariance=covariance,
-            nis=nothing + xp.nan,
+            nis=nothing + np.nan,
             nis_rows=nothing,
             learnt=nothing > 0.0,
             flags=flags,
@@ -321,10 +311,9 @@ def _signals_of(
     """Return u, gravity and in motion what turning adds, shape (..., 3) or (..., 12).
 
     Raises:
-        ValueError: If a shape or dtype is not that of the first reading, or motion is given for a limb
+        ValueError: If a shape is not that of the first reading, or motion is given for a limb
             without inertia.
     """
-    xp = namespace_of(raw)
     *batch, channels = like.shape
     given = {"raw": (raw, channels), "gravity": (gravity, 3)}
     if (angular_velocity is None) != (angular_acceleration is None):
@@ -336,10 +325,9 @@ def _signals_of(
         }
     for name, (value, last) in given.items():
         check_tail(value, (last,), name)
-        if tuple(value.shape) != (*batch, last) or value.dtype != like.dtype:
+        if value.shape != (*batch, last):
             raise ValueError(
-                f"'{name}' must have shape {(*batch, last)} and dtype {like.dtype} like the first "
-                f"reading, got {tuple(value.shape)} and {value.dtype}."
+                f"'{name}' must have shape {(*batch, last)} like the first reading, got {value.shape}."
             )
     if angular_velocity is None or angular_acceleration is None:
         return gravity
@@ -348,22 +336,21 @@ def _signals_of(
             "This calibration does not know the limb's inertia: calibrate with the motion, or leave the "
             "angular velocity out."
         )
-    products = xp.stack([angular_velocity[..., i] * angular_velocity[..., j] for i, j in PAIRS], axis=-1)
-    return xp.concat([gravity, angular_acceleration, products], axis=-1)
+    products = np.stack([angular_velocity[..., i] * angular_velocity[..., j] for i, j in PAIRS], axis=-1)
+    return np.concatenate([gravity, angular_acceleration, products], axis=-1)
 
 
 def _flags_of(
     raw: Array, signals: Array, dt: float, code_range: tuple[float, float] | None
 ) -> tuple[Array, Array, Array, bool]:
     """Return flags of the channels, which readings are whole, which signals physical, and if time passed."""
-    xp = namespace_of(raw)
-    missing = xp.isnan(raw)
-    endless = xp.isinf(raw)
-    saturated = xp.zeros_like(missing)
+    missing = np.isnan(raw)
+    endless = np.isinf(raw)
+    saturated = np.zeros_like(missing)
     if code_range is not None:
         saturated = ((raw <= code_range[0]) | (raw >= code_range[1])) & ~endless
-    g = xp.sqrt(xp.sum(signals[..., DIRECT] ** 2, axis=-1))
-    turning = xp.all(xp.abs(signals[..., DIRECT.stop :]) < _FASTEST**2, axis=-1)
+    g = np.sqrt((signals[..., DIRECT] ** 2).sum(axis=-1))
+    turning = (np.abs(signals[..., DIRECT.stop :]) < _FASTEST**2).all(axis=-1)
     physical = (g >= _LIGHTEST) & (g <= _HEAVIEST) & turning
     passed = bool(0.0 < dt < float("inf"))
     flags = (
@@ -372,6 +359,6 @@ def _flags_of(
         + int(Flag.SATURATED) * saturated
         + int(Flag.REFERENCE) * (~physical)[..., None]
     )
-    flags = xp.asarray(flags, dtype=xp.int64) + (0 if passed else int(Flag.GAP))
-    ready = physical & ~xp.any(missing | endless | saturated, axis=-1)
+    flags = np.asarray(flags, dtype=np.int64) + (0 if passed else int(Flag.GAP))
+    ready = physical & ~(missing | endless | saturated).any(axis=-1)
     return flags, ready, physical, passed

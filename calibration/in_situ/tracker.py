@@ -26,8 +26,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import is_array_api_obj
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.in_situ.fit import InSituFit
@@ -38,10 +37,10 @@ __all__ = ["InSituMethod", "InSituTracker", "in_situ_tracker"]
 
 
 class InSituMethod(NamedTuple):
-    """A tracker as a pair of pure functions on the array API standard.
+    """A tracker as a pair of pure functions.
 
     Attributes:
-        init: ``init(raw) -> state``. ``raw``, shape (..., k), sets the library, dtype, device and batch.
+        init: ``init(raw) -> state``. ``raw``, shape (..., k), sets the batch.
         update: ``update(state, raw, gravity, dt, *, angular_velocity=None, angular_acceleration=None,
             in_air=True) -> (state, InSituEstimate)``.
     """
@@ -94,11 +93,11 @@ class InSituTracker:
 
     def update(
         self,
-        raw: ArrayLike | Array,
-        gravity: ArrayLike | Array,
+        raw: ArrayLike,
+        gravity: ArrayLike,
         dt: float,
-        angular_velocity: ArrayLike | Array | None = None,
-        angular_acceleration: ArrayLike | Array | None = None,
+        angular_velocity: ArrayLike | None = None,
+        angular_acceleration: ArrayLike | None = None,
         in_air: bool | Array = True,
     ) -> InSituEstimate:
         """Return the estimate after one more sample.
@@ -146,7 +145,5 @@ class InSituTracker:
         self._state = None
 
 
-def _array(values: ArrayLike | Array) -> Array:
-    if not is_array_api_obj(values) or (isinstance(values, np.ndarray) and values.dtype.kind in "iu"):
-        return np.asarray(values, dtype=np.float64)
-    return values
+def _array(values: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)

@@ -159,7 +159,7 @@ class BoundRows:
         """
         force, rows = self._samples.force[part], self._samples.rows[part]
         to_force = self.uncertainty.to_force(self.path[part], force)
-        true = self.unknowns.force(self.path[part], force, self.unknowns.unit)
+        true = self.unknowns.force(self.path[part], force)
         moments = (rows @ true[..., None])[..., 0]
         cop = cop_of_moments(moments[..., 0], moments[..., 1:], self._setup.force_threshold)
         row = rows @ to_force

@@ -12,13 +12,15 @@ where the second term is the weight at level rest, which counts as part of the o
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.front_end.motion import MotionColumns
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY
 
 _LIGHTEST = 1e-3
 """Mass in kg below a sensor from which on its inertia is worth computing."""
+
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 class DistalMasses:
@@ -42,18 +44,16 @@ class DistalMasses:
         self.matter = any(sensor.mass_below > _LIGHTEST for *_, sensor in parts)
         self._motion = MotionColumns.of(len(layout.feet))
         self._foot_of = [foot for foot, _, _ in parts]
-        felt = np.zeros((len(parts), 6, layout.channels))
-        for row, (_, start, sensor) in zip(felt, parts, strict=True):
+        self._felt = np.zeros((len(parts), 6, layout.channels))
+        for row, (_, start, sensor) in zip(self._felt, parts, strict=True):
             where = slice(start + sensor.channels.start, start + sensor.channels.stop)
             row[:, where] = -np.linalg.pinv(sensor.wrench_map).T
-        self._constants = Constants(
-            mass=np.array([sensor.mass_below for *_, sensor in parts]),
-            com=np.array([sensor.com_below_sole for *_, sensor in parts]),
-            share=np.array([sensor.share * (sensor.wrench_map != 0.0).any(axis=1) for *_, sensor in parts]),
-            felt=felt,
-            up=np.array([0.0, 0.0, 1.0]),
+        self._mass = np.array([sensor.mass_below for *_, sensor in parts])
+        self._com = np.array([sensor.com_below_sole for *_, sensor in parts])
+        self._share = np.array(
+            [sensor.share * (sensor.wrench_map != 0.0).any(axis=1) for *_, sensor in parts]
         )
-        self._curves = {n: Constants(curve=_curvature(n) / dt**2) for n in set(spans)}
+        self._curves = {n: _curvature(n) / dt**2 for n in set(spans)}
 
     def total(self, motion: Array, origin: Array) -> Array:
         """Sum up what the feet's wrenches lack, over n samples in a row.
@@ -65,18 +65,17 @@ class DistalMasses:
         Returns:
             Mean wrench of all feet about those points in N and N m, shape (..., 6).
         """
-        xp, share = namespace_of(motion), self._constants.like(motion).share
         position, _ = self._motion.soles(motion)
         wrench, middle = self._wrenches(motion)
-        arm = xp.mean(position - origin[..., None, :], axis=-3)
+        arm = (position - origin[..., None, :]).mean(axis=-3)
         parts = []
         for p, foot in enumerate(self._foot_of):
             # A sensor lacks nothing along the axes of the sole that it does not measure.
             turn = middle[..., foot, :, :]
-            part = xp.stack([wrench[p][..., :3], wrench[p][..., 3:]], axis=-1)
-            part = turn @ ((turn.mT @ part) * xp.stack([share[p][:3], share[p][3:]], axis=-1))
+            part = np.stack([wrench[p][..., :3], wrench[p][..., 3:]], axis=-1)
+            part = turn @ ((turn.mT @ part) * self._share[p].reshape(2, 3).T)
             force, moment = part[..., 0], part[..., 1]
-            parts.append(xp.concat([force, moment + _cross(arm[..., foot, :], force)], axis=-1))
+            parts.append(np.concatenate([force, moment + _cross(arm[..., foot, :], force)], axis=-1))
         return sum(parts[1:], parts[0])
 
     def felt(self, motion: Array) -> Array:
@@ -88,13 +87,12 @@ class DistalMasses:
         Returns:
             In N or N m, shape (..., K).
         """
-        xp, felt = namespace_of(motion), self._constants.like(motion).felt
         wrenches, middle = self._wrenches(motion)
         parts = []
         for p, (foot, part) in enumerate(zip(self._foot_of, wrenches, strict=True)):
             turned = middle[..., foot, :, :].mT
             force, moment = turned @ part[..., :3, None], turned @ part[..., 3:, None]
-            parts.append(xp.concat([force, moment], axis=-2)[..., 0] @ felt[p])
+            parts.append(np.concatenate([force, moment], axis=-2)[..., 0] @ self._felt[p])
         return sum(parts[1:], parts[0])
 
     def _wrenches(self, motion: Array) -> tuple[list[Array], Array]:
@@ -102,19 +100,18 @@ class DistalMasses:
 
         And the soles' rotations at the middle sample, shape (..., F, 3, 3).
         """
-        xp, own = namespace_of(motion), self._constants.like(motion)
         com, acceleration = motion[..., self._motion.com], motion[..., self._motion.com_acceleration]
         position, R = self._motion.soles(motion)
-        curve = self._curves[position.shape[-3]].like(motion).curve
+        curve = self._curves[position.shape[-3]]
         # A level frame may move from sample to sample; distances to the centre of mass do not care.
-        bend = xp.sum((position - com[..., None, :]) * curve[:, None, None], axis=-3)
-        sole = bend + xp.mean(acceleration, axis=-2)[..., None, :]
+        bend = ((position - com[..., None, :]) * curve[:, None, None]).sum(axis=-3)
+        sole = bend + acceleration.mean(axis=-2)[..., None, :]
         middle = R[..., R.shape[-4] // 2, :, :, :]
         parts = []
         for p, foot in enumerate(self._foot_of):
-            force = own.mass[p] * (sole[..., foot, :] + GRAVITY * (own.up - middle[..., foot, :, 2]))
-            arm = (middle[..., foot, :, :] @ own.com[p][:, None])[..., 0]
-            parts.append(xp.concat([force, _cross(arm, force)], axis=-1))
+            force = self._mass[p] * (sole[..., foot, :] + GRAVITY * (_UP - middle[..., foot, :, 2]))
+            arm = (middle[..., foot, :, :] @ self._com[p][:, None])[..., 0]
+            parts.append(np.concatenate([force, _cross(arm, force)], axis=-1))
         return parts, middle
 
 
@@ -126,8 +123,7 @@ def _curvature(n: int) -> NDArray[np.float64]:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    xp = namespace_of(a)
-    return xp.stack(
+    return np.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
             a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],

@@ -15,10 +15,9 @@ readings. A channel that agrees with its reconstruction again comes back.
 from typing import NamedTuple
 
 import numpy as np
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, anywhere, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.hypotheses import SUSPICION, TRUST, Contradiction, Hypotheses
 from surefoot.calibration.moment.rows import Residuals
@@ -122,31 +121,26 @@ class ChannelFaults:
         self.hypotheses = Hypotheses(setup, self.stand_in.cells, change)
         self._leap, self._weight = leap * setup.weight, setup.weight
         foot = setup.layout.foot_of_channel
-        identity = np.eye(setup.layout.channels)
-        self._constants = Constants(
-            identity=identity,
-            same_foot=(foot[:, None] == foot[None, :]).astype(float) - identity,
-            cells=self.stand_in.cells.astype(float),
-        )
+        self._identity = np.eye(setup.layout.channels)
+        self._same_foot = (foot[:, None] == foot[None, :]) - self._identity
 
     def init(self, raw: Array, resting: Array) -> ChannelState:
         """Return the state of sound channels; see :class:`ChannelState`."""
-        xp, device = namespace_of(raw), device_of(raw)
-        zero = xp.zeros_like(raw)
-        identity = self._constants.like(raw).identity + 0.0 * zero[..., None]
+        zero = np.zeros(raw.shape)
+        identity = self._identity + 0.0 * zero[..., None]
         hypotheses = self.hypotheses.count
         return ChannelState(
             last=resting + zero,
-            leaps=xp.zeros(raw.shape, dtype=xp.int64, device=device) + LONGEST_LEAP,
+            leaps=np.zeros(raw.shape, dtype=np.int64) + LONGEST_LEAP,
             leapt=zero,
-            trust=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
-            doubt=xp.zeros(raw.shape[:-1], dtype=raw.dtype, device=device),
-            scores=xp.zeros((*raw.shape[:-1], 1 + hypotheses + 1), dtype=raw.dtype, device=device),
-            size=xp.zeros((*raw.shape[:-1], hypotheses), dtype=raw.dtype, device=device),
-            load=xp.zeros((*raw.shape[:-1], 3, 4), dtype=raw.dtype, device=device),
+            trust=np.zeros(raw.shape[:-1]),
+            doubt=np.zeros(raw.shape[:-1]),
+            scores=np.zeros((*raw.shape[:-1], 1 + hypotheses + 1)),
+            size=np.zeros((*raw.shape[:-1], hypotheses)),
+            load=np.zeros((*raw.shape[:-1], 3, 4)),
             moments=self.stand_in.init(zero),
             lost=zero,
-            kind=xp.zeros(raw.shape, dtype=xp.int64, device=device),
+            kind=np.zeros(raw.shape, dtype=np.int64),
             wiring=identity,
             spare=identity,
             spare_std=zero,
@@ -167,21 +161,20 @@ class ChannelFaults:
         Returns:
             The state; forces to use; whether each may be learnt from (bool); and flags of each channel.
         """
-        xp = namespace_of(force)
         if state.altered:
             force = (state.wiring @ force[..., None])[..., 0]
-            read = (xp.abs(state.wiring) @ xp.astype(read, force.dtype)[..., None])[..., 0] > 0.5
-        step = xp.abs(force - state.last)
+            read = (np.abs(state.wiring) @ read[..., None])[..., 0] > 0.5
+        step = np.abs(force - state.last)
         state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > self._leap
-        if not anywhere(leaping):
+        if not leaping.any():
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
         # A foot that lands moves several of its cells.
-        others = xp.max(step[..., None, :] * self._constants.like(force).same_foot, axis=-1)
+        others = (step[..., None, :] * self._same_foot).max(axis=-1)
         leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
-        leapt = state.leapt + xp.astype(leaping & (state.leaps == 0), force.dtype)
-        leaping = leaping & (xp.sum(state.leapt, axis=-1)[..., None] - state.leapt < _BUMPY)
-        leaps = xp.where(leaping, state.leaps + 1, xp.where(read, 0, state.leaps))
-        used = xp.where(leaping, state.last, force)
+        leapt = state.leapt + (leaping & (state.leaps == 0))
+        leaping = leaping & (state.leapt.sum(axis=-1)[..., None] - state.leapt < _BUMPY)
+        leaps = np.where(leaping, state.leaps + 1, np.where(read, 0, state.leaps))
+        used = np.where(leaping, state.last, force)
         flags = state.kind | int(Flag.SPIKE) * leaping
         return state._replace(last=used, leaps=leaps, leapt=leapt), used, read & ~leaping, flags
 
@@ -193,22 +186,20 @@ class ChannelFaults:
             force: Forces by the starting map of the samples that wait in N, shape (..., n, K).
             read: Whether they were read (0 or 1), shape (..., n, K).
         """
-        xp = namespace_of(force)
-        own = self._constants.like(force)
-        high, low = xp.max(force, axis=-2), xp.min(force, axis=-2)
+        high, low = force.max(axis=-2), force.min(axis=-2)
         spread = high - low
         flat = spread == 0.0
-        moving = xp.astype(spread > _MOVING * self._weight, force.dtype) @ own.same_foot > 0.5
-        share = xp.mean(read, axis=-2)
-        missing = (share < _MOSTLY_MISSING) & (xp.max(share, axis=-1) >= _MOSTLY_MISSING)[..., None]
+        moving = (spread > _MOVING * self._weight) @ self._same_foot > 0.5
+        share = read.mean(axis=-2)
+        missing = (share < _MOSTLY_MISSING) & (share.max(axis=-1) >= _MOSTLY_MISSING)[..., None]
         again = (share > _ALL_READ) & ~flat & ((state.kind & int(Flag.MISSING)) > 0) & (state.lost > 0.5)
         state = self._return(state, again)
         stuck = flat & moving & (share > _ALL_READ)
-        dead = stuck & (xp.abs(high) <= _NO_LOAD * self._weight)
-        rail = stuck & ~dead & (xp.abs(high) > _HEAVIEST * self._weight)
+        dead = stuck & (np.abs(high) <= _NO_LOAD * self._weight)
+        rail = stuck & ~dead & (np.abs(high) > _HEAVIEST * self._weight)
         kind = int(Flag.DEAD) * dead | int(Flag.SATURATED) * rail | int(Flag.STUCK) * (stuck & ~dead & ~rail)
         kind = kind | int(Flag.MISSING) * missing
-        fresh = (stuck | missing) & (state.lost < 0.5) & (own.cells > 0.5)
+        fresh = (stuck | missing) & (state.lost < 0.5) & self.stand_in.cells
         return self._lose(state, fresh, kind)
 
     def contradicted(self, state: ChannelState, seen: Contradiction) -> tuple[ChannelState, Array, Array]:
@@ -222,10 +213,9 @@ class ChannelFaults:
             The state; and, both of shape (...), whether a fault was found (bool), and whether it is a load.
         """
         mean, hypotheses = seen.residuals.mean, self.hypotheses
-        xp = namespace_of(mean)
-        state = state._replace(trust=state.trust + xp.astype(mean < _WELL, mean.dtype))
+        state = state._replace(trust=state.trust + (mean < _WELL))
         # Most of the time nothing is wrong with anybody, and no hypothesis needs to be tried.
-        if not bool(xp.any((mean > SUSPICION) | (state.doubt > 0.5))):
+        if not ((mean > SUSPICION) | (state.doubt > 0.5)).any():
             nobody = mean < 0.0
             return state, nobody, nobody
         others, _ = self.stand_in.others(state.moments, state.lost)
@@ -233,13 +223,13 @@ class ChannelFaults:
         evidence = hypotheses.evidence(seen, error, change, state.doubt, state.scores, state.size, state.load)
         decision = hypotheses.decide(evidence, state.trust, state.lost)
         state = state._replace(
-            doubt=xp.where(decision.fault | decision.load, 0.0, evidence.doubt),
+            doubt=np.where(decision.fault | decision.load, 0.0, evidence.doubt),
             scores=evidence.scores,
             size=evidence.size,
             load=evidence.load,
-            trust=xp.where(decision.load, TRUST, state.trust),
+            trust=np.where(decision.load, TRUST, state.trust),
         )
-        if bool(xp.any(decision.fault)):
+        if decision.fault.any():
             out = decision.accepted[..., hypotheses.out] > 0.5
             state = self._lose(state, out, int(Flag.DEAD) * out)
             wiring, kind = hypotheses.repair(decision.accepted, state.wiring, state.kind)
@@ -267,43 +257,39 @@ class ChannelFaults:
             force: Calibrated forces of a block by the channels' own readings in N, shape (..., n, K).
             good: Whether the block could be learnt from (bool), shape (...).
         """
-        xp = namespace_of(force)
-        well = good & (state.doubt < 0.5) & xp.all(state.lost < 0.5, axis=-1)
+        well = good & (state.doubt < 0.5) & (state.lost < 0.5).all(axis=-1)
         state = state._replace(moments=self.stand_in.learn(state.moments, force, well))
         if not state.altered:
             return state
         expected = force @ state.spare.mT
-        error = xp.max(xp.abs(expected - force), axis=-2)
-        load = xp.max(xp.abs(expected), axis=-2)
-        moved = xp.max(expected, axis=-2) - xp.min(expected, axis=-2) > _AGREE * self._weight
+        error = np.abs(expected - force).max(axis=-2)
+        load = np.abs(expected).max(axis=-2)
+        moved = expected.max(axis=-2) - expected.min(axis=-2) > _AGREE * self._weight
         near = error < _AGREE * self._weight + _AGREE_SHARE * load
-        agreed = xp.where(near, state.agreed + xp.astype(moved, force.dtype), 0.0) * state.lost
+        agreed = np.where(near, state.agreed + moved, 0.0) * state.lost
         back = (agreed >= _RETURN_BLOCKS) & (state.lost > 0.5)
-        if not bool(xp.any(back)):
+        if not back.any():
             return state._replace(agreed=agreed)
-        return self._return(state._replace(agreed=xp.where(back, 0.0, agreed)), back)
+        return self._return(state._replace(agreed=np.where(back, 0.0, agreed)), back)
 
     def _return(self, state: ChannelState, back: Array) -> ChannelState:
         """Take channels in again."""
-        xp = namespace_of(state.last)
-        if not bool(xp.any(back)):
+        if not back.any():
             return state
         gone = int(Flag.LOST | Flag.DEAD | Flag.STUCK | Flag.SATURATED | Flag.MISSING)
-        kind = xp.where(back, state.kind & ~gone, state.kind)
-        return self._rebuild(state._replace(lost=xp.where(back, 0.0, state.lost), kind=kind))
+        kind = np.where(back, state.kind & ~gone, state.kind)
+        return self._rebuild(state._replace(lost=np.where(back, 0.0, state.lost), kind=kind))
 
     def _lose(self, state: ChannelState, fresh: Array, kind: Array) -> ChannelState:
         """Take channels out."""
-        xp = namespace_of(state.last)
-        if not bool(xp.any(fresh)):
+        if not fresh.any():
             return state
-        lost = xp.where(fresh, 1.0, state.lost)
-        kind = state.kind | xp.where(fresh, kind | int(Flag.LOST), 0)
+        lost = np.where(fresh, 1.0, state.lost)
+        kind = state.kind | np.where(fresh, kind | int(Flag.LOST), 0)
         return self._rebuild(state._replace(lost=lost, kind=kind))
 
     def _rebuild(self, state: ChannelState) -> ChannelState:
         """Work out how to do without what is lost."""
-        identity = self._constants.like(state.last).identity
         coefficients, spread = self.stand_in.others(state.moments, state.lost)
-        spare = identity * (1.0 - state.lost)[..., None] + coefficients * state.lost[..., None]
+        spare = self._identity * (1.0 - state.lost)[..., None] + coefficients * state.lost[..., None]
         return state._replace(spare=spare, spare_std=spread * state.lost, altered=1)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, in_a_row, namespace_of
+from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.rows import Residuals
 from surefoot.calibration.setup import OnlineSetup
@@ -158,17 +158,15 @@ class Hypotheses:
         possible = np.concatenate([np.tile(cells, 2), np.ones(2 * len(pairs), dtype=bool)])
         self._least_error = _LEAST_ERROR * setup.weight
         largest = _LOOSE * change
-        self._constants = Constants(
-            possible=possible.astype(float),
-            about=about.astype(float),
-            pair=pair.astype(float),
-            related=(about.astype(float) @ about.T > 0.5).astype(float),
-            handicap=np.where(np.arange(self.count) < self.out.stop, _LOSS, 1.0),
-            order=np.arange(self.count),
-            identity=np.eye(K),
-            loose=np.diag(1.0 / np.maximum(largest, _LEAST_CHANGE) ** 2),
-            largest=largest,
-        )
+        self._possible = possible
+        self._about = about.astype(float)
+        self._pair = pair.astype(float)
+        self._related = (about.astype(float) @ about.T > 0.5).astype(float)
+        self._handicap = np.where(np.arange(self.count) < self.out.stop, _LOSS, 1.0)
+        self._order = np.arange(self.count)
+        self._identity = np.eye(K)
+        self._loose = np.diag(1.0 / np.maximum(largest, _LEAST_CHANGE) ** 2)
+        self._largest = largest
 
     def changes(self, seen: Contradiction, others: Array) -> tuple[Array, Array]:
         """Return what each hypothesis changes.
@@ -180,7 +178,7 @@ class Hypotheses:
         Returns:
             Errors of forces in N, and what they do to the residuals, shape (..., m, H) each.
         """
-        xp, first, second = namespace_of(seen.force), self._first, self._second
+        first, second = self._first, self._second
         scaled = seen.places * seen.scale[..., None, :]
         reading = seen.reading
         errors = [
@@ -195,8 +193,8 @@ class Hypotheses:
             scaled[..., first] - scaled[..., second],
             scaled[..., first] + scaled[..., second],
         ]
-        error = xp.concat(errors, axis=-1)
-        return error, xp.concat(per_newton, axis=-1) * error
+        error = np.concatenate(errors, axis=-1)
+        return error, np.concatenate(per_newton, axis=-1) * error
 
     def evidence(
         self,
@@ -220,23 +218,22 @@ class Hypotheses:
             load: As there.
         """
         residuals = seen.residuals
-        xp, dtype = namespace_of(doubt), residuals.residual.dtype
-        latest = xp.max(xp.abs(error) * residuals.there[..., None], axis=-2)
+        latest = (np.abs(error) * residuals.there[..., None]).max(axis=-2)
         # The block in which a fault begins is half right: what counts are those behind it.
         doubt = doubt + (doubt > 0.5)
         goes_on, sums_go_on = doubt > 1.5, doubt > 2.5
-        load = load * xp.astype(sums_go_on, dtype)[..., None, None]
+        load = load * sums_go_on[..., None, None]
         load, change_by_load, load_possible = self._with_load(load, seen)
-        size = xp.maximum(size * xp.astype(goes_on, dtype)[..., None], latest)
-        changes = xp.concat([change, change_by_load[..., None]], axis=-1)
-        mean = xp.concat([residuals.mean[..., None], residuals.mean_with(changes)], axis=-1)
+        size = np.maximum(size * goes_on[..., None], latest)
+        changes = np.concatenate([change, change_by_load[..., None]], axis=-1)
+        mean = np.concatenate([residuals.mean[..., None], residuals.mean_with(changes)], axis=-1)
 
-        whole = xp.where(goes_on, doubt - 1.0, 1.0)[..., None]
-        scores = xp.where(goes_on[..., None], scores + (mean - scores) / whole, 0.0)
+        whole = np.where(goes_on, doubt - 1.0, 1.0)[..., None]
+        scores = np.where(goes_on[..., None], scores + (mean - scores) / whole, 0.0)
         begins = (doubt < 0.5) & (mean[..., _NOTHING] > SUSPICION)
-        doubt = xp.where(begins, 1.0, doubt)
+        doubt = np.where(begins, 1.0, doubt)
         ends = (doubt > _PATIENCE) | ((doubt > 1.5) & (scores[..., _NOTHING] < _CALM))
-        return Evidence(xp.where(ends, 0.0, doubt), scores, size, latest, load, load_possible)
+        return Evidence(np.where(ends, 0.0, doubt), scores, size, latest, load, load_possible)
 
     def decide(self, evidence: Evidence, trust: Array, lost: Array) -> Decision:
         """Return what of it is believed.
@@ -246,31 +243,28 @@ class Hypotheses:
             trust: Blocks without doubt before, shape (...).
             lost: Channels that are out already (0 or 1), shape (..., K).
         """
-        xp, own = namespace_of(trust), self._constants.like(trust)
         doubt, nothing = evidence.doubt, evidence.scores[..., _NOTHING]
-        untouched = 1.0 - xp.astype((lost @ own.about.mT) > 0.5, trust.dtype)
-        left = xp.where(
-            own.possible * untouched > 0.5, evidence.scores[..., _CHANNELS] * own.handicap, xp.inf
-        )
+        open_to = self._possible & ~(lost @ self._about.mT > 0.5)
+        left = np.where(open_to, evidence.scores[..., _CHANNELS] * self._handicap, np.inf)
         # Between its turns a broken cell carries little, and still explains what was wrong in them.
-        any_channel = xp.min(xp.where(evidence.size > self._least_error, left, xp.inf), axis=-1)
+        any_channel = np.where(evidence.size > self._least_error, left, np.inf).min(axis=-1)
         # What small errors of the reference could be as well is not put down to a channel.
-        left = xp.where(evidence.latest > self._least_error, left, xp.inf)
-        by_load = xp.where(evidence.load_possible, evidence.scores[..., _LOAD], xp.inf)
-        chosen = xp.astype(xp.argmin(left, axis=-1)[..., None] == own.order, trust.dtype)
-        least = xp.min(left, axis=-1)
-        rival = xp.min(xp.where(chosen @ own.related > 0.5, xp.inf, left), axis=-1)
+        left = np.where(evidence.latest > self._least_error, left, np.inf)
+        by_load = np.where(evidence.load_possible, evidence.scores[..., _LOAD], np.inf)
+        chosen = (np.argmin(left, axis=-1)[..., None] == self._order).astype(np.float64)
+        least = left.min(axis=-1)
+        rival = np.where(chosen @ self._related > 0.5, np.inf, left).min(axis=-1)
 
         ready = (doubt > 1.5) & (trust >= TRUST) & (nothing > SUSPICION)
         fault = ready & (least < _RELIEF * nothing) & (least < _CONTRAST * rival)
         fault = fault & (least + _NOISE < _CONTRAST * (by_load + _NOISE))
         load = ready & ~fault & (doubt >= _LOAD_BLOCKS) & (by_load < _RELIEF * nothing)
         load = load & (by_load + _NOISE < _LOAD_CONTRAST * (any_channel + _NOISE))
-        return Decision(fault, load, chosen * xp.astype(fault, trust.dtype)[..., None])
+        return Decision(fault, load, chosen * fault[..., None])
 
     def promising(self, scores: Array) -> Array:
         """Return whether any explanation leaves much less than none does (bool), shape (...)."""
-        return namespace_of(scores).min(scores[..., 1:], axis=-1) < _CONTRAST * scores[..., _NOTHING]
+        return scores[..., 1:].min(axis=-1) < _CONTRAST * scores[..., _NOTHING]
 
     def repair(self, accepted: Array, wiring: Array, kind: Array) -> tuple[Array, Array]:
         """Put flipped and exchanged channels right.
@@ -283,16 +277,15 @@ class Hypotheses:
         Returns:
             The new wiring and flags.
         """
-        own = self._constants.like(accepted)
         flipped, straight = accepted[..., self.flipped], accepted[..., self.straight]
         crossed = accepted[..., self.crossed]
-        turn = own.identity * (1.0 - 2.0 * flipped)[..., None]
-        exchange = own.identity
+        turn = self._identity * (1.0 - 2.0 * flipped)[..., None]
+        exchange = self._identity
         for swapped, sign in ((straight, 1.0), (crossed, -1.0)):
-            one = swapped @ own.pair
-            cross = one[..., None] * one[..., None, :] * (1.0 - own.identity)
-            exchange = (own.identity * (1.0 - one)[..., None] + sign * cross) @ exchange
-        exchanged = (straight + crossed) @ own.pair > 0.5
+            one = swapped @ self._pair
+            cross = one[..., None] * one[..., None, :] * (1.0 - self._identity)
+            exchange = (self._identity * (1.0 - one)[..., None] + sign * cross) @ exchange
+        exchanged = (straight + crossed) @ self._pair > 0.5
         kind = kind ^ (int(Flag.FLIPPED) * (flipped > 0.5))
         return turn @ exchange @ wiring, kind ^ (int(Flag.SWAPPED) * exchanged)
 
@@ -304,10 +297,9 @@ class Hypotheses:
             whether there can be such a load (bool), shape (...).
         """
         loads, residuals = seen.load, seen.residuals
-        xp, own = namespace_of(loads), self._constants.like(loads)
-        both = xp.concat([loads, residuals.residual[..., None]], axis=-1)
+        both = np.concatenate([loads, residuals.residual[..., None]], axis=-1)
         sums = sums + (loads * (residuals.there / residuals.variance)[..., None]).mT @ both
-        fit = xp.linalg.solve(sums[..., _NORMAL] + own.loose, sums[..., _RIGHT])
+        fit = np.linalg.solve(sums[..., _NORMAL] + self._loose, sums[..., _RIGHT])
         found, mass_change = fit[..., 0], fit[..., -1, 0]
-        possible = xp.all(xp.abs(found) <= own.largest, axis=-1) & (seen.mass + mass_change < _LIGHTER)
+        possible = (np.abs(found) <= self._largest).all(axis=-1) & (seen.mass + mass_change < _LIGHTER)
         return sums, -(loads @ fit)[..., 0], possible

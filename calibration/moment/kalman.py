@@ -5,14 +5,16 @@ With the prior x, S and rows y = H x + e, e of variances R,
     K = S H' (H S H' + R)^-1,    x <- x + K (y - H x),    S <- (1 - K H) S (1 - K H)' + K R K'.
 
 The second form is Joseph's: it holds for any gain K, also for one with rows set to zero for unknowns that are
-considered and not estimated (Schmidt, 1966), and stays positive in float32. A row whose innovation exceeds
-``gate`` standard deviations has its variance raised until it does not: it pulls no harder than one at the
-gate, and less the further it is out.
+considered and not estimated (Schmidt, 1966), and stays positive in float32, which the C library may use. A
+row whose innovation exceeds ``gate`` standard deviations has its variance raised until it does not: it pulls
+no harder than one at the gate, and less the further it is out.
 """
 
 from typing import NamedTuple
 
-from surefoot.calibration.arrays import Array, namespace_of
+import numpy as np
+
+from surefoot.calibration.arrays import Array
 
 
 class KalmanStep(NamedTuple):
@@ -58,23 +60,22 @@ def kalman_step(
         identity: Identity matrix, shape (N, N).
         gate: Standard deviations of an innovation beyond which a row is thought to be wrong.
     """
-    xp = namespace_of(mean)
     e = y - (H @ mean[..., None])[..., 0]
     HS = H @ covariance
     V = HS @ H.mT
-    predicted = xp.linalg.diagonal(V)
+    predicted = np.linalg.diagonal(V)
     needed = e * e / gate**2 - predicted
-    variance = xp.where(needed > variance, needed, variance)
+    variance = np.where(needed > variance, needed, variance)
     V = V + variance[..., None] * _identity(identity, V)
-    solved = xp.linalg.solve(V, xp.concat([HS, e[..., None]], axis=-1))
-    nis = xp.sum(e * solved[..., -1], axis=-1)
-    gain = xp.matrix_transpose(solved[..., :-1]) * learnt[..., :, None]
+    solved = np.linalg.solve(V, np.concatenate([HS, e[..., None]], axis=-1))
+    nis = (e * solved[..., -1]).sum(axis=-1)
+    gain = solved[..., :-1].mT * learnt[..., :, None]
     mean = mean + (gain @ e[..., None])[..., 0]
     keep = identity - gain @ H
     kept = keep @ covariance @ keep.mT
     covariance = kept + (gain * variance[..., None, :]) @ gain.mT
     covariance = 0.5 * (covariance + covariance.mT)
-    rows = xp.sum(xp.astype(predicted > 0.0, mean.dtype), axis=-1)
+    rows = (predicted > 0.0).sum(axis=-1, dtype=np.float64)
     return KalmanStep(mean, covariance, e, predicted, nis, rows)
 
 
@@ -82,4 +83,4 @@ def _identity(identity: Array, like: Array) -> Array:
     rows = like.shape[-1]
     if rows <= identity.shape[0]:
         return identity[:rows, :rows]
-    return namespace_of(like).eye(rows, dtype=like.dtype, device=getattr(identity, "device", None))
+    return np.eye(rows)

@@ -1,6 +1,8 @@
 """How large residuals are against what is expected: the noise of each kind of row, and how well all fits."""
 
-from surefoot.calibration.arrays import Array, namespace_of
+import numpy as np
+
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.rows import Residuals
 
 FIRST_NOISE = 16.0
@@ -33,10 +35,9 @@ def followed_noise(noise: Array, residuals: Residuals) -> Array:
         noise: By how many times variances of each kind of row are taken as larger, shape (..., kinds).
         residuals: Of rows before they are learnt from, kind by kind in turn, those that are left out as well.
     """
-    xp = namespace_of(noise)
     surplus = (residuals.squares(_LARGEST_SQUARE) - 1.0) * residuals.there
-    surplus = xp.mean(xp.reshape(surplus, (*noise.shape[:-1], -1, noise.shape[-1])), axis=-2)
-    return xp.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
+    surplus = surplus.reshape(*noise.shape[:-1], -1, noise.shape[-1]).mean(axis=-2)
+    return np.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
 
 
 def followed_misfit(misfit: Array, residuals: Residuals) -> Array:

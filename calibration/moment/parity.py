@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
@@ -31,8 +31,8 @@ class Parity:
         parity = (_differences(setup.layout) * scale / setup.weight).reshape(-1, setup.layout.channels)
         parity = parity[(parity != 0.0).any(axis=1)]
         self.matters = len(parity) > 0
-        errors = np.zeros((len(parity), unknowns.size - unknowns.map.stop))
-        self._constants = Constants(parity=parity, errors=errors, unit=unknowns.unit)
+        self._errors = np.zeros((len(parity), unknowns.size - unknowns.map.stop))
+        self._parity = parity
 
     def rows(self, mean: Array, block: Block) -> Rows:
         """Write that the instruments of one foot measure the same wrench.
@@ -44,21 +44,19 @@ class Parity:
         Returns:
             For each axis that two instruments of a foot see, one row for each half of the block.
         """
-        xp, settle = namespace_of(block.force), self.config.settle
-        own, unknowns = self._constants.like(block.force), self.unknowns
-        half = self.config.every // 2
-        y = 0.0 * (block.force[..., 0, :] @ own.parity.mT)
+        settle, half, unknowns = self.config.settle, self.config.every // 2, self.unknowns
+        y = 0.0 * (block.force[..., 0, :] @ self._parity.mT)
         if self._distal.matter:
-            y = self._distal.felt(block.motion) @ own.parity.mT
-        by_offset = unknowns.by_offset(own.parity + 0.0 * y[..., None], mean, own.unit)
+            y = self._distal.felt(block.motion) @ self._parity.mT
+        by_offset = unknowns.by_offset(self._parity + 0.0 * y[..., None], mean)
         y = y + (by_offset @ mean[..., unknowns.offset, None])[..., 0]
         halves = []
         for start in (settle, settle + half):
             part = slice(start, start + half)
-            reading = xp.mean(block.force[..., part, :], axis=-2)
-            scales = unknowns.by_scale(own.parity, unknowns.tared(mean, reading, own.unit))
-            H = xp.concat([scales, by_offset, own.errors + 0.0 * scales[..., :1]], axis=-1)
-            known = xp.astype(xp.all(block.use[..., part] > 0.5, axis=-1), scales.dtype)[..., None]
+            reading = block.force[..., part, :].mean(axis=-2)
+            scales = unknowns.by_scale(self._parity, unknowns.tared(mean, reading))
+            H = np.concatenate([scales, by_offset, self._errors + 0.0 * scales[..., :1]], axis=-1)
+            known = (block.use[..., part] > 0.5).all(axis=-1)[..., None]
             variance = self.config.parity_noise**2 + 0.0 * y
             halves.append(Rows(H, y, variance).keep(known))
         return halves[0].beside(halves[1])

@@ -9,7 +9,9 @@ Rows are in body weights and in body weights times foot lengths; columns are the
 
 from typing import NamedTuple
 
-from surefoot.calibration.arrays import Array, namespace_of
+import numpy as np
+
+from surefoot.calibration.arrays import Array
 
 _CLIP = 30.0
 """Largest squared normalised residual that counts: one row that is far off must not decide alone."""
@@ -55,11 +57,10 @@ class Rows(NamedTuple):
 
     def beside(self, other: "Rows") -> "Rows":
         """Return these rows with those of another kind behind them."""
-        xp = namespace_of(self.y)
         return Rows(
-            xp.concat([self.H, other.H], axis=-2),
-            xp.concat([self.y, other.y], axis=-1),
-            xp.concat([self.variance, other.variance], axis=-1),
+            np.concatenate([self.H, other.H], axis=-2),
+            np.concatenate([self.y, other.y], axis=-1),
+            np.concatenate([self.variance, other.variance], axis=-1),
         )
 
 
@@ -81,10 +82,9 @@ class Residuals(NamedTuple):
     @classmethod
     def of(cls, rows: Rows, mean: Array, covariance: Array) -> "Residuals":
         """Return those of rows for unknowns with a covariance, shapes (..., N) and (..., N, N)."""
-        xp = namespace_of(mean)
         residual = rows.y - (rows.H @ mean[..., None])[..., 0]
-        variance = xp.sum((rows.H @ covariance) * rows.H, axis=-1) + rows.variance
-        there = xp.astype(xp.any(rows.H != 0.0, axis=-1), mean.dtype)
+        variance = ((rows.H @ covariance) * rows.H).sum(axis=-1) + rows.variance
+        there = (rows.H != 0.0).any(axis=-1).astype(np.float64)
         square = _squares(residual, variance, _CLIP)
         return cls(residual, variance, there, _mean_of(square, there, axis=-1))
 
@@ -103,10 +103,9 @@ class Residuals(NamedTuple):
 
 
 def _squares(residual: Array, variance: Array, largest: float) -> Array:
-    return namespace_of(residual).clip(residual * residual / variance, 0.0, largest)
+    return np.clip(residual * residual / variance, 0.0, largest)
 
 
 def _mean_of(square: Array, there: Array, axis: int) -> Array:
-    xp = namespace_of(square)
-    count = xp.sum(there, axis=axis)
-    return xp.sum(square * there, axis=axis) / xp.where(count > 0.5, count, 1.0)
+    count = there.sum(axis=axis)
+    return (square * there).sum(axis=axis) / np.where(count > 0.5, count, 1.0)

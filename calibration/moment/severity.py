@@ -22,7 +22,7 @@ from itertools import product
 
 import numpy as np
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.unknowns import Unknowns
 
 SEVERITIES = (0.04, 0.2, 1.0, 5.0)
@@ -35,7 +35,7 @@ FIRST_WIDTH = 2.0
 """Stated standard deviations of the prior that the filter begins with."""
 
 _LEAST = 8.0
-"""Least share of its starting variance that anything is known to, in roundings of the library's numbers."""
+"""Least share of its starting variance that anything is known to, in roundings of its numbers."""
 
 
 class LearntSeverity:
@@ -49,13 +49,11 @@ class LearntSeverity:
         self.unknowns = unknowns
         widths = unknowns.scales, unknowns.channels
         severities = [np.repeat(pair, widths) for pair in product(SEVERITIES, repeat=2)]
-        self._constants = Constants(
-            variance=np.stack(severities) ** 2,
-            likely=2.0 * np.log([np.prod(pair) for pair in product(LIKELY, repeat=2)]),
-            stated=unknowns.std[unknowns.map] ** 2,
-            identity=np.eye(unknowns.map.stop),
-            start=unknowns.start[unknowns.map],
-        )
+        self._variance = np.stack(severities) ** 2
+        self._likely = 2.0 * np.log([np.prod(pair) for pair in product(LIKELY, repeat=2)])
+        self._stated = unknowns.std[unknowns.map] ** 2
+        self._identity = np.eye(unknowns.map.stop)
+        self._start = unknowns.start[unknowns.map]
 
     def stated(self, drift: Array) -> Array:
         """Return the variances that are stated of scales and offsets that have drifted since the start.
@@ -63,11 +61,11 @@ class LearntSeverity:
         Args:
             drift: Variances that they have drifted by, shape (..., M).
         """
-        return self._constants.like(drift).stated + drift
+        return self._stated + drift
 
     def first(self, drift: Array) -> Array:
         """Return the variances that the filter begins with, for sensors that have drifted since; as above."""
-        return FIRST_WIDTH**2 * self._constants.like(drift).stated + drift
+        return FIRST_WIDTH**2 * self._stated + drift
 
     def reweighted(self, mean: Array, covariance: Array, drift: Array, misfit: Array) -> tuple[Array, Array]:
         """Return scales and offsets under all severities together.
@@ -82,27 +80,27 @@ class LearntSeverity:
         Returns:
             Scales and offsets, shape (..., M), and their covariance, shape (..., M, M).
         """
-        xp, own, of_map = namespace_of(mean), self._constants.like(mean), self.unknowns.map
+        of_map = self.unknowns.map
         stated, prior = self.stated(drift), self.first(drift)
-        std = xp.sqrt(prior)
+        std = np.sqrt(prior)
         units = std[..., :, None] * std[..., None, :]
-        share, axes = xp.linalg.eigh(covariance[..., of_map, of_map] / units)
-        share = xp.clip(share, _LEAST * float(xp.finfo(mean.dtype).eps), 1.0)
-        worth = 1.0 / xp.clip(misfit, 1.0, None)[..., None]
+        share, axes = np.linalg.eigh(covariance[..., of_map, of_map] / units)
+        share = np.clip(share, _LEAST * np.finfo(np.float64).eps, 1.0)
+        worth = 1.0 / np.maximum(misfit, 1.0)[..., None]
         seen = (axes * (worth * (1.0 / share - 1.0))[..., None, :]) @ axes.mT
-        off = (mean[..., of_map] - own.start) / std
+        off = (mean[..., of_map] - self._start) / std
         pull = (axes @ ((axes.mT @ off[..., None]) * (worth / share)[..., None]))[..., None, :, :]
 
-        severity = own.variance * (stated / prior)[..., None, :]
-        precision = seen[..., None, :, :] + own.identity / severity[..., None, :]
-        V = xp.linalg.inv(precision)
+        severity = self._variance * (stated / prior)[..., None, :]
+        precision = seen[..., None, :, :] + self._identity / severity[..., None, :]
+        V = np.linalg.inv(precision)
         found = V @ pull
-        _, size = xp.linalg.slogdet(precision)
-        evidence = xp.sum((found * pull)[..., 0], axis=-1) - size - xp.sum(xp.log(severity), axis=-1)
-        evidence = evidence + own.likely
-        weight = xp.exp(0.5 * (evidence - xp.max(evidence, axis=-1, keepdims=True)))
-        weight = (weight / xp.sum(weight, axis=-1, keepdims=True))[..., None, None]
-        mixed = xp.sum(weight * found, axis=-3)
+        _, size = np.linalg.slogdet(precision)
+        evidence = (found * pull)[..., 0].sum(axis=-1) - size - np.log(severity).sum(axis=-1)
+        evidence = evidence + self._likely
+        weight = np.exp(0.5 * (evidence - evidence.max(axis=-1, keepdims=True)))
+        weight = (weight / weight.sum(axis=-1, keepdims=True))[..., None, None]
+        mixed = (weight * found).sum(axis=-3)
         apart = found - mixed[..., None, :, :]
-        V = xp.sum(weight * (V + apart @ apart.mT), axis=-3)
-        return own.start + std * mixed[..., 0], 0.5 * (V + V.mT) * units
+        V = (weight * (V + apart @ apart.mT)).sum(axis=-3)
+        return self._start + std * mixed[..., 0], 0.5 * (V + V.mT) * units

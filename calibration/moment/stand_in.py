@@ -11,14 +11,14 @@ expected of cell i by the others is the conditional mean of a normal distributio
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.setup import OnlineSetup
 
 _STIFFNESS_ERROR = 0.03
 """Standard deviation in body weights of a force about what equal springs would give it."""
 
 _FLOOR = 1e-5
-"""Variance in body weights squared that is never gone below, so that the inverse is one in float32 too."""
+"""Variance in body weights squared that is never gone below: the inverse is one in C's float32 too."""
 
 _TYPICAL_ARM = 0.25
 """Typical distance of a centre of pressure from the middle of a foot, in extents of its cells."""
@@ -56,12 +56,12 @@ class StandIn:
                 prior[np.ix_(index, index)] = share @ spread @ share.T + ridge
                 together[np.ix_(index, index)] = 1.0
                 self.cells[index] = True
-        self._constants = Constants(prior=prior, together=together, identity=np.eye(K))
+        self._prior, self._together, self._identity = prior, together, np.eye(K)
         self._weight = weight
 
     def init(self, like: Array) -> Array:
         """Begin with equal springs: second moments in body weights squared, shape (..., K, K)."""
-        return self._constants.like(like).prior + 0.0 * like[..., None]
+        return self._prior + 0.0 * like[..., None]
 
     def learn(self, moments: Array, force: Array, good: Array) -> Array:
         """Take in forces that are trusted.
@@ -71,10 +71,9 @@ class StandIn:
             force: Calibrated forces of one block in N, shape (..., n, K).
             good: Whether they are trusted (bool), shape (...).
         """
-        xp, together = namespace_of(force), self._constants.like(force).together
         scaled = force / self._weight
-        seen = scaled.mT @ scaled / scaled.shape[-2] * together
-        return moments + xp.where(good[..., None, None], self._renewal * (seen - moments), 0.0)
+        seen = scaled.mT @ scaled / scaled.shape[-2] * self._together
+        return moments + np.where(good[..., None, None], self._renewal * (seen - moments), 0.0)
 
     def others(self, moments: Array, lost: Array) -> tuple[Array, Array]:
         """Return how each channel follows from those that are not lost.
@@ -87,18 +86,18 @@ class StandIn:
             Coefficients without a channel's own, shape (..., K, K), and standard deviations in N, shape
             (..., K).
         """
-        xp, identity = namespace_of(moments), self._constants.like(moments).identity
+        identity = self._identity
         moments = moments + _FLOOR * identity
         there = 1.0 - lost
         # Lost channels are cut off from the others, so that the inverse is that of those that are there.
         alone = identity * lost[..., None]
-        precision = xp.linalg.inv(moments * there[..., None] * there[..., None, :] + alone)
-        own = xp.linalg.diagonal(precision)
+        precision = np.linalg.inv(moments * there[..., None] * there[..., None, :] + alone)
+        own = np.linalg.diagonal(precision)
         by_others = (identity - precision / own[..., None]) * there[..., None]
         # For a lost channel: C_io C_oo^-1, with all of those that are there.
         of_lost = (moments * there[..., None, :]) @ precision * there[..., None, :]
         of_lost = of_lost * lost[..., None]
-        variance = xp.linalg.diagonal(moments) - xp.sum(of_lost * moments, axis=-1)
-        variance = xp.where(lost > 0.5, variance, 1.0 / own)
-        spread = xp.sqrt(xp.clip(variance, 0.0, None)) * self._weight
+        variance = np.linalg.diagonal(moments) - (of_lost * moments).sum(axis=-1)
+        variance = np.where(lost > 0.5, variance, 1.0 / own)
+        spread = np.sqrt(np.maximum(variance, 0.0)) * self._weight
         return by_others * there[..., None] + of_lost, spread

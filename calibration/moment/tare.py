@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.distal import DistalMasses
 from surefoot.calibration.moment.rows import Block, Rows
@@ -30,12 +30,9 @@ class Tare:
         self.unknowns, self.config = unknowns, config
         self._weight = setup.weight
         self._distal = DistalMasses(layout, setup.dt, config.span)
-        self._constants = Constants(
-            by_channel=np.eye(len(layout.feet))[:, layout.foot_of_channel],
-            vertical=layout.wrench_map[:, _UP],
-            offsets=np.eye(layout.channels, unknowns.size, unknowns.offset.start),
-            unit=unknowns.unit,
-        )
+        self._by_channel = np.eye(len(layout.feet))[:, layout.foot_of_channel]
+        self._vertical = layout.wrench_map[:, _UP]
+        self._offsets = np.eye(layout.channels, unknowns.size, unknowns.offset.start)
 
     def hanging(self, block: Block) -> tuple[Array, Array]:
         """Average readings while feet surely hang, with ``settle`` samples to spare on either side.
@@ -44,16 +41,16 @@ class Tare:
             Samples of each foot that count, shape (..., F), and the mean reading of each channel over its
             foot's, shape (..., K).
         """
-        xp, settle, every = namespace_of(block.force), self.config.settle, self.config.every
-        by_channel, middle = self._constants.like(block.force).by_channel, self.config.middle
+        settle, every = self.config.settle, self.config.every
+        by_channel, middle = self._by_channel, self.config.middle
         sure = block.swing[..., :every, :]
         for shift in range(1, 2 * settle + 1):
             sure = sure * block.swing[..., shift : shift + every, :]
         sure = sure * block.use[..., middle][..., None]
-        count = xp.sum(sure, axis=-2)
-        total = xp.sum((sure @ by_channel) * block.force[..., middle, :], axis=-2)
+        count = sure.sum(axis=-2)
+        total = ((sure @ by_channel) * block.force[..., middle, :]).sum(axis=-2)
         number = count @ by_channel
-        return count, total / xp.where(number > 0.5, number, 1.0)
+        return count, total / np.where(number > 0.5, number, 1.0)
 
     def load(self, mean: Array, reading: Array, spare: Array | None = None) -> tuple[Array, Array]:
         """Write the vertical force of each foot for a mean reading, about a level sole.
@@ -66,13 +63,12 @@ class Tare:
         Returns:
             In body weights, shape (..., F), and what scales and offsets do to it, shape (..., F, P + K).
         """
-        xp, own = namespace_of(reading), self._constants.like(reading)
-        up = own.vertical if spare is None else own.vertical @ spare
+        up = self._vertical if spare is None else self._vertical @ spare
         unknowns, up = self.unknowns, up / self._weight
-        scales = unknowns.by_scale(up, unknowns.tared(mean, reading, own.unit))
-        offsets = unknowns.by_offset(up + 0.0 * scales[..., :1], mean, own.unit)
+        scales = unknowns.by_scale(up, unknowns.tared(mean, reading))
+        offsets = unknowns.by_offset(up + 0.0 * scales[..., :1], mean)
         load = (scales @ mean[..., unknowns.scale, None])[..., 0]
-        return load, xp.concat([scales, offsets], axis=-1)
+        return load, np.concatenate([scales, offsets], axis=-1)
 
     def rows(self, mean: Array, block: Block, count: Array, reading: Array) -> Rows:
         """Write that feet in the air read nothing but what is beyond their sensors.
@@ -88,12 +84,11 @@ class Tare:
         Returns:
             One row a channel.
         """
-        xp, own = namespace_of(reading), self._constants.like(reading)
-        number = count @ own.by_channel
-        H = own.offsets + 0.0 * reading[..., None]
-        y = -reading / own.unit
+        number = count @ self._by_channel
+        H = self._offsets + 0.0 * reading[..., None]
+        y = -reading / self.unknowns.unit
         if self._distal.matter:
-            y = y + self._distal.felt(block.motion) / (own.unit * self.unknowns.own_scales(mean))
-        few = xp.where(number > 1.0, number, 1.0)
+            y = y + self._distal.felt(block.motion) / (self.unknowns.unit * self.unknowns.own_scales(mean))
+        few = np.where(number > 1.0, number, 1.0)
         variance = self.config.swing_noise**2 * _SWING_SAMPLES / few
-        return Rows(H, y, variance).keep(xp.astype(number > 0.5, reading.dtype))
+        return Rows(H, y, variance).keep(number > 0.5)

@@ -7,7 +7,7 @@ times the same row.
 
 import numpy as np
 
-from surefoot.calibration.arrays import Array, Constants, namespace_of, surely
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import Sample
 from surefoot.calibration.moment.state import MomentState
@@ -26,12 +26,9 @@ class Uncertainty:
     def __init__(self, setup: OnlineSetup, unknowns: Unknowns) -> None:
         K = setup.layout.channels
         self.unknowns = unknowns
-        self._constants = Constants(
-            own_scales=np.eye(K, unknowns.map.stop),
-            aged=np.diag(unknowns.aged[unknowns.map]),
-            identity=np.eye(K),
-            unit=unknowns.unit,
-        )
+        self._own_scales = np.eye(K, unknowns.map.stop)
+        self._aged = np.diag(unknowns.aged[unknowns.map])
+        self._identity = np.eye(K)
 
     def of_parameters(self, mean: Array, covariance: Array) -> Array:
         """Return the covariance of (a, b) of each channel, shape (..., 2K, 2K), for that of the unknowns.
@@ -42,11 +39,11 @@ class Uncertainty:
             mean: The unknowns, shape (..., N).
             covariance: That of scales and offsets, shape (..., P + K, P + K).
         """
-        xp, own, unknowns = namespace_of(mean), self._constants.like(covariance), self.unknowns
+        unknowns = self.unknowns
         # b is the force at a reading of no force by the starting map.
-        offsets = self.to_force(mean, xp.zeros_like(mean[..., unknowns.offset]))
-        rows = xp.concat([own.own_scales + 0.0 * offsets[..., :1], offsets], axis=-2)
-        return rows @ (covariance + own.aged) @ rows.mT
+        offsets = self.to_force(mean, np.zeros_like(mean[..., unknowns.offset]))
+        rows = np.concatenate([self._own_scales + 0.0 * offsets[..., :1], offsets], axis=-2)
+        return rows @ (covariance + self._aged) @ rows.mT
 
     def of_channels(self, learnt: Array) -> Array:
         """Return what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
@@ -54,9 +51,9 @@ class Uncertainty:
         Args:
             learnt: Covariance of (a, b), shape (..., 2K, 2K).
         """
-        xp, K = namespace_of(learnt), self.unknowns.channels
-        own = xp.linalg.diagonal(learnt)
-        return xp.stack([own[..., :K], 2.0 * xp.linalg.diagonal(learnt[..., :K, K:]), own[..., K:]], axis=-2)
+        K = self.unknowns.channels
+        own = np.linalg.diagonal(learnt)
+        return np.stack([own[..., :K], 2.0 * np.linalg.diagonal(learnt[..., :K, K:]), own[..., K:]], axis=-2)
 
     def of_estimate(self, estimate: Estimate, sample: Sample, state: MomentState) -> dict[str, Array]:
         """Return how sure an estimate is, by the names of its fields.
@@ -66,7 +63,7 @@ class Uncertainty:
             sample: The sample that it is of.
             state: What the filter knows.
         """
-        xp, unknowns, F0 = namespace_of(state.given), self.unknowns, sample.force
+        unknowns, F0 = self.unknowns, sample.force
         rows, load = sample.rows[..., 0, :, :], estimate.vgrf[..., 0]
         if sample.rows.shape[-3] == 2:
             rows, load = rows + sample.rows[..., 1, :, :], load + estimate.vgrf[..., 1]
@@ -74,21 +71,21 @@ class Uncertainty:
         if unknowns.diagonal and not state.faults.altered:
             scale, cross, offset = state.spread[..., 0, :], state.spread[..., 1, :], state.spread[..., 2, :]
             variance = (F0 * scale + cross) * F0 + offset
-            row = xp.concat([rows * F0[..., None, :], rows], axis=-1)
+            row = np.concatenate([rows * F0[..., None, :], rows], axis=-1)
         else:
             to_force = self._to_force_by_map(F0) if unknowns.diagonal else self.to_force(state.given, F0)
             if state.faults.altered:
                 to_force = state.faults.spare @ to_force
             if not unknowns.diagonal:
-                covariance = state.given_covariance + self._constants.like(F0).aged
+                covariance = state.given_covariance + self._aged
             variance = variances(to_force, covariance) + state.faults.spare_std**2
             row = rows @ to_force
-        if not surely(estimate.cop_valid):
-            load = xp.where(estimate.cop_valid, load, 1.0)
+        if not estimate.cop_valid.all():
+            load = np.where(estimate.cop_valid, load, 1.0)
         turned = to_cop(row, estimate.cop, load)
         return {
             "covariance": state.learnt,
-            "force_std": xp.sqrt(xp.where(variance > 0.0, variance, 0.0)),
+            "force_std": np.sqrt(np.where(variance > 0.0, variance, 0.0)),
             "cop_covariance": turned @ covariance @ turned.mT,
             "matrix": None if unknowns.diagonal else unknowns.matrix(state.given),
         }
@@ -100,21 +97,20 @@ class Uncertainty:
             mean: The unknowns, shape (..., N).
             force: Forces by the starting map in N, shape (..., K).
         """
-        xp, unknowns, own = namespace_of(mean), self.unknowns, self._constants.like(mean)
-        scales = unknowns.by_scale(own.identity, unknowns.tared(mean, force, own.unit))
-        offsets = unknowns.by_offset(own.identity, mean, own.unit)
-        return xp.concat([scales, offsets + 0.0 * scales[..., :1]], axis=-1)
+        unknowns = self.unknowns
+        scales = unknowns.by_scale(self._identity, unknowns.tared(mean, force))
+        offsets = unknowns.by_offset(self._identity, mean)
+        return np.concatenate([scales, offsets + 0.0 * scales[..., :1]], axis=-1)
 
     def _to_force_by_map(self, force: Array) -> Array:
         """Return what (a, b) of each channel do to the forces, shape (..., K, 2K)."""
-        xp, own = namespace_of(force), self._constants.like(force)
-        scales = own.identity * force[..., None, :]
-        return xp.concat([scales, own.identity + 0.0 * scales], axis=-1)
+        scales = self._identity * force[..., None, :]
+        return np.concatenate([scales, self._identity + 0.0 * scales], axis=-1)
 
 
 def variances(row: Array, covariance: Array) -> Array:
     """Return variances along rows, shapes (..., m, n) and (..., n, n) to (..., m)."""
-    return namespace_of(row).sum((row @ covariance) * row, axis=-1)
+    return ((row @ covariance) * row).sum(axis=-1)
 
 
 def to_cop(row: Array, cop: Array, load: Array) -> Array:

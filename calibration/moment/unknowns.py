@@ -14,7 +14,7 @@ A force is F = a (F0 + o). Scale and offset stand as a sensor has them: its zero
 says nothing of its scale. In F = a F0 + b a zero that drifts by d asks for b - a d, and a filter that holds
 a and b for independent finds a smaller scale at every swing.
 
-Units are chosen so that numbers are of order one and float32 is enough.
+Units are chosen so that numbers are of order one, and float32 is enough for the C library.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, in_a_row
+from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.reference import GRAVITY
@@ -110,29 +110,29 @@ class Unknowns:
         self.sure[self.mass] = (_UNSURE_MASS * config.mass_std) ** 2
         self.sure[self.com] = (config.com_known / setup.length) ** 2
         identity = np.eye(channels)
-        self._constants = Constants(gather=identity[self.out], inputs=identity[self.inp])
+        self._gather, self._inputs = identity[self.out], identity[self.inp]
 
     def own_scales(self, mean: Array) -> Array:
         """Return the scales of the channels on their own readings, shape (..., K)."""
         return mean[..., : self.channels]
 
-    def tared(self, mean: Array, force: Array, unit: Array) -> Array:
+    def tared(self, mean: Array, force: Array) -> Array:
         """Return F0 + o in N, shape (..., K), of forces by the starting map."""
-        return force + mean[..., self.offset] * unit
+        return force + mean[..., self.offset] * self.unit
 
-    def force(self, mean: Array, force: Array, unit: Array) -> Array:
+    def force(self, mean: Array, force: Array) -> Array:
         """Return corrected forces A (F0 + o) in N, shape (..., K), of those by the starting map."""
-        return self.scaled(mean, self.tared(mean, force, unit))
+        return self.scaled(mean, self.tared(mean, force))
 
     def scaled(self, mean: Array, tared: Array) -> Array:
         """Return A f in N, shape (..., K), of forces without their offsets."""
         if self.diagonal:
             return mean[..., self.scale] * tared
-        return (mean[..., self.scale] * tared[..., self.inp]) @ self._constants.like(tared).gather
+        return (mean[..., self.scale] * tared[..., self.inp]) @ self._gather
 
-    def offsets(self, mean: Array, unit: Array) -> Array:
+    def offsets(self, mean: Array) -> Array:
         """Return b = A o in N, shape (..., K), so that F = A F0 + b."""
-        return self.scaled(mean, mean[..., self.offset] * unit)
+        return self.scaled(mean, mean[..., self.offset] * self.unit)
 
     def by_scale(self, rows: Array, tared: Array) -> Array:
         """Return what scales do to rows that are linear in the channels' forces.
@@ -148,16 +148,15 @@ class Unknowns:
             return rows * tared[..., None, :]
         return rows[..., self.out] * tared[..., self.inp][..., None, :]
 
-    def by_offset(self, rows: Array, mean: Array, unit: Array) -> Array:
+    def by_offset(self, rows: Array, mean: Array) -> Array:
         """Return what offsets do to such rows, shape (..., m, K)."""
         if self.diagonal:
-            return rows * (mean[..., self.scale] * unit)[..., None, :]
-        return rows @ self.matrix(mean) * unit
+            return rows * (mean[..., self.scale] * self.unit)[..., None, :]
+        return rows @ self.matrix(mean) * self.unit
 
     def matrix(self, mean: Array) -> Array:
         """Return the scales as a matrix A, shape (..., K, K)."""
-        own = self._constants.like(mean)
-        return (own.gather * mean[..., self.scale, None]).mT @ own.inputs
+        return (self._gather * mean[..., self.scale, None]).mT @ self._inputs
 
 
 def _talks(layout: FeetLayout) -> Iterator[tuple[int, int]]:

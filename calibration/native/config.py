@@ -19,8 +19,6 @@ from surefoot.calibration.window.config import WindowConfig
 from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.native import Library, c_header, required
 
-_LIKE = np.zeros(1)
-
 _METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
 """Numbers of methods in ``library.c``."""
 
@@ -67,7 +65,7 @@ def constants_of(
     """Return the constants; ``None`` for a method or a robot that the library is not made for."""
     if method not in _METHODS:
         return None
-    number, raw = _METHODS[method], np.zeros(setup.layout.channels, library.real)
+    number, raw = _METHODS[method], np.zeros(setup.layout.channels)
     values: dict[str, Any] = {}
     own: dict[str, Any] = {}
     like: Any
@@ -167,7 +165,7 @@ def _robot(front: FrontEnd) -> dict[str, Any]:
 def _window(window: SlidingWindow) -> dict[str, Any]:
     """Return the constants of a sliding window by their names in ``sf_window_config``."""
     config, setup, standing = window.config, window.setup, window._standing
-    own, ends = window._constants.like(_LIKE), [0, setup.layout.channels]
+    ends = [0, setup.layout.channels]
     transfer, steady = np.zeros((3, 3)), np.zeros((2, 1))
     if config.cutoff is not None:
         transfer, steady = coefficients(config.cutoff, setup.dt)
@@ -188,11 +186,11 @@ def _window(window: SlidingWindow) -> dict[str, Any]:
         "gross_length": config.gross_error * setup.length,
         "outlier": config.outlier_threshold**2,
         "least": config.minimum_share * window._length,
-        "spread": own.spread[ends],
-        "step_bound": own.step_bound[ends],
-        "rate_bound": own.rate_bound[ends],
-        "lowest": own.lowest[ends],
-        "highest": own.highest[ends],
+        "spread": window._spread[ends],
+        "step_bound": window._step_bound[ends],
+        "rate_bound": window._rate_bound[ends],
+        "lowest": window._lowest[ends],
+        "highest": window._highest[ends],
         "transfer": transfer,
         "steady": steady[:, 0],
         "warm_up": standing.warm_up,
@@ -210,19 +208,14 @@ def _window(window: SlidingWindow) -> dict[str, Any]:
 def _moment(stream: MomentStream) -> dict[str, Any]:
     """Return the moment filter's own constants by their names in ``sf_config``."""
     config, unknowns = stream.config, stream.unknowns
-    own, newton = stream._constants.like(_LIKE), stream.newton_euler
-    faults = stream._faults
-    rows, distal = newton._constants.like(_LIKE), newton._distal
-    beyond = distal._constants.like(_LIKE)
-    stand_in, hypotheses = faults.stand_in._constants.like(_LIKE), faults.hypotheses
-    load = hypotheses._constants.like(_LIKE)
-    parity = stream.parity._constants.like(_LIKE).parity
+    newton, faults, parity = stream.newton_euler, stream._faults, stream.parity._parity
+    distal, stand_in, hypotheses = newton._distal, faults.stand_in, faults.hypotheses
     return {
         "every": config.every,
         "average": config.average,
         "settle": config.settle,
         "kinds": newton.kinds,
-        "sensors": len(beyond.mass),
+        "sensors": len(distal._mass),
         "parities": len(parity),
         "pairs": len(hypotheses._first),
         "keep_every": stream._keep_every,
@@ -230,22 +223,22 @@ def _moment(stream: MomentStream) -> dict[str, Any]:
         "talks": unknowns.scales - unknowns.channels,
         "talk_to": unknowns.out[unknowns.channels :],
         "talk_from": unknowns.inp[unknowns.channels :],
-        "cells": faults.stand_in.cells,
-        "together": stand_in.together,
+        "cells": stand_in.cells,
+        "together": stand_in._together,
         "first": hypotheses._first,
         "second": hypotheses._second,
         "foot_of_sensor": distal._foot_of,
         "unit": unknowns.unit,
         "start": unknowns.start,
-        "first_variance": np.diagonal(own.covariance),
-        "walk": np.diagonal(own.walk),
+        "first_variance": np.diagonal(stream._covariance),
+        "walk": np.diagonal(stream._walk),
         "learnt": unknowns.learnt,
         "sure": unknowns.sure,
-        "change": np.diagonal(own.change),
+        "change": np.diagonal(stream._change),
         "aged": unknowns.aged[unknowns.map],
         "stated": unknowns.std[unknowns.map] ** 2,
-        "row_scale": rows.scale,
-        "row_variance": rows.variance,
+        "row_scale": newton._scale,
+        "row_variance": newton._variance,
         "timing_noise": config.timing_noise,
         "gate": config.gate,
         "reject": config.reject,
@@ -256,14 +249,14 @@ def _moment(stream: MomentStream) -> dict[str, Any]:
         "parity_noise": config.parity_noise,
         "parity": parity,
         "leap": faults._leap,
-        "renewal": faults.stand_in._renewal,
-        "prior": stand_in.prior,
-        "load_largest": load.largest,
-        "load_loose": np.diagonal(load.loose),
-        "sensor_mass": beyond.mass,
-        "sensor_com": beyond.com,
-        "sensor_share": beyond.share,
-        "felt": beyond.felt,
-        "curve_every": distal._curves[config.every].like(_LIKE).curve,
-        "curve_span": distal._curves[config.span].like(_LIKE).curve,
+        "renewal": stand_in._renewal,
+        "prior": stand_in._prior,
+        "load_largest": hypotheses._largest,
+        "load_loose": np.diagonal(hypotheses._loose),
+        "sensor_mass": distal._mass,
+        "sensor_com": distal._com,
+        "sensor_share": distal._share,
+        "felt": distal._felt,
+        "curve_every": distal._curves[config.every],
+        "curve_span": distal._curves[config.span],
     }

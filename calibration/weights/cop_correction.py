@@ -20,10 +20,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.arrays import Array, constant_like
+from surefoot.calibration.arrays import Array
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_cells
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
@@ -80,16 +79,15 @@ class CopCorrectionFit:
         The polynomial holds where weights stood; beyond the outermost holes it is a guess.
 
         Args:
-            force: Forces of the cells in N, shape (..., k); any array library.
+            force: Forces of the cells in N, shape (..., k).
 
         Returns:
             Centre of pressure on the sole in m, shape (..., 2); NaN below the threshold.
         """
-        xp = array_namespace(force)
-        raw_cop = cop_of_cells(force, constant_like(self.position_cell_sole, force), self.threshold)
-        known_force = xp.where(xp.isfinite(raw_cop[..., :1]), force, xp.zeros_like(force))
+        raw_cop = cop_of_cells(force, self.position_cell_sole, self.threshold)
+        known_force = np.where(np.isfinite(raw_cop[..., :1]), force, np.zeros_like(force))
         basis = _correction_basis(raw_cop, known_force)
-        return raw_cop + xp.matmul(basis[..., None, :], constant_like(self.value.T, force))[..., 0, :]
+        return raw_cop + (basis[..., None, :] @ self.value.T)[..., 0, :]
 
     def score(self, force: ArrayLike, load: ArrayLike, position_weight: ArrayLike) -> PlacementScore:
         """Score the correction on placements, such as ones that it was not fitted to.
@@ -122,10 +120,9 @@ def _rms(error: NDArray[np.float64]) -> float:
 
 def _correction_basis(cop: Array, force: Array) -> Array:
     """Evaluate (1, x, y, x^2, x y, y^2, F_1, ..., F_k) of CoP paper, Eq. 4, shape (..., 6 + k)."""
-    xp = array_namespace(cop, force)
     x, y = cop[..., 0], cop[..., 1]
-    polynomial = xp.stack([xp.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)
-    return xp.concat([polynomial, force], axis=-1)
+    polynomial = np.stack([np.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)
+    return np.concatenate([polynomial, force], axis=-1)
 
 
 def fit_cop_correction(

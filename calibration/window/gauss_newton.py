@@ -16,7 +16,9 @@ with s the standard deviation of a parameter's change between two updates, so th
 
 from typing import NamedTuple
 
-from surefoot.calibration.arrays import Array, namespace_of
+import numpy as np
+
+from surefoot.calibration.arrays import Array
 
 _MEDIAN_OF_SQUARE = 0.79
 """Median of the mean of three squared normal deviates: what makes a median comparable with a variance."""
@@ -70,19 +72,18 @@ def linearise(
 def _linearise(
     theta: Array, phi: Array, scaled: Array, vgrf: Array, use: Array, weights: Weights
 ) -> Linearised:
-    xp = namespace_of(phi)
-    flat = xp.reshape(phi, (*phi.shape[:-3], -1, phi.shape[-1]))
-    moment = xp.reshape(xp.matmul(flat, theta[..., None]), phi.shape[:-1])
+    flat = phi.reshape(*phi.shape[:-3], -1, phi.shape[-1])
+    moment = (flat @ theta[..., None]).reshape(phi.shape[:-1])
     fz = moment[..., :1]
     counts = (fz > weights.threshold) & (use[..., None] > 0.5)
-    mask = xp.astype(counts, fz.dtype)
-    per_force = mask / xp.where(counts, fz, 1.0)
+    mask = counts.astype(np.float64)
+    per_force = mask / np.where(counts, fz, 1.0)
     cop_error = moment[..., 1:] * per_force
     by_force = weights.force * mask
-    residual = xp.concat([by_force * (fz - vgrf[..., None]), weights.cop * cop_error], axis=-1)
+    residual = np.concatenate([by_force * (fz - vgrf[..., None]), weights.cop * cop_error], axis=-1)
     vertical = scaled[..., :1, :]
     lever = scaled[..., 1:, :] - cop_error[..., None] * vertical
-    jacobian = xp.concat(
+    jacobian = np.concatenate(
         [by_force[..., None] * vertical, (weights.cop * per_force)[..., None] * lever], axis=-2
     )
     return Linearised(residual, jacobian)
@@ -93,7 +94,7 @@ class WindowSolution(NamedTuple):
 
     Attributes:
         theta: Parameters, shape (..., 2K).
-        solvable: Whether the normal equations could be solved safely in this precision (bool), shape (...).
+        solvable: Whether the normal equations could be solved safely (bool), shape (...).
     """
 
     theta: Array
@@ -129,30 +130,28 @@ def gauss_newton(
         identity: The identity matrix, shape (2K, 2K).
         iterations: How many steps to take.
     """
-    xp = namespace_of(phi)
-    batch, unknowns = tuple(last.shape[:-1]), last.shape[-1]
-    largest = 0.01 / float(xp.finfo(last.dtype).eps)
+    batch, unknowns = last.shape[:-1], last.shape[-1]
+    largest = 0.01 / np.finfo(np.float64).eps
     scaled = phi * spread
     theta, solvable = last, None
     for _ in range(iterations):
         r, J = _linearise(theta, phi, scaled, vgrf, use, weights)
-        J = xp.reshape(J, (*batch, -1, unknowns))
-        Jt = xp.matrix_transpose(J)
-        H = xp.matmul(Jt, J)
-        g = xp.matmul(Jt, xp.reshape(r, (*batch, -1, 1))) + ((theta - last) / spread)[..., None]
+        J = J.reshape(*batch, -1, unknowns)
+        Jt = J.mT
+        H = Jt @ J
+        g = Jt @ r.reshape(*batch, -1, 1) + ((theta - last) / spread)[..., None]
         if solvable is None:
-            solvable = 1.0 + xp.sum(H * identity, axis=(-2, -1)) < largest
+            solvable = 1.0 + (H * identity).sum(axis=(-2, -1)) < largest
         safe = solvable[..., None, None]
-        change = xp.linalg.solve(xp.where(safe, H, 0.0) + identity, xp.where(safe, g, 0.0))[..., 0]
+        change = np.linalg.solve(np.where(safe, H, 0.0) + identity, np.where(safe, g, 0.0))[..., 0]
         theta = theta - shorten(spread * change, bound)
     return WindowSolution(theta, solvable)
 
 
 def shorten(change: Array, bound: Array) -> Array:
     """Scale a change down, its direction kept, until every parameter's part is within its bound."""
-    xp = namespace_of(change)
-    excess = xp.max(xp.abs(change) / bound, axis=-1)
-    return change / xp.where(excess > 1.0, excess, 1.0)[..., None]
+    excess = (np.abs(change) / bound).max(axis=-1)
+    return change / np.where(excess > 1.0, excess, 1.0)[..., None]
 
 
 def typical_square(square: Array, use: Array) -> Array:
@@ -165,9 +164,8 @@ def typical_square(square: Array, use: Array) -> Array:
     Returns:
         Variance, zero where nothing is used, shape (...).
     """
-    xp = namespace_of(square)
-    count = xp.sum(use, axis=-1)[..., None]
-    ordered = xp.sort(xp.where(use > 0.5, square, _LARGE), axis=-1)
-    rank = xp.cumulative_sum(xp.ones_like(ordered), axis=-1) - 1.0
+    count = use.sum(axis=-1)[..., None]
+    ordered = np.sort(np.where(use > 0.5, square, _LARGE), axis=-1)
+    rank = np.arange(ordered.shape[-1])
     middle = (rank <= 0.5 * (count - 1.0)) & (rank > 0.5 * (count - 1.0) - 1.0)
-    return xp.sum(xp.where(middle, ordered, 0.0), axis=-1) / _MEDIAN_OF_SQUARE
+    return np.where(middle, ordered, 0.0).sum(axis=-1) / _MEDIAN_OF_SQUARE

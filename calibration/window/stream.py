@@ -7,10 +7,9 @@ in :mod:`surefoot.calibration.window.config`.
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import device as device_of
 from numpy.typing import NDArray
 
-from surefoot.calibration.arrays import Array, Constants, constant_like, in_a_row, namespace_of
+from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.filters import low_pass
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState, Sample
@@ -118,14 +117,12 @@ class SlidingWindow:
 
         rigidity = 1.0 / np.sqrt(config.smoothness_weight)
         period = config.every * setup.dt
-        self._constants = Constants(
-            spread=per_channel(config.scale_step, config.offset_step) * rigidity,
-            step_bound=per_channel(config.scale_step_bound, config.offset_step_bound),
-            rate_bound=per_channel(config.scale_rate, config.offset_rate) * period,
-            lowest=per_channel(config.scale_range[0], -config.offset_range),
-            highest=per_channel(config.scale_range[1], config.offset_range),
-            identity=np.eye(2 * K),
-        )
+        self._spread = per_channel(config.scale_step, config.offset_step) * rigidity
+        self._step_bound = per_channel(config.scale_step_bound, config.offset_step_bound)
+        self._rate_bound = per_channel(config.scale_rate, config.offset_rate) * period
+        self._lowest = per_channel(config.scale_range[0], -config.offset_range)
+        self._highest = per_channel(config.scale_range[1], config.offset_range)
+        self._identity = np.eye(2 * K)
         # Quiet standing is one sample over and over: all of them together count as one. Taken for
         # independent, the drift and the noise within them would be taken for load, and pull the scales down.
         repeats = float(np.sqrt(max(config.standing_duration / setup.dt, config.standing_samples)))
@@ -147,12 +144,11 @@ class SlidingWindow:
     def init(self, raw: Array) -> WindowState:
         """Return the state before any sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
         front = self._front_end.init(raw)
-        xp, device = namespace_of(raw), device_of(raw)
-        batch, K, feet = tuple(raw.shape[:-1]), self.setup.layout.channels, len(self.setup.layout.feet)
+        batch, K, feet = raw.shape[:-1], self.setup.layout.channels, len(self.setup.layout.feet)
         numbers = self._sample.vgrf.stop
 
-        def zeros(*tail: int, dtype: Any = raw.dtype) -> Array:
-            return xp.zeros((*batch, *tail), dtype=dtype, device=device)
+        def zeros(*tail: int, dtype: Any = np.float64) -> Array:
+            return np.zeros((*batch, *tail), dtype=dtype)
 
         return WindowState(
             front=front,
@@ -160,14 +156,14 @@ class SlidingWindow:
             pending=zeros(self.config.every, self._pending.settled.stop),
             filter=zeros(2, numbers),
             latest=zeros(numbers),
-            started=zeros(dtype=xp.bool),
-            contact=zeros(2 * feet, dtype=xp.bool),
-            since_change=zeros(dtype=xp.int64),
+            started=zeros(dtype=np.bool),
+            contact=zeros(2 * feet, dtype=np.bool),
+            since_change=zeros(dtype=np.int64),
             samples=zeros(self._length, self._sample.changing.stop),
-            theta=zeros(2 * K) + constant_like(np.repeat([1.0, 0.0], K), raw),
-            status=zeros(dtype=xp.int64),
+            theta=zeros(2 * K) + np.repeat([1.0, 0.0], K),
+            status=zeros(dtype=np.int64),
             standing=self._standing.init(raw),
-            walking=zeros(dtype=xp.bool) | (not self.config.standing_start),
+            walking=zeros(dtype=np.bool) | (not self.config.standing_start),
             all_walking=int(not self.config.standing_start),
         )
 
@@ -175,13 +171,13 @@ class SlidingWindow:
         self, state: WindowState, raw: Array, reference: Reference, dt: float
     ) -> tuple[WindowState, Estimate]:
         """Take in one sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
-        xp, K = namespace_of(raw), self.setup.layout.channels
+        K = self.setup.layout.channels
         front, sample = self._front_end.observe(state.front, raw, reference, dt)
         if not state.all_walking:
             state = self._stand(state, sample, dt)
         if sample.gap:
             state = _without_samples(state)
-        notes = xp.concat(
+        notes = np.concatenate(
             [
                 sample.stance,
                 sample.stance | sample.swing,
@@ -190,11 +186,11 @@ class SlidingWindow:
             ],
             axis=-1,
         )
-        newest = xp.concat([sample.past, sample.motion, xp.astype(notes, raw.dtype)], axis=-1)
+        newest = np.concatenate([sample.past, sample.motion, notes], axis=-1)
         state = state._replace(
             front=front,
             step=state.step + 1,
-            pending=xp.concat([state.pending[..., 1:, :], newest[..., None, :]], axis=-2),
+            pending=np.concatenate([state.pending[..., 1:, :], newest[..., None, :]], axis=-2),
         )
         if state.step % self.config.every == 0:
             state = self._solve(self._collect(state))
@@ -206,109 +202,100 @@ class SlidingWindow:
 
     def _stand(self, state: WindowState, sample: Sample, dt: float) -> WindowState:
         """Collect the standing start and end it: by its solution, or because the robot walks already."""
-        xp = namespace_of(sample.past)
         _, cop, physical = self._front_end.motions.ground(sample.motion)
-        usable = xp.where((sample.good & physical)[..., None], sample.past, xp.nan)
+        usable = np.where((sample.good & physical)[..., None], sample.past, np.nan)
         reference = self._front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
         # A robot that already leans towards its first step is not quite at rest: where the ground's force
         # must act by its motion takes the place of the point below its centre of mass. At rest they agree.
-        reference = reference._replace(com=xp.concat([cop, reference.com[..., 2:]], axis=-1))
+        reference = reference._replace(com=np.concatenate([cop, reference.com[..., 2:]], axis=-1))
         step = self.setup.dt if sample.gap else dt
         standing = self._standing.update(state.standing, usable, reference, step)
-        leaving = xp.any(sample.swing, axis=-1) | (standing.time > self.config.standing_patience)
+        leaving = sample.swing.any(axis=-1) | (standing.time > self.config.standing_patience)
         leaving = leaving & ~state.walking
         ready = self._standing.ready(standing) | leaving
         ready = ready & ~state.walking & (standing.samples >= self._standing.minimum_samples)
         theta, walking = state.theta, state.walking
-        if bool(xp.any(ready)):
+        if ready.any():
             correction = self._standing.solve(standing).correction
-            solved = xp.concat([correction.scale, correction.offset / self.setup.weight], axis=-1)
-            own = self._constants.like(theta)
-            solved = xp.clip(xp.astype(solved, theta.dtype), own.lowest, own.highest)
-            theta = xp.where(ready[..., None], solved, theta)
+            solved = np.concatenate([correction.scale, correction.offset / self.setup.weight], axis=-1)
+            solved = np.clip(solved, self._lowest, self._highest)
+            theta = np.where(ready[..., None], solved, theta)
         walking = walking | ready | leaving
-        return state._replace(
-            standing=standing, theta=theta, walking=walking, all_walking=int(bool(xp.all(walking)))
-        )
+        return state._replace(standing=standing, theta=theta, walking=walking, all_walking=int(walking.all()))
 
     def _collect(self, state: WindowState) -> WindowState:
         """Pass the pending samples through the filter into the window.
 
         What does not depend on the order of samples is computed for all of them at once.
         """
-        xp, K, weight, config = (
-            namespace_of(state.theta),
-            self.setup.layout.channels,
-            self._weight,
-            self.config,
-        )
+        K, weight, config = self.setup.layout.channels, self._weight, self.config
         pending, at, every = state.pending, self._pending, self.config.every
         past, motion = pending[..., at.force], pending[..., at.motion]
-        stance, sure = pending[..., at.stance] > 0.5, xp.all(pending[..., at.sure] > 0.5, axis=-1)
+        stance, sure = pending[..., at.stance] > 0.5, (pending[..., at.sure] > 0.5).all(axis=-1)
         good, settled = (pending[..., part][..., 0] > 0.5 for part in (at.good, at.settled))
 
         vgrf, cop, physical = self._front_end.motions.ground(motion)
         rows = self._front_end.motions.rows(motion)
         theta = state.theta[..., None, :]
         calibrated = theta[..., :K] * past + theta[..., K:] * weight
-        by_foot = xp.matmul(rows, calibrated[..., None, :, None])[..., 0]
-        contact = xp.concat([by_foot[..., 0] > self.setup.force_threshold, stance], axis=-1)
-        moment, rows = xp.sum(by_foot, axis=-2), xp.sum(rows, axis=-3)
+        by_foot = (rows @ calibrated[..., None, :, None])[..., 0]
+        contact = np.concatenate([by_foot[..., 0] > self.setup.force_threshold, stance], axis=-1)
+        moment, rows = by_foot.sum(axis=-2), rows.sum(axis=-3)
 
         fz = moment[..., 0]
-        cop_error = xp.abs(moment[..., 1:] - cop * fz[..., None])
-        near = xp.all(cop_error <= self._gross_length * fz[..., None], axis=-1)
-        good = good & physical & near & (xp.abs(fz - vgrf) <= config.gross_error * weight)
+        cop_error = np.abs(moment[..., 1:] - cop * fz[..., None])
+        near = (cop_error <= self._gross_length * fz[..., None]).all(axis=-1)
+        good = good & physical & near & (np.abs(fz - vgrf) <= config.gross_error * weight)
 
         vertical = rows[..., :1, :]
-        rows = xp.concat([vertical, rows[..., 1:, :] - cop[..., None] * vertical], axis=-2)
-        numbers = xp.concat([rows * past[..., None, :], rows * weight], axis=-1)
-        numbers = xp.concat([xp.reshape(numbers, (*fz.shape, 6 * K)), vgrf[..., None]], axis=-1)
+        rows = np.concatenate([vertical, rows[..., 1:, :] - cop[..., None] * vertical], axis=-2)
+        numbers = np.concatenate([rows * past[..., None, :], rows * weight], axis=-1)
+        numbers = np.concatenate([numbers.reshape(*fz.shape, 6 * K), vgrf[..., None]], axis=-1)
 
         filtered, since = [], []
         filter_state, latest, started = state.filter, state.latest, state.started
         before, since_change = state.contact, state.since_change
         for k in range(every):
-            latest = xp.where(good[..., k, None], numbers[..., k, :], latest)
+            latest = np.where(good[..., k, None], numbers[..., k, :], latest)
             output = latest
             if self._filter is not None:
                 steady = self._filter.init(latest)
-                filter_state = xp.where(started[..., None, None], filter_state, steady)
+                filter_state = np.where(started[..., None, None], filter_state, steady)
                 output, filter_state = self._filter.apply(latest, filter_state)
             started = started | good[..., k]
-            unchanged = xp.all(contact[..., k, :] == before, axis=-1) & sure[..., k]
+            unchanged = (contact[..., k, :] == before).all(axis=-1) & sure[..., k]
             before, since_change = contact[..., k, :], (since_change + 1) * unchanged
             filtered.append(output[..., None, :])
             since.append(since_change[..., None])
-        changing = xp.concat(since, axis=-1) < self._transition
-        notes = xp.concat([(good & settled)[..., None], changing[..., None]], axis=-1)
-        newest = xp.concat([xp.concat(filtered, axis=-2), xp.astype(notes, past.dtype)], axis=-1)
+        changing = np.concatenate(since, axis=-1) < self._transition
+        notes = np.concatenate([(good & settled)[..., None], changing[..., None]], axis=-1)
+        newest = np.concatenate([np.concatenate(filtered, axis=-2), notes], axis=-1)
         return state._replace(
             filter=filter_state,
             latest=latest,
             started=started,
             contact=before,
             since_change=since_change,
-            samples=xp.concat([state.samples[..., every:, :], newest], axis=-2),
+            samples=np.concatenate([state.samples[..., every:, :], newest], axis=-2),
         )
 
     def _solve(self, state: WindowState) -> WindowState:
         """Solve Eq. 14 on the window, with every bound that keeps a bad window from doing harm."""
         config, weights = self.config, self._weights
-        xp, K, last = namespace_of(state.theta), self.setup.layout.channels, state.theta
-        own, batch, at = self._constants.like(last), tuple(last.shape[:-1]), self._sample
-        phi = xp.reshape(state.samples[..., at.rows], (*batch, self._length, 3, 2 * K))
+        K, last = self.setup.layout.channels, state.theta
+        batch, at = last.shape[:-1], self._sample
+        phi = state.samples[..., at.rows].reshape(*batch, self._length, 3, 2 * K)
         vgrf, use, changing = (state.samples[..., part][..., 0] for part in (at.vgrf, at.use, at.changing))
 
-        fz = xp.matmul(phi[..., 0, :], last[..., None])[..., 0]
-        use = xp.where(fz > weights.threshold, use, 0.0)
+        fz = (phi[..., 0, :] @ last[..., None])[..., 0]
+        use = np.where(fz > weights.threshold, use, 0.0)
         r = linearise(last, phi, vgrf, use, weights).residual
-        square = xp.sum(r * r, axis=-1) / 3.0
+        square = (r * r).sum(axis=-1) / 3.0
         typical = typical_square(square, use)
-        limit = config.outlier_threshold**2 * xp.where(typical > 1.0, typical, 1.0)
+        limit = config.outlier_threshold**2 * np.where(typical > 1.0, typical, 1.0)
         outlier = (changing > 0.5) & (square > limit[..., None])
-        use = xp.where(outlier, 0.0, use)
-        enough = xp.sum(use, axis=-1) >= config.minimum_share * self._length
+        use = np.where(outlier, 0.0, use)
+        enough = use.sum(axis=-1) >= config.minimum_share * self._length
 
         theta, solvable = gauss_newton(
             last,
@@ -316,18 +303,18 @@ class SlidingWindow:
             vgrf,
             use,
             weights,
-            spread=own.spread,
-            bound=own.step_bound,
-            identity=own.identity,
+            spread=self._spread,
+            bound=self._step_bound,
+            identity=self._identity,
             iterations=config.iterations,
         )
-        theta = last + shorten(theta - last, own.rate_bound)
-        theta = xp.where(theta < own.lowest, own.lowest, xp.where(theta > own.highest, own.highest, theta))
-        accept = enough & solvable & state.walking & xp.all(xp.isfinite(theta), axis=-1)
-        status = xp.where(enough, 0, int(Flag.NO_CONTACT))
-        status = status | xp.where(solvable | ~enough, 0, int(Flag.SINGULAR))
+        theta = last + shorten(theta - last, self._rate_bound)
+        theta = np.clip(theta, self._lowest, self._highest)
+        accept = enough & solvable & state.walking & np.isfinite(theta).all(axis=-1)
+        status = np.where(enough, 0, int(Flag.NO_CONTACT))
+        status = status | np.where(solvable | ~enough, 0, int(Flag.SINGULAR))
         return state._replace(
-            theta=xp.where(accept[..., None], theta, last), status=xp.where(state.walking, status, 0)
+            theta=np.where(accept[..., None], theta, last), status=np.where(state.walking, status, 0)
         )
 
 

@@ -133,7 +133,7 @@ class Body:
             gyroscope=np.zeros((self.n, 3)),
         )
         F0 = np.linalg.solve(self.A, (self.channels() - self.offset).T).T
-        motion = self.stream._front_end.motions.flatten(believed, F0)
+        motion = self.stream._front_end.motions.flatten(believed)
         return block_of(F0, motion, np.zeros((self.n, self.feet)))
 
     @property

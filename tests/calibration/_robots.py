@@ -12,13 +12,12 @@ def rows_of(reference, k):
     return Reference(*(part[k] for part in reference))
 
 
-def stream(method, raw, reference, state=None, convert=np.asarray, dt=DT):
+def stream(method, raw, reference, state=None, dt=DT):
     """Stream samples, and hand back the state, the last estimate, and (nis, rows) of each block."""
-    state = method.init(convert(raw[0])) if state is None else state
+    state = method.init(raw[0]) if state is None else state
     blocks = []
     for k in range(len(raw)):
-        row = Reference(*(convert(part[k]) for part in reference))
-        state, estimate = method.update(state, convert(raw[k]), row, dt)
+        state, estimate = method.update(state, raw[k], rows_of(reference, k), dt)
         if estimate.nis is not None and np.isfinite(np.asarray(estimate.nis)).all():
             blocks.append((np.asarray(estimate.nis), np.asarray(estimate.nis_rows)))
     return state, estimate, blocks

@@ -49,7 +49,7 @@ def log():
 def blocks_of(log, config, unknowns):
     """Rows of all whole blocks at the truth, and the sample that each ends before."""
     newton_euler, tare = (kind(log.setup, config, unknowns) for kind in (NewtonEuler, Tare))
-    motion = Motions(log.setup).flatten(log.reference, log.raw)
+    motion = Motions(log.setup).flatten(log.reference)
     span, ones = config.every + 2 * config.settle, np.ones(len(log.raw))
     for end in range(config.every, len(log.raw) + 1, config.every):
         if end < span:

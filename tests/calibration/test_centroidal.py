@@ -16,16 +16,16 @@ BATCH = (6,)
 def beliefs(com, acceleration, rate, height=0.0):
     """A reference with both feet on level ground at a height."""
     batch = com.shape[:-1]
-    position = np.zeros((*batch, 2, 3), dtype=com.dtype)
+    position = np.zeros((*batch, 2, 3))
     position[..., 1] = (0.05, -0.05)
     position[..., 2] = np.asarray(height)[..., None]
-    still = np.zeros((*batch, 3), dtype=com.dtype)
+    still = np.zeros((*batch, 3))
     return Reference(
         com=com,
         com_acceleration=acceleration,
         angular_momentum_rate=rate,
         position_sole=position,
-        R_level_sole=np.broadcast_to(np.eye(3, dtype=com.dtype), (*batch, 2, 3, 3)),
+        R_level_sole=np.broadcast_to(np.eye(3), (*batch, 2, 3, 3)),
         stance=np.ones((*batch, 2), dtype=bool),
         swing=np.zeros((*batch, 2), dtype=bool),
         accelerometer=still,
@@ -33,11 +33,11 @@ def beliefs(com, acceleration, rate, height=0.0):
     )
 
 
-def moving(rng, batch=BATCH, dtype=np.float64):
+def moving(rng, batch=BATCH):
     com = rng.uniform((-1.0, -1.0, 0.5), (1.0, 1.0, 2.5), (*batch, 3))
     acceleration = rng.uniform(-2.0, 2.0, (*batch, 3))
     rate = rng.uniform(-3.0, 3.0, (*batch, 3))
-    return beliefs(com.astype(dtype), acceleration.astype(dtype), rate.astype(dtype), np.full(batch, 0.1))
+    return beliefs(com, acceleration, rate, np.full(batch, 0.1))
 
 
 @settings(deadline=None, derandomize=True, max_examples=100)
@@ -178,20 +178,6 @@ def test_batch_is_the_loop_with_a_mass_for_each():
             np.testing.assert_allclose(together[i], single, rtol=1e-14)
     for before, after in zip(kept, reference, strict=True):
         np.testing.assert_array_equal(before, after)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_torch_is_numpy_and_the_dtype_is_kept(dtype):
-    torch = pytest.importorskip("torch")
-    reference = moving(np.random.default_rng(13), dtype=dtype)
-    tensors = Reference(*(torch.from_numpy(np.array(field)) for field in reference))
-    for quasi_static in (False, True):
-        expected = ground_reference(reference, 5.3, quasi_static=quasi_static)
-        found = ground_reference(tensors, 5.3, quasi_static=quasi_static)
-        for ours, theirs in zip(found, expected, strict=True):
-            assert theirs.dtype == dtype
-            assert ours.numpy().dtype == dtype
-            np.testing.assert_allclose(ours.numpy(), theirs, rtol=1e-12 if dtype == np.float64 else 1e-5)
 
 
 @pytest.mark.parametrize("field", ["com", "com_acceleration", "angular_momentum_rate", "position_sole"])

@@ -185,24 +185,6 @@ def test_a_force_plate_is_a_foot_alone():
     assert moment_rows(plate, position, R).shape == (1, 1, 3, 4)
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_torch_is_numpy_and_the_dtype_is_kept(dtype):
-    torch = pytest.importorskip("torch")
-    arrays = [array.astype(dtype) for array in feet(np.random.default_rng(7), (5,))]
-    arrays[0][0] = 0.1
-    tensors = [torch.from_numpy(array.copy()) for array in arrays]
-    expected = cop_of_feet(sole_wrenches(arrays[0], LAYOUT), *arrays[1:])
-    found = cop_of_feet(sole_wrenches(tensors[0], LAYOUT), *tensors[1:])
-    assert str(expected.dtype) == dtype
-    assert str(found.dtype) == f"torch.{dtype}"
-    assert np.isnan(expected[0]).all()
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12 if dtype == "float64" else 2e-6)
-    rows = moment_rows(LAYOUT, *tensors[1:])
-    np.testing.assert_allclose(rows.numpy(), moment_rows(LAYOUT, *arrays[1:]), atol=1e-6)
-    cells = cop_of_cells(tensors[0][..., :4], torch.from_numpy(CELLS.astype(dtype)))
-    assert cells.dtype == tensors[0].dtype
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -9,9 +9,9 @@ from surefoot.calibration import Flag, OnlineSetup, Parameters, Reference, onlin
 from surefoot.calibration.moment.stream import moment_filter
 
 
-def garbage(rng, values, share, dtype):
-    largest = float(np.finfo(dtype).max)
-    poison = np.array([np.nan, np.inf, -np.inf, largest, -largest, 0.0, 1e-30, 8.4e6, -5.0, 1e3], dtype=dtype)
+def garbage(rng, values, share):
+    largest = float(np.finfo(np.float64).max)
+    poison = np.array([np.nan, np.inf, -np.inf, largest, -largest, 0.0, 1e-30, 8.4e6, -5.0, 1e3])
     hit = rng.random(values.shape) < share
     values[hit] = rng.choice(poison, hit.sum())
 
@@ -22,7 +22,7 @@ def chosen(state, which):
     return state if isinstance(state, int) else state[which]
 
 
-def fuzz(robots, samples, dtype, sweep, every=1):
+def fuzz(robots, samples, sweep, every=1):
     """Feed garbage to many robots, then a clean walk to every so many; nothing may be lost, all converge."""
     rng = np.random.default_rng(41)
     logs, raw, reference = fleet(range(4), speeds=(0.1,), duration=samples * DT + 12.0, stand=0.5)
@@ -32,17 +32,15 @@ def fuzz(robots, samples, dtype, sweep, every=1):
     raw = NOMINAL.force(raw)
 
     def tiled(part, k):
-        return np.tile(part[k], (robots // 4, *[1] * (part.ndim - 2))).astype(
-            dtype if part.dtype.kind == "f" else part.dtype
-        )
+        return np.tile(part[k], (robots // 4, *[1] * (part.ndim - 2)))
 
     state = method.init(tiled(raw, 0))
     for k in range(samples):
         reading, row = tiled(raw, k), Reference(*(tiled(part, k) for part in reference))
-        garbage(rng, reading, 0.02, dtype)
+        garbage(rng, reading, 0.02)
         for field, part in zip(Reference._fields, row, strict=True):
             if part.dtype.kind == "f":
-                garbage(rng, part, 0.002, dtype)
+                garbage(rng, part, 0.002)
             else:
                 lie = rng.random(part.shape) < 0.1
                 part[lie] = ~part[lie]
@@ -56,7 +54,7 @@ def fuzz(robots, samples, dtype, sweep, every=1):
         np.testing.assert_array_equal(np.isfinite(estimate.cop).all(axis=-1), valid)
         assert np.isfinite(estimate.cop_covariance[valid]).all()
         if k % sweep == 0:
-            S = state.covariance.astype(np.float64)
+            S = state.covariance
             np.testing.assert_array_equal(S, np.swapaxes(S, -1, -2))
             std = np.sqrt(np.einsum("...ii->...i", S))
             std[std == 0.0] = 1.0
@@ -78,7 +76,7 @@ def fuzz(robots, samples, dtype, sweep, every=1):
 
 @pytest.fixture(scope="module")
 def fuzzed():
-    return fuzz(40, 160, np.float64, sweep=16)
+    return fuzz(40, 160, sweep=16)
 
 
 def test_fuzzed_samples_lose_nothing(fuzzed):
@@ -92,16 +90,8 @@ def test_channels_come_back_when_the_garbage_stops(fuzzed):
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_fuzzed_samples_lose_nothing_in_single_precision():
-    wrong, lost = fuzz(500, 200, np.float32, sweep=20)
-    # One robot of 500 still has 12 mm after 10 s: rubbish that fits a start that is much worse than stated.
-    assert np.mean(wrong[~lost] < 6.0) > 0.99
-    assert lost.mean() < 0.25
-
-
-@pytest.mark.slow
 def test_a_million_fuzzed_samples_lose_nothing():
-    wrong, lost = fuzz(4000, 250, np.float64, sweep=125, every=8)
+    wrong, lost = fuzz(4000, 250, sweep=125, every=8)
     assert np.isfinite(wrong).mean() > 0.999
     # The clock's jumps stand for hours of drift, which widen every prior: 86 %, where the stated one alone
     # has more than 95 %.

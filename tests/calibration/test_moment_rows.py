@@ -213,7 +213,7 @@ def test_masses_beyond_the_sensors_make_the_rows_whole(make):
         accelerometer=np.zeros((n, 3)),
         gyroscope=np.zeros((n, 3)),
     )
-    motion = body.stream._front_end.motions.flatten(believed, F)
+    motion = body.stream._front_end.motions.flatten(believed)
     hanging = np.zeros((n, 2))
     hanging[:, 1] = 1.0
     block, x = block_of(F, motion, hanging), body.unknowns.start

@@ -139,22 +139,3 @@ def test_a_batch_is_its_robots():
     for i in np.ndindex(2, 3):
         for a, b in zip(together, stand_in().others(tables[i], gone[i]), strict=True):
             np.testing.assert_allclose(a[i], b, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("lost", [(), (3,), (0, 6)])
-def test_single_precision_is_close(lost):
-    learner, gone = stand_in(), np.zeros(8)
-    gone[list(lost)] = 1.0
-    # Feet that share exactly by a plane make the table all but singular.
-    x, y = np.transpose(CORNERS)
-    plane = np.column_stack([np.ones(4), x, y])
-    down = np.random.default_rng(2).normal(size=(2, 400, 3)) * (5.0, 20.0, 40.0)
-    force = np.concatenate(list(down @ plane.T), axis=1)
-    wide = force.T @ force / 400 / (MASS * GRAVITY) ** 2 * np.kron(np.eye(2), np.ones((4, 4)))
-    double = learner.others(wide, gone)
-    single = learner.others(wide.astype(np.float32), gone.astype(np.float32))
-    for part in single:
-        assert part.dtype == np.float32
-        assert np.isfinite(part).all()
-    np.testing.assert_allclose(single[0], double[0], atol=0.02)
-    np.testing.assert_allclose(single[1], double[1], rtol=0.05)

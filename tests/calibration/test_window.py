@@ -227,15 +227,12 @@ def test_without_contact_nothing_is_learnt():
 
 def test_singular_normal_equations_are_flagged_and_change_nothing():
     raw, reference = at_rest(120)
-    for dtype, step in ((np.float64, 1e9), (np.float32, 1e3)):
-        force = NOMINAL.force(raw).astype(dtype)
-        late = Reference(*(part.astype(dtype) if part.dtype.kind == "f" else part for part in reference))
-        estimate = replay(
-            LAYOUT, "window", force, late, DT, mass=MASS, lag=0, standing_start=False,
-            scale_step=step, offset_step=step,
-        )  # fmt: skip
-        assert (estimate.flags[-1] == Flag.SINGULAR).all()
-        np.testing.assert_array_equal(estimate.scale[-1], 1.0)
+    estimate = replay(
+        LAYOUT, "window", NOMINAL.force(raw), reference, DT, mass=MASS, lag=0, standing_start=False,
+        scale_step=1e9, offset_step=1e9,
+    )  # fmt: skip
+    assert (estimate.flags[-1] == Flag.SINGULAR).all()
+    np.testing.assert_array_equal(estimate.scale[-1], 1.0)
 
 
 def test_parameters_change_no_faster_than_the_limit():

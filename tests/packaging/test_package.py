@@ -61,9 +61,9 @@ def test_package_is_typed_and_carries_its_models() -> None:
     assert (Path(surefoot.envs.__file__).parent / "robots" / "nao.xml").is_file()
 
 
-def test_a_robot_needs_four_small_packages() -> None:
+def test_a_robot_needs_three_small_packages() -> None:
     core = [r for r in requires("surefoot") or [] if "extra ==" not in r]
-    assert sorted(r.split(">")[0] for r in core) == ["array-api-compat", "numpy", "scipy", "threadpoolctl"]
+    assert sorted(r.split(">")[0] for r in core) == ["numpy", "scipy", "threadpoolctl"]
 
 
 def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
