@@ -63,6 +63,7 @@ VARIANTS = {
     "centre of mass taken for right": Variant({"com_std": 0.0, "com_change": 0.0}),
     "mass taken for right": Variant({"mass_std": 0.0, "mass_change": 0.0}),
     "delay taken for right": Variant({"delay_std": 0.0}),
+    "a reference that averages nothing": Variant({"blur": 0.0}),
     "no drift": Variant({"scale_drift": 0.0, "offset_drift": 0.0}),
     "channels read at one moment": Variant({"timing_noise": 0.0}),
     "averages over 8 samples": Variant({"average": 8}),

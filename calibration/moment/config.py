@@ -109,6 +109,11 @@ class MomentFilterConfig:
     delay_std: float = 0.004
     """How far the moments that references describe are thought to be off, in s."""
 
+    blur: float = 0.009
+    """Standard deviation of the window that the reference's rates are averaged over, in s: differences of
+    telemetry at 100 Hz, or slopes of parabolas over 50 ms. Its square is learnt, and at the start as unsure
+    as it is large; 0 for a reference that follows the forces at once."""
+
     gate: float = 3.0
     """Standard deviations beyond which an innovation pulls no harder."""
 
@@ -152,8 +157,8 @@ class MomentFilterConfig:
         )  # fmt: skip
         check_not_negative(
             self, "cross_talk", "scale_drift", "offset_drift", "timing_noise", "com_std", "com_known",
-            "sole_std", "mass_std", "acceleration_std", "delay_std", "swing_load", "still", "mass_change",
-            "com_change",
+            "sole_std", "blur", "mass_std", "acceleration_std", "delay_std", "swing_load", "still",
+            "mass_change", "com_change",
         )  # fmt: skip
         check_count(self, "every", "average", "settle")
         if self.every % self.average:

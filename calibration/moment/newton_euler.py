@@ -15,6 +15,9 @@ from surefoot.calibration.setup import OnlineSetup
 _LEAST_LOAD = 0.1
 """Load in body weights that a centre of pressure is computed with at least, for moments to be taken about."""
 
+PASSES = 4
+"""How often a window of three samples is laid over forces at most, to average them as the reference does."""
+
 _FX, _FY, _FZ, _MX, _MY, _MZ = range(6)
 
 
@@ -38,6 +41,7 @@ class NewtonEuler:
         self._motion = MotionColumns.of(self._feet)
         self._weight, self._length, self._dt = setup.weight, setup.length, setup.dt
         self._groups = config.every // config.average
+        self._passes = min(PASSES, config.settle)
         # A row helps only if every foot sees it.
         wrench_map = layout.wrench_map
         self._six_axes = bool((wrench_map != 0.0).any(axis=2).all())
@@ -62,7 +66,6 @@ class NewtonEuler:
         noise: Array,
         spare: Array | None = None,
         spare_std: Array | None = None,
-        loaded: Array | None = None,
     ) -> tuple[Rows, Array]:
         """Write what the motion asks of the ground, about the estimated centre of pressure.
 
@@ -72,8 +75,6 @@ class NewtonEuler:
             noise: By how many times rows' variances are larger than assumed, shape (..., kinds).
             spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
             spare_std: Standard deviation of such forces in N, 0 for the others, shape (..., K).
-            loaded: Which robots carry a load (bool), shape (...), or ``None`` for none: they shake, and their
-                columns hold no ripple, which would meet itself in the residuals.
 
         Returns:
             (every / average) times ``kinds`` rows, and what a newton on each channel does to them, by the
@@ -81,9 +82,11 @@ class NewtonEuler:
         """
         config, unknowns, K = self.config, self.unknowns, self._channels
         batch, n, settle, middle = mean.shape[:-1], config.every, config.settle, config.middle
-        force, use = block.force[..., middle, :], block.use[..., middle] * block.stand[..., middle]
-        for shift in (-settle, -1, 1, settle):
-            use = use * block.use[..., settle + shift : settle + shift + n]
+        blur = np.clip(mean[..., unknowns.blur], 0.0, 0.5 * self._passes)
+        force, blurred = self._blurred(block.force, blur)
+        use = block.stand[..., middle]
+        for first in range(2 * settle + 1):
+            use = use * block.use[..., first : first + n]
         motion = block.motion[..., middle, :]
         com, acceleration = motion[..., self._motion.com], motion[..., self._motion.com_acceleration]
         rate = motion[..., self._motion.angular_momentum_rate]
@@ -102,19 +105,18 @@ class NewtonEuler:
 
         height = (com[..., 2] - ground) / self._length
         asked = self._asked(acceleration, rate, height)
-        if loaded is not None:
-            smooth = np.where(loaded[..., None, None], self._smooth(block.force), force)
-            ripple = unknowns.scaled(mean[..., None, :], force - smooth)
-            asked, force = asked - (rows @ ripple[..., None])[..., 0], smooth
         speed = rows * self._change(mean, block.force)[..., None, :]
         late = speed.sum(axis=-1, keepdims=True)
         tared = unknowns.tared(mean[..., None, :], force)
-        features = [unknowns.by_scale(rows, tared), rows, late, asked[..., None], speed]
+        of_blur = rows @ unknowns.scaled(mean[..., None, :], blurred)[..., None]
+        features = [unknowns.by_scale(rows, tared), rows, late, of_blur, asked[..., None], speed]
         if spare is not None:
             features.append(places)
         means, some = self._average(np.concatenate(features, axis=-1), use)
-        of_scale, of_rows, of_delay, of_motion, of_speed, of_places = in_a_row(unknowns.scales, K, 1, 1, K, K)
-        by_scale, asked = means[..., of_scale], means[..., of_motion][..., 0]
+        of_scale, of_rows, of_delay, blur_at, of_motion, of_speed, of_places = in_a_row(
+            unknowns.scales, K, 1, 1, 1, K, K
+        )
+        by_scale, of_blur, asked = means[..., of_scale], means[..., blur_at], means[..., of_motion][..., 0]
         by_offset = unknowns.by_offset(means[..., of_rows], mean[..., None, :])
         if self._distal.matter:
             lacking = self._distal.total(motion, origin)
@@ -126,8 +128,9 @@ class NewtonEuler:
         errors, vertical = self._error_columns(given, apart, height, means[..., of_delay])
         # The forces are products of scales and tared readings: H x counts what the offsets do twice.
         asked = asked + (by_offset @ mean[..., None, unknowns.offset, None])[..., 0]
+        asked = asked + of_blur[..., 0] * blur[..., None, None]
         to_cop = self._to_cop(given)
-        H = to_cop @ np.concatenate([by_scale, by_offset, errors], axis=-1)
+        H = to_cop @ np.concatenate([by_scale, by_offset, errors, of_blur], axis=-1)
         H = np.concatenate([H[..., : unknowns.delay - 1], vertical, H[..., unknowns.delay - 1 :]], axis=-1)
         y = (to_cop @ asked[..., None])[..., 0]
         variance = self._variance * noise[..., None, :] + 0.0 * y
@@ -166,12 +169,24 @@ class NewtonEuler:
         ahead, behind = calibrated[..., 2 * settle :, :], calibrated[..., : -2 * settle, :]
         return (ahead - behind) / (2 * settle * self._dt)
 
-    def _smooth(self, force: Array) -> Array:
-        """Return the means of forces over as many samples to either side as half of ``settle``."""
-        first, near = self.config.settle, self.config.settle // 2
-        shifts = range(first - near, first + near + 1)
-        smooth = sum(force[..., shift : shift + self.config.every, :] for shift in shifts)
-        return smooth / len(shifts)
+    def _blurred(self, force: Array, blur: Array) -> tuple[Array, Array]:
+        """Average forces as the reference averages its rates.
+
+        Args:
+            force: Forces of a block, shape (..., span, K).
+            blur: Variance of the window in squared samples, up to half the number of passes, shape (...).
+
+        Returns:
+            Forces of the block's middle, and what they change with that variance, shape (..., every, K) each.
+        """
+        weight = blur[..., None, None] / (2 * self._passes)
+        margin = self.config.settle - self._passes
+        force = force[..., margin : force.shape[-2] - margin, :]
+        for _ in range(self._passes):
+            before, force = force, force[..., 1:-1, :]
+            bend = before[..., 2:, :] - 2.0 * force + before[..., :-2, :]
+            force = force + weight * bend
+        return force, 0.5 * bend
 
     def _average(self, features: Array, use: Array) -> tuple[Array, Array]:
         """Return means over the samples of each group that may be used, and which groups have any."""

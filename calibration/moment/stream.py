@@ -40,10 +40,6 @@ _LEAST_CHANGE = 0.5
 _SETTLED = 50.0
 """Blocks without doubt that must have passed before the mass is doubted."""
 
-_LOADED = 0.36
-"""Share of the variance down to which the mass is estimated, which it exceeds once a load was picked up: it
-begins with a quarter, and is only considered until then."""
-
 _LOAD_STD = 4.0
 """Standard deviations of a foot's load that a foot in the air may seem to carry besides ``swing_load``."""
 
@@ -169,10 +165,7 @@ class MomentStream:
         before, state = state.covariance, self._walked(state, 1.0)
         covariance = state.covariance
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
-        mass = self.unknowns.mass
-        loaded = covariance[..., mass, mass] > _LOADED * self.unknowns.sure[mass]
-        carried = {"loaded": loaded} if loaded.any() else {}
-        rows, places = self.newton_euler.rows(mean, block, state.noise, *spare, **carried)
+        rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         assumed = rows.variance / np.concatenate([state.noise] * (config.every // config.average), axis=-1)
         rows = self._bilinear(rows, places, covariance)
         residuals = Residuals.of(rows, mean, covariance)

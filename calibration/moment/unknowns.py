@@ -9,6 +9,7 @@
 | acceleration | 3 | g | bias of the believed acceleration, level frame: IMU bias and tilt |
 | delay | 1 | s | how much later a moment the reference describes than it is thought to |
 | sole | 2 | foot lengths | how much larger com is for the first foot's load, and smaller for the second's |
+| blur | 1 | squared samples | variance of the window that the reference averages its rates over |
 
 A force is F = a (F0 + o). Scale and offset stand as a sensor has them: its zero drifts in its readings, and
 says nothing of its scale. In F = a F0 + b a zero that drifts by d asks for b - a d, and a filter that holds
@@ -34,6 +35,9 @@ _UP = 2
 _UNSURE_MASS = 2.0
 """How many times less sure than at the start the mass is while it is estimated."""
 
+_WIDEST_BLUR = 1.0
+"""Squared samples that the reference is thought to be averaged over at most."""
+
 
 class Unknowns:
     """The unknowns of one setup.
@@ -46,7 +50,7 @@ class Unknowns:
         channels: Number of channels, K.
         scales: Number of scales, P.
         size: Number of unknowns, N.
-        scale, offset, com, acceleration, mass, delay, sole: Places of the parts.
+        scale, offset, com, acceleration, mass, delay, sole, blur: Places of the parts.
         map: Place of scales and offsets together, the first P + K.
         load: Places of what a load changes: the centre of mass (2) and the mass.
         diagonal: Whether there is one scale a channel.
@@ -75,10 +79,10 @@ class Unknowns:
         self.diagonal = not talks
 
         self.channels, self.scales = channels, len(self.out)
-        self.scale, self.offset, self.com, mass, self.acceleration, delay, self.sole = in_a_row(
-            self.scales, channels, 2, 1, 3, 1, 2
+        self.scale, self.offset, self.com, mass, self.acceleration, delay, self.sole, blur = in_a_row(
+            self.scales, channels, 2, 1, 3, 1, 2, 1
         )
-        self.mass, self.delay, self.size = mass.start, delay.start, self.sole.stop
+        self.mass, self.delay, self.blur, self.size = mass.start, delay.start, blur.start, blur.stop
         self.map = slice(0, self.offset.stop)
         self.load = [*range(self.com.start, self.com.stop), self.mass]
         self.unit: NDArray[np.float64] = setup.weight * lever
@@ -95,6 +99,7 @@ class Unknowns:
         self.std[self.acceleration] = config.acceleration_std / GRAVITY
         self.std[self.delay] = config.delay_std
         self.std[self.sole] = config.sole_std / setup.length
+        self.start[self.blur] = self.std[self.blur] = min((config.blur / setup.dt) ** 2, _WIDEST_BLUR)
         self.walk: NDArray[np.float64] = np.zeros(self.size)
         self.walk[:channels] = config.scale_drift**2 / 60.0
         self.walk[self.offset] = config.offset_drift**2 / 60.0

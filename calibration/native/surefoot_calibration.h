@@ -86,7 +86,7 @@ typedef long long sf_whole;
 
 #define SF_SCALES (SF_CHANNELS + SF_TALKS)
 #define SF_MAP (SF_SCALES + SF_CHANNELS)
-#define SF_UNKNOWNS (SF_MAP + 9)
+#define SF_UNKNOWNS (SF_MAP + 10)
 #define SF_MOTION (15 + 12 * SF_FEET)
 #define SF_SPAN (SF_EVERY + 2 * SF_SETTLE)
 #define SF_PENDING (2 * SF_CHANNELS + SF_MOTION + SF_FEET + 2)
@@ -130,7 +130,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LEAP_STD ((sf_real)5.0)
 #define SF_LEAST_CHANGE_OF_MASS ((sf_real)0.5)
 #define SF_SETTLED ((sf_real)50.0)
-#define SF_LOADED ((sf_real)0.36)
+#define SF_PASSES 4
 #define SF_LOAD_STD ((sf_real)4.0)
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
@@ -180,7 +180,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 /* ------------------------------------------------------------------------------------------------ records */
 
 /* Constants of one robot: an OnlineSetup and a MomentFilterConfig, worked out. K channels, P scales, of which the
-   first K are the channels' own, M = P + K scales and offsets, N = M + 9 unknowns. Units as in Python. */
+   first K are the channels' own, M = P + K scales and offsets, N = M + 10 unknowns. Units as in Python. */
 typedef struct {
     int channels, feet, lag, kept, every, average, settle, kinds, sensors, parities, pairs, keep_every;
     int distal_matters, talks;
@@ -313,7 +313,7 @@ typedef struct {
 /* Sizes of one robot that follow from others. */
 SF_API int sf_scales(const sf_config *c) { return c->channels + c->talks; }
 SF_API int sf_map(const sf_config *c) { return sf_scales(c) + c->channels; }
-SF_API int sf_unknowns(const sf_config *c) { return sf_map(c) + 9; }
+SF_API int sf_unknowns(const sf_config *c) { return sf_map(c) + 10; }
 SF_API int sf_motion(const sf_config *c) { return 15 + 12 * c->feet; }
 SF_API int sf_span(const sf_config *c) { return c->every + 2 * c->settle; }
 SF_API int sf_width(const sf_config *c) { return 2 * c->channels + sf_motion(c) + c->feet + 2; }
@@ -900,7 +900,7 @@ SF_API void sf_to_cop_rows(const sf_config *c, sf_real *rows, int columns, sf_re
 /* NewtonEuler._error_columns: those of the reference's own errors into columns `at` and behind, of width N.
  */
 SF_API void sf_error_columns(const sf_config *c, const sf_real *given, const sf_real *apart, sf_real height,
-                             const sf_real *late, sf_real *H, int at, int N) {
+                             const sf_real *late, const sf_real *of_blur, sf_real *H, int at, int N) {
     int six = c->kinds == 6, fz = six ? SF_FZ : 0;
     for (int kind = 0; kind < c->kinds; kind++) {
         int axis = six ? kind : SF_FZ + kind;
@@ -915,14 +915,22 @@ SF_API void sf_error_columns(const sf_config *c, const sf_real *given, const sf_
         row[6] = late[kind];
         row[7] = axis == SF_MY ? -apart[fz] : axis == SF_MZ ? apart[SF_FY] : 0;
         row[8] = axis == SF_MX ? apart[fz] : axis == SF_MZ ? -apart[SF_FX] : 0;
+        row[9] = of_blur[kind];
     }
 }
 
-/* NewtonEuler._smooth: the mean of a channel's forces over `near` samples to either side. */
-SF_API sf_real sf_smooth(const sf_block *b, int t, int near, int k) {
-    sf_real sum = 0;
-    for (int i = t - near; i <= t + near; i++) sum += sf_block_force(b, i)[k];
-    return sum / (sf_real)(2 * near + 1);
+/* NewtonEuler._blurred: a channel's force of one sample, averaged as the reference averages its rates, and what
+   it changes with the window's variance in squared samples. */
+SF_API sf_real sf_blurred(const sf_block *b, int t, int passes, sf_real blur, int k, sf_real *change) {
+    sf_real force[2 * SF_PASSES + 1], bend = 0, weight = blur / (sf_real)(2 * passes);
+    for (int i = 0; i <= 2 * passes; i++) force[i] = sf_block_force(b, t - passes + i)[k];
+    for (int left = 2 * passes - 1; left > 0; left -= 2)
+        for (int i = 0; i < left; i++) {
+            bend = force[i + 2] - 2 * force[i + 1] + force[i];
+            force[i] = force[i + 1] + weight * bend;
+        }
+    *change = bend / 2;
+    return force[0];
 }
 
 /* NewtonEuler.rows: what the motion asks of the ground, about the estimated centre of pressure. */
@@ -930,8 +938,8 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), kinds = c->kinds, settle = c->settle,
         first = kinds == 6 ? 0 : SF_FZ;
     const sf_real *mean = s->mean;
-    /* A robot with a load shakes: its columns hold no ripple, which would meet itself in the residuals. */
-    int mass = M + 2, near = s->covariance[mass * N + mass] > SF_LOADED * c->sure[mass] ? settle / 2 : 0;
+    int passes = settle < SF_PASSES ? settle : SF_PASSES;
+    sf_real blur = sf_min(sf_max(mean[M + 9], 0), (sf_real)passes / 2);
     sf_real lacking[6] = {0, 0, 0, 0, 0, 0};
     if (c->distal_matters) sf_distal_total(c, b, lacking);
     for (int group = 0; group < sf_groups(c); group++) {
@@ -942,7 +950,7 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
         sf_real of_rows[SF_KINDS * SF_CHANNELS], of_speed[SF_KINDS * SF_CHANNELS], late[SF_KINDS],
             asked[SF_KINDS];
         sf_real given[SF_KINDS], apart[SF_KINDS], part[SF_KINDS], change[SF_CHANNELS], tared[SF_CHANNELS],
-            ripple[SF_CHANNELS], other[SF_CHANNELS];
+            blurred[SF_CHANNELS], other[SF_CHANNELS], of_blur[SF_KINDS];
         memset(H, 0, (size_t)(kinds * N) * sizeof(sf_real));
         memset(y, 0, (size_t)kinds * sizeof(sf_real));
         memset(places, 0, (size_t)(kinds * K) * sizeof(sf_real));
@@ -950,12 +958,13 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
         memset(of_speed, 0, sizeof of_speed);
         memset(late, 0, sizeof late);
         memset(asked, 0, sizeof asked);
+        memset(of_blur, 0, sizeof of_blur);
         for (int kind = 0; kind < kinds; kind++) variance[kind] = c->row_variance[kind] * s->noise[kind];
         for (int i = 0; i < c->average; i++) {
             int t = settle + group * c->average + i;
             const sf_real *motion = sf_block_motion(c, b, t);
-            use[i] = b->use[t] * sf_block_stand(c, b, t) * b->use[t - settle] * b->use[t - 1] *
-                     b->use[t + 1] * b->use[t + settle];
+            use[i] = sf_block_stand(c, b, t);
+            for (int j = t - settle; j <= t + settle; j++) use[i] *= b->use[j];
             count += use[i];
             height += (motion[SF_COM + 2] - sf_ground_height(c, motion)) / c->length / c->average;
         }
@@ -963,7 +972,7 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
         for (int i = 0; i < c->average; i++) {
             if (use[i] == 0) continue;
             int t = settle + group * c->average + i;
-            const sf_real *motion = sf_block_motion(c, b, t), *force = sf_block_force(b, t);
+            const sf_real *motion = sf_block_motion(c, b, t);
             const sf_real *ahead = sf_block_force(b, t + settle), *behind = sf_block_force(b, t - settle);
             sf_real weight = use[i] / count;
             sf_real *seen = s->altered ? own : rows;
@@ -974,15 +983,15 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
             sf_forces(c, mean, behind, other);
             for (int k = 0; k < K; k++) change[k] = (change[k] - other[k]) / (2 * settle * c->dt);
             for (int k = 0; k < K; k++) {
-                sf_real smooth = sf_smooth(b, t, near, k);
-                tared[k] = sf_tared(c, mean, smooth, k);
-                other[k] = force[k] - smooth;
+                sf_real force = sf_blurred(b, t, passes, blur, k, other + k);
+                tared[k] = sf_tared(c, mean, force, k);
             }
-            sf_scaled(c, mean, other, ripple);
+            sf_scaled(c, mean, other, blurred);
             sf_asked(c, motion, (motion[SF_COM + 2] - sf_ground_height(c, motion)) / c->length, part);
             for (int kind = 0; kind < kinds; kind++) {
                 const sf_real *row = rows + kind * K;
-                asked[kind] += weight * (part[kind] - sf_dot(row, ripple, K));
+                asked[kind] += weight * part[kind];
+                of_blur[kind] += weight * sf_dot(row, blurred, K);
                 sf_by_scale(c, weight, row, tared, H + kind * N);
                 for (int k = 0; k < K; k++) {
                     sf_real speed = row[k] * change[k];
@@ -1004,9 +1013,10 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
                 apart[kind] += (c->foot_of_channel[channel] ? -1 : 1) * (row[k] * mean[k]);
             }
             /* The forces are products of scales and tared readings: H x counts what the offsets do twice. */
-            y[kind] = asked[kind] - lacking[first + kind] * c->row_scale[kind] + sf_dot(row + P, mean + P, K);
+            y[kind] = asked[kind] - lacking[first + kind] * c->row_scale[kind] + sf_dot(row + P, mean + P, K) +
+                      of_blur[kind] * blur;
         }
-        sf_error_columns(c, given, apart, height, late, H, M, N);
+        sf_error_columns(c, given, apart, height, late, of_blur, H, M, N);
         int fz = kinds == 6 ? SF_FZ : 0;
         sf_real load = given[fz] > SF_LEAST_LOAD ? given[fz] : SF_LEAST_LOAD;
         sf_real x = -given[fz + 2] / load, ahead_y = given[fz + 1] / load;

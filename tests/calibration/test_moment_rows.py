@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from _body import DT, LAYOUTS, LENGTH, MASS, SIZES, Body, ankle, block_of, cells
 
-from surefoot.calibration import GRAVITY, FeetLayout, Reference
+from surefoot.calibration import GRAVITY, FeetLayout, OnlineSetup, Parameters, Reference
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.newton_euler import PASSES
 from surefoot.calibration.moment.rows import Block
+from surefoot.calibration.moment.stream import MomentStream
+
+NOMINAL = Parameters(np.ones(8), np.zeros(8))
 
 
 def bodies():
@@ -29,21 +34,43 @@ def test_the_rows_hold_at_the_truth(layout, cross_talk):
         assert (np.abs(rows.H[:, known]).max(axis=0) > 1e-4).all()
 
 
+@pytest.mark.parametrize("blur", [0.0, 0.3, 1.2])
+@pytest.mark.parametrize("settle", [1, 2, 4, 5])
+def test_forces_are_averaged_as_the_reference_averages_its_rates(blur, settle):
+    rng = np.random.default_rng(3)
+    setup = OnlineSetup(layout=LAYOUTS["cells"], mass=MASS, initial=NOMINAL, dt=DT)
+    stream = MomentStream(setup, MomentFilterConfig(settle=settle))
+    newton, span = stream.newton_euler, stream.config.span
+    blur = min(blur, 0.5 * min(settle, PASSES))
+    force, _ = newton._blurred(np.eye(span), np.array(blur))
+    # Each row is a window around its sample: its weights, their middle and their variance.
+    place = np.arange(span) - (settle + np.arange(len(force)))[:, None]
+    np.testing.assert_allclose(force.sum(axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose((force * place).sum(axis=1), 0.0, atol=1e-12)
+    np.testing.assert_allclose((force * place**2).sum(axis=1), blur, atol=1e-12)
+    assert (force >= -1e-12).all()
+    # What it changes with the variance, against finite differences.
+    forces = rng.normal(size=(span, 8))
+    above, below = (newton._blurred(forces, np.array(blur + d))[0] for d in (1e-5, -1e-5))
+    np.testing.assert_allclose(newton._blurred(forces, np.array(blur))[1], (above - below) / 2e-5, atol=1e-7)
+
+
 @pytest.mark.parametrize(("layout", "cross_talk"), list(bodies()))
-def test_columns_of_a_robot_with_a_load_hold_no_ripple(layout, cross_talk):
-    body = Body(layout, 3, cross_talk)
-    loaded, stated = np.array(True), np.ones(body.stream.newton_euler.kinds)
-    of_map, x = body.unknowns.map, body.x
-    even = body.rows(x, body.block()).H[:, of_map]
-    # The samples of it that columns are made of have no mean.
-    together = 2 * (body.config.settle // 2) + 1
-    ripple = np.sin(2.0 * np.pi * np.arange(body.n) / together)[:, None]
-    body.at_rest = body.at_rest + 3.0 * ripple * body.rng.normal(size=x[body.unknowns.offset].size)
-    block = body.block()
-    rows, _ = body.stream.newton_euler.rows(x, block, stated, loaded=loaded)
-    np.testing.assert_allclose(rows.H[:, of_map], even, atol=1e-12)
-    assert np.abs(body.rows(x, block).H[:, of_map] - even).max() > 1e-3
-    np.testing.assert_allclose(rows.H @ x, rows.y, atol=1e-12)
+def test_a_reference_that_averages_is_told_by_the_variance_of_its_window(layout, cross_talk):
+    body = Body(layout, 4, cross_talk)
+    blur, x, block = body.unknowns.blur, body.x, body.block()
+    bent = 0.01 * body.rng.normal(size=(body.n, layout.channels)).cumsum(axis=0)
+    block = block._replace(force=block.force + bent)
+
+    def shown(variance):
+        x[blur] = variance
+        rows = body.rows(x, block)
+        return rows.H @ x - rows.y, rows.H[:, blur]
+
+    (above, _), (below, _), (_, column) = shown(0.5 + 1e-5), shown(0.5 - 1e-5), shown(0.5)
+    assert np.abs(column).max() > 1e-6
+    # The point that moments are taken about moves as well, by a second order.
+    np.testing.assert_allclose(column, (above - below) / 2e-5, atol=0.05 * np.abs(column).max())
 
 
 def draw(rng, name, size):
@@ -129,7 +156,7 @@ def test_rows_of_samples_without_use_are_left_out():
     use = block.use.copy()
     use[middle] = 0.0
     rows = body.rows(body.x, block._replace(force=spoilt, use=use))
-    # Neighbours whose rate of change would need the sample are left out as well.
+    # Neighbours within `settle` of the sample are left out as well.
     np.testing.assert_allclose(rows.H @ body.x, rows.y, atol=1e-12)
     nothing = body.rows(body.x, block._replace(force=spoilt, use=0.0 * use))
     assert not nothing.H.any()
@@ -216,7 +243,8 @@ def test_masses_beyond_the_sensors_make_the_rows_whole(make):
     motion = body.stream._front_end.motions.flatten(believed)
     hanging = np.zeros((n, 2))
     hanging[:, 1] = 1.0
-    block, x = block_of(F, motion, hanging), body.unknowns.start
+    block, x = block_of(F, motion, hanging), body.unknowns.start.copy()
+    x[body.unknowns.blur] = 0.0  # this reference follows at once
     count, reading = body.stream.tare.hanging(block)
     tare = body.stream.tare.rows(x, block, count, reading)
     np.testing.assert_allclose(tare.H @ x, tare.y, atol=1e-9)
