@@ -8,7 +8,7 @@ from surefoot.calibration.online import METHODS, method_entry
 from surefoot.experiments.walks.walkers import STAND_TIME
 
 TRUE_MAP = "floor"
-"""Name of the row that no method reaches: the map that would undo the cells' errors at every moment."""
+"""Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
 
 
 @dataclass(frozen=True)
