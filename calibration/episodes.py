@@ -40,7 +40,7 @@ LEARNT: Mapping[type, tuple[str, ...]] = MappingProxyType(
         StandingState: StandingState._fields,
         MomentState: (
             *("mean", "covariance", "drift", "given", "given_covariance", "learnt", "spread"),
-            *("kept_mean", "kept_covariance", "noise", "misfit", "unproven"),
+            *("kept_mean", "kept_covariance", "noise", "misfit", "rate", "unproven"),
         ),
         ChannelState: ("trust", "moments", "lost", "kind", "wiring", "spare", "spare_std", "agreed"),
     }

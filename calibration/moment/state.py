@@ -38,6 +38,11 @@ class MomentState(NamedTuple):
         kept_covariance: Their covariances, shape (..., 2, N, N).
         noise: By how many times rows' variances are taken as larger than assumed, shape (..., kinds).
         misfit: Mean square of residuals before learning over what is expected of them, shape (...).
+        rate: By how many times variances of sensors grow faster than stated, shape (...).
+        swing_zero: Mean reading of each channel in its last swing, in units of offsets, shape (..., K).
+        swing_ago: Blocks since that swing, -1 before the first, shape (..., F).
+        swing_sum: Readings of the swing under way, added up, shape (..., K).
+        swing_samples: Their number, shape (..., F).
         unproven: Blocks in use that must pass before what is learnt is handed out, shape (...).
         quiet: Blocks in which the readings have not changed, shape (...).
         anchor: The readings from which on they have not, shape (..., K).
@@ -59,6 +64,11 @@ class MomentState(NamedTuple):
     kept_covariance: Array
     noise: Array
     misfit: Array
+    rate: Array
+    swing_zero: Array
+    swing_ago: Array
+    swing_sum: Array
+    swing_samples: Array
     unproven: Array
     quiet: Array
     anchor: Array

@@ -13,6 +13,7 @@ from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.readings import FrontEnd, Sample
 from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.drift import LearntDrift
 from surefoot.calibration.moment.faults import TRUST, ChannelFaults, ChannelState
 from surefoot.calibration.moment.hypotheses import Contradiction
 from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
@@ -49,7 +50,7 @@ _UNSURE = 0.06
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
-_SHARED = 8.0
+_SHARED = 4.0
 """Rows of a kind that share the product of the errors of scale and offset: until a foot swings, no offset is
 known. More serve sensors that are worse than stated, fewer those on a robot that only stands."""
 
@@ -70,6 +71,7 @@ class MomentStream:
         self.tare, self.parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
         self._front_end = FrontEnd(setup, imu=False)
         self._uncertainty, self._severity = Uncertainty(setup, unknowns), LearntSeverity(unknowns)
+        self._drifting = LearntDrift(setup, config, unknowns)
         self._faults = ChannelFaults(
             setup,
             config.leap,
@@ -84,8 +86,6 @@ class MomentStream:
         self._wide = np.ones(unknowns.size)
         self._wide[unknowns.map] = FIRST_WIDTH
         self._covariance = np.diag((unknowns.std * self._wide) ** 2)
-        self._walk = np.diag(unknowns.walk * config.every * setup.dt)
-        self._drift = unknowns.walk[unknowns.map] * config.every * setup.dt
         self._identity = np.eye(unknowns.size)
         self._change = np.diag(unknowns.change**2)
 
@@ -98,24 +98,30 @@ class MomentStream:
             return np.zeros((*batch, *tail), dtype=dtype)
 
         mean, covariance = zeros(1) + self.unknowns.start, zeros(1, 1) + self._covariance
+        channels, feet = self.setup.layout.channels, len(self.setup.layout.feet)
         begun = MomentState(
             front=front,
             step=0,
             pending=zeros(self.config.span, self._pending.sound.stop),
             mean=mean,
             covariance=covariance,
-            drift=zeros(self._drift.shape[-1]),
+            drift=zeros(self.unknowns.map.stop),
             given=mean,
             given_covariance=covariance[..., self.unknowns.map, self.unknowns.map],
-            learnt=zeros(2 * self.setup.layout.channels, 1),
+            learnt=zeros(2 * channels, 1),
             spread=zeros(3, 1),
             kept_mean=zeros(2, 1) + self.unknowns.start,
             kept_covariance=zeros(2, 1, 1) + self._covariance,
             noise=zeros(self.newton_euler.kinds) + FIRST_NOISE,
             misfit=zeros() + FIRST_MISFIT,
+            rate=zeros() + 1.0,
+            swing_zero=zeros(channels),
+            swing_ago=zeros(feet) - 1.0,
+            swing_sum=zeros(channels),
+            swing_samples=zeros(feet),
             unproven=zeros(),
             quiet=zeros(),
-            anchor=zeros(self.setup.layout.channels),
+            anchor=zeros(channels),
             status=zeros(dtype=np.int64),
             faults=self._faults.init(raw, self._scale * front.raw + self._offset),
         )
@@ -177,9 +183,11 @@ class MomentStream:
         faults = faults._replace(trust=np.where(changed, TRUST, faults.trust))
         covariance = covariance + np.where(changed[..., None, None], self._change, 0.0)
         quiet, anchor, learnt_from = self._quiet(state, block, newton)
+        hanging = 0.0 * state.swing_samples, state.swing_sum
         if (block.swing > 0.5).any():
-            tare, doubted = self._tare(mean, covariance, state.drift, block, faults)
+            tare, doubted, hanging = self._tare(mean, covariance, state.drift, block, faults)
             learnt_from, rejected = learnt_from.beside(tare), rejected | doubted
+        state = self._drifting.followed(state, *hanging, 1.0 - faults.lost)
         if self.parity.matters:
             parity = self.parity.rows(mean, block)
             if faults.altered:
@@ -216,8 +224,7 @@ class MomentStream:
         """Allow for the product of the errors of scales and offsets, which columns leave out."""
         unknowns = self.unknowns
         variance = np.linalg.diagonal(covariance)
-        # Hardly any sensor is as far off in both as the filter begins with.
-        product = unknowns.own_scales(variance) * variance[..., unknowns.offset] / FIRST_WIDTH**2
+        product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
         lever = places * unknowns.unit
         more = _SHARED * ((lever * lever) @ product[..., None])[..., 0]
         return rows._replace(variance=rows.variance + more)
@@ -225,10 +232,13 @@ class MomentStream:
     def _walked(self, state: MomentState, blocks: float) -> MomentState:
         """Return the state after the time of some blocks in which the unknowns have drifted."""
         of_map = self.unknowns.map
+        walk = blocks * self._drifting.walk(state)
+        walked = walk[..., None] * self._identity
         return state._replace(
-            covariance=state.covariance + blocks * self._walk,
-            drift=state.drift + blocks * self._drift,
-            given_covariance=state.given_covariance + blocks * self._walk[of_map, of_map],
+            covariance=state.covariance + walked,
+            drift=state.drift + walk[..., of_map],
+            given_covariance=state.given_covariance + walked[..., of_map, of_map],
+            swing_ago=np.where(state.swing_ago < 0.0, state.swing_ago, state.swing_ago + blocks),
         )
 
     def _back(self, state: MomentState, which: Array) -> MomentState:
@@ -379,8 +389,12 @@ class MomentStream:
 
     def _tare(
         self, mean: Array, covariance: Array, drift: Array, block: Block, faults: ChannelState
-    ) -> tuple[Rows, Array]:
-        """Write the tare of feet that hang, unless they carry weight."""
+    ) -> tuple[Rows, Array, tuple[Array, Array]]:
+        """Write the tare of feet that hang, unless they carry weight.
+
+        Returns:
+            The rows, whether any foot was doubted, and the samples of each that count with their readings.
+        """
         of_map = self.unknowns.map
         count, reading = self.tare.hanging(block)
         load, row = self.tare.load(mean, reading, faults.spare if faults.altered else None)
@@ -394,7 +408,8 @@ class MomentStream:
         doubted = doubted | (count > 0.5).all(axis=-1)[..., None]
         count = np.where(doubted, 0.0, count)
         rows = self.tare.rows(mean, block, count, reading)
-        return rows.keep(1.0 - faults.lost) if faults.altered else rows, doubted.any(axis=-1)
+        rows = rows.keep(1.0 - faults.lost) if faults.altered else rows
+        return rows, doubted.any(axis=-1), (count, reading)
 
     def _estimate(
         self, state: MomentState, sample: Sample, kinds: Array, nis: Array, nis_rows: Array

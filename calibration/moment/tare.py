@@ -9,7 +9,7 @@ from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
 
-_SWING_SAMPLES = 16.0
+SWING_SAMPLES = 16.0
 """Samples that ``swing_noise`` is given for."""
 
 _UP = 2
@@ -90,5 +90,5 @@ class Tare:
         if self._distal.matter:
             y = y + self._distal.felt(block.motion) / (self.unknowns.unit * self.unknowns.own_scales(mean))
         few = np.where(number > 1.0, number, 1.0)
-        variance = self.config.swing_noise**2 * _SWING_SAMPLES / few
+        variance = self.config.swing_noise**2 * SWING_SAMPLES / few
         return Rows(H, y, variance).keep(number > 0.5)

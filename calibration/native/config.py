@@ -231,7 +231,7 @@ def _moment(stream: MomentStream) -> dict[str, Any]:
         "unit": unknowns.unit,
         "start": unknowns.start,
         "first_variance": np.diagonal(stream._covariance),
-        "walk": np.diagonal(stream._walk),
+        "walk": stream._drifting._walk,
         "learnt": unknowns.learnt,
         "sure": unknowns.sure,
         "change": np.diagonal(stream._change),

@@ -134,10 +134,16 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LOAD_STD ((sf_real)4.0)
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
-#define SF_SHARED ((sf_real)8.0)
+#define SF_SHARED ((sf_real)4.0)
 #define SF_REACH ((sf_real)10.0)
 #define SF_LEAST_LOAD ((sf_real)0.1)
 #define SF_SWING_SAMPLES ((sf_real)16.0)
+#define SF_RATE_MEMORY ((sf_real)0.15)
+#define SF_FASTEST ((sf_real)100.0)
+#define SF_LARGEST_STEP ((sf_real)9.0)
+#define SF_FEWEST_SAMPLES ((sf_real)8.0)
+#define SF_FEWEST_CHANNELS ((sf_real)2.5)
+#define SF_LARGEST_SCALE ((sf_real)3.0)
 #define SF_FIRST_NOISE ((sf_real)16.0)
 #define SF_LOUDEST ((sf_real)100.0)
 #define SF_LARGEST_SQUARE ((sf_real)9.0)
@@ -146,7 +152,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LARGEST_MISFIT ((sf_real)25.0)
 #define SF_MISFIT_MEMORY ((sf_real)0.06)
 #define SF_CLIP ((sf_real)30.0)
-#define SF_FIRST_WIDTH ((sf_real)2.0)
+#define SF_FIRST_WIDTH ((sf_real)4.0)
 #define SF_LEAST ((sf_real)8.0)
 #define SF_NEGLIGIBLE ((sf_real)1e-18) /* share of a mixture that changes no digit of it */
 #define SF_FLOOR ((sf_real)1e-5)
@@ -241,7 +247,9 @@ typedef struct {
     sf_real drift[SF_MAP], given[SF_UNKNOWNS], given_covariance[SF_MAP * SF_MAP];
     sf_real learnt[4 * SF_CHANNELS * SF_CHANNELS], spread[3 * SF_CHANNELS];
     sf_real kept_mean[2 * SF_UNKNOWNS], kept_covariance[2 * SF_UNKNOWNS * SF_UNKNOWNS];
-    sf_real noise[SF_KINDS], misfit, unproven, quiet, anchor[SF_CHANNELS];
+    sf_real noise[SF_KINDS], misfit;
+    sf_real rate, swing_zero[SF_CHANNELS], swing_ago[SF_FEET], swing_sum[SF_CHANNELS], swing_samples[SF_FEET];
+    sf_real unproven, quiet, anchor[SF_CHANNELS];
     sf_whole status;
 
     sf_real last[SF_CHANNELS];
@@ -1069,11 +1077,11 @@ SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf
 }
 
 /* MomentStream._tare: append the tare of feet that hang, unless they carry weight; returns whether any does.
- */
+   Gives the samples of each foot that count, and the mean readings over them. */
 SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covariance, const sf_block *b,
-                   sf_rows *rows) {
+                   sf_rows *rows, sf_real *count, sf_real *reading) {
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), any = 0, all = 1;
-    sf_real count[SF_FEET], reading[SF_CHANNELS], felt[SF_CHANNELS], row[SF_MAP], up[SF_CHANNELS];
+    sf_real felt[SF_CHANNELS], row[SF_MAP], up[SF_CHANNELS];
     sf_real tared[SF_CHANNELS];
     sf_hanging(c, b, count, reading);
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
@@ -1114,6 +1122,51 @@ SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covaria
         rows->variance[at] = c->swing_noise * c->swing_noise * SF_SWING_SAMPLES / sf_max(number, 1);
     }
     return any;
+}
+
+/* ------------------------------------------------------------------------------------------ moment: drift */
+
+/* LearntDrift.walk: the variances by which the unknowns drift in one block. */
+SF_API void sf_walk(const sf_config *c, const sf_state *s, sf_real *walk) {
+    int K = c->channels, P = sf_scales(c), N = sf_unknowns(c);
+    sf_copy(walk, c->walk, N);
+    for (int i = 0; i < K; i++) {
+        sf_real square = sf_clip(s->mean[i], 1, SF_LARGEST_SCALE);
+        square *= square;
+        walk[i] *= s->rate * (square * square);
+        walk[P + i] *= s->rate;
+    }
+}
+
+/* LearntDrift.followed: the rate that swings show which end with this block. */
+SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *count, const sf_real *reading) {
+    int K = c->channels, P = sf_scales(c);
+    sf_real total = 0;
+    for (int foot = 0; foot < c->feet; foot++) {
+        sf_real number = sf_max(s->swing_samples[foot], 1), channels = 0, common = 0, surplus = 0;
+        int air = count[foot] > (sf_real)0.5, ends = !air && s->swing_samples[foot] >= SF_FEWEST_SAMPLES;
+        for (int k = 0; k < K; k++) {
+            if (c->foot_of_channel[k] != foot || s->lost[k] != 0) continue;
+            channels += 1;
+            common += s->swing_sum[k] / number - s->swing_zero[k];
+        }
+        common /= sf_max(channels, 1);
+        for (int k = 0; k < K; k++) {
+            if (c->foot_of_channel[k] != foot) continue;
+            sf_real moved = s->swing_sum[k] / number - s->swing_zero[k] - common;
+            sf_real expected = s->rate * c->walk[P + k] * s->swing_ago[foot] +
+                               2 * (c->swing_noise * c->swing_noise) * SF_SWING_SAMPLES / number;
+            expected *= 1 - 1 / sf_max(channels, 1);
+            if (s->lost[k] == 0)
+                surplus += sf_clip(moved * moved / (expected > 0 ? expected : 1), 0, SF_LARGEST_STEP) - 1;
+            if (ends) s->swing_zero[k] = s->swing_sum[k] / number;
+            s->swing_sum[k] = air ? s->swing_sum[k] + reading[k] / c->unit[k] * count[foot] : 0;
+        }
+        if (ends && s->swing_ago[foot] > 0 && channels > SF_FEWEST_CHANNELS) total += surplus / channels;
+        if (ends) s->swing_ago[foot] = 0;
+        s->swing_samples[foot] = air ? s->swing_samples[foot] + count[foot] : 0;
+    }
+    s->rate = sf_clip(s->rate * (1 + SF_RATE_MEMORY * total), 1, SF_FASTEST);
 }
 
 /* Parity.rows: append that the instruments of one foot measure the same wrench, for each half of the block.
@@ -1824,11 +1877,15 @@ SF_API sf_real sf_quiet(const sf_config *c, sf_state *s, const sf_block *b) {
 /* MomentStream._walked: the time of some blocks, in which the unknowns have drifted. */
 SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real blocks) {
     int M = sf_map(c), N = sf_unknowns(c);
-    for (int i = 0; i < N; i++) s->covariance[i * N + i] += blocks * c->walk[i];
+    sf_real walk[SF_UNKNOWNS];
+    sf_walk(c, s, walk);
+    for (int i = 0; i < N; i++) s->covariance[i * N + i] += blocks * walk[i];
     for (int i = 0; i < M; i++) {
-        s->drift[i] += blocks * c->walk[i];
-        s->given_covariance[i * M + i] += blocks * c->walk[i];
+        s->drift[i] += blocks * walk[i];
+        s->given_covariance[i * M + i] += blocks * walk[i];
     }
+    for (int foot = 0; foot < c->feet; foot++)
+        if (!(s->swing_ago[foot] < 0)) s->swing_ago[foot] += blocks;
 }
 
 /* MomentStream._back: what the robot knew some seconds ago. */
@@ -1896,7 +1953,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     sf_block b = {s->pending, sf_width(c), {0}};
     sf_newton *newton = &w->newton;
     sf_rows *rows = &w->rows;
-    sf_real before[SF_UNKNOWNS], lost[SF_CHANNELS], *covariance = w->covariance, learnt[SF_UNKNOWNS];
+    sf_real before[SF_UNKNOWNS], walk[SF_UNKNOWNS], *covariance = w->covariance, learnt[SF_UNKNOWNS];
+    sf_real lost[SF_CHANNELS], count[SF_FEET] = {0}, reading[SF_CHANNELS] = {0};
     sf_copy(before, s->mean, N);
     sf_copy(lost, s->lost, K);
 
@@ -1917,18 +1975,18 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
     for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
 
+    sf_walk(c, s, walk);
     sf_walked(c, s, 1);
     sf_newton_euler_rows(c, s, &b, newton);
     for (int r = 0; r < m; r++) {
         newton->assumed[r] = newton->variance[r] / s->noise[r % c->kinds];
-        /* _bilinear: the product of the errors of scales and offsets, which columns leave out. Hardly any
-           sensor is as far off in both as the filter begins with. */
+        /* _bilinear: the product of the errors of scales and offsets, which columns leave out. */
         sf_real more = 0;
         for (int k = 0; k < K; k++) {
             sf_real lever = newton->places[r * K + k] * c->unit[k];
             more += lever * lever * (s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k]);
         }
-        newton->variance[r] += SF_SHARED * more / (SF_FIRST_WIDTH * SF_FIRST_WIDTH);
+        newton->variance[r] += SF_SHARED * more;
     }
     sf_residuals(c, s->mean, s->covariance, newton);
     rejected = sf_plausible(c, s->covariance, newton);
@@ -1955,7 +2013,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
         rows->variance[rows->count++] = newton->variance[r] * quieter;
     }
     unused = unused || waiting;
-    if (swinging && sf_tare(c, s, covariance, &b, rows)) rejected = 1;
+    if (swinging && sf_tare(c, s, covariance, &b, rows, count, reading)) rejected = 1;
+    sf_drift_followed(c, s, count, reading);
     if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);
     if (waiting) rows->count = 0;
 
@@ -1975,7 +2034,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     } else {
         rejected = 1;
         sf_copy(s->mean, before, N);
-        for (int i = 0; i < N; i++) s->covariance[i * N + i] -= c->walk[i];
+        for (int i = 0; i < N; i++) s->covariance[i * N + i] -= walk[i];
     }
     if (!unused) {
         s->unproven = sf_max(s->unproven - 1, 0);
@@ -2111,6 +2170,8 @@ SF_API void sf_calibrator_init_with(const sf_config *c, sf_state *s, sf_work *w)
     }
     for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
     s->misfit = SF_FIRST_MISFIT;
+    s->rate = 1;
+    for (int foot = 0; foot < c->feet; foot++) s->swing_ago[foot] = -1;
     sf_doubted(c, s, w);
 }
 
