@@ -69,7 +69,7 @@ from surefoot.calibration.in_situ.solve import (
     starts,
     transforms,
 )
-from surefoot.calibration.in_situ.temperature import about_one_temperature, drifting, with_gains
+from surefoot.calibration.in_situ.temperature import about_one_temperature, check_gauges, drifting, with_gains
 from surefoot.calibration.results import CalibrationRefused, FitResult, accepting
 
 __all__ = ["calibrate_in_situ"]
@@ -240,6 +240,8 @@ def _fit(
     if loops:
         problem, solution = with_hysteresis(sets, problem, solution, options) or (problem, solution)
         warnings += check_within(sets, problem.sets, options)
+    if reference is not None and not rank.missing:
+        warnings += check_gauges(problem, solution, options)
     if factory is not None and not rank.missing:
         rank = _without_priors(problem, solution, rank, options)
     if rank.missing:

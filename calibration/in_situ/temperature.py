@@ -11,7 +11,7 @@ temperature is that at which matrix and offsets hold.
 
 A temperature that hardly varies within sets, or that went with gravity, shows no effect and is left out. One
 that rose with time throughout takes in what drifted as well: a warning says so. The gain's takes part if it
-is worth its six parameters (Schwarz, 1978).
+is worth its six parameters (Schwarz, 1978). Gauges that give way each by themselves are warned of.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,16 +20,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.compress import CompressedSet
-from surefoot.calibration.in_situ.covariance import UNUSED, whitening
+from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
+from surefoot.calibration.in_situ.covariance import UNUSED, noise_level, whitening
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.hysteresis import beside_loads, criterion
 from surefoot.calibration.in_situ.model import AXES
 from surefoot.calibration.in_situ.options import InSituOptions
-from surefoot.calibration.in_situ.solve import Problem, Solution, transforms
+from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["about_one_temperature", "drifting", "with_gains"]
+__all__ = ["about_one_temperature", "check_gauges", "drifting", "with_gains"]
 
 Matrix = NDArray[np.float64]
 
@@ -162,8 +162,38 @@ def with_gains(
     return replace(fitted, gains=AXES), found
 
 
-def _warm(part: CompressedSet, transform: Matrix) -> Matrix:
-    """Return the temperature times the load at the rows of a set, shape (m, 6)."""
+def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -> tuple[str, ...]:
+    """Return a warning where gains go with the temperature otherwise than axis by axis.
+
+    Args:
+        problem: With the temperature as a signal; with gains of the axes and hysteresis if they are worth it.
+        solution: Its solution.
+        options: Of the fit.
+    """
+    inputs = problem.basis.shape[2]
+    T = transforms(problem, solution)[:, :AXES, :inputs]
+    lags = problem.channel_lags
+    warm = [_warm(part, t, lags) @ solution.A.T for part, t in zip(problem.sets, T, strict=True)]
+    parts = with_signals(problem.sets, warm, options)
+    freer = replace(
+        problem,
+        sets=parts,
+        channel_lags=lags + warm[0].shape[1],
+        whitening=whitening(parts),
+        level=noise_level(parts),
+    )
+    fitted = solve(freer, [solution.outer])
+    if criterion(freer, fitted) >= criterion(problem, solution):
+        return ()
+    return (
+        "The gains of single channels follow the temperature, each its own way, where the fit has one an axis: "
+        "its matrix is less sure than it says. Let the sensor warm up before it is calibrated.",
+    )
+
+
+def _warm(part: CompressedSet, transform: Matrix, behind: int = 0) -> Matrix:
+    """Return the temperature, with some signals behind it, times the load at the rows of a set, (m, 6)."""
     source = part.source
     signals = source.columns[:, source.terms : source.terms + source.inputs] / source.weight[:, None]
-    return np.asarray(signals[:, -1:] * (signals[:, : transform.shape[1]] @ transform.T))
+    kelvin = signals[:, source.inputs - 1 - behind, None]
+    return np.asarray(kelvin * (signals[:, : transform.shape[1]] @ transform.T))

@@ -207,6 +207,7 @@ def test_a_gain_that_goes_with_the_temperature_is_found(seed):
     warmed, _ = warmed_sets(np.random.default_rng([29, seed]), GAIN)
     fit = calibrate_in_situ(warmed)
     np.testing.assert_allclose(fit.temperature_gain, GAIN, atol=1.5e-4)
+    assert fit.warnings == ()
     mass = SENSORS["leg"][1]
     assert abs(fit.limb.mass - mass) < 4.0 * fit.limb_mass_std
     # Readings of one load, cold and hot, are one wrench.
@@ -224,10 +225,24 @@ def test_a_gain_that_goes_with_the_temperature_is_found(seed):
     assert ours < 0.5 * without
 
 
+@pytest.mark.parametrize("gain", [0.0, GAIN], ids=["alone", "and axes"])
+def test_gains_of_single_channels_that_go_with_the_temperature_are_warned_of(gain):
+    rng = np.random.default_rng(32)
+    warmed, offset = warmed_sets(rng, gain + np.zeros(6))
+    each = 2e-4 * rng.standard_normal(6)
+    warmed = [
+        replace(one, raw=one.raw + (one.raw - offset) * each * (one.temperature - 25.0)[:, None])
+        for one in warmed
+    ]
+    told = "The gains of single channels follow the temperature, each its own way"
+    assert any(warning.startswith(told) for warning in calibrate_in_situ(warmed).warnings)
+
+
 def test_a_gain_that_stays_is_none():
     warmed, _ = warmed_sets(np.random.default_rng(30), np.zeros(6))
     fit = calibrate_in_situ(warmed)
     assert fit.temperature_gain is None
+    assert fit.warnings == ()
     assert fit.temperature_coefficient is not None
 
 
