@@ -20,7 +20,7 @@ from unittest.mock import patch
 import numpy as np
 import second_walker
 
-from surefoot.calibration.moment import noise, severity, stream
+from surefoot.calibration.moment import drift, noise, severity, stream
 from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.score import score_run
 from surefoot.experiments.arena.streams import Stream
@@ -64,6 +64,7 @@ VARIANTS = {
     "mass taken for right": Variant({"mass_std": 0.0, "mass_change": 0.0}),
     "delay taken for right": Variant({"delay_std": 0.0}),
     "a reference that averages nothing": Variant({"blur": 0.0}),
+    "drift is as stated": Variant(constants=((drift, "_MEMORY", 0.0),)),
     "no drift": Variant({"scale_drift": 0.0, "offset_drift": 0.0}),
     "channels read at one moment": Variant({"timing_noise": 0.0}),
     "averages over 8 samples": Variant({"average": 8}),
