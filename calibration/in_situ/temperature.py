@@ -186,8 +186,8 @@ def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -
     if criterion(freer, fitted) >= criterion(problem, solution):
         return ()
     return (
-        "The gains of single channels follow the temperature, each its own way, where the fit has one an axis: "
-        "its matrix is less sure than it says. Let the sensor warm up before it is calibrated.",
+        "The gains of single channels follow the temperature, each its own way, where the fit has one an "
+        "axis: its matrix is less sure than it says. Let the sensor warm up before it is calibrated.",
     )
 
 
