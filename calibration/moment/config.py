@@ -74,7 +74,7 @@ class MomentFilterConfig:
     swing_noise: float = 0.001
     """Standard deviation of a channel's mean reading over 16 samples in the air, in body weights."""
 
-    parity_noise: float = 0.006
+    parity_noise: float = 0.02
     """Standard deviation of the difference of two instruments of one foot over half a block, in body weights
     and body weights times foot lengths."""
 

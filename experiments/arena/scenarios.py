@@ -225,7 +225,7 @@ _TABLE = (
         "half an hour",
         "Long-term stability over extended walking (CoP paper, section 4.3).",
         Walk("half-hour", duration=STAND_TIME + 1800.0),
-        most_seeds=3,
+        most_seeds=10,
         long=True,
     ),
 )
