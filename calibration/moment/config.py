@@ -57,7 +57,8 @@ class MomentFilterConfig:
     relative to their own scale (times the foot length in a torque); 0 takes its matrix for diagonal."""
 
     scale_drift: float = 0.02
-    """Random walk of a scale per square root of a minute."""
+    """Random walk of a scale per square root of a minute. How many times faster than stated scales and
+    offsets drift is learnt."""
 
     offset_drift: float = 0.02
     """Random walk of an offset in body weights per square root of a minute (1 N for a NAO)."""
