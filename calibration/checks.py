@@ -52,11 +52,12 @@ def check_not_negative(config: Any, *fields: str) -> None:
 
 
 def check_count(config: Any, *fields: str) -> None:
-    """Raise ValueError if a field is not a whole number from one on, with its name and value."""
+    """Make fields of a frozen record ints; raise ValueError if one is no whole number from one on."""
     for field in fields:
         value = getattr(config, field)
         if not is_whole(value) or value < 1:
             raise ValueError(f"'{field}' must be a whole number from 1 on, got {value}.")
+        object.__setattr__(config, field, int(value))
 
 
 def check_value(name: str, value: Any, *, positive: bool) -> None:

@@ -93,6 +93,7 @@ class OnlineSetup:
             )
         if not is_whole(self.lag) or self.lag < 0:
             raise ValueError(f"'lag' must be a whole number of samples from 0 on, got {self.lag}.")
+        object.__setattr__(self, "lag", int(self.lag))
         for field, value in zip(Parameters._fields, self.initial, strict=True):
             shape = np.shape(value)
             if shape != (self.layout.channels,):

@@ -256,6 +256,20 @@ def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
         replay(LAYOUT, "window", raw, log.reference, 0.0, **options)
 
 
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [("window", {"every": 8.0, "iterations": 2.0}), ("moment", {"average": 4.0}), ("moment", {"lag": 2.0})],
+)
+def test_counts_may_be_floats_as_files_have_them(log, method, options, monkeypatch):
+    for native in ("1", "0"):
+        monkeypatch.setenv("SUREFOOT_NATIVE", native)
+        whole = {name: int(value) for name, value in options.items()}
+        given, meant = make(method, **options), make(method, **whole)
+        for k in range(100):
+            ours, theirs = (each.update(log.raw[k], rows(log)[k]) for each in (given, meant))
+        np.testing.assert_array_equal(ours.scale, theirs.scale)
+
+
 def test_arguments_without_meaning_are_refused(log):
     for lag in (np.inf, np.nan, None):
         with pytest.raises(ValueError, match=f"'lag' must be a whole number of samples from 0 on, got {lag}"):
