@@ -50,9 +50,10 @@ _UNSURE = 0.06
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
-_SHARED = 4.0
-"""Rows of a kind that share the product of the errors of scale and offset: until a foot swings, no offset is
-known. More serve sensors that are worse than stated, fewer those on a robot that only stands."""
+_SHARED = 0.25
+"""Rows of a kind, over their noise factor, that share the product of the errors of scale and offset: until a
+foot swings, no offset is known. The factor is large at first: a robot that walks soon swings a foot, and one
+that only stands and rocks learns from later rows."""
 
 _REACH = 10.0
 """Standard deviations from the starting map beyond which a sensor is not thought to be."""
@@ -173,7 +174,7 @@ class MomentStream:
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         assumed = rows.variance / np.concatenate([state.noise] * (config.every // config.average), axis=-1)
-        rows = self._bilinear(rows, places, covariance)
+        rows = self._bilinear(rows, places, covariance, rows.variance / assumed)
         residuals = Residuals.of(rows, mean, covariance)
         newton, rejected = self._plausible(rows, residuals, covariance, assumed)
         waiting = self._faults.suspects(faults, residuals)
@@ -220,13 +221,13 @@ class MomentStream:
         noise = np.where(kept[..., None], state.noise, followed_noise(state.noise, residuals))
         return state._replace(noise=noise), step
 
-    def _bilinear(self, rows: Rows, places: Array, covariance: Array) -> Rows:
+    def _bilinear(self, rows: Rows, places: Array, covariance: Array, noise: Array) -> Rows:
         """Allow for the product of the errors of scales and offsets, which columns leave out."""
         unknowns = self.unknowns
         variance = np.linalg.diagonal(covariance)
         product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
         lever = places * unknowns.unit
-        more = _SHARED * ((lever * lever) @ product[..., None])[..., 0]
+        more = _SHARED * noise * ((lever * lever) @ product[..., None])[..., 0]
         return rows._replace(variance=rows.variance + more)
 
     def _walked(self, state: MomentState, blocks: float) -> MomentState:

@@ -134,7 +134,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LOAD_STD ((sf_real)4.0)
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
-#define SF_SHARED ((sf_real)4.0)
+#define SF_SHARED ((sf_real)0.25)
 #define SF_REACH ((sf_real)10.0)
 #define SF_LEAST_LOAD ((sf_real)0.1)
 #define SF_SWING_SAMPLES ((sf_real)16.0)
@@ -1986,7 +1986,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
             sf_real lever = newton->places[r * K + k] * c->unit[k];
             more += lever * lever * (s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k]);
         }
-        newton->variance[r] += SF_SHARED * more;
+        newton->variance[r] += SF_SHARED * s->noise[r % c->kinds] * more;
     }
     sf_residuals(c, s->mean, s->covariance, newton);
     rejected = sf_plausible(c, s->covariance, newton);

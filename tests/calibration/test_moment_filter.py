@@ -138,10 +138,14 @@ def test_standing_still_the_total_is_the_weight(standing):
     for i, log in enumerate(logs):
         # The believed mass is half a percent off, the believed centre of mass 3 mm along each axis. No foot
         # has swung, so that offsets are open, and with them scales.
-        assert errors(robot(estimate, i), log, 10.0)[1] < 1.5
+        assert errors(robot(estimate, i), log, 10.0)[1] < 1.0
         assert errors(robot(estimate, i), log, 10.0)[0] < 10.0
 
 
+@pytest.mark.xfail(
+    strict=True,
+    reason="readings that drift, and load that creeps between cells, count as motion: gains shrink on it",
+)
 def test_standing_still_gains_stay_put(standing):
     _, _, estimate = standing
     moved = estimate.scale[-1] / NOMINAL.scale - 1.0
