@@ -29,7 +29,7 @@ from surefoot.calibration.in_situ.model import AXES, signals
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, loop_shares, solve, transforms
 
-__all__ = ["beside_loads", "criterion", "lag_signals", "with_hysteresis"]
+__all__ = ["beside_channels", "beside_loads", "criterion", "lag_signals", "with_hysteresis"]
 
 Matrix = NDArray[np.float64]
 
@@ -154,13 +154,21 @@ def _of_channels(
     problem = plain
     for _ in range(_ROUNDS):
         lags = lag_signals([load @ solution.A.T for load in _loads(sets, problem, solution)])
-        parts = with_signals(plain.sets, _at_rows(sets, plain, lags), options)
-        channels = lags[0].shape[1]
-        problem = replace(
-            plain, sets=parts, channel_lags=channels, whitening=whitening(parts), level=noise_level(parts)
-        )
+        problem = beside_channels(plain, _at_rows(sets, plain, lags), options)
         solution = solve(problem, [solution.outer])
     return problem, solution
+
+
+def beside_channels(plain: Problem, columns: Sequence[Matrix], options: InSituOptions) -> Problem:
+    """Return the problem with signals that act on the readings directly, at the rows of each set, (m, q)."""
+    parts = with_signals(plain.sets, columns, options)
+    return replace(
+        plain,
+        sets=parts,
+        channel_lags=plain.channel_lags + columns[0].shape[1],
+        whitening=whitening(parts),
+        level=noise_level(parts),
+    )
 
 
 def _stride(data: InSituSet) -> int:

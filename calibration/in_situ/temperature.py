@@ -20,10 +20,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.compress import CompressedSet, with_signals
-from surefoot.calibration.in_situ.covariance import UNUSED, noise_level, whitening
+from surefoot.calibration.in_situ.compress import CompressedSet
+from surefoot.calibration.in_situ.covariance import UNUSED, whitening
 from surefoot.calibration.in_situ.data import InSituSet
-from surefoot.calibration.in_situ.hysteresis import beside_loads, criterion
+from surefoot.calibration.in_situ.hysteresis import beside_channels, beside_loads, criterion
 from surefoot.calibration.in_situ.model import AXES
 from surefoot.calibration.in_situ.options import InSituOptions
 from surefoot.calibration.in_situ.solve import Problem, Solution, solve, transforms
@@ -152,9 +152,7 @@ def with_gains(
     """
 
     def warm_loads(at: Problem, found: Solution) -> list[Matrix]:
-        inputs = problem.basis.shape[2]
-        T = transforms(at, found)[:, :AXES, :inputs]
-        return [_warm(part, t) for part, t in zip(problem.sets, T, strict=True)]
+        return _warm_loads(problem, transforms(at, found))
 
     fitted, found = beside_loads(problem, solution, warm_loads, _GAIN_STD, options)
     if criterion(fitted, found) >= criterion(problem, solution):
@@ -170,18 +168,8 @@ def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -
         solution: Its solution.
         options: Of the fit.
     """
-    inputs = problem.basis.shape[2]
-    T = transforms(problem, solution)[:, :AXES, :inputs]
-    lags = problem.channel_lags
-    warm = [_warm(part, t, lags) @ solution.A.T for part, t in zip(problem.sets, T, strict=True)]
-    parts = with_signals(problem.sets, warm, options)
-    freer = replace(
-        problem,
-        sets=parts,
-        channel_lags=lags + warm[0].shape[1],
-        whitening=whitening(parts),
-        level=noise_level(parts),
-    )
+    warm = [load @ solution.A.T for load in _warm_loads(problem, transforms(problem, solution))]
+    freer = beside_channels(problem, warm, options)
     fitted = solve(freer, [solution.outer])
     if criterion(freer, fitted) >= criterion(problem, solution):
         return ()
@@ -191,9 +179,12 @@ def check_gauges(problem: Problem, solution: Solution, options: InSituOptions) -
     )
 
 
-def _warm(part: CompressedSet, transform: Matrix, behind: int = 0) -> Matrix:
-    """Return the temperature, with some signals behind it, times the load at the rows of a set, (m, 6)."""
-    source = part.source
-    signals = source.columns[:, source.terms : source.terms + source.inputs] / source.weight[:, None]
-    kelvin = signals[:, source.inputs - 1 - behind, None]
-    return np.asarray(kelvin * (signals[:, : transform.shape[1]] @ transform.T))
+def _warm_loads(problem: Problem, T: NDArray[np.float64]) -> list[Matrix]:
+    """Return the temperature times the load by each set's transform at the rows of each set, (m, 6) each."""
+    inputs, found = problem.basis.shape[2], []
+    for part, transform in zip(problem.sets, T[:, :AXES, :inputs], strict=True):
+        source = part.source
+        signals = source.columns[:, source.terms : source.terms + source.inputs] / source.weight[:, None]
+        kelvin = signals[:, inputs, None]  # the first signal behind those of the loads
+        found.append(kelvin * (signals[:, :inputs] @ transform.T))
+    return found
