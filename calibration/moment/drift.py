@@ -19,7 +19,7 @@ import numpy as np
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.state import MomentState
-from surefoot.calibration.moment.tare import SWING_SAMPLES
+from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
 
@@ -49,13 +49,14 @@ class LearntDrift:
         setup: The robot.
         config: Options of the filter.
         unknowns: The unknowns.
+        tare: The rows of feet in the air.
     """
 
-    def __init__(self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns) -> None:
-        self.unknowns = unknowns
+    def __init__(
+        self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns, tare: Tare
+    ) -> None:
+        self.unknowns, self.tare = unknowns, tare
         self._walk = unknowns.walk * config.every * setup.dt
-        self._noise = 2.0 * config.swing_noise**2 * SWING_SAMPLES
-        self._of_foot = np.eye(len(setup.layout.feet))[:, setup.layout.foot_of_channel]
 
     def walk(self, state: MomentState) -> Array:
         """Return the variances by which the unknowns drift in one block, shape (..., N)."""
@@ -75,16 +76,16 @@ class LearntDrift:
             reading: Means of the forces by the starting map over them in N, shape (..., K).
             sound: Channels that are not lost (0 or 1), shape (..., K).
         """
-        of_foot, air = self._of_foot, count > 0.5
+        of_foot, air = self.tare.by_channel, count > 0.5
         ends = ~air & (state.swing_samples >= _FEWEST_SAMPLES)
-        number = np.maximum(state.swing_samples, 1.0)
-        zero = state.swing_sum / (number @ of_foot)
+        number = np.maximum(state.swing_samples, 1.0) @ of_foot
+        zero = state.swing_sum / number
         sound = sound * (ends @ of_foot)
         channels = np.maximum(sound @ of_foot.T, 1.0)
         moved = (zero - state.swing_zero) * sound
         moved = moved - ((moved @ of_foot.T / channels) @ of_foot) * sound
         expected = state.rate[..., None] * self._walk[self.unknowns.offset] * (state.swing_ago @ of_foot)
-        expected = (expected + self._noise / (number @ of_foot)) * ((1.0 - 1.0 / channels) @ of_foot)
+        expected = (expected + 2.0 * self.tare.variance(number)) * ((1.0 - 1.0 / channels) @ of_foot)
         square = np.clip(moved * moved / np.where(expected > 0.0, expected, 1.0), 0.0, _LARGEST_SQUARE)
         surplus = ((square - 1.0) * sound) @ of_foot.T / channels
         seen = ends & (state.swing_ago > 0.0) & (channels > _FEWEST_CHANNELS)

@@ -72,7 +72,7 @@ class MomentStream:
         self.tare, self.parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
         self._front_end = FrontEnd(setup, imu=False)
         self._uncertainty, self._severity = Uncertainty(setup, unknowns), LearntSeverity(unknowns)
-        self._drifting = LearntDrift(setup, config, unknowns)
+        self._drifting = LearntDrift(setup, config, unknowns, self.tare)
         self._faults = ChannelFaults(
             setup,
             config.leap,
@@ -173,8 +173,9 @@ class MomentStream:
         covariance = state.covariance
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
-        assumed = rows.variance / np.concatenate([state.noise] * (config.every // config.average), axis=-1)
-        rows = self._bilinear(rows, places, covariance, rows.variance / assumed)
+        factor = np.concatenate([state.noise] * (config.every // config.average), axis=-1)
+        assumed = rows.variance / factor
+        rows = self._bilinear(rows, places, covariance, factor)
         residuals = Residuals.of(rows, mean, covariance)
         newton, rejected = self._plausible(rows, residuals, covariance, assumed)
         waiting = self._faults.suspects(faults, residuals)
@@ -221,13 +222,13 @@ class MomentStream:
         noise = np.where(kept[..., None], state.noise, followed_noise(state.noise, residuals))
         return state._replace(noise=noise), step
 
-    def _bilinear(self, rows: Rows, places: Array, covariance: Array, noise: Array) -> Rows:
+    def _bilinear(self, rows: Rows, places: Array, covariance: Array, factor: Array) -> Rows:
         """Allow for the product of the errors of scales and offsets, which columns leave out."""
         unknowns = self.unknowns
         variance = np.linalg.diagonal(covariance)
         product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
         lever = places * unknowns.unit
-        more = _SHARED * noise * ((lever * lever) @ product[..., None])[..., 0]
+        more = _SHARED * factor * ((lever * lever) @ product[..., None])[..., 0]
         return rows._replace(variance=rows.variance + more)
 
     def _walked(self, state: MomentState, blocks: float) -> MomentState:

@@ -9,7 +9,7 @@ from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
 
-SWING_SAMPLES = 16.0
+_SWING_SAMPLES = 16.0
 """Samples that ``swing_noise`` is given for."""
 
 _UP = 2
@@ -23,6 +23,9 @@ class Tare:
         setup: The robot.
         config: Options of the filter.
         unknowns: The unknowns.
+
+    Attributes:
+        by_channel: Takes what each foot has to its channels (0 or 1), shape (F, K).
     """
 
     def __init__(self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns) -> None:
@@ -30,7 +33,7 @@ class Tare:
         self.unknowns, self.config = unknowns, config
         self._weight = setup.weight
         self._distal = DistalMasses(layout, setup.dt, config.span)
-        self._by_channel = np.eye(len(layout.feet))[:, layout.foot_of_channel]
+        self.by_channel = np.eye(len(layout.feet))[:, layout.foot_of_channel]
         self._vertical = layout.wrench_map[:, _UP]
         self._offsets = np.eye(layout.channels, unknowns.size, unknowns.offset.start)
 
@@ -42,7 +45,7 @@ class Tare:
             foot's, shape (..., K).
         """
         settle, every = self.config.settle, self.config.every
-        by_channel, middle = self._by_channel, self.config.middle
+        by_channel, middle = self.by_channel, self.config.middle
         sure = block.swing[..., :every, :]
         for shift in range(1, 2 * settle + 1):
             sure = sure * block.swing[..., shift : shift + every, :]
@@ -84,11 +87,13 @@ class Tare:
         Returns:
             One row a channel.
         """
-        number = count @ self._by_channel
+        number = count @ self.by_channel
         H = self._offsets + 0.0 * reading[..., None]
         y = -reading / self.unknowns.unit
         if self._distal.matter:
             y = y + self._distal.felt(block.motion) / (self.unknowns.unit * self.unknowns.own_scales(mean))
-        few = np.where(number > 1.0, number, 1.0)
-        variance = self.config.swing_noise**2 * SWING_SAMPLES / few
-        return Rows(H, y, variance).keep(number > 0.5)
+        return Rows(H, y, self.variance(number)).keep(number > 0.5)
+
+    def variance(self, number: Array) -> Array:
+        """Return the variance of a mean reading over so many samples, in squared units of an offset."""
+        return self.config.swing_noise**2 * _SWING_SAMPLES / np.where(number > 1.0, number, 1.0)

@@ -87,8 +87,8 @@ static const place places[] = {
 
     FRONT_OF(state), S_WHOLE(step), S_REAL(pending), S_REAL(mean), S_REAL(covariance), S_REAL(drift), S_REAL(given),
     S_REAL(given_covariance), S_REAL(learnt), S_REAL(spread), S_REAL(kept_mean), S_REAL(kept_covariance),
-    S_REAL(noise), S_REAL(misfit), S_REAL(rate), S_REAL(swing_zero),
-    S_REAL(swing_ago), S_REAL(swing_sum), S_REAL(swing_samples), S_REAL(unproven), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
+    S_REAL(noise), S_REAL(misfit), S_REAL(rate), S_REAL(swing_zero), S_REAL(swing_ago), S_REAL(swing_sum),
+    S_REAL(swing_samples), S_REAL(unproven), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
     S_REAL(last), S_WHOLE(leaps), S_REAL(leapt), S_REAL(trust), S_REAL(doubt), S_REAL(scores),
     S_REAL(size), S_REAL(load), S_REAL(moments), S_REAL(lost), S_WHOLE(kind), S_REAL(wiring),
     S_REAL(spare), S_REAL(spare_std), S_REAL(agreed), S_WHOLE(altered),

@@ -140,7 +140,6 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_SWING_SAMPLES ((sf_real)16.0)
 #define SF_RATE_MEMORY ((sf_real)0.15)
 #define SF_FASTEST ((sf_real)100.0)
-#define SF_LARGEST_STEP ((sf_real)9.0)
 #define SF_FEWEST_SAMPLES ((sf_real)8.0)
 #define SF_FEWEST_CHANNELS ((sf_real)2.5)
 #define SF_LARGEST_SCALE ((sf_real)3.0)
@@ -1158,7 +1157,7 @@ SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *co
                                2 * (c->swing_noise * c->swing_noise) * SF_SWING_SAMPLES / number;
             expected *= 1 - 1 / sf_max(channels, 1);
             if (s->lost[k] == 0)
-                surplus += sf_clip(moved * moved / (expected > 0 ? expected : 1), 0, SF_LARGEST_STEP) - 1;
+                surplus += sf_clip(moved * moved / (expected > 0 ? expected : 1), 0, SF_LARGEST_SQUARE) - 1;
             if (ends) s->swing_zero[k] = s->swing_sum[k] / number;
             s->swing_sum[k] = air ? s->swing_sum[k] + reading[k] / c->unit[k] * count[foot] : 0;
         }
@@ -1874,10 +1873,9 @@ SF_API sf_real sf_quiet(const sf_config *c, sf_state *s, const sf_block *b) {
     return (1 + s->quiet) * (1 + s->quiet);
 }
 
-/* MomentStream._walked: the time of some blocks, in which the unknowns have drifted. */
-SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real blocks) {
+/* MomentStream._walked: the time of some blocks, in which the unknowns have drifted; gives what one adds. */
+SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real *walk, sf_real blocks) {
     int M = sf_map(c), N = sf_unknowns(c);
-    sf_real walk[SF_UNKNOWNS];
     sf_walk(c, s, walk);
     for (int i = 0; i < N; i++) s->covariance[i * N + i] += blocks * walk[i];
     for (int i = 0; i < M; i++) {
@@ -1975,8 +1973,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
     for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
 
-    sf_walk(c, s, walk);
-    sf_walked(c, s, 1);
+    sf_walked(c, s, walk, 1);
     sf_newton_euler_rows(c, s, &b, newton);
     for (int r = 0; r < m; r++) {
         newton->assumed[r] = newton->variance[r] / s->noise[r % c->kinds];
@@ -2218,7 +2215,10 @@ SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w,
     newest[K + c->feet + 1] = (sf_real)(sample.sound && !gap);
 
     s->step++;
-    if (gap && dt > 0 && sf_finite(dt)) sf_walked(c, s, sf_min(dt, SF_LONGEST_PAUSE) / (c->every * c->dt));
+    if (gap && dt > 0 && sf_finite(dt)) {
+        sf_real walk[SF_UNKNOWNS];
+        sf_walked(c, s, walk, sf_min(dt, SF_LONGEST_PAUSE) / (c->every * c->dt));
+    }
     estimate->nis = (sf_real)NAN;
     estimate->nis_rows = 0;
     if (s->step % c->every == 0) {

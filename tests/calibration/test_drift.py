@@ -11,13 +11,14 @@ from numpy.testing import assert_allclose
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.drift import LearntDrift
 from surefoot.calibration.moment.stream import moment_filter
+from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
 
 CONFIG = MomentFilterConfig()
 SETUP = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)
 UNKNOWNS = Unknowns(SETUP, CONFIG)
-DRIFT = LearntDrift(SETUP, CONFIG, UNKNOWNS)
+DRIFT = LearntDrift(SETUP, CONFIG, UNKNOWNS, Tare(SETUP, CONFIG, UNKNOWNS))
 CHANNELS, FEET, STRIDE = LAYOUT.channels, len(LAYOUT.feet), 8
 ROBOTS = 200
 
