@@ -12,6 +12,7 @@ from surefoot.calibration import (
     online_method,
     replay,
 )
+from surefoot.calibration.native import installed
 from surefoot.calibration.state import load_state, save_state
 
 FAULTS = Faults.bad()
@@ -261,8 +262,8 @@ def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
     [("window", {"every": 8.0, "iterations": 2.0}), ("moment", {"average": 4.0}), ("moment", {"lag": 2.0})],
 )
 def test_counts_may_be_floats_as_files_have_them(log, method, options, monkeypatch):
-    for native in ("1", "0"):
-        monkeypatch.setenv("SUREFOOT_NATIVE", native)
+    for library in (installed(), None):
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda found=library: found)
         whole = {name: int(value) for name, value in options.items()}
         given, meant = make(method, **options), make(method, **whole)
         for k in range(100):
