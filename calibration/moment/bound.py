@@ -254,7 +254,7 @@ class _Spread:
     def add(self, covariance: Floats, part: slice) -> None:
         unknowns = self._log.unknowns
         # What has drifted since a block is part of what cannot be known.
-        covariance = (covariance + np.diag(unknowns.aged))[unknowns.map, unknowns.map]
+        covariance = (covariance + np.diag(unknowns.age * unknowns.walk))[unknowns.map, unknowns.map]
         parts = self._log.spread_rows(part)
         force_std, vgrf_std, cop_std = (np.sqrt(variances(one, covariance)) for one in parts)
         self._parts.append((force_std, vgrf_std[:, 0], cop_std))

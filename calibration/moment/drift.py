@@ -38,6 +38,9 @@ _FEWEST_SAMPLES = 8.0
 _FEWEST_CHANNELS = 2.5
 """Channels of a foot that must be more than these, for what they have in common to be told apart."""
 
+_LONGEST_STANCE = 20.0
+"""Blocks since a swing that are counted at most: a robot that stands is to learn as well."""
+
 _LARGEST_SCALE = 3.0
 """Largest scale that a gain's drift is worked out with; the least is 1."""
 
@@ -56,7 +59,8 @@ class LearntDrift:
         self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns, tare: Tare
     ) -> None:
         self.unknowns, self.tare = unknowns, tare
-        self._walk = unknowns.walk * config.every * setup.dt
+        block = config.every * setup.dt
+        self._walk, self._blocks = unknowns.walk * block, unknowns.age / block
 
     def walk(self, state: MomentState) -> Array:
         """Return the variances by which the unknowns drift in one block, shape (..., N)."""
@@ -66,6 +70,18 @@ class LearntDrift:
         walk[..., : unknowns.channels] *= rate * scale**4
         walk[..., unknowns.offset] *= rate
         return walk
+
+    def aged(self, state: MomentState) -> Array:
+        """Return the variances by which scales and offsets drifted since they were learnt, (..., P + K)."""
+        return self._blocks * self.walk(state)[..., self.unknowns.map]
+
+    def since_swing(self, state: MomentState) -> tuple[Array, Array]:
+        """Return the variances by which offsets have drifted since their feet swung, and blocks since then.
+
+        Shape (..., K) each; nothing for a foot that never swung.
+        """
+        blocks = np.clip(state.swing_ago, 0.0, _LONGEST_STANCE) @ self.tare.by_channel
+        return self.walk(state)[..., self.unknowns.offset] * blocks, blocks
 
     def followed(self, state: MomentState, count: Array, reading: Array, sound: Array) -> MomentState:
         """Return the state with the rate that swings show which end with this block.

@@ -18,13 +18,11 @@ from surefoot.calibration.arrays import Array
 
 
 class KalmanStep(NamedTuple):
-    """What came of one step; any leading batch dimensions ``...``; m rows, N unknowns.
+    """What came of one step; any leading batch dimensions ``...``; N unknowns.
 
     Attributes:
         mean: x, shape (..., N).
         covariance: S, shape (..., N, N).
-        innovation: y - H x before the step, shape (..., m).
-        predicted: Diagonal of H S H', shape (..., m).
         nis: Normalised innovation squared, e' (H S H' + R)^-1 e with the variances as they were used, shape
             (...).
         rows: How many rows held anything, shape (...).
@@ -32,8 +30,6 @@ class KalmanStep(NamedTuple):
 
     mean: Array
     covariance: Array
-    innovation: Array
-    predicted: Array
     nis: Array
     rows: Array
 
@@ -76,7 +72,7 @@ def kalman_step(
     covariance = kept + (gain * variance[..., None, :]) @ gain.mT
     covariance = 0.5 * (covariance + covariance.mT)
     rows = (predicted > 0.0).sum(axis=-1, dtype=np.float64)
-    return KalmanStep(mean, covariance, e, predicted, nis, rows)
+    return KalmanStep(mean, covariance, nis, rows)
 
 
 def _identity(identity: Array, like: Array) -> Array:

@@ -31,7 +31,7 @@ SEVERITIES = (0.04, 0.2, 1.0, 5.0)
 LIKELY = (0.1, 0.1, 0.7, 0.1)
 """How likely each of them is before anything was seen."""
 
-FIRST_WIDTH = 4.0
+FIRST_WIDTH = 8.0
 """Stated standard deviations of the prior that the filter begins with."""
 
 _LEAST = 8.0

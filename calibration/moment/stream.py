@@ -50,13 +50,12 @@ _UNSURE = 0.06
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
-_SHARED = 0.25
+_SHARED = 0.015
 """Rows of a kind, over their noise factor, that share the product of the errors of scale and offset: until a
-foot swings, no offset is known. The factor is large at first: a robot that walks soon swings a foot, and one
-that only stands and rocks learns from later rows."""
+foot swings, no offset is known."""
 
-_REACH = 10.0
-"""Standard deviations from the starting map beyond which a sensor is not thought to be."""
+_REACH = 5.0
+"""Standard deviations of the prior that the filter begins with beyond which a sensor is not thought to be."""
 
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to, and after which what is learnt is handed out."""
@@ -165,12 +164,20 @@ class MomentStream:
 
     def _learn(self, state: MomentState) -> tuple[MomentState, KalmanStep]:
         """Update the unknowns by the block that is full."""
-        mean, config = state.mean, self.config
+        config = self.config
         block, read = self._block(state)
         faults = self._faults.silent(state.faults, block.force, read)
         block = block._replace(use=block.use * self._complete(faults, read))
-        before, state = state.covariance, self._walked(state, 1.0)
-        covariance = state.covariance
+        state = self._walked(state, 1.0)
+        count, reading, doubted = self._hanging(state, block, faults)
+        state, faults = self._begun_anew(state, faults, count)
+        before, unlearnt = (
+            state.mean,
+            KalmanStep(state.mean, state.covariance, *np.zeros((2, *doubted.shape))),
+        )
+        # First of all, so that the columns of all other rows hold the offsets that are known by now.
+        tared = self._tared(unlearnt, block, faults, count, reading)
+        mean, covariance = tared.mean, tared.covariance
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         factor = np.concatenate([state.noise] * (config.every // config.average), axis=-1)
@@ -183,44 +190,48 @@ class MomentStream:
         changed = self._changed(mean, covariance, newton) | self._faults.unexplained(faults)
         changed = changed & (faults.trust >= _SETTLED) & ~waiting
         faults = faults._replace(trust=np.where(changed, TRUST, faults.trust))
-        covariance = covariance + np.where(changed[..., None, None], self._change, 0.0)
         quiet, anchor, learnt_from = self._quiet(state, block, newton)
-        hanging = 0.0 * state.swing_samples, state.swing_sum
-        if (block.swing > 0.5).any():
-            tare, doubted, hanging = self._tare(mean, covariance, state.drift, block, faults)
-            learnt_from, rejected = learnt_from.beside(tare), rejected | doubted
-        state = self._drifting.followed(state, *hanging, 1.0 - faults.lost)
+        learnt_from = self._since_swing(state, learnt_from, places, covariance)
+        state = self._drifting.followed(state, count, reading, 1.0 - faults.lost)
         if self.parity.matters:
             parity = self.parity.rows(mean, block)
             if faults.altered:
                 parity = parity.keep((faults.lost < 0.5).all(axis=-1)[..., None])
             learnt_from = learnt_from.beside(parity)
         learnt_from = learnt_from.keep(~waiting[..., None])
-        # The mass only while it is much less sure than it began, the centre of mass until strides repeat.
-        unsure = np.linalg.diagonal(covariance) > self.unknowns.sure
-        learnt = self.unknowns.learnt * unsure
-        step = kalman_step(mean, covariance, *learnt_from, learnt, self._identity, config.gate)
+        tared = KalmanStep(*(_where(waiting, *parts) for parts in zip(unlearnt, tared, strict=True)))
+        wider = tared.covariance + np.where(changed[..., None, None], self._change, 0.0)
+        step, finite = self._step(tared.mean, wider, learnt_from)
         low, high = self._limits(state.drift)
         clipped = np.clip(step.mean, low, high)
-        rejected = rejected | (clipped != step.mean).any(axis=-1)
-        finite = np.isfinite(step.mean).all(axis=-1)
-        finite = finite & np.isfinite(step.covariance).all(axis=(-2, -1))
+        rejected = rejected | doubted | (clipped != step.mean).any(axis=-1)
         # A robot of which nothing is used, as somebody holds it, says nothing of the motion that it had.
         unused = waiting | ~(newton.H != 0.0).any(axis=(-2, -1))
         state = state._replace(
             unproven=np.where(unused, state.unproven, np.maximum(state.unproven - 1.0, 0.0)),
-            mean=np.where(finite[..., None], clipped, mean),
-            covariance=np.where(finite[..., None, None], step.covariance, before),
+            mean=_where(finite, clipped, before),
+            covariance=_where(finite, step.covariance, state.covariance),
             misfit=np.where(unused, state.misfit, followed_misfit(state.misfit, residuals)),
             quiet=quiet,
             anchor=anchor,
             status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
         )
-        state = self._watch(state, faults, mean, block, rows, places, residuals)
+        state = self._watch(state, faults, before, mean, block, rows, places, residuals)
         # What no fault and no load explains is noise; a robot that stands shows little of it.
         kept = unused | (quiet > 0.5) | self._faults.explicable(state.faults)
         noise = np.where(kept[..., None], state.noise, followed_noise(state.noise, residuals))
-        return state._replace(noise=noise), step
+        return state._replace(noise=noise), step._replace(
+            nis=step.nis + tared.nis, rows=step.rows + tared.rows
+        )
+
+    def _step(self, mean: Array, covariance: Array, rows: Rows) -> tuple[KalmanStep, Array]:
+        """Learn from rows, and say whether all of what came is finite."""
+        # The mass only while it is much less sure than it began, the centre of mass until strides repeat.
+        unsure = np.linalg.diagonal(covariance) > self.unknowns.sure
+        learnt = self.unknowns.learnt * unsure
+        step = kalman_step(mean, covariance, *rows, learnt, self._identity, self.config.gate)
+        finite = np.isfinite(step.mean).all(axis=-1)
+        return step, finite & np.isfinite(step.covariance).all(axis=(-2, -1))
 
     def _bilinear(self, rows: Rows, places: Array, covariance: Array, factor: Array) -> Rows:
         """Allow for the product of the errors of scales and offsets, which columns leave out."""
@@ -229,6 +240,18 @@ class MomentStream:
         product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
         lever = places * unknowns.unit
         more = _SHARED * factor * ((lever * lever) @ product[..., None])[..., 0]
+        return rows._replace(variance=rows.variance + more)
+
+    def _since_swing(self, state: MomentState, rows: Rows, places: Array, covariance: Array) -> Rows:
+        """Allow for that product where an offset has drifted since its foot swung: all rows since share it.
+
+        In columns of scales such a drift looks like a load that moves, which says much of scales.
+        """
+        unknowns = self.unknowns
+        drifted, blocks = self._drifting.since_swing(state)
+        product = unknowns.own_scales(np.linalg.diagonal(covariance)) * drifted * blocks
+        lever = places * unknowns.unit
+        more = rows.y.shape[-1] * ((lever * lever) @ product[..., None])[..., 0]
         return rows._replace(variance=rows.variance + more)
 
     def _walked(self, state: MomentState, blocks: float) -> MomentState:
@@ -280,6 +303,8 @@ class MomentStream:
         mean = np.concatenate([learnt, state.mean[..., of_map.stop :]], axis=-1)
         proven = state.unproven < 0.5
         mean = np.where(((state.mean != before).any(axis=-1) & proven)[..., None], mean, state.given)
+        # They have drifted since they were learnt.
+        covariance = covariance + self._drifting.aged(state)[..., None] * self._identity[of_map, of_map]
         covariance = np.where(proven[..., None, None], covariance, state.given_covariance)
         of_channels = self._uncertainty.of_parameters(mean, covariance)
         return state._replace(
@@ -294,24 +319,28 @@ class MomentStream:
         state: MomentState,
         faults: ChannelState,
         before: Array,
+        mean: Array,
         block: Block,
         rows: Rows,
         places: Array,
         residuals: Residuals,
     ) -> MomentState:
-        """Look for faults in what the block left unexplained; and go back to before one that is found."""
+        """Look for faults in what the block left unexplained; and go back to before one that is found.
+
+        The unknowns had the first mean before the block, and the second one with the rows that were written.
+        """
         unknowns = self.unknowns
         reading = self.newton_euler.readings(block)
-        force = unknowns.force(before[..., None, :], reading)
+        force = unknowns.force(mean[..., None, :], reading)
         fresh = (faults.lost != state.faults.lost).any(axis=-1)
         seen = Contradiction(
             residuals=residuals,
             places=places,
             reading=reading,
-            scale=unknowns.own_scales(before),
+            scale=unknowns.own_scales(mean),
             force=force,
             load=rows.H[..., unknowns.load],
-            mass=before[..., unknowns.mass],
+            mass=mean[..., unknowns.mass],
         )
         faults, found, loaded = self._faults.contradicted(faults, seen)
         found = found | fresh
@@ -389,29 +418,62 @@ class MomentStream:
         spread = spread + (rows.variance[..., which] * there).sum(axis=-1) / count**2
         return (e * e > _LEAP_STD**2 * spread) & (np.abs(e) > _LEAST_CHANGE * self.config.mass_change)
 
-    def _tare(
-        self, mean: Array, covariance: Array, drift: Array, block: Block, faults: ChannelState
-    ) -> tuple[Rows, Array, tuple[Array, Array]]:
-        """Write the tare of feet that hang, unless they carry weight.
+    def _hanging(self, state: MomentState, block: Block, faults: ChannelState) -> tuple[Array, Array, Array]:
+        """Find the samples in which feet surely hang and carry no weight.
 
         Returns:
-            The rows, whether any foot was doubted, and the samples of each that count with their readings.
+            Their number for each foot, shape (..., F), means of the forces over them, shape (..., K), and
+            whether any foot was doubted, shape (...).
         """
+        if not (block.swing > 0.5).any():
+            return 0.0 * state.swing_samples, state.swing_sum, state.misfit < 0.0
         of_map = self.unknowns.map
         count, reading = self.tare.hanging(block)
-        load, row = self.tare.load(mean, reading, faults.spare if faults.altered else None)
+        load, row = self.tare.load(state.mean, reading, faults.spare if faults.altered else None)
         # As it is known to, and before anything was learnt to what is stated.
-        stated = (row * row * self._severity.stated(drift)[..., None, :]).sum(axis=-1)
-        known = ((row @ covariance[..., of_map, of_map]) * row).sum(axis=-1)
+        stated = (row * row * self._severity.stated(state.drift)[..., None, :]).sum(axis=-1)
+        known = ((row @ state.covariance[..., of_map, of_map]) * row).sum(axis=-1)
         spread = np.where(known < stated, known, stated)
         limit = self.config.swing_load + _LOAD_STD * np.sqrt(np.maximum(spread, 0.0))
         doubted = (count > 0.5) & (np.abs(load) > limit)
         # Not all feet of a robot that stands are in the air.
         doubted = doubted | (count > 0.5).all(axis=-1)[..., None]
-        count = np.where(doubted, 0.0, count)
-        rows = self.tare.rows(mean, block, count, reading)
+        return np.where(doubted, 0.0, count), reading, doubted.any(axis=-1)
+
+    def _begun_anew(
+        self, state: MomentState, faults: ChannelState, count: Array
+    ) -> tuple[MomentState, ChannelState]:
+        """Forget the scales that were learnt before a foot first swung, with offsets that nobody knew.
+
+        Those are forgotten whose error times that of their offset is larger than the noise of a row: a robot
+        that stood and rocked for long may know both. Noise and trust begin anew as well.
+        """
+        unknowns = self.unknowns
+        first = ((count > 0.5) & (state.swing_ago < 0.0)).any(axis=-1)
+        if not first.any():
+            return state, faults
+        variance = np.linalg.diagonal(state.covariance)
+        product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
+        loose = (product > self.config.force_noise**2 / self.config.average) & first[..., None]
+        anew, gone = loose.any(axis=-1), np.zeros(variance.shape, dtype=bool)
+        gone[..., unknowns.scale] = loose[..., unknowns.out]
+        state = state._replace(
+            mean=np.where(gone, unknowns.start, state.mean),
+            covariance=np.where(gone[..., None] | gone[..., None, :], self._covariance, state.covariance),
+            noise=np.where(anew[..., None], FIRST_NOISE, state.noise),
+        )
+        return state, faults._replace(trust=np.where(anew, 0.0, faults.trust))
+
+    def _tared(
+        self, unlearnt: KalmanStep, block: Block, faults: ChannelState, count: Array, reading: Array
+    ) -> KalmanStep:
+        """Learn from feet that hang."""
+        if not (count > 0.5).any():
+            return unlearnt
+        rows = self.tare.rows(unlearnt.mean, block, count, reading)
         rows = rows.keep(1.0 - faults.lost) if faults.altered else rows
-        return rows, doubted.any(axis=-1), (count, reading)
+        step, finite = self._step(unlearnt.mean, unlearnt.covariance, rows)
+        return KalmanStep(*(_where(finite, *parts) for parts in zip(step, unlearnt, strict=True)))
 
     def _estimate(
         self, state: MomentState, sample: Sample, kinds: Array, nis: Array, nis_rows: Array
@@ -429,6 +491,11 @@ class MomentStream:
         estimate = self._front_end.report(sample, forces[0], *maps, status, None, *forces[1:])
         sure = self._uncertainty.of_estimate(estimate, sample, state)
         return estimate._replace(**sure, nis=nis, nis_rows=nis_rows)
+
+
+def _where(those: Array, these: Any, others: Any) -> Array:
+    """Choose between arrays robot by robot, of which ``those`` has shape (...)."""
+    return np.where(those.reshape(those.shape + (1,) * (np.ndim(these) - those.ndim)), these, others)
 
 
 def moment_filter(setup: OnlineSetup, config: MomentFilterConfig | None = None) -> OnlineMethod:

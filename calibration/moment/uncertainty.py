@@ -27,13 +27,10 @@ class Uncertainty:
         K = setup.layout.channels
         self.unknowns = unknowns
         self._own_scales = np.eye(K, unknowns.map.stop)
-        self._aged = np.diag(unknowns.aged[unknowns.map])
         self._identity = np.eye(K)
 
     def of_parameters(self, mean: Array, covariance: Array) -> Array:
         """Return the covariance of (a, b) of each channel, shape (..., 2K, 2K), for that of the unknowns.
-
-        They have drifted since they were learnt, which is added.
 
         Args:
             mean: The unknowns, shape (..., N).
@@ -43,7 +40,7 @@ class Uncertainty:
         # b is the force at a reading of no force by the starting map.
         offsets = self.to_force(mean, np.zeros_like(mean[..., unknowns.offset]))
         rows = np.concatenate([self._own_scales + 0.0 * offsets[..., :1], offsets], axis=-2)
-        return rows @ (covariance + self._aged) @ rows.mT
+        return rows @ covariance @ rows.mT
 
     def of_channels(self, learnt: Array) -> Array:
         """Return what single forces need: variances of a, twice those of a with b, of b, shape (..., 3, K).
@@ -77,7 +74,7 @@ class Uncertainty:
             if state.faults.altered:
                 to_force = state.faults.spare @ to_force
             if not unknowns.diagonal:
-                covariance = state.given_covariance + self._aged
+                covariance = state.given_covariance
             variance = variances(to_force, covariance) + state.faults.spare_std**2
             row = rows @ to_force
         if not estimate.cop_valid.all():

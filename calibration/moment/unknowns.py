@@ -60,8 +60,7 @@ class Unknowns:
         start: Mean to start from, shape (N,).
         std: Standard deviations to start from, shape (N,).
         walk: Variance of their random walks per second, shape (N,).
-        aged: Variance by which they have walked on, on the average, since the middle of the block that they
-            were learnt from, shape (N,).
+        age: Time in s, on the average, since the middle of the block that they were learnt from.
         change: Standard deviations of sudden changes of the reference, shape (N,).
         learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
         sure: Variances from which down they are only considered as well, shape (N,).
@@ -103,7 +102,7 @@ class Unknowns:
         self.walk: NDArray[np.float64] = np.zeros(self.size)
         self.walk[:channels] = config.scale_drift**2 / 60.0
         self.walk[self.offset] = config.offset_drift**2 / 60.0
-        self.aged: NDArray[np.float64] = self.walk * (config.settle + config.every) * setup.dt
+        self.age = (config.settle + config.every) * setup.dt
         self.change: NDArray[np.float64] = np.zeros(self.size)
         self.change[self.com] = config.com_change / setup.length
         self.change[self.mass] = config.mass_change

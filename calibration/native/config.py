@@ -235,7 +235,6 @@ def _moment(stream: MomentStream) -> dict[str, Any]:
         "learnt": unknowns.learnt,
         "sure": unknowns.sure,
         "change": np.diagonal(stream._change),
-        "aged": unknowns.aged[unknowns.map],
         "stated": unknowns.std[unknowns.map] ** 2,
         "row_scale": newton._scale,
         "row_variance": newton._variance,

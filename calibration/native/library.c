@@ -78,7 +78,7 @@ static const place places[] = {
     C_INT(second), C_INT(foot_of_sensor), C_REAL(dt), C_REAL(weight), C_REAL(mass), C_REAL(length),
     C_REAL(reach), C_REAL(force_threshold), C_REAL(carried), C_REAL(scale), C_REAL(offset), C_REAL(lowest),
     C_REAL(highest), C_REAL(wrench_map), C_REAL(unit), C_REAL(start), C_REAL(first_variance),
-    C_REAL(walk), C_REAL(learnt), C_REAL(sure), C_REAL(change), C_REAL(aged), C_REAL(stated), C_REAL(row_scale),
+    C_REAL(walk), C_REAL(learnt), C_REAL(sure), C_REAL(change), C_REAL(stated), C_REAL(row_scale),
     C_REAL(row_variance), C_REAL(timing_noise), C_REAL(gate), C_REAL(reject), C_REAL(still),
     C_REAL(mass_change), C_REAL(swing_noise), C_REAL(swing_load), C_REAL(parity_noise),
     C_REAL(parity), C_REAL(leap), C_REAL(renewal), C_REAL(prior), C_REAL(load_largest),

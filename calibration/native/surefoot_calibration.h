@@ -91,7 +91,7 @@ typedef long long sf_whole;
 #define SF_SPAN (SF_EVERY + 2 * SF_SETTLE)
 #define SF_PENDING (2 * SF_CHANNELS + SF_MOTION + SF_FEET + 2)
 #define SF_NEWTON (SF_GROUPS * SF_KINDS)
-#define SF_ROWS (SF_NEWTON + SF_CHANNELS + 2 * SF_PARITIES)
+#define SF_ROWS (SF_NEWTON + 2 * SF_PARITIES > SF_CHANNELS ? SF_NEWTON + 2 * SF_PARITIES : SF_CHANNELS)
 #define SF_PAIRS (SF_CELLS * (SF_CELLS - 1) / 2 + 1)
 #define SF_HYPOTHESES (2 * SF_CHANNELS + 2 * SF_PAIRS)
 
@@ -134,14 +134,15 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LOAD_STD ((sf_real)4.0)
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
-#define SF_SHARED ((sf_real)0.25)
-#define SF_REACH ((sf_real)10.0)
+#define SF_SHARED ((sf_real)0.015)
+#define SF_REACH ((sf_real)5.0)
 #define SF_LEAST_LOAD ((sf_real)0.1)
 #define SF_SWING_SAMPLES ((sf_real)16.0)
 #define SF_RATE_MEMORY ((sf_real)0.15)
 #define SF_FASTEST ((sf_real)100.0)
 #define SF_FEWEST_SAMPLES ((sf_real)8.0)
 #define SF_FEWEST_CHANNELS ((sf_real)2.5)
+#define SF_LONGEST_STANCE ((sf_real)20.0)
 #define SF_LARGEST_SCALE ((sf_real)3.0)
 #define SF_FIRST_NOISE ((sf_real)16.0)
 #define SF_LOUDEST ((sf_real)100.0)
@@ -151,7 +152,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LARGEST_MISFIT ((sf_real)25.0)
 #define SF_MISFIT_MEMORY ((sf_real)0.06)
 #define SF_CLIP ((sf_real)30.0)
-#define SF_FIRST_WIDTH ((sf_real)4.0)
+#define SF_FIRST_WIDTH ((sf_real)8.0)
 #define SF_LEAST ((sf_real)8.0)
 #define SF_NEGLIGIBLE ((sf_real)1e-18) /* share of a mixture that changes no digit of it */
 #define SF_FLOOR ((sf_real)1e-5)
@@ -202,7 +203,7 @@ typedef struct {
     sf_real unit[SF_CHANNELS];
     sf_real start[SF_UNKNOWNS], first_variance[SF_UNKNOWNS], walk[SF_UNKNOWNS], learnt[SF_UNKNOWNS], sure[SF_UNKNOWNS];
     sf_real change[SF_UNKNOWNS]; /* variances of what a load changes */
-    sf_real aged[SF_MAP], stated[SF_MAP];
+    sf_real stated[SF_MAP];
     sf_real row_scale[6], row_variance[6]; /* of the kinds of rows that are seen */
     sf_real timing_noise, gate, reject, still, mass_change;
     sf_real swing_noise, swing_load, parity_noise;
@@ -1075,13 +1076,36 @@ SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf
     }
 }
 
+/* MomentStream._begun_anew: forget the scales that were learnt before a foot first swung, with offsets that nobody
+   knew. */
+SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count) {
+    int P = sf_scales(c), N = sf_unknowns(c), first = 0, gone[SF_UNKNOWNS] = {0}, any = 0;
+    for (int foot = 0; foot < c->feet; foot++)
+        first = first || (count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0);
+    for (int i = 0; first && i < P; i++) {
+        int k = i < c->channels ? i : c->talk_to[i - c->channels];
+        gone[i] = s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k] > c->row_variance[0];
+        any = any || gone[i];
+    }
+    if (!any) return;
+    for (int i = 0; i < P; i++) {
+        if (!gone[i]) continue;
+        s->mean[i] = c->start[i];
+        for (int k = 0; k < N; k++) s->covariance[i * N + k] = s->covariance[k * N + i] = 0;
+        s->covariance[i * N + i] = c->first_variance[i];
+    }
+    for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
+    s->trust = 0;
+}
+
 /* MomentStream._tare: append the tare of feet that hang, unless they carry weight; returns whether any does.
    Gives the samples of each foot that count, and the mean readings over them. */
-SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covariance, const sf_block *b,
-                   sf_rows *rows, sf_real *count, sf_real *reading) {
+SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *rows, sf_real *count,
+                   sf_real *reading) {
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), any = 0, all = 1;
     sf_real felt[SF_CHANNELS], row[SF_MAP], up[SF_CHANNELS];
     sf_real tared[SF_CHANNELS];
+    rows->count = 0;
     sf_hanging(c, b, count, reading);
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
     for (int foot = 0; foot < c->feet; foot++) {
@@ -1100,7 +1124,7 @@ SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covaria
         /* As it is known to, and before anything was learnt to what is stated. */
         for (int k = 0; k < M; k++) {
             stated += row[k] * row[k] * (c->stated[k] + s->drift[k]);
-            known += row[k] * sf_dot(covariance + k * N, row, M);
+            known += row[k] * sf_dot(s->covariance + k * N, row, M);
         }
         sf_real limit = c->swing_load + SF_LOAD_STD * sf_sqrt(sf_max(known < stated ? known : stated, 0));
         /* Not all feet of a robot that stands are in the air. */
@@ -1109,6 +1133,7 @@ SF_API int sf_tare(const sf_config *c, const sf_state *s, const sf_real *covaria
             count[foot] = 0;
         }
     }
+    sf_begin_anew(c, s, count);
     if (c->distal_matters) sf_distal_felt(c, b, felt);
     for (int k = 0; k < K; k++) {
         sf_real number = count[c->foot_of_channel[k]];
@@ -1409,14 +1434,13 @@ SF_API void sf_of_parameters(const sf_config *c, sf_state *s) {
     sf_real by[SF_CHANNELS * SF_MAP], row[SF_MAP], moved[SF_CHANNELS];
     for (int m = 0; m < M; m++) {
         sf_copy(row, s->given_covariance + m * M, M);
-        row[m] += c->aged[m];
         sf_to_force(c, s->given, 0, row, moved);
         for (int i = 0; i < K; i++) by[i * M + m] = moved[i];
     }
     for (int i = 0; i < K; i++) {
         sf_to_force(c, s->given, 0, by + i * M, s->learnt + (K + i) * wide + K);
         for (int j = 0; j < K; j++) {
-            s->learnt[i * wide + j] = s->given_covariance[i * M + j] + (i == j) * c->aged[i];
+            s->learnt[i * wide + j] = s->given_covariance[i * M + j];
             s->learnt[(K + i) * wide + j] = s->learnt[j * wide + K + i] = by[i * M + j];
         }
     }
@@ -1873,9 +1897,10 @@ SF_API sf_real sf_quiet(const sf_config *c, sf_state *s, const sf_block *b) {
     return (1 + s->quiet) * (1 + s->quiet);
 }
 
-/* MomentStream._walked: the time of some blocks, in which the unknowns have drifted; gives what one adds. */
-SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real *walk, sf_real blocks) {
+/* MomentStream._walked: the time of some blocks, in which the unknowns have drifted. */
+SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real blocks) {
     int M = sf_map(c), N = sf_unknowns(c);
+    sf_real walk[SF_UNKNOWNS];
     sf_walk(c, s, walk);
     for (int i = 0; i < N; i++) s->covariance[i * N + i] += blocks * walk[i];
     for (int i = 0; i < M; i++) {
@@ -1899,13 +1924,17 @@ SF_API void sf_back(const sf_config *c, sf_state *s) {
 SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w, int moved) {
     int M = sf_map(c), N = sf_unknowns(c);
     if (s->unproven < (sf_real)0.5) {
-        sf_real mean[SF_MAP];
+        sf_real mean[SF_MAP], walk[SF_UNKNOWNS];
         if (sf_reweighted(c, s, &w->part.severity, mean)) {
             if (moved) {
                 sf_copy(s->given, mean, M);
                 sf_copy(s->given + M, s->mean + M, N - M);
             }
             sf_copy(s->given_covariance, w->part.severity.covariance, M * M);
+            /* They have drifted since they were learnt. */
+            sf_walk(c, s, walk);
+            for (int i = 0; i < M; i++)
+                s->given_covariance[i * M + i] += walk[i] * (sf_real)(c->settle + c->every) / (sf_real)c->every;
         }
     }
     sf_of_parameters(c, s);
@@ -1919,16 +1948,16 @@ SF_API void sf_doubted(const sf_config *c, sf_state *s, sf_work *w) {
 }
 
 /* MomentStream._watch: look for faults in what the block left unexplained; and go back to before one that is
-   found. `before` is the mean before the block, `lost` what was lost before it, `use_all` whether all samples
-   were used. */
+   found. `before` is the mean before the block, `mean` that with which the rows were written, `lost` what was lost
+   before it, `use_all` whether all samples were used. */
 SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block *b, const sf_real *before,
-                     const sf_real *lost, int use_all) {
+                     const sf_real *mean, const sf_real *lost, int use_all) {
     int K = c->channels, N = sf_unknowns(c), groups = sf_groups(c), fault, loaded, found, moved = 0;
     sf_real reading[SF_GROUPS * SF_CHANNELS], force[SF_GROUPS * SF_CHANNELS];
     sf_readings(c, b, reading);
-    for (int g = 0; g < groups; g++) sf_forces(c, before, reading + g * K, force + g * K);
+    for (int g = 0; g < groups; g++) sf_forces(c, mean, reading + g * K, force + g * K);
     found = memcmp(lost, s->lost, (size_t)K * sizeof(sf_real)) != 0;
-    sf_contradicted(c, s, &w->newton, before, reading, force, &fault, &loaded);
+    sf_contradicted(c, s, &w->newton, mean, reading, force, &fault, &loaded);
     found = found || fault;
     for (int g = 0; g < groups; g++) sf_forces(c, s->given, reading + g * K, force + g * K);
     sf_fault_learn(c, s, force, use_all && !found);
@@ -1944,14 +1973,25 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     }
 }
 
-/* MomentStream._learn: update the unknowns by the block that is full. */
+/* MomentStream._step: learn from rows, and say whether all of what came is finite. */
+SF_API int sf_step(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
+    int N = sf_unknowns(c);
+    sf_real learnt[SF_UNKNOWNS];
+    /* The mass only while it is much less sure than it began, the centre of mass until strides repeat. */
+    for (int i = 0; i < N; i++) learnt[i] = w->covariance[i * N + i] > c->sure[i] ? c->learnt[i] : 0;
+    return sf_kalman_step(s->mean, w->covariance, &w->rows, learnt, N, c->gate, &w->part.kalman, nis, nis_rows);
+}
+
+/* MomentStream._learn: update the unknowns by the block that is full. The covariance of the work is that after
+   the block, until all is known to be finite. */
 SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
-    int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected, waiting, changed;
+    int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected = 0, waiting, changed;
     sf_block b = {s->pending, sf_width(c), {0}};
     sf_newton *newton = &w->newton;
     sf_rows *rows = &w->rows;
-    sf_real before[SF_UNKNOWNS], walk[SF_UNKNOWNS], *covariance = w->covariance, learnt[SF_UNKNOWNS];
+    sf_real before[SF_UNKNOWNS], mean[SF_UNKNOWNS], walk[SF_UNKNOWNS], *covariance = w->covariance;
+    sf_real tare_nis = 0, tare_rows = 0;
     sf_real lost[SF_CHANNELS], count[SF_FEET] = {0}, reading[SF_CHANNELS] = {0};
     sf_copy(before, s->mean, N);
     sf_copy(lost, s->lost, K);
@@ -1973,7 +2013,21 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
     for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
 
-    sf_walked(c, s, walk, 1);
+    sf_walked(c, s, 1);
+    sf_copy(covariance, s->covariance, N * N);
+    /* MomentStream._tared: first of all, so that the columns of all other rows hold the offsets that are known
+       by now. */
+    if (swinging) {
+        rejected = sf_tare(c, s, &b, rows, count, reading);
+        sf_copy(before, s->mean, N);
+        sf_copy(covariance, s->covariance, N * N);
+        if (!sf_step(c, s, w, &tare_nis, &tare_rows)) {
+            sf_copy(s->mean, before, N);
+            sf_copy(covariance, s->covariance, N * N);
+            tare_nis = tare_rows = 0;
+        }
+    }
+    sf_copy(mean, s->mean, N);
     sf_newton_euler_rows(c, s, &b, newton);
     for (int r = 0; r < m; r++) {
         newton->assumed[r] = newton->variance[r] / s->noise[r % c->kinds];
@@ -1981,44 +2035,56 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
         sf_real more = 0;
         for (int k = 0; k < K; k++) {
             sf_real lever = newton->places[r * K + k] * c->unit[k];
-            more += lever * lever * (s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k]);
+            more += lever * lever * (covariance[k * N + k] * covariance[(P + k) * N + P + k]);
         }
         newton->variance[r] += SF_SHARED * s->noise[r % c->kinds] * more;
     }
-    sf_residuals(c, s->mean, s->covariance, newton);
-    rejected = sf_plausible(c, s->covariance, newton);
+    sf_residuals(c, mean, covariance, newton);
+    rejected = sf_plausible(c, covariance, newton) || rejected;
 
     /* ChannelFaults.suspects and unexplained: wait with learning as something seems wrong since short; what
        still does when no channel was found to be is the robot itself. */
     waiting = (newton->mean_square > SF_SUSPICION || s->doubt > (sf_real)0.5) && s->doubt < SF_WAIT &&
               s->trust >= SF_TRUST;
-    changed = sf_changed(c, s->mean, s->covariance, newton) ||
+    changed = sf_changed(c, mean, covariance, newton) ||
               (s->doubt >= SF_WAIT && s->scores[0] > SF_SUSPICION);
     changed = changed && s->trust >= SF_SETTLED && !waiting;
     if (changed) s->trust = SF_TRUST;
-    /* Kept aside until the result is known to be finite, without the drift of this block. */
-    sf_copy(covariance, s->covariance, N * N);
+    if (waiting) {
+        sf_copy(s->mean, before, N);
+        sf_copy(covariance, s->covariance, N * N);
+        tare_nis = tare_rows = 0;
+    }
     for (int i = 0; changed && i < N; i++) covariance[i * N + i] += c->change[i];
 
-    sf_real quieter = sf_quiet(c, s, &b);
+    sf_real quieter = sf_quiet(c, s, &b), product[SF_CHANNELS];
+    /* _since_swing: the product where an offset has drifted since its foot swung, which all rows since then share. */
+    sf_walk(c, s, walk);
+    for (int k = 0; k < K; k++) {
+        sf_real blocks = sf_clip(s->swing_ago[c->foot_of_channel[k]], 0, SF_LONGEST_STANCE);
+        product[k] = covariance[k * N + k] * (walk[P + k] * blocks * blocks);
+    }
     rows->count = 0;
     for (int r = 0; r < m; r++) {
         unused = unused && !newton->kept[r];
         if (!newton->kept[r]) continue;
         sf_copy(rows->H + rows->count * N, newton->H + r * N, N);
         rows->y[rows->count] = newton->y[r];
-        rows->variance[rows->count++] = newton->variance[r] * quieter;
+        rows->variance[rows->count] = newton->variance[r] * quieter;
+        for (int k = 0; k < K; k++) {
+            sf_real lever = newton->places[r * K + k] * c->unit[k];
+            rows->variance[rows->count] += (sf_real)m * (lever * lever * product[k]);
+        }
+        rows->count++;
     }
     unused = unused || waiting;
-    if (swinging && sf_tare(c, s, covariance, &b, rows, count, reading)) rejected = 1;
     sf_drift_followed(c, s, count, reading);
     if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);
     if (waiting) rows->count = 0;
 
-    /* The mass only while it is much less sure than it began, the centre of mass until strides repeat. */
-    for (int i = 0; i < N; i++) learnt[i] = covariance[i * N + i] > c->sure[i] ? c->learnt[i] : 0;
-    int finite = sf_kalman_step(s->mean, covariance, rows, learnt, N, c->gate, &w->part.kalman, nis,
-                                nis_rows);
+    int finite = sf_step(c, s, w, nis, nis_rows);
+    *nis += tare_nis;
+    *nis_rows += tare_rows;
     if (finite) {
         for (int i = 0; i < M;
              i++) { /* _limits: what a sensor can be, by where it began and how far it can drift */
@@ -2031,14 +2097,13 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     } else {
         rejected = 1;
         sf_copy(s->mean, before, N);
-        for (int i = 0; i < N; i++) s->covariance[i * N + i] -= walk[i];
     }
     if (!unused) {
         s->unproven = sf_max(s->unproven - 1, 0);
         s->misfit += SF_MISFIT_MEMORY * (sf_mean_with(c, newton, 0, SF_LARGEST_MISFIT) - s->misfit);
     }
     s->status = (rejected ? SF_REJECTED : 0) | (finite ? 0 : SF_SINGULAR);
-    sf_watch(c, s, w, &b, before, lost, use_all);
+    sf_watch(c, s, w, &b, before, mean, lost, use_all);
 
     /* followed_noise; what no fault and no load explains is noise, and a robot that stands shows little of
      * it. */
@@ -2081,7 +2146,6 @@ SF_API sf_real sf_known(const sf_config *c, const sf_real *known, const sf_real 
     for (int i = 0; i < M; i++) {
         if (row[i] == 0) continue; /* most of a single channel's */
         sf_add(by, row[i], known + i * M, M);
-        if (c->talks) by[i] += row[i] * c->aged[i];
     }
     return sf_dot(other, by, M);
 }
@@ -2215,10 +2279,7 @@ SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w,
     newest[K + c->feet + 1] = (sf_real)(sample.sound && !gap);
 
     s->step++;
-    if (gap && dt > 0 && sf_finite(dt)) {
-        sf_real walk[SF_UNKNOWNS];
-        sf_walked(c, s, walk, sf_min(dt, SF_LONGEST_PAUSE) / (c->every * c->dt));
-    }
+    if (gap && dt > 0 && sf_finite(dt)) sf_walked(c, s, sf_min(dt, SF_LONGEST_PAUSE) / (c->every * c->dt));
     estimate->nis = (sf_real)NAN;
     estimate->nis_rows = 0;
     if (s->step % c->every == 0) {

@@ -55,10 +55,11 @@ def test_innovations_are_told_when_a_block_ends_and_only_then():
 
 def consistency(truth, layout, monkeypatch, runs=200, **options):
     """NEES of (a, b) of many runs, their number, and (nis, rows) of each block."""
-    # Noise and drift that are known need neither a gate nor factors that follow them, and blocks of a robot
+    # Noise and drift that are known need neither a gate nor factors and allowances, and blocks of a robot
     # that stands still are then as good as any. The readings' own noise is in no row: it is small.
     monkeypatch.setattr(noise, "_NOISE_MEMORY", 0.0)
     monkeypatch.setattr(drift, "_MEMORY", 0.0)
+    monkeypatch.setattr(drift, "_LONGEST_STANCE", 0.0)
     monkeypatch.setattr(stream_module, "FIRST_NOISE", 1.0)
     # The filter's own posterior is judged, which then begins with the prior that the truth is drawn from.
     monkeypatch.setattr(stream_module, "FIRST_WIDTH", 1.0)
