@@ -228,7 +228,8 @@ def test_a_load_that_is_picked_up_or_put_down_goes_to_the_mass_and_not_to_the_ga
         assert not (estimate.flags & int(Flag.LOST | Flag.FLIPPED | Flag.SWAPPED)).any()
     # Believed over true mass, less one.
     moved = state.mean[:, unknowns.mass] - before.mean[:, unknowns.mass]
-    for off in (np.mean(total, axis=0) / true[settled:].mean(axis=0) - 1.0, moved - 1.0 / (1.0 + change) + 1.0):
+    ratio = np.mean(total, axis=0) / true[settled:].mean(axis=0)
+    for off in (ratio - 1.0, moved - (1.0 / (1.0 + change) - 1.0)):
         # One robot in ten is off by more than 1.5 %.
         assert (np.abs(off) < 0.015).sum() >= 7
         assert (np.abs(off) < 0.03).all()
