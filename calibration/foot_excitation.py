@@ -143,8 +143,6 @@ def plan_foot_excitation(
         )
     std = [choice.std(chosen[: k + 1]) for k in range(len(chosen))]
     before = choice.std([])
-    of_map = first.unknowns.map
-    learnt = choice.covariance(chosen)[of_map, of_map]
     rates = {name: float(np.log(before / choice.std([name])) / choice.length[name]) for name in logs}
     return FootExcitation(
         goal=goal,
@@ -153,8 +151,8 @@ def plan_foot_excitation(
         before=before,
         std=np.array(std),
         rates=MappingProxyType(rates),
-        covariance_before=first.uncertainty.of_parameters(first.path[0], first.start[of_map, of_map]),
-        covariance=first.uncertainty.of_parameters(first.path[0], learnt),
+        covariance_before=first.of_parameters(first.start, 0),
+        covariance=first.of_parameters(choice.covariance(chosen), 0),
     )
 
 

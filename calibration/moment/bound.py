@@ -77,8 +77,7 @@ def posterior_bound(
         if rows is not None:
             covariance = log.step(covariance, rows)
     spread.add(covariance, slice(len(raw) // log.every * log.every, len(raw)))
-    of_map = log.unknowns.map
-    return Bound(*spread.result(), log.uncertainty.of_parameters(log.path[-1], covariance[of_map, of_map]))
+    return Bound(*spread.result(), log.of_parameters(covariance))
 
 
 class BoundRows:
@@ -90,7 +89,6 @@ class BoundRows:
         blocks: Where each block ends, and its rows: ``None`` for the first, which lack samples before them.
         unknowns: The unknowns.
         path: The unknowns as they truly were, shape (samples, N).
-        uncertainty: What their covariance means.
     """
 
     def __init__(
@@ -104,7 +102,7 @@ class BoundRows:
         config = config or MomentFilterConfig()
         raw = self._checked(setup, np.asarray(raw, dtype=np.float64), reference, truth)
         self.unknowns = unknowns = Unknowns(setup, config)
-        self.uncertainty = Uncertainty(setup, unknowns)
+        self._uncertainty = Uncertainty(setup, unknowns)
         newton_euler = NewtonEuler(setup, config, unknowns)
         tare, parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
         start = Parameters(*(np.asarray(part, dtype=np.float64) for part in setup.initial))
@@ -143,6 +141,17 @@ class BoundRows:
                 whole = whole.then(Passage(identity, information, none))
         return whole
 
+    def aged(self, covariance: Floats) -> Floats:
+        """Return the covariance of scales and offsets, shape (P + K, P + K), which drift on after a block."""
+        of_map = self.unknowns.map
+        aged: Floats = (covariance + np.diag(self.unknowns.age * self.unknowns.walk))[of_map, of_map]
+        return aged
+
+    def of_parameters(self, covariance: Floats, sample: int = -1) -> Floats:
+        """Return the covariance of (a, b) of each channel, shape (2K, 2K), for that of the unknowns then."""
+        of_channels: Floats = self._uncertainty.of_parameters(self.path[sample], self.aged(covariance))
+        return of_channels
+
     def step(self, covariance: Floats, rows: Rows) -> Floats:
         """Return the covariance after one more block."""
         nothing = np.zeros(len(covariance))
@@ -158,7 +167,7 @@ class BoundRows:
             on all feet in N, shape (n, 1, P), and to the centre of pressure in m, shape (n, 2, P).
         """
         force, rows = self._samples.force[part], self._samples.rows[part]
-        to_force = self.uncertainty.to_force(self.path[part], force)
+        to_force = self._uncertainty.to_force(self.path[part], force)
         true = self.unknowns.force(self.path[part], force)
         moments = (rows @ true[..., None])[..., 0]
         cop = cop_of_moments(moments[..., 0], moments[..., 1:], self._setup.force_threshold)
@@ -252,9 +261,7 @@ class _Spread:
         self._parts: list[tuple[Floats, Floats, Floats]] = []
 
     def add(self, covariance: Floats, part: slice) -> None:
-        unknowns = self._log.unknowns
-        # What has drifted since a block is part of what cannot be known.
-        covariance = (covariance + np.diag(unknowns.age * unknowns.walk))[unknowns.map, unknowns.map]
+        covariance = self._log.aged(covariance)
         parts = self._log.spread_rows(part)
         force_std, vgrf_std, cop_std = (np.sqrt(variances(one, covariance)) for one in parts)
         self._parts.append((force_std, vgrf_std[:, 0], cop_std))

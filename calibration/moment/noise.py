@@ -6,8 +6,8 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.rows import Residuals
 
 FIRST_NOISE = 16.0
-"""By how many times variances are taken as larger than assumed before anything moved: a map that was fitted
-to noise in the first seconds is not forgotten soon."""
+"""By how many times variances are taken as larger than assumed before anything moved, and at a first swing: a
+map that was fitted to noise in the first seconds is not forgotten soon."""
 
 _LOUDEST = 100.0
 """By how many times variances are taken as larger than assumed at most."""

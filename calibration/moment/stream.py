@@ -51,8 +51,8 @@ _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
 _SHARED = 0.015
-"""Rows of a kind, over their noise factor, that share the product of the errors of scale and offset: until a
-foot swings, no offset is known."""
+"""How often the product of the errors of scale and offset is added to a row's variance, over its noise
+factor: little, so that a robot that never swings a foot learns as well."""
 
 _REACH = 5.0
 """Standard deviations of the prior that the filter begins with beyond which a sensor is not thought to be."""
@@ -171,12 +171,10 @@ class MomentStream:
         state = self._walked(state, 1.0)
         count, reading, doubted = self._hanging(state, block, faults)
         state, faults = self._begun_anew(state, faults, count)
-        before, unlearnt = (
-            state.mean,
-            KalmanStep(state.mean, state.covariance, *np.zeros((2, *doubted.shape))),
-        )
+        nothing = 0.0 * state.misfit
+        unlearnt = KalmanStep(state.mean, state.covariance, nis=nothing, rows=nothing)
         # First of all, so that the columns of all other rows hold the offsets that are known by now.
-        tared = self._tared(unlearnt, block, faults, count, reading)
+        tared, sound = self._tared(unlearnt, block, faults, count, reading)
         mean, covariance = tared.mean, tared.covariance
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
@@ -191,8 +189,10 @@ class MomentStream:
         changed = changed & (faults.trust >= _SETTLED) & ~waiting
         faults = faults._replace(trust=np.where(changed, TRUST, faults.trust))
         quiet, anchor, learnt_from = self._quiet(state, block, newton)
-        learnt_from = self._since_swing(state, learnt_from, places, covariance)
         state = self._drifting.followed(state, count, reading, 1.0 - faults.lost)
+        learnt_from = self._since_swing(
+            learnt_from, places, covariance, self._drifting.since_swing(state, count)
+        )
         if self.parity.matters:
             parity = self.parity.rows(mean, block)
             if faults.altered:
@@ -209,20 +209,19 @@ class MomentStream:
         unused = waiting | ~(newton.H != 0.0).any(axis=(-2, -1))
         state = state._replace(
             unproven=np.where(unused, state.unproven, np.maximum(state.unproven - 1.0, 0.0)),
-            mean=_where(finite, clipped, before),
+            mean=_where(finite, clipped, unlearnt.mean),
             covariance=_where(finite, step.covariance, state.covariance),
             misfit=np.where(unused, state.misfit, followed_misfit(state.misfit, residuals)),
             quiet=quiet,
             anchor=anchor,
-            status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * (~finite),
+            status=int(Flag.REJECTED) * rejected | int(Flag.SINGULAR) * ~(finite & sound),
         )
-        state = self._watch(state, faults, before, mean, block, rows, places, residuals)
+        state = self._watch(state, faults, unlearnt.mean, mean, block, rows, places, residuals)
         # What no fault and no load explains is noise; a robot that stands shows little of it.
         kept = unused | (quiet > 0.5) | self._faults.explicable(state.faults)
         noise = np.where(kept[..., None], state.noise, followed_noise(state.noise, residuals))
-        return state._replace(noise=noise), step._replace(
-            nis=step.nis + tared.nis, rows=step.rows + tared.rows
-        )
+        both = step._replace(nis=step.nis + tared.nis, rows=step.rows + tared.rows)
+        return state._replace(noise=noise), both
 
     def _step(self, mean: Array, covariance: Array, rows: Rows) -> tuple[KalmanStep, Array]:
         """Learn from rows, and say whether all of what came is finite."""
@@ -235,24 +234,22 @@ class MomentStream:
 
     def _bilinear(self, rows: Rows, places: Array, covariance: Array, factor: Array) -> Rows:
         """Allow for the product of the errors of scales and offsets, which columns leave out."""
-        unknowns = self.unknowns
-        variance = np.linalg.diagonal(covariance)
-        product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
-        lever = places * unknowns.unit
-        more = _SHARED * factor * ((lever * lever) @ product[..., None])[..., 0]
-        return rows._replace(variance=rows.variance + more)
+        offset = np.linalg.diagonal(covariance)[..., self.unknowns.offset]
+        return self._wider(rows, places, covariance, offset, _SHARED * factor)
 
-    def _since_swing(self, state: MomentState, rows: Rows, places: Array, covariance: Array) -> Rows:
-        """Allow for that product where an offset has drifted since its foot swung: all rows since share it.
+    def _since_swing(self, rows: Rows, places: Array, covariance: Array, drifted: Array) -> Rows:
+        """Allow for the product with what offsets have drifted by since their feet swung.
 
-        In columns of scales such a drift looks like a load that moves, which says much of scales.
+        All rows since then share it. In columns of scales such a drift looks like a load that moves.
         """
-        unknowns = self.unknowns
-        drifted, blocks = self._drifting.since_swing(state)
-        product = unknowns.own_scales(np.linalg.diagonal(covariance)) * drifted * blocks
-        lever = places * unknowns.unit
-        more = rows.y.shape[-1] * ((lever * lever) @ product[..., None])[..., 0]
-        return rows._replace(variance=rows.variance + more)
+        return self._wider(rows, places, covariance, drifted, float(rows.y.shape[-1]))
+
+    def _wider(self, rows: Rows, places: Array, covariance: Array, offset: Array, share: Any) -> Rows:
+        """Return rows with the product of scales' errors and of offsets' of such variances, so many times."""
+        scale = self.unknowns.own_scales(np.linalg.diagonal(covariance))
+        lever = places * self.unknowns.unit
+        more = ((lever * lever) @ (scale * offset)[..., None])[..., 0]
+        return rows._replace(variance=rows.variance + share * more)
 
     def _walked(self, state: MomentState, blocks: float) -> MomentState:
         """Return the state after the time of some blocks in which the unknowns have drifted."""
@@ -273,6 +270,8 @@ class MomentStream:
             mean=np.where(which[..., None], state.kept_mean[..., 0, :], state.mean),
             covariance=np.where(those, state.kept_covariance[..., 0, :, :], state.covariance),
             pending=np.where(those, 0.0, state.pending),
+            # It may be of before a foot first swung.
+            swing_ago=np.where(which[..., None], -1.0, state.swing_ago),
         )
 
     def _doubted(self, state: MomentState, which: Array) -> MomentState:
@@ -327,7 +326,7 @@ class MomentStream:
     ) -> MomentState:
         """Look for faults in what the block left unexplained; and go back to before one that is found.
 
-        The unknowns had the first mean before the block, and the second one with the rows that were written.
+        ``before`` is the mean of the unknowns before the block, ``mean`` that which rows were written with.
         """
         unknowns = self.unknowns
         reading = self.newton_euler.readings(block)
@@ -426,7 +425,8 @@ class MomentStream:
             whether any foot was doubted, shape (...).
         """
         if not (block.swing > 0.5).any():
-            return 0.0 * state.swing_samples, state.swing_sum, state.misfit < 0.0
+            nothing = 0.0 * state.swing_samples
+            return nothing, 0.0 * state.swing_sum, nothing.any(axis=-1)
         of_map = self.unknowns.map
         count, reading = self.tare.hanging(block)
         load, row = self.tare.load(state.mean, reading, faults.spare if faults.altered else None)
@@ -445,18 +445,18 @@ class MomentStream:
     ) -> tuple[MomentState, ChannelState]:
         """Forget the scales that were learnt before a foot first swung, with offsets that nobody knew.
 
-        Those are forgotten whose error times that of their offset is larger than the noise of a row: a robot
-        that stood and rocked for long may know both. Noise and trust begin anew as well.
+        Those are forgotten whose error times that of the offset of what they read is larger than the noise of
+        a row: a robot that stood and rocked for long may know both. Noise and trust begin anew as well.
         """
         unknowns = self.unknowns
-        first = ((count > 0.5) & (state.swing_ago < 0.0)).any(axis=-1)
+        first = ((count > 0.5) & (state.swing_ago < 0.0) & (state.swing_samples < 0.5)).any(axis=-1)
         if not first.any():
             return state, faults
         variance = np.linalg.diagonal(state.covariance)
         product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
         loose = (product > self.config.force_noise**2 / self.config.average) & first[..., None]
         anew, gone = loose.any(axis=-1), np.zeros(variance.shape, dtype=bool)
-        gone[..., unknowns.scale] = loose[..., unknowns.out]
+        gone[..., unknowns.scale] = loose[..., unknowns.inp]
         state = state._replace(
             mean=np.where(gone, unknowns.start, state.mean),
             covariance=np.where(gone[..., None] | gone[..., None, :], self._covariance, state.covariance),
@@ -466,14 +466,15 @@ class MomentStream:
 
     def _tared(
         self, unlearnt: KalmanStep, block: Block, faults: ChannelState, count: Array, reading: Array
-    ) -> KalmanStep:
-        """Learn from feet that hang."""
+    ) -> tuple[KalmanStep, Array]:
+        """Learn from feet that hang, and say whether all of what came is finite."""
         if not (count > 0.5).any():
-            return unlearnt
+            return unlearnt, np.isfinite(unlearnt.nis)
         rows = self.tare.rows(unlearnt.mean, block, count, reading)
         rows = rows.keep(1.0 - faults.lost) if faults.altered else rows
         step, finite = self._step(unlearnt.mean, unlearnt.covariance, rows)
-        return KalmanStep(*(_where(finite, *parts) for parts in zip(step, unlearnt, strict=True)))
+        step = KalmanStep(*(_where(finite, *parts) for parts in zip(step, unlearnt, strict=True)))
+        return step, finite
 
     def _estimate(
         self, state: MomentState, sample: Sample, kinds: Array, nis: Array, nis_rows: Array

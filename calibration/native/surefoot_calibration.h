@@ -142,7 +142,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_FASTEST ((sf_real)100.0)
 #define SF_FEWEST_SAMPLES ((sf_real)8.0)
 #define SF_FEWEST_CHANNELS ((sf_real)2.5)
-#define SF_LONGEST_STANCE ((sf_real)20.0)
+#define SF_LONGEST_STANCE ((sf_real)4.0)
 #define SF_LARGEST_SCALE ((sf_real)3.0)
 #define SF_FIRST_NOISE ((sf_real)16.0)
 #define SF_LOUDEST ((sf_real)100.0)
@@ -1081,9 +1081,9 @@ SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf
 SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count) {
     int P = sf_scales(c), N = sf_unknowns(c), first = 0, gone[SF_UNKNOWNS] = {0}, any = 0;
     for (int foot = 0; foot < c->feet; foot++)
-        first = first || (count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0);
+        first = first || (count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5);
     for (int i = 0; first && i < P; i++) {
-        int k = i < c->channels ? i : c->talk_to[i - c->channels];
+        int k = i < c->channels ? i : c->talk_from[i - c->channels];
         gone[i] = s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k] > c->row_variance[0];
         any = any || gone[i];
     }
@@ -1098,14 +1098,13 @@ SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count)
     s->trust = 0;
 }
 
-/* MomentStream._tare: append the tare of feet that hang, unless they carry weight; returns whether any does.
-   Gives the samples of each foot that count, and the mean readings over them. */
+/* MomentStream._hanging and _begun_anew, and the rows of _tared: the tare of feet that hang, unless they carry
+   weight; returns whether any does. Gives the samples of each foot that count, and the mean readings over them. */
 SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *rows, sf_real *count,
                    sf_real *reading) {
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), any = 0, all = 1;
     sf_real felt[SF_CHANNELS], row[SF_MAP], up[SF_CHANNELS];
     sf_real tared[SF_CHANNELS];
-    rows->count = 0;
     sf_hanging(c, b, count, reading);
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
     for (int foot = 0; foot < c->feet; foot++) {
@@ -1917,6 +1916,7 @@ SF_API void sf_back(const sf_config *c, sf_state *s) {
     sf_copy(s->mean, s->kept_mean, N);
     sf_copy(s->covariance, s->kept_covariance, N * N);
     memset(s->pending, 0, (size_t)(sf_span(c) * sf_width(c)) * sizeof(sf_real));
+    for (int foot = 0; foot < c->feet; foot++) s->swing_ago[foot] = -1; /* it may be of before a foot first swung */
 }
 
 /* MomentStream._given: what is handed out. It moves only where the unknowns did, as without new rows only the
@@ -1990,7 +1990,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     sf_block b = {s->pending, sf_width(c), {0}};
     sf_newton *newton = &w->newton;
     sf_rows *rows = &w->rows;
-    sf_real before[SF_UNKNOWNS], mean[SF_UNKNOWNS], walk[SF_UNKNOWNS], *covariance = w->covariance;
+    sf_real before[SF_UNKNOWNS], mean[SF_UNKNOWNS], *covariance = w->covariance;
     sf_real tare_nis = 0, tare_rows = 0;
     sf_real lost[SF_CHANNELS], count[SF_FEET] = {0}, reading[SF_CHANNELS] = {0};
     sf_copy(before, s->mean, N);
@@ -2014,18 +2014,17 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     for (int i = 0; i < K; i++) all_there = all_there && s->lost[i] < (sf_real)0.5;
 
     sf_walked(c, s, 1);
-    sf_copy(covariance, s->covariance, N * N);
     /* MomentStream._tared: first of all, so that the columns of all other rows hold the offsets that are known
        by now. */
-    if (swinging) {
-        rejected = sf_tare(c, s, &b, rows, count, reading);
-        sf_copy(before, s->mean, N);
+    rows->count = 0;
+    if (swinging) rejected = sf_tare(c, s, &b, rows, count, reading);
+    sf_copy(before, s->mean, N);
+    sf_copy(covariance, s->covariance, N * N);
+    int tared = sf_step(c, s, w, &tare_nis, &tare_rows);
+    if (!tared) {
+        sf_copy(s->mean, before, N);
         sf_copy(covariance, s->covariance, N * N);
-        if (!sf_step(c, s, w, &tare_nis, &tare_rows)) {
-            sf_copy(s->mean, before, N);
-            sf_copy(covariance, s->covariance, N * N);
-            tare_nis = tare_rows = 0;
-        }
+        tare_nis = tare_rows = 0;
     }
     sf_copy(mean, s->mean, N);
     sf_newton_euler_rows(c, s, &b, newton);
@@ -2058,11 +2057,15 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     for (int i = 0; changed && i < N; i++) covariance[i * N + i] += c->change[i];
 
     sf_real quieter = sf_quiet(c, s, &b), product[SF_CHANNELS];
-    /* _since_swing: the product where an offset has drifted since its foot swung, which all rows since then share. */
-    sf_walk(c, s, walk);
+    /* _since_swing and LearntDrift.since_swing: the product with what offsets have drifted by since their feet
+       swung, which all rows since then share. */
+    sf_drift_followed(c, s, count, reading);
     for (int k = 0; k < K; k++) {
-        sf_real blocks = sf_clip(s->swing_ago[c->foot_of_channel[k]], 0, SF_LONGEST_STANCE);
-        product[k] = covariance[k * N + k] * (walk[P + k] * blocks * blocks);
+        int foot = c->foot_of_channel[k];
+        sf_real blocks = count[foot] < (sf_real)0.5
+                             ? sf_clip(s->swing_ago[foot] + 1, 0, SF_LONGEST_STANCE / (c->every * c->dt))
+                             : 0;
+        product[k] = covariance[k * N + k] * (s->rate * blocks * blocks * c->walk[P + k]);
     }
     rows->count = 0;
     for (int r = 0; r < m; r++) {
@@ -2078,7 +2081,6 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
         rows->count++;
     }
     unused = unused || waiting;
-    sf_drift_followed(c, s, count, reading);
     if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);
     if (waiting) rows->count = 0;
 
@@ -2102,7 +2104,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
         s->unproven = sf_max(s->unproven - 1, 0);
         s->misfit += SF_MISFIT_MEMORY * (sf_mean_with(c, newton, 0, SF_LARGEST_MISFIT) - s->misfit);
     }
-    s->status = (rejected ? SF_REJECTED : 0) | (finite ? 0 : SF_SINGULAR);
+    s->status = (rejected ? SF_REJECTED : 0) | (finite && tared ? 0 : SF_SINGULAR);
     sf_watch(c, s, w, &b, before, mean, lost, use_all);
 
     /* followed_noise; what no fault and no load explains is noise, and a robot that stands shows little of

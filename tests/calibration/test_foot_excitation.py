@@ -76,11 +76,7 @@ def test_a_passage_is_the_recursion_of_the_bound(robot):
     twice = log.passage().then(log.passage())
     np.testing.assert_allclose(twice.after(log.start), log.passage().after(covariance), atol=1e-12, rtol=1e-7)
     bound = posterior_bound(setup, *one, truth)
-    np.testing.assert_allclose(
-        log.uncertainty.of_parameters(log.path[-1], covariance[log.unknowns.map, log.unknowns.map]),
-        bound.covariance,
-        atol=1e-12,
-    )
+    np.testing.assert_allclose(log.of_parameters(covariance), bound.covariance, atol=1e-12)
 
 
 def test_a_plan_beats_each_of_its_motions_and_keeps_to_its_time(robot):

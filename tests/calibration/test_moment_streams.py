@@ -26,11 +26,11 @@ def together(ankle_fleet):
 
 
 def test_what_was_learnt_as_a_robot_fell_is_taken_back():
-    """Of three robots side by side the second falls: it believes to lean by 1.5 cm for a second."""
+    """Of three robots side by side the second falls: it believes to lean by 3 cm for a second."""
     log = walk(1, 0.1, 8.0, 2.0, BAD)
     raw, reference = np.stack([log.raw] * 3, axis=1), repeated(log.reference, 3, axis=1)
     lean = reference.com.copy()
-    lean[320:400, 1, 0] += 0.015
+    lean[320:400, 1, 0] += 0.03
     fell = reference._replace(com=lean)
     method, which = moment_filter(OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)), np.arange(3) == 1
     state, _, _ = stream(method, raw[:320], rows_between(fell, 0, 320))
