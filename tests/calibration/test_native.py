@@ -175,6 +175,14 @@ def stands_for_long(log):
         part[200:1600] = part[200]
 
 
+def on_one_leg(log):
+    held, half = slice(200, 1600), log.force.shape[1] // 2
+    log.reference.stance[held], log.reference.swing[held] = (True, False), (False, True)
+    left, right = log.force[held, :half], log.force[held, half:]
+    left += right.mean(axis=1, keepdims=True)
+    right[:] = 0.3 * log.rng.normal(size=half) + 0.02 * log.rng.normal(size=right.shape)
+
+
 def lifted(log):
     log.force[AT : AT + 160] = 0.0
 
@@ -188,7 +196,7 @@ FAULTS = [
     crossed, loaded, comes_back,
 ]  # fmt: skip
 EVENTS = [
-    clean, gaps, missing_and_impossible, bad_references, lies, retracted, stands_for_long, lifted,
+    clean, gaps, missing_and_impossible, bad_references, lies, retracted, stands_for_long, on_one_leg, lifted,
 ]  # fmt: skip
 TABLE = [
     *[("cells", 2, event, {}) for event in (*FAULTS, *EVENTS)],
