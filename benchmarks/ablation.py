@@ -35,11 +35,11 @@ class Variant:
 
     Attributes:
         options: Of the method.
-        constants: (module, name, value) of what no option reaches.
+        constants: (module or class, name, value) of what no option reaches.
     """
 
     options: dict[str, Any] = field(default_factory=dict)
-    constants: tuple[tuple[ModuleType, str, Any], ...] = ()
+    constants: tuple[tuple[ModuleType | type, str, Any], ...] = ()
 
 
 VARIANTS = {
@@ -58,7 +58,13 @@ VARIANTS = {
     "misfit is not counted": Variant(
         constants=((stream, "FIRST_MISFIT", 1.0), (noise, "_MISFIT_MEMORY", 0.0)),
     ),
-    "product of errors not allowed for": Variant(constants=((stream, "_SHARED", 0.0),)),
+    "product of errors not allowed for": Variant(
+        constants=((stream, "_SHARED", 0.0), (drift, "_LONGEST_STANCE", 0.0))
+    ),
+    "drift since a swing not shared": Variant(constants=((drift, "_LONGEST_STANCE", 0.0),)),
+    "nothing forgotten at a first swing": Variant(
+        constants=((stream.MomentStream, "_begun_anew", lambda _, state, faults, count: (state, faults)),)
+    ),
     "no swing tare": Variant({"swing_noise": 1e3}),
     "centre of mass taken for right": Variant({"com_std": 0.0, "com_change": 0.0}),
     "mass taken for right": Variant({"mass_std": 0.0, "mass_change": 0.0}),
