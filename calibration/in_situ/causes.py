@@ -5,16 +5,15 @@ the fit is made again, on compressed sets; :mod:`~surefoot.calibration.in_situ.h
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.in_situ.compress import with_signals
-from surefoot.calibration.in_situ.covariance import noise_level, whitening
 from surefoot.calibration.in_situ.data import InSituSet
+from surefoot.calibration.in_situ.hysteresis import beside_channels
 from surefoot.calibration.in_situ.input_checks import BENT_CURE, TOO_FAST, turning
 from surefoot.calibration.in_situ.model import AXES, DIRECT, PAIRS, signals
 from surefoot.calibration.in_situ.options import InSituOptions
@@ -65,14 +64,7 @@ class Evidence:
         """Return the problem with signals that act on the readings, shape (n_j, q) a set."""
         plain = self.problem
         rows = [part.at_rows(one) for part, one in zip(plain.sets, columns, strict=True)]
-        parts = with_signals(plain.sets, rows, self.options)
-        return replace(
-            plain,
-            sets=parts,
-            channel_lags=plain.channel_lags + columns[0].shape[1],
-            whitening=whitening(parts),
-            level=noise_level(parts),
-        )
+        return beside_channels(plain, rows, self.options)
 
     def alone(self, j: int, column: Vector) -> Problem:
         """Return the problem with a signal of one set, shape (n_j,)."""

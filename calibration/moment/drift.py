@@ -60,9 +60,8 @@ class LearntDrift:
     ) -> None:
         self.unknowns, self.tare = unknowns, tare
         block = config.every * setup.dt
-        self._walk, self._age, self._longest = (
-            unknowns.walk * block, unknowns.age / block, _LONGEST_STANCE / block,
-        )  # fmt: skip
+        self._walk = unknowns.walk * block
+        self._age, self._longest = unknowns.age / block, _LONGEST_STANCE / block
 
     def walk(self, state: MomentState) -> Array:
         """Return the variances by which the unknowns drift in one block, shape (..., N)."""

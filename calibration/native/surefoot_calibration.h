@@ -1081,7 +1081,8 @@ SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf
 SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count) {
     int P = sf_scales(c), N = sf_unknowns(c), first = 0, gone[SF_UNKNOWNS] = {0}, any = 0;
     for (int foot = 0; foot < c->feet; foot++)
-        first = first || (count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5);
+        first = first || (count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 &&
+                          s->swing_samples[foot] < (sf_real)0.5);
     for (int i = 0; first && i < P; i++) {
         int k = i < c->channels ? i : c->talk_from[i - c->channels];
         gone[i] = s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k] > c->row_variance[0];
@@ -1973,6 +1974,17 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     }
 }
 
+/* MomentStream._wider: what a row is less sure by, of what a newton on each channel does to it and the variances of
+   products of the errors of scales and offsets. */
+SF_API sf_real sf_of_product(const sf_config *c, const sf_real *places, const sf_real *product) {
+    sf_real more = 0;
+    for (int k = 0; k < c->channels; k++) {
+        sf_real lever = places[k] * c->unit[k];
+        more += lever * lever * product[k];
+    }
+    return more;
+}
+
 /* MomentStream._step: learn from rows, and say whether all of what came is finite. */
 SF_API int sf_step(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
     int N = sf_unknowns(c);
@@ -1992,8 +2004,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     sf_rows *rows = &w->rows;
     sf_real before[SF_UNKNOWNS], mean[SF_UNKNOWNS], *covariance = w->covariance;
     sf_real tare_nis = 0, tare_rows = 0;
-    sf_real lost[SF_CHANNELS], count[SF_FEET] = {0}, reading[SF_CHANNELS] = {0};
-    sf_copy(before, s->mean, N);
+    sf_real lost[SF_CHANNELS], product[SF_CHANNELS], count[SF_FEET] = {0}, reading[SF_CHANNELS] = {0};
     sf_copy(lost, s->lost, K);
 
     sf_silent(c, s, &b);
@@ -2028,15 +2039,12 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
     sf_copy(mean, s->mean, N);
     sf_newton_euler_rows(c, s, &b, newton);
+    /* _bilinear: the product of the errors of scales and offsets, which columns leave out. */
+    for (int k = 0; k < K; k++) product[k] = covariance[k * N + k] * covariance[(P + k) * N + P + k];
     for (int r = 0; r < m; r++) {
-        newton->assumed[r] = newton->variance[r] / s->noise[r % c->kinds];
-        /* _bilinear: the product of the errors of scales and offsets, which columns leave out. */
-        sf_real more = 0;
-        for (int k = 0; k < K; k++) {
-            sf_real lever = newton->places[r * K + k] * c->unit[k];
-            more += lever * lever * (covariance[k * N + k] * covariance[(P + k) * N + P + k]);
-        }
-        newton->variance[r] += SF_SHARED * s->noise[r % c->kinds] * more;
+        sf_real factor = s->noise[r % c->kinds];
+        newton->assumed[r] = newton->variance[r] / factor;
+        newton->variance[r] += SF_SHARED * factor * sf_of_product(c, newton->places + r * K, product);
     }
     sf_residuals(c, mean, covariance, newton);
     rejected = sf_plausible(c, covariance, newton) || rejected;
@@ -2056,7 +2064,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
     for (int i = 0; changed && i < N; i++) covariance[i * N + i] += c->change[i];
 
-    sf_real quieter = sf_quiet(c, s, &b), product[SF_CHANNELS];
+    sf_real quieter = sf_quiet(c, s, &b);
     /* _since_swing and LearntDrift.since_swing: the product with what offsets have drifted by since their feet
        swung, which all rows since then share. */
     sf_drift_followed(c, s, count, reading);
@@ -2073,12 +2081,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
         if (!newton->kept[r]) continue;
         sf_copy(rows->H + rows->count * N, newton->H + r * N, N);
         rows->y[rows->count] = newton->y[r];
-        rows->variance[rows->count] = newton->variance[r] * quieter;
-        for (int k = 0; k < K; k++) {
-            sf_real lever = newton->places[r * K + k] * c->unit[k];
-            rows->variance[rows->count] += (sf_real)m * (lever * lever * product[k]);
-        }
-        rows->count++;
+        rows->variance[rows->count++] =
+            newton->variance[r] * quieter + (sf_real)m * sf_of_product(c, newton->places + r * K, product);
     }
     unused = unused || waiting;
     if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);
