@@ -20,7 +20,7 @@ from unittest.mock import patch
 import numpy as np
 import second_walker
 
-from surefoot.calibration.moment import drift, noise, severity, stream
+from surefoot.calibration.moment import drift, noise, product, severity, stream
 from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.score import score_run
 from surefoot.experiments.arena.streams import Stream
@@ -59,12 +59,10 @@ VARIANTS = {
         constants=((stream, "FIRST_MISFIT", 1.0), (noise, "_MISFIT_MEMORY", 0.0)),
     ),
     "product of errors not allowed for": Variant(
-        constants=((stream, "_SHARED", 0.0), (drift, "_LONGEST_STANCE", 0.0))
+        constants=((product, "_WRONG", np.inf), (product, "_LONGEST_STANCE", 0.0))
     ),
-    "drift since a swing not shared": Variant(constants=((drift, "_LONGEST_STANCE", 0.0),)),
-    "nothing forgotten at a first swing": Variant(
-        constants=((stream.MomentStream, "_begun_anew", lambda _, state, faults, count: (state, faults)),)
-    ),
+    "errors of offsets since a swing not shared": Variant(constants=((product, "_LONGEST_STANCE", 0.0),)),
+    "nothing forgotten at a first swing": Variant(constants=((product, "_WRONG", np.inf),)),
     "no swing tare": Variant({"swing_noise": 1e3}),
     "centre of mass taken for right": Variant({"com_std": 0.0, "com_change": 0.0}),
     "mass taken for right": Variant({"mass_std": 0.0, "mass_change": 0.0}),

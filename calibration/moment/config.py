@@ -129,7 +129,7 @@ class MomentFilterConfig:
     """Load of a foot in body weights above which it is not believed to swing, beyond four standard
     deviations of what the load is known to."""
 
-    still: float = 0.02
+    still: float = 0.005
     """Change of a reading in body weights (times foot lengths for a torque) below which a robot stands still:
     all blocks together then count as little more than one. 0 takes every block for itself."""
 

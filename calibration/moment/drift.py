@@ -38,9 +38,6 @@ _FEWEST_SAMPLES = 8.0
 _FEWEST_CHANNELS = 2.5
 """Channels of a foot that must be more than these, for what they have in common to be told apart."""
 
-_LONGEST_STANCE = 4.0
-"""Time in s since a swing that counts at most: a robot that stands is to learn as well."""
-
 _LARGEST_SCALE = 3.0
 """Largest scale that a gain's drift is worked out with; the least is 1."""
 
@@ -60,8 +57,7 @@ class LearntDrift:
     ) -> None:
         self.unknowns, self.tare = unknowns, tare
         block = config.every * setup.dt
-        self._walk = unknowns.walk * block
-        self._age, self._longest = unknowns.age / block, _LONGEST_STANCE / block
+        self._walk, self._age = unknowns.walk * block, unknowns.age / block
 
     def walk(self, state: MomentState) -> Array:
         """Return the variances by which the unknowns drift in one block, shape (..., N)."""
@@ -75,20 +71,6 @@ class LearntDrift:
     def aged(self, state: MomentState) -> Array:
         """Return the variances by which scales and offsets drifted since they were learnt, (..., P + K)."""
         return self._age * self.walk(state)[..., self.unknowns.map]
-
-    def since_swing(self, state: MomentState, count: Array) -> Array:
-        """Return the variances that offsets drifted by since their feet swung, times blocks since then.
-
-        Args:
-            state: The state.
-            count: Samples of the last block in which each foot surely hung, shape (..., F).
-
-        Returns:
-            Shape (..., K); 0 for a foot that hangs, or never swung. The last block counts.
-        """
-        blocks = np.clip(state.swing_ago + 1.0, 0.0, self._longest) * (count < 0.5)
-        faster = (state.rate[..., None] * blocks * blocks) @ self.tare.by_channel
-        return faster * self._walk[self.unknowns.offset]
 
     def followed(self, state: MomentState, count: Array, reading: Array, sound: Array) -> MomentState:
         """Return the state with the rate that swings show which end with this block.

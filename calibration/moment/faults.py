@@ -149,7 +149,7 @@ class ChannelFaults:
         )
 
     def sample(
-        self, state: ChannelState, force: Array, read: Array
+        self, state: ChannelState, force: Array, read: Array, scale: Array
     ) -> tuple[ChannelState, Array, Array, Array]:
         """Put channels right and hold leaps, sample by sample.
 
@@ -157,6 +157,7 @@ class ChannelFaults:
             state: What is known.
             force: Forces by the starting map in N, shape (..., K).
             read: Whether they were read just now (bool), shape (..., K).
+            scale: What a newton by the starting map is as far as is known, shape (..., K).
 
         Returns:
             The state; forces to use; whether each may be learnt from (bool); and flags of each channel.
@@ -164,7 +165,7 @@ class ChannelFaults:
         if state.altered:
             force = (state.wiring @ force[..., None])[..., 0]
             read = (np.abs(state.wiring) @ read[..., None])[..., 0] > 0.5
-        step = np.abs(force - state.last)
+        step = np.abs(scale * (force - state.last))
         state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > self._leap
         if not leaping.any():
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind

@@ -20,6 +20,7 @@ from surefoot.calibration.moment.kalman import KalmanStep, kalman_step
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.noise import FIRST_MISFIT, FIRST_NOISE, followed_misfit, followed_noise
 from surefoot.calibration.moment.parity import Parity
+from surefoot.calibration.moment.product import ErrorProduct
 from surefoot.calibration.moment.rows import Block, Residuals, Rows
 from surefoot.calibration.moment.severity import FIRST_WIDTH, LearntSeverity
 from surefoot.calibration.moment.state import BlockColumns, MomentState
@@ -50,11 +51,7 @@ _UNSURE = 0.06
 _LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
 
-_SHARED = 0.015
-"""How often the product of the errors of scale and offset is added to a row's variance, over its noise
-factor: little, so that a robot that never swings a foot learns as well."""
-
-_REACH = 5.0
+_REACH = 12.0
 """Standard deviations of the prior that the filter begins with beyond which a sensor is not thought to be."""
 
 _KEPT = 1.5
@@ -86,6 +83,7 @@ class MomentStream:
         self._wide = np.ones(unknowns.size)
         self._wide[unknowns.map] = FIRST_WIDTH
         self._covariance = np.diag((unknowns.std * self._wide) ** 2)
+        self._product = ErrorProduct(setup, config, unknowns, self.tare, self._covariance)
         self._identity = np.eye(unknowns.size)
         self._change = np.diag(unknowns.change**2)
 
@@ -144,7 +142,8 @@ class MomentStream:
 
         def repair(force: Array, read: Array) -> tuple[Array, Array]:
             nonlocal faults, kinds
-            faults, force, sure, kinds = self._faults.sample(state.faults, force, read)
+            scale = self.unknowns.own_scales(state.given)
+            faults, force, sure, kinds = self._faults.sample(state.faults, force, read, scale)
             return force, sure
 
         front, sample = self._front_end.observe(state.front, raw, reference, dt, repair)
@@ -170,7 +169,8 @@ class MomentStream:
         block = block._replace(use=block.use * self._complete(faults, read))
         state = self._walked(state, 1.0)
         count, reading, doubted = self._hanging(state, block, faults)
-        state, faults = self._begun_anew(state, faults, count)
+        state, anew = self._product.begun_anew(state, block, count, reading)
+        faults = faults._replace(trust=np.where(anew, 0.0, faults.trust))
         nothing = 0.0 * state.misfit
         unlearnt = KalmanStep(state.mean, state.covariance, nis=nothing, rows=nothing)
         # First of all, so that the columns of all other rows hold the offsets that are known by now.
@@ -180,7 +180,6 @@ class MomentStream:
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         factor = np.concatenate([state.noise] * (config.every // config.average), axis=-1)
         assumed = rows.variance / factor
-        rows = self._bilinear(rows, places, covariance, factor)
         residuals = Residuals.of(rows, mean, covariance)
         newton, rejected = self._plausible(rows, residuals, covariance, assumed)
         waiting = self._faults.suspects(faults, residuals)
@@ -190,9 +189,8 @@ class MomentStream:
         faults = faults._replace(trust=np.where(changed, TRUST, faults.trust))
         quiet, anchor, learnt_from = self._quiet(state, block, newton)
         state = self._drifting.followed(state, count, reading, 1.0 - faults.lost)
-        learnt_from = self._since_swing(
-            learnt_from, places, covariance, self._drifting.since_swing(state, count)
-        )
+        known = np.linalg.diagonal(covariance)
+        learnt_from = self._product.allowed_for(learnt_from, places, state, count, known)
         if self.parity.matters:
             parity = self.parity.rows(mean, block)
             if faults.altered:
@@ -232,25 +230,6 @@ class MomentStream:
         finite = np.isfinite(step.mean).all(axis=-1)
         return step, finite & np.isfinite(step.covariance).all(axis=(-2, -1))
 
-    def _bilinear(self, rows: Rows, places: Array, covariance: Array, factor: Array) -> Rows:
-        """Allow for the product of the errors of scales and offsets, which columns leave out."""
-        offset = np.linalg.diagonal(covariance)[..., self.unknowns.offset]
-        return self._wider(rows, places, covariance, offset, _SHARED * factor)
-
-    def _since_swing(self, rows: Rows, places: Array, covariance: Array, drifted: Array) -> Rows:
-        """Allow for the product with what offsets have drifted by since their feet swung.
-
-        All rows since then share it. In columns of scales such a drift looks like a load that moves.
-        """
-        return self._wider(rows, places, covariance, drifted, float(rows.y.shape[-1]))
-
-    def _wider(self, rows: Rows, places: Array, covariance: Array, offset: Array, share: Any) -> Rows:
-        """Return rows with the product of scales' errors and of offsets' of such variances, so many times."""
-        scale = self.unknowns.own_scales(np.linalg.diagonal(covariance))
-        lever = places * self.unknowns.unit
-        more = ((lever * lever) @ (scale * offset)[..., None])[..., 0]
-        return rows._replace(variance=rows.variance + share * more)
-
     def _walked(self, state: MomentState, blocks: float) -> MomentState:
         """Return the state after the time of some blocks in which the unknowns have drifted."""
         of_map = self.unknowns.map
@@ -270,8 +249,6 @@ class MomentStream:
             mean=np.where(which[..., None], state.kept_mean[..., 0, :], state.mean),
             covariance=np.where(those, state.kept_covariance[..., 0, :, :], state.covariance),
             pending=np.where(those, 0.0, state.pending),
-            # It may be of before a foot first swung.
-            swing_ago=np.where(which[..., None], -1.0, state.swing_ago),
         )
 
     def _doubted(self, state: MomentState, which: Array) -> MomentState:
@@ -429,40 +406,22 @@ class MomentStream:
             return nothing, 0.0 * state.swing_sum, nothing.any(axis=-1)
         of_map = self.unknowns.map
         count, reading = self.tare.hanging(block)
-        load, row = self.tare.load(state.mean, reading, faults.spare if faults.altered else None)
-        # As it is known to, and before anything was learnt to what is stated.
-        stated = (row * row * self._severity.stated(state.drift)[..., None, :]).sum(axis=-1)
+        spare = faults.spare if faults.altered else None
+        stated = self._severity.stated(state.drift)[..., None, :]
+        load, row = self.tare.load(state.mean, reading, spare)
         known = ((row @ state.covariance[..., of_map, of_map]) * row).sum(axis=-1)
-        spread = np.where(known < stated, known, stated)
+        spread = np.minimum(known, (row * row * stated).sum(axis=-1))
+        unseen = (state.swing_ago < 0.0) & (state.swing_samples < 0.5)
+        if unseen.any():
+            # What was learnt before a first swing was learnt with offsets that nobody knew.
+            begun, row = self.tare.load(self.unknowns.start + 0.0 * state.mean, reading, spare)
+            load = np.where(unseen, begun, load)
+            spread = np.where(unseen, (row * row * stated).sum(axis=-1), spread)
         limit = self.config.swing_load + _LOAD_STD * np.sqrt(np.maximum(spread, 0.0))
         doubted = (count > 0.5) & (np.abs(load) > limit)
         # Not all feet of a robot that stands are in the air.
         doubted = doubted | (count > 0.5).all(axis=-1)[..., None]
         return np.where(doubted, 0.0, count), reading, doubted.any(axis=-1)
-
-    def _begun_anew(
-        self, state: MomentState, faults: ChannelState, count: Array
-    ) -> tuple[MomentState, ChannelState]:
-        """Forget the scales that were learnt before a foot first swung, with offsets that nobody knew.
-
-        Those are forgotten whose error times that of the offset of what they read is larger than the noise of
-        a row: a robot that stood and rocked for long may know both. Noise and trust begin anew as well.
-        """
-        unknowns = self.unknowns
-        first = ((count > 0.5) & (state.swing_ago < 0.0) & (state.swing_samples < 0.5)).any(axis=-1)
-        if not first.any():
-            return state, faults
-        variance = np.linalg.diagonal(state.covariance)
-        product = unknowns.own_scales(variance) * variance[..., unknowns.offset]
-        loose = (product > self.config.force_noise**2 / self.config.average) & first[..., None]
-        anew, gone = loose.any(axis=-1), np.zeros(variance.shape, dtype=bool)
-        gone[..., unknowns.scale] = loose[..., unknowns.inp]
-        state = state._replace(
-            mean=np.where(gone, unknowns.start, state.mean),
-            covariance=np.where(gone[..., None] | gone[..., None, :], self._covariance, state.covariance),
-            noise=np.where(anew[..., None], FIRST_NOISE, state.noise),
-        )
-        return state, faults._replace(trust=np.where(anew, 0.0, faults.trust))
 
     def _tared(
         self, unlearnt: KalmanStep, block: Block, faults: ChannelState, count: Array, reading: Array

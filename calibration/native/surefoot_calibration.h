@@ -134,8 +134,8 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LOAD_STD ((sf_real)4.0)
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
-#define SF_SHARED ((sf_real)0.015)
-#define SF_REACH ((sf_real)5.0)
+#define SF_REACH ((sf_real)12.0)
+#define SF_WRONG ((sf_real)0.003)
 #define SF_LEAST_LOAD ((sf_real)0.1)
 #define SF_SWING_SAMPLES ((sf_real)16.0)
 #define SF_RATE_MEMORY ((sf_real)0.15)
@@ -1076,35 +1076,42 @@ SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf
     }
 }
 
-/* MomentStream._begun_anew: forget the scales that were learnt before a foot first swung, with offsets that nobody
-   knew. */
-SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count) {
-    int P = sf_scales(c), N = sf_unknowns(c), first = 0, gone[SF_UNKNOWNS] = {0}, any = 0;
-    for (int foot = 0; foot < c->feet; foot++)
-        first = first || (count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 &&
-                          s->swing_samples[foot] < (sf_real)0.5);
-    for (int i = 0; first && i < P; i++) {
-        int k = i < c->channels ? i : c->talk_from[i - c->channels];
-        gone[i] = s->covariance[k * N + k] * s->covariance[(P + k) * N + P + k] > c->row_variance[0];
-        any = any || gone[i];
+/* Tare.rows: the offset of a channel that its mean reading in the air shows. */
+SF_API sf_real sf_hung(const sf_config *c, const sf_state *s, const sf_real *reading, const sf_real *felt, int k) {
+    sf_real shown = -reading[k] / c->unit[k];
+    return c->distal_matters ? shown + felt[k] / (c->unit[k] * s->mean[k]) : shown;
+}
+
+/* ErrorProduct.begun_anew: forget what a foot was learnt with offsets that its first swing proves wrong. */
+SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count, const sf_real *reading,
+                          const sf_real *felt) {
+    int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), wrong[SF_FEET] = {0}, any = 0;
+    for (int k = 0; k < K; k++) {
+        int foot = c->foot_of_channel[k];
+        if (!(count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5)) continue;
+        if (sf_fabs(sf_hung(c, s, reading, felt, k) - s->mean[P + k]) > SF_WRONG) any = wrong[foot] = 1;
     }
     if (!any) return;
-    for (int i = 0; i < P; i++) {
-        if (!gone[i]) continue;
+    for (int i = 0; i < P + K; i++) {
+        if (!wrong[c->foot_of_channel[i < K ? i : i < P ? c->talk_from[i - K] : i - P]]) continue;
         s->mean[i] = c->start[i];
         for (int k = 0; k < N; k++) s->covariance[i * N + k] = s->covariance[k * N + i] = 0;
         s->covariance[i * N + i] = c->first_variance[i];
+    }
+    for (int kept = 0; kept < 2; kept++) {
+        sf_copy(s->kept_mean + kept * N, s->mean, N);
+        sf_copy(s->kept_covariance + kept * N * N, s->covariance, N * N);
     }
     for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
     s->trust = 0;
 }
 
-/* MomentStream._hanging and _begun_anew, and the rows of _tared: the tare of feet that hang, unless they carry
+/* MomentStream._hanging and the rows of _tared: the tare of feet that hang, unless they carry
    weight; returns whether any does. Gives the samples of each foot that count, and the mean readings over them. */
 SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *rows, sf_real *count,
                    sf_real *reading) {
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), any = 0, all = 1;
-    sf_real felt[SF_CHANNELS], row[SF_MAP], up[SF_CHANNELS];
+    sf_real felt[SF_CHANNELS] = {0}, row[SF_MAP], up[SF_CHANNELS];
     sf_real tared[SF_CHANNELS];
     sf_hanging(c, b, count, reading);
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
@@ -1113,36 +1120,37 @@ SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *
         if (s->altered) sf_multiply(up, vertical, s->spare, 1, K, K);
         else sf_copy(up, vertical, K);
         sf_real stated = 0, known = 0, load;
+        /* What was learnt before a first swing was learnt with offsets that nobody knew. */
+        int unseen = s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5;
+        const sf_real *mean = unseen ? c->start : s->mean;
         for (int k = 0; k < K; k++) {
             up[k] /= c->weight;
-            tared[k] = sf_tared(c, s->mean, reading[k], k);
+            tared[k] = sf_tared(c, mean, reading[k], k);
         }
         memset(row, 0, sizeof row);
         sf_by_scale(c, 1, up, tared, row);
-        sf_by_offset(c, up, s->mean, row + P);
-        load = sf_dot(row, s->mean, P);
-        /* As it is known to, and before anything was learnt to what is stated. */
+        sf_by_offset(c, up, mean, row + P);
+        load = sf_dot(row, mean, P);
         for (int k = 0; k < M; k++) {
             stated += row[k] * row[k] * (c->stated[k] + s->drift[k]);
             known += row[k] * sf_dot(s->covariance + k * N, row, M);
         }
-        sf_real limit = c->swing_load + SF_LOAD_STD * sf_sqrt(sf_max(known < stated ? known : stated, 0));
+        sf_real limit = c->swing_load + SF_LOAD_STD * sf_sqrt(sf_max(known < stated && !unseen ? known : stated, 0));
         /* Not all feet of a robot that stands are in the air. */
         if ((count[foot] > (sf_real)0.5 && sf_fabs(load) > limit) || all) {
             any = 1;
             count[foot] = 0;
         }
     }
-    sf_begin_anew(c, s, count);
     if (c->distal_matters) sf_distal_felt(c, b, felt);
+    sf_begin_anew(c, s, count, reading, felt);
     for (int k = 0; k < K; k++) {
         sf_real number = count[c->foot_of_channel[k]];
         if (!(number > (sf_real)0.5) || (s->altered && s->lost[k] != 0)) continue;
         int at = rows->count++;
         memset(rows->H + at * N, 0, (size_t)N * sizeof(sf_real));
         rows->H[at * N + P + k] = 1;
-        rows->y[at] = -reading[k] / c->unit[k];
-        if (c->distal_matters) rows->y[at] += felt[k] / (c->unit[k] * s->mean[k]);
+        rows->y[at] = sf_hung(c, s, reading, felt, k);
         rows->variance[at] = c->swing_noise * c->swing_noise * SF_SWING_SAMPLES / sf_max(number, 1);
     }
     return any;
@@ -1546,7 +1554,7 @@ SF_API void sf_fault_sample(const sf_config *c, sf_state *s, sf_real *force, int
         }
     }
     for (int i = 0; i < K; i++) {
-        step[i] = sf_fabs(force[i] - s->last[i]);
+        step[i] = sf_fabs(s->given[i] * (force[i] - s->last[i]));
         s->leapt[i] *= SF_BUMP_MEMORY;
         leaping[i] = step[i] > c->leap;
         any = any || leaping[i];
@@ -1917,7 +1925,6 @@ SF_API void sf_back(const sf_config *c, sf_state *s) {
     sf_copy(s->mean, s->kept_mean, N);
     sf_copy(s->covariance, s->kept_covariance, N * N);
     memset(s->pending, 0, (size_t)(sf_span(c) * sf_width(c)) * sizeof(sf_real));
-    for (int foot = 0; foot < c->feet; foot++) s->swing_ago[foot] = -1; /* it may be of before a foot first swung */
 }
 
 /* MomentStream._given: what is handed out. It moves only where the unknowns did, as without new rows only the
@@ -1974,15 +1981,20 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     }
 }
 
-/* MomentStream._wider: what a row is less sure by, of what a newton on each channel does to it and the variances of
-   products of the errors of scales and offsets. */
-SF_API sf_real sf_of_product(const sf_config *c, const sf_real *places, const sf_real *product) {
-    sf_real more = 0;
-    for (int k = 0; k < c->channels; k++) {
-        sf_real lever = places[k] * c->unit[k];
-        more += lever * lever * product[k];
+/* ErrorProduct.offset_variance: the products of scales' variances and of offsets' that rows share. */
+SF_API void sf_product(const sf_config *c, const sf_state *s, const sf_real *covariance, const sf_real *count,
+                                 sf_real *product) {
+    int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), any = 0;
+    sf_real longest = SF_LONGEST_STANCE / (c->every * c->dt);
+    for (int foot = 0; foot < c->feet; foot++) any = any || s->swing_ago[foot] >= 0 || count[foot] > (sf_real)0.5;
+    for (int k = 0; k < K; k++) {
+        sf_real ago = s->swing_ago[c->foot_of_channel[k]], blocks = sf_clip(ago + 1, 0, longest), offset = 0;
+        if (!(count[c->foot_of_channel[k]] > (sf_real)0.5)) {
+            offset = s->rate * blocks * blocks * c->walk[P + k];
+            if (any && ago < 0) offset += longest * covariance[(P + k) * N + P + k];
+        }
+        product[k] = covariance[k * N + k] * offset;
     }
-    return more;
 }
 
 /* MomentStream._step: learn from rows, and say whether all of what came is finite. */
@@ -1997,7 +2009,7 @@ SF_API int sf_step(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf
 /* MomentStream._learn: update the unknowns by the block that is full. The covariance of the work is that after
    the block, until all is known to be finite. */
 SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
-    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
+    int K = c->channels, M = sf_map(c), N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
     int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected = 0, waiting, changed;
     sf_block b = {s->pending, sf_width(c), {0}};
     sf_newton *newton = &w->newton;
@@ -2039,13 +2051,7 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
     sf_copy(mean, s->mean, N);
     sf_newton_euler_rows(c, s, &b, newton);
-    /* _bilinear: the product of the errors of scales and offsets, which columns leave out. */
-    for (int k = 0; k < K; k++) product[k] = covariance[k * N + k] * covariance[(P + k) * N + P + k];
-    for (int r = 0; r < m; r++) {
-        sf_real factor = s->noise[r % c->kinds];
-        newton->assumed[r] = newton->variance[r] / factor;
-        newton->variance[r] += SF_SHARED * factor * sf_of_product(c, newton->places + r * K, product);
-    }
+    for (int r = 0; r < m; r++) newton->assumed[r] = newton->variance[r] / s->noise[r % c->kinds];
     sf_residuals(c, mean, covariance, newton);
     rejected = sf_plausible(c, covariance, newton) || rejected;
 
@@ -2065,24 +2071,20 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     for (int i = 0; changed && i < N; i++) covariance[i * N + i] += c->change[i];
 
     sf_real quieter = sf_quiet(c, s, &b);
-    /* _since_swing and LearntDrift.since_swing: the product with what offsets have drifted by since their feet
-       swung, which all rows since then share. */
     sf_drift_followed(c, s, count, reading);
-    for (int k = 0; k < K; k++) {
-        int foot = c->foot_of_channel[k];
-        sf_real blocks = count[foot] < (sf_real)0.5
-                             ? sf_clip(s->swing_ago[foot] + 1, 0, SF_LONGEST_STANCE / (c->every * c->dt))
-                             : 0;
-        product[k] = covariance[k * N + k] * (s->rate * blocks * blocks * c->walk[P + k]);
-    }
+    sf_product(c, s, covariance, count, product);
     rows->count = 0;
     for (int r = 0; r < m; r++) {
         unused = unused && !newton->kept[r];
         if (!newton->kept[r]) continue;
         sf_copy(rows->H + rows->count * N, newton->H + r * N, N);
         rows->y[rows->count] = newton->y[r];
-        rows->variance[rows->count++] =
-            newton->variance[r] * quieter + (sf_real)m * sf_of_product(c, newton->places + r * K, product);
+        sf_real more = 0;
+        for (int k = 0; k < K; k++) {
+            sf_real lever = newton->places[r * K + k] * c->unit[k];
+            more += lever * lever * product[k];
+        }
+        rows->variance[rows->count++] = newton->variance[r] * quieter + (sf_real)m * more;
     }
     unused = unused || waiting;
     if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);

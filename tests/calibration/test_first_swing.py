@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.drift import LearntDrift
 from surefoot.calibration.moment.noise import FIRST_NOISE
+from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.stream import MomentStream
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.unknowns import Unknowns
@@ -65,43 +66,90 @@ def test_a_walk_begins_anew_once_for_each_foot(moment, log):
     assert (np.diff(trust) < 0.0).sum() == 2
 
 
-def test_only_who_does_not_know_scales_and_offsets_forgets(moment, log):
-    """Of three robots the first has never swung, the second has, the third knows all."""
+def in_the_air(moment, offsets):
+    """A block in which the first foot of as many robots hangs, and shows these offsets in body weights."""
+    config, robots = moment.config, len(offsets)
+    samples = np.ones((robots, config.span))
+    feet, motion = np.ones((robots, config.span, 2)), moment._front_end.motions.resting
+    force = -np.asarray(offsets)[:, None, :] * SETUP.weight
+    block = Block(
+        force=np.repeat(force, config.span, axis=1),
+        motion=motion + 0.0 * samples[..., None],
+        swing=feet * [1.0, 0.0],
+        use=samples,
+        stand=samples,
+    )
+    return block, *moment.tare.hanging(block)
+
+
+def test_only_who_had_wrong_offsets_forgets(moment, log):
+    """Of three robots the first has never swung, the second has, the third knew its offsets."""
     state = moment.init(np.stack([log.raw[0]] * 3))
-    mean, covariance = state.mean + 0.01, state.covariance.copy()
+    mean, covariance = state.mean + 0.01, 0.5 * state.covariance
     covariance[:, 0, -1] = covariance[:, -1, 0] = 1e-4
-    covariance[2] *= 1e-4
     ago = np.array([[-1.0, -1.0], [3.0, 5.0], [-1.0, -1.0]])
     state = state._replace(mean=mean, covariance=covariance, noise=0.0 * state.noise + 2.0, swing_ago=ago)
-    faults = state.faults._replace(trust=state.faults.trust + 30.0)
-    after, trusted = moment._begun_anew(state, faults, np.array([[12.0, 0.0]] * 3))
+    shown = np.full((3, 8), 0.0115)
+    shown[0, 2] = 0.014
+    block, count, reading = in_the_air(moment, shown)
+    after, anew = moment._product.begun_anew(state, block, count, reading)
+    assert_array_equal(anew, [True, False, False])
+    gone = np.zeros(UNKNOWNS.size, dtype=bool)
+    # One wrong offset of the foot is enough; the other foot has shown nothing.
+    gone[:4] = gone[UNKNOWNS.scales : UNKNOWNS.scales + 4] = True
+    assert_array_equal(after.mean[0], np.where(gone, UNKNOWNS.start, mean[0]))
+    first = np.where(~gone[:, None] & ~gone, covariance[0], moment.init(log.raw[0]).covariance)
+    assert_array_equal(after.covariance[0], first)
+    assert (after.noise[0] == FIRST_NOISE).all()
+    # A fault that is found later must not bring back what was forgotten.
+    assert_array_equal(after.kept_mean[0], [after.mean[0]] * 2)
+    assert_array_equal(after.kept_covariance[0], [first] * 2)
     for old, new in ((mean, after.mean), (covariance, after.covariance), (state.noise, after.noise)):
         assert_array_equal(new[1:], old[1:])
-    assert_array_equal(trusted.trust, [0.0, 30.0, 30.0])
-    scales = UNKNOWNS.scale
-    assert_array_equal(after.mean[0, scales], UNKNOWNS.start[scales])
-    assert_array_equal(after.mean[0, scales.stop :], mean[0, scales.stop :])
-    first = np.diag(moment.init(log.raw[0]).covariance)
-    assert_array_equal(after.covariance[0][scales], np.diag(first)[scales])
-    assert (after.noise[0] == FIRST_NOISE).all()
     # Once in a swing.
-    again, _ = moment._begun_anew(
-        state._replace(swing_samples=np.full((3, 2), 5.0)), faults, np.array([[12.0, 0.0]] * 3)
-    )
-    assert_array_equal(again.mean, mean)
+    swinging = state._replace(swing_samples=np.full((3, 2), 5.0))
+    assert not moment._product.begun_anew(swinging, block, count, reading)[1].any()
 
 
-def test_drift_since_a_swing_is_shared_by_the_rows_since_then(moment, log):
-    drift = LearntDrift(SETUP, CONFIG, UNKNOWNS, Tare(SETUP, CONFIG, UNKNOWNS))
-    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, -1.0]), rate=np.array(9.0))
+def test_rows_share_what_offsets_drifted_by_since_a_swing(moment, log):
+    product = moment._product
+    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, 9.0]), rate=np.array(9.0))
+    known = np.full(UNKNOWNS.size, 0.25)
     of_foot = np.array(LAYOUT.foot_of_channel)
     walked = 9.0 * UNKNOWNS.walk[UNKNOWNS.offset] * BLOCK * DT
-    on_ground = drift.since_swing(state, np.zeros(2))
-    assert_allclose(on_ground[of_foot == 0], 25.0 * walked[of_foot == 0])
-    assert_array_equal(on_ground[of_foot == 1], 0.0)
-    assert_array_equal(drift.since_swing(state, np.array([12.0, 0.0])), 0.0)
-    long = drift.since_swing(state._replace(swing_ago=np.array([1e4, 1e4])), np.zeros(2))
+    on_ground = product.offset_variance(state, np.zeros(2), known)
+    assert_allclose(on_ground, np.where(of_foot == 0, 25.0, 100.0) * walked)
+    in_air = product.offset_variance(state, np.array([12.0, 0.0]), known)
+    assert_allclose(in_air, np.where(of_foot == 0, 0.0, 100.0) * walked)
+    long = product.offset_variance(state._replace(swing_ago=np.array([1e4, 1e4])), np.zeros(2), known)
     assert_allclose(long, (4.0 / (BLOCK * DT)) ** 2 * walked)
+
+
+def test_a_foot_that_never_swung_shares_its_whole_offset_once_the_other_did(moment, log):
+    product, of_foot = moment._product, np.array(LAYOUT.foot_of_channel)
+    known, longest = np.full(UNKNOWNS.size, 0.25), 4.0 / (BLOCK * DT)
+    state = moment.init(log.raw[0])
+    assert_array_equal(product.offset_variance(state, np.zeros(2), known), 0.0)
+    for begun, count in (
+        (state, np.array([12.0, 0.0])),
+        (state._replace(swing_ago=np.array([0.0, -1.0])), np.array([12.0, 0.0])),
+    ):
+        whole = product.offset_variance(begun, count, known)
+        assert_allclose(whole, np.where(of_foot == 0, 0.0, 0.25 * longest))
+
+
+def test_rows_are_less_sure_by_what_they_share(moment, log):
+    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, 9.0]))
+    known, places = np.full(UNKNOWNS.size, 0.25), np.zeros((6, 8))
+    places[2, 5] = 3.0 / SETUP.weight
+    rows = Rows(np.zeros((6, UNKNOWNS.size)), np.zeros(6), np.full(6, 0.1))
+    allowed = moment._product.allowed_for(rows, places, state, np.zeros(2), known)
+    offset = moment._product.offset_variance(state, np.zeros(2), known)[5]
+    expected = np.full(6, 0.1)
+    expected[2] += 6 * 9.0 * 0.25 * offset
+    assert_allclose(allowed.variance, expected)
+    assert allowed.H is rows.H
+    assert allowed.y is rows.y
 
 
 def test_what_is_handed_out_has_aged_by_the_drift_that_is_learnt(moment, log):

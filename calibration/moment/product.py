@@ -1,0 +1,118 @@
+"""The product of the errors of a scale and of its offset, which linear rows leave out.
+
+In F = a (F0 + o) the column of a scale holds the estimated offset. While that is off by d, the column is off
+by d as well, in all rows alike, and no covariance of linear rows shows it. Two things allow for it, beside
+the tare that is learnt before other rows are written:
+
+* **A first swing** shows the offsets of a foot. If any was wrong, scales and offsets of the foot are
+  forgotten: they were learnt with a wrong column. A robot that has rocked for long may know its offsets, and
+  keeps its scales.
+* **Between swings** an offset drifts, and in the columns of scales this looks like a load that moves. All
+  rows since the swing share the error, so that each of them is less sure by as many times its variance. A
+  foot that never swung, of a robot that walks, has its whole offset for such an error.
+"""
+
+import numpy as np
+
+from surefoot.calibration.arrays import Array
+from surefoot.calibration.moment.config import MomentFilterConfig
+from surefoot.calibration.moment.noise import FIRST_NOISE
+from surefoot.calibration.moment.rows import Block, Rows
+from surefoot.calibration.moment.state import MomentState
+from surefoot.calibration.moment.tare import Tare
+from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.setup import OnlineSetup
+
+_WRONG = 0.003
+"""Error of an offset in body weights (times foot lengths for a torque) beyond which what was learnt of its
+foot is forgotten: the scale of a channel that bears an eighth of the robot would be off by two percent."""
+
+_LONGEST_STANCE = 4.0
+"""Time in s since a swing that counts at most: a robot that stands is to learn as well."""
+
+
+class ErrorProduct:
+    """Allows for the product in one setup.
+
+    Args:
+        setup: The robot.
+        config: Options of the filter.
+        unknowns: The unknowns.
+        tare: The rows of feet in the air.
+        start: Covariance of the unknowns to start from, shape (N, N).
+    """
+
+    def __init__(
+        self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns, tare: Tare, start: Array
+    ) -> None:
+        self.unknowns, self.tare = unknowns, tare
+        self._start = start
+        block = config.every * setup.dt
+        self._walk, self._longest = unknowns.walk[unknowns.offset] * block, _LONGEST_STANCE / block
+
+    def begun_anew(
+        self, state: MomentState, block: Block, count: Array, reading: Array
+    ) -> tuple[MomentState, Array]:
+        """Forget what a foot was learnt with offsets that its first swing proves wrong.
+
+        The noise begins anew as well, as it was that of wrong columns, and so do the states to go back to.
+
+        Args:
+            state: The state.
+            block: The samples.
+            count: Samples in which each foot surely hangs, shape (..., F).
+            reading: Mean reading of each channel over them in N, shape (..., K).
+
+        Returns:
+            The state, and which robots have forgotten anything (bool), shape (...).
+        """
+        unknowns = self.unknowns
+        first = (count > 0.5) & (state.swing_ago < 0.0) & (state.swing_samples < 0.5)
+        if not first.any():
+            return state, first.any(axis=-1)
+        tare = self.tare.rows(state.mean, block, count, reading)
+        off = tare.y - state.mean[..., unknowns.offset]
+        feet = first & ((np.abs(off) > _WRONG) @ self.tare.by_channel.T > 0.5)
+        wrong = feet @ self.tare.by_channel > 0.5
+        gone = np.zeros(state.mean.shape, dtype=bool)
+        gone[..., unknowns.scale], gone[..., unknowns.offset] = wrong[..., unknowns.inp], wrong
+        anew = wrong.any(axis=-1)
+        mean = np.where(gone, unknowns.start, state.mean)
+        covariance = np.where(gone[..., None] | gone[..., None, :], self._start, state.covariance)
+        forgotten = state._replace(
+            mean=mean,
+            covariance=covariance,
+            kept_mean=np.where(anew[..., None, None], mean[..., None, :], state.kept_mean),
+            kept_covariance=np.where(
+                anew[..., None, None, None], covariance[..., None, :, :], state.kept_covariance
+            ),
+            noise=np.where(anew[..., None], FIRST_NOISE, state.noise),
+        )
+        return forgotten, anew
+
+    def allowed_for(self, rows: Rows, places: Array, state: MomentState, count: Array, known: Array) -> Rows:
+        """Return rows of the robot's motion that are less sure by the product.
+
+        Args:
+            rows: The m rows.
+            places: What a newton on each channel does to them, shape (..., m, K).
+            state: The state.
+            count: Samples of the block in which each foot surely hung, shape (..., F).
+            known: Variances of the unknowns, shape (..., N).
+        """
+        lever = places * self.unknowns.unit
+        of_channel = self.unknowns.own_scales(known) * self.offset_variance(state, count, known)
+        more = ((lever * lever) @ of_channel[..., None])[..., 0]
+        return rows._replace(variance=rows.variance + rows.y.shape[-1] * more)
+
+    def offset_variance(self, state: MomentState, count: Array, known: Array) -> Array:
+        """Return the variances that rows share of offsets, times the blocks that share them, shape (..., K).
+
+        They are 0 for a foot that hangs, and as long as no foot has swung. Arguments as above.
+        """
+        hangs, swung = count > 0.5, state.swing_ago >= 0.0
+        blocks = np.clip(state.swing_ago + 1.0, 0.0, self._longest) * ~hangs
+        drifted = (state.rate[..., None] * blocks * blocks) @ self.tare.by_channel * self._walk
+        shown = swung | hangs
+        hidden = (shown.any(axis=-1)[..., None] & ~shown) @ self.tare.by_channel
+        return drifted + self._longest * hidden * known[..., self.unknowns.offset]
