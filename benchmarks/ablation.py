@@ -59,9 +59,13 @@ VARIANTS = {
         constants=((stream, "FIRST_MISFIT", 1.0), (noise, "_MISFIT_MEMORY", 0.0)),
     ),
     "product of errors not allowed for": Variant(
-        constants=((product, "_WRONG", np.inf), (product, "_LONGEST_STANCE", 0.0))
+        constants=(
+            (product, "_SHARED", 0.0),
+            (product, "_WRONG", np.inf),
+            (product, "_LONGEST_STANCE", 0.0),
+        )
     ),
-    "errors of offsets since a swing not shared": Variant(constants=((product, "_LONGEST_STANCE", 0.0),)),
+    "drift since a swing not shared": Variant(constants=((product, "_LONGEST_STANCE", 0.0),)),
     "nothing forgotten at a first swing": Variant(constants=((product, "_WRONG", np.inf),)),
     "no swing tare": Variant({"swing_noise": 1e3}),
     "centre of mass taken for right": Variant({"com_std": 0.0, "com_change": 0.0}),

@@ -1,27 +1,30 @@
 """The product of the errors of a scale and of its offset, which linear rows leave out.
 
 In F = a (F0 + o) the column of a scale holds the estimated offset. While that is off by d, the column is off
-by d as well, in all rows alike, and no covariance of linear rows shows it. Two things allow for it, beside
+by d as well, in all rows alike, and no covariance of linear rows shows it. Three things allow for it, beside
 the tare that is learnt before other rows are written:
 
+* **Rows are less sure** by a small share of the product. It is small so that a robot that only stands, and
+  never shows its zeros, learns as well.
 * **A first swing** shows the offsets of a foot. If any was wrong, scales and offsets of the foot are
   forgotten: they were learnt with a wrong column. A robot that has rocked for long may know its offsets, and
   keeps its scales.
 * **Between swings** an offset drifts, and in the columns of scales this looks like a load that moves. All
-  rows since the swing share the error, so that each of them is less sure by as many times its variance. A
-  foot that never swung, of a robot that walks, has its whole offset for such an error.
+  rows since the swing share the error, so that each of them is less sure by as many times its variance.
 """
 
 import numpy as np
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.noise import FIRST_NOISE
 from surefoot.calibration.moment.rows import Block, Rows
 from surefoot.calibration.moment.state import MomentState
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.unknowns import Unknowns
 from surefoot.calibration.setup import OnlineSetup
+
+_SHARED = 0.015
+"""How often the product of the errors is added to a row's variance, over its noise factor."""
 
 _WRONG = 0.003
 """Error of an offset in body weights (times foot lengths for a torque) beyond which what was learnt of its
@@ -50,12 +53,12 @@ class ErrorProduct:
         block = config.every * setup.dt
         self._walk, self._longest = unknowns.walk[unknowns.offset] * block, _LONGEST_STANCE / block
 
-    def begun_anew(
+    def forgotten(
         self, state: MomentState, block: Block, count: Array, reading: Array
     ) -> tuple[MomentState, Array]:
         """Forget what a foot was learnt with offsets that its first swing proves wrong.
 
-        The noise begins anew as well, as it was that of wrong columns, and so do the states to go back to.
+        The states to go back to forget it as well.
 
         Args:
             state: The state.
@@ -78,41 +81,54 @@ class ErrorProduct:
         gone[..., unknowns.scale], gone[..., unknowns.offset] = wrong[..., unknowns.inp], wrong
         anew = wrong.any(axis=-1)
         mean = np.where(gone, unknowns.start, state.mean)
-        covariance = np.where(gone[..., None] | gone[..., None, :], self._start, state.covariance)
-        forgotten = state._replace(
+        covariance: Array = np.where(gone[..., None] | gone[..., None, :], self._start, state.covariance)
+        state = state._replace(
             mean=mean,
             covariance=covariance,
             kept_mean=np.where(anew[..., None, None], mean[..., None, :], state.kept_mean),
             kept_covariance=np.where(
                 anew[..., None, None, None], covariance[..., None, :, :], state.kept_covariance
             ),
-            noise=np.where(anew[..., None], FIRST_NOISE, state.noise),
         )
-        return forgotten, anew
+        return state, anew
 
-    def allowed_for(self, rows: Rows, places: Array, state: MomentState, count: Array, known: Array) -> Rows:
-        """Return rows of the robot's motion that are less sure by the product.
+    def unsure(self, rows: Rows, places: Array, known: Array, factor: Array) -> Rows:
+        """Return rows of the robot's motion that are less sure by a share of the product.
 
         Args:
             rows: The m rows.
             places: What a newton on each channel does to them, shape (..., m, K).
-            state: The state.
-            count: Samples of the block in which each foot surely hung, shape (..., F).
             known: Variances of the unknowns, shape (..., N).
+            factor: By how many times rows' variances are larger than assumed, shape (..., m).
         """
+        return self._wider(rows, places, known, known[..., self.unknowns.offset], _SHARED * factor)
+
+    def since_swing(self, rows: Rows, places: Array, known: Array, drifted: Array) -> Rows:
+        """Return rows that are less sure by what offsets have drifted by since their feet swung.
+
+        Args:
+            rows: The m rows.
+            places: What a newton on each channel does to them, shape (..., m, K).
+            known: Variances of the unknowns, shape (..., N).
+            drifted: As :meth:`drifted` returns it, shape (..., K).
+        """
+        return self._wider(rows, places, known, drifted, float(rows.y.shape[-1]))
+
+    def drifted(self, state: MomentState, count: Array) -> Array:
+        """Return the variances that offsets drifted by since their feet swung, times blocks since then.
+
+        Args:
+            state: The state.
+            count: Samples of the last block in which each foot surely hung, shape (..., F).
+
+        Returns:
+            Shape (..., K); 0 for a foot that hangs, or never swung. The last block counts.
+        """
+        blocks = np.clip(state.swing_ago + 1.0, 0.0, self._longest) * (count < 0.5)
+        return (state.rate[..., None] * blocks * blocks) @ self.tare.by_channel * self._walk
+
+    def _wider(self, rows: Rows, places: Array, known: Array, offset: Array, share: Array | float) -> Rows:
+        """Return rows with the product of scales' errors and of offsets' of such variances, so many times."""
         lever = places * self.unknowns.unit
-        of_channel = self.unknowns.own_scales(known) * self.offset_variance(state, count, known)
-        more = ((lever * lever) @ of_channel[..., None])[..., 0]
-        return rows._replace(variance=rows.variance + rows.y.shape[-1] * more)
-
-    def offset_variance(self, state: MomentState, count: Array, known: Array) -> Array:
-        """Return the variances that rows share of offsets, times the blocks that share them, shape (..., K).
-
-        They are 0 for a foot that hangs, and as long as no foot has swung. Arguments as above.
-        """
-        hangs, swung = count > 0.5, state.swing_ago >= 0.0
-        blocks = np.clip(state.swing_ago + 1.0, 0.0, self._longest) * ~hangs
-        drifted = (state.rate[..., None] * blocks * blocks) @ self.tare.by_channel * self._walk
-        shown = swung | hangs
-        hidden = (shown.any(axis=-1)[..., None] & ~shown) @ self.tare.by_channel
-        return drifted + self._longest * hidden * known[..., self.unknowns.offset]
+        more = ((lever * lever) @ (self.unknowns.own_scales(known) * offset)[..., None])[..., 0]
+        return rows._replace(variance=rows.variance + share * more)

@@ -169,7 +169,9 @@ class MomentStream:
         block = block._replace(use=block.use * self._complete(faults, read))
         state = self._walked(state, 1.0)
         count, reading, doubted = self._hanging(state, block, faults)
-        state, anew = self._product.begun_anew(state, block, count, reading)
+        state, anew = self._product.forgotten(state, block, count, reading)
+        # What rows left unexplained before was that of wrong columns.
+        state = state._replace(noise=np.where(anew[..., None], FIRST_NOISE, state.noise))
         faults = faults._replace(trust=np.where(anew, 0.0, faults.trust))
         nothing = 0.0 * state.misfit
         unlearnt = KalmanStep(state.mean, state.covariance, nis=nothing, rows=nothing)
@@ -180,6 +182,8 @@ class MomentStream:
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
         factor = np.concatenate([state.noise] * (config.every // config.average), axis=-1)
         assumed = rows.variance / factor
+        known = np.linalg.diagonal(covariance)
+        rows = self._product.unsure(rows, places, known, factor)
         residuals = Residuals.of(rows, mean, covariance)
         newton, rejected = self._plausible(rows, residuals, covariance, assumed)
         waiting = self._faults.suspects(faults, residuals)
@@ -189,8 +193,8 @@ class MomentStream:
         faults = faults._replace(trust=np.where(changed, TRUST, faults.trust))
         quiet, anchor, learnt_from = self._quiet(state, block, newton)
         state = self._drifting.followed(state, count, reading, 1.0 - faults.lost)
-        known = np.linalg.diagonal(covariance)
-        learnt_from = self._product.allowed_for(learnt_from, places, state, count, known)
+        drifted = self._product.drifted(state, count)
+        learnt_from = self._product.since_swing(learnt_from, places, known, drifted)
         if self.parity.matters:
             parity = self.parity.rows(mean, block)
             if faults.altered:

@@ -135,6 +135,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
 #define SF_REACH ((sf_real)12.0)
+#define SF_SHARED ((sf_real)0.015)
 #define SF_WRONG ((sf_real)0.003)
 #define SF_LEAST_LOAD ((sf_real)0.1)
 #define SF_SWING_SAMPLES ((sf_real)16.0)
@@ -1082,7 +1083,7 @@ SF_API sf_real sf_hung(const sf_config *c, const sf_state *s, const sf_real *rea
     return c->distal_matters ? shown + felt[k] / (c->unit[k] * s->mean[k]) : shown;
 }
 
-/* ErrorProduct.begun_anew: forget what a foot was learnt with offsets that its first swing proves wrong. */
+/* ErrorProduct.forgotten, with noise and trust: forget what a foot was learnt with offsets that its first swing proves wrong. */
 SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count, const sf_real *reading,
                           const sf_real *felt) {
     int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), wrong[SF_FEET] = {0}, any = 0;
@@ -1981,20 +1982,15 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     }
 }
 
-/* ErrorProduct.offset_variance: the products of scales' variances and of offsets' that rows share. */
-SF_API void sf_product(const sf_config *c, const sf_state *s, const sf_real *covariance, const sf_real *count,
-                                 sf_real *product) {
-    int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), any = 0;
-    sf_real longest = SF_LONGEST_STANCE / (c->every * c->dt);
-    for (int foot = 0; foot < c->feet; foot++) any = any || s->swing_ago[foot] >= 0 || count[foot] > (sf_real)0.5;
-    for (int k = 0; k < K; k++) {
-        sf_real ago = s->swing_ago[c->foot_of_channel[k]], blocks = sf_clip(ago + 1, 0, longest), offset = 0;
-        if (!(count[c->foot_of_channel[k]] > (sf_real)0.5)) {
-            offset = s->rate * blocks * blocks * c->walk[P + k];
-            if (any && ago < 0) offset += longest * covariance[(P + k) * N + P + k];
-        }
-        product[k] = covariance[k * N + k] * offset;
+/* ErrorProduct._wider: what a row is less sure by, of what a newton on each channel does to it and the variances of
+   products of the errors of scales and offsets. */
+SF_API sf_real sf_of_product(const sf_config *c, const sf_real *places, const sf_real *product) {
+    sf_real more = 0;
+    for (int k = 0; k < c->channels; k++) {
+        sf_real lever = places[k] * c->unit[k];
+        more += lever * lever * product[k];
     }
+    return more;
 }
 
 /* MomentStream._step: learn from rows, and say whether all of what came is finite. */
@@ -2009,7 +2005,7 @@ SF_API int sf_step(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf
 /* MomentStream._learn: update the unknowns by the block that is full. The covariance of the work is that after
    the block, until all is known to be finite. */
 SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
-    int K = c->channels, M = sf_map(c), N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
+    int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), n = sf_span(c), m = sf_groups(c) * c->kinds;
     int use_all = 1, all_there = 1, swinging = 0, unused = 1, rejected = 0, waiting, changed;
     sf_block b = {s->pending, sf_width(c), {0}};
     sf_newton *newton = &w->newton;
@@ -2051,7 +2047,13 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
     }
     sf_copy(mean, s->mean, N);
     sf_newton_euler_rows(c, s, &b, newton);
-    for (int r = 0; r < m; r++) newton->assumed[r] = newton->variance[r] / s->noise[r % c->kinds];
+    /* ErrorProduct.unsure. */
+    for (int k = 0; k < K; k++) product[k] = covariance[k * N + k] * covariance[(P + k) * N + P + k];
+    for (int r = 0; r < m; r++) {
+        sf_real factor = s->noise[r % c->kinds];
+        newton->assumed[r] = newton->variance[r] / factor;
+        newton->variance[r] += SF_SHARED * factor * sf_of_product(c, newton->places + r * K, product);
+    }
     sf_residuals(c, mean, covariance, newton);
     rejected = sf_plausible(c, covariance, newton) || rejected;
 
@@ -2072,19 +2074,21 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
 
     sf_real quieter = sf_quiet(c, s, &b);
     sf_drift_followed(c, s, count, reading);
-    sf_product(c, s, covariance, count, product);
+    /* ErrorProduct.drifted and since_swing. */
+    for (int k = 0; k < K; k++) {
+        int foot = c->foot_of_channel[k];
+        sf_real blocks = sf_clip(s->swing_ago[foot] + 1, 0, SF_LONGEST_STANCE / (c->every * c->dt));
+        if (count[foot] > (sf_real)0.5) blocks = 0;
+        product[k] = covariance[k * N + k] * (s->rate * blocks * blocks * c->walk[P + k]);
+    }
     rows->count = 0;
     for (int r = 0; r < m; r++) {
         unused = unused && !newton->kept[r];
         if (!newton->kept[r]) continue;
         sf_copy(rows->H + rows->count * N, newton->H + r * N, N);
         rows->y[rows->count] = newton->y[r];
-        sf_real more = 0;
-        for (int k = 0; k < K; k++) {
-            sf_real lever = newton->places[r * K + k] * c->unit[k];
-            more += lever * lever * product[k];
-        }
-        rows->variance[rows->count++] = newton->variance[r] * quieter + (sf_real)m * more;
+        rows->variance[rows->count++] =
+            newton->variance[r] * quieter + (sf_real)m * sf_of_product(c, newton->places + r * K, product);
     }
     unused = unused || waiting;
     if (c->parities > 0 && all_there) sf_parity_rows(c, s, &b, rows);

@@ -62,8 +62,12 @@ def test_rows_of_the_robot_are_written_with_the_offsets_that_its_feet_show(momen
 
 
 def test_a_walk_begins_anew_once_for_each_foot(moment, log):
-    trust = [float(state.faults.trust) for state in blocks(moment, log.raw, log.reference)]
-    assert (np.diff(trust) < 0.0).sum() == 2
+    states = blocks(moment, log.raw, log.reference)
+    anew = np.flatnonzero(np.diff([float(state.faults.trust) for state in states]) < 0.0) + 1
+    assert len(anew) == 2
+    for at in anew:
+        # One block has passed since.
+        assert states[at].noise.min() > 0.8 * FIRST_NOISE > states[at - 1].noise.min()
 
 
 def in_the_air(moment, offsets):
@@ -88,11 +92,11 @@ def test_only_who_had_wrong_offsets_forgets(moment, log):
     mean, covariance = state.mean + 0.01, 0.5 * state.covariance
     covariance[:, 0, -1] = covariance[:, -1, 0] = 1e-4
     ago = np.array([[-1.0, -1.0], [3.0, 5.0], [-1.0, -1.0]])
-    state = state._replace(mean=mean, covariance=covariance, noise=0.0 * state.noise + 2.0, swing_ago=ago)
+    state = state._replace(mean=mean, covariance=covariance, swing_ago=ago)
     shown = np.full((3, 8), 0.0115)
     shown[0, 2] = 0.014
     block, count, reading = in_the_air(moment, shown)
-    after, anew = moment._product.begun_anew(state, block, count, reading)
+    after, anew = moment._product.forgotten(state, block, count, reading)
     assert_array_equal(anew, [True, False, False])
     gone = np.zeros(UNKNOWNS.size, dtype=bool)
     # One wrong offset of the foot is enough; the other foot has shown nothing.
@@ -100,56 +104,40 @@ def test_only_who_had_wrong_offsets_forgets(moment, log):
     assert_array_equal(after.mean[0], np.where(gone, UNKNOWNS.start, mean[0]))
     first = np.where(~gone[:, None] & ~gone, covariance[0], moment.init(log.raw[0]).covariance)
     assert_array_equal(after.covariance[0], first)
-    assert (after.noise[0] == FIRST_NOISE).all()
     # A fault that is found later must not bring back what was forgotten.
     assert_array_equal(after.kept_mean[0], [after.mean[0]] * 2)
     assert_array_equal(after.kept_covariance[0], [first] * 2)
-    for old, new in ((mean, after.mean), (covariance, after.covariance), (state.noise, after.noise)):
+    for old, new in ((mean, after.mean), (covariance, after.covariance)):
         assert_array_equal(new[1:], old[1:])
     # Once in a swing.
     swinging = state._replace(swing_samples=np.full((3, 2), 5.0))
-    assert not moment._product.begun_anew(swinging, block, count, reading)[1].any()
+    assert not moment._product.forgotten(swinging, block, count, reading)[1].any()
 
 
 def test_rows_share_what_offsets_drifted_by_since_a_swing(moment, log):
     product = moment._product
-    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, 9.0]), rate=np.array(9.0))
-    known = np.full(UNKNOWNS.size, 0.25)
+    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, -1.0]), rate=np.array(9.0))
     of_foot = np.array(LAYOUT.foot_of_channel)
     walked = 9.0 * UNKNOWNS.walk[UNKNOWNS.offset] * BLOCK * DT
-    on_ground = product.offset_variance(state, np.zeros(2), known)
-    assert_allclose(on_ground, np.where(of_foot == 0, 25.0, 100.0) * walked)
-    in_air = product.offset_variance(state, np.array([12.0, 0.0]), known)
-    assert_allclose(in_air, np.where(of_foot == 0, 0.0, 100.0) * walked)
-    long = product.offset_variance(state._replace(swing_ago=np.array([1e4, 1e4])), np.zeros(2), known)
+    on_ground = product.drifted(state, np.zeros(2))
+    assert_allclose(on_ground, np.where(of_foot == 0, 25.0, 0.0) * walked)
+    assert_array_equal(product.drifted(state, np.array([12.0, 0.0])), 0.0)
+    long = product.drifted(state._replace(swing_ago=np.array([1e4, 1e4])), np.zeros(2))
     assert_allclose(long, (4.0 / (BLOCK * DT)) ** 2 * walked)
 
 
-def test_a_foot_that_never_swung_shares_its_whole_offset_once_the_other_did(moment, log):
-    product, of_foot = moment._product, np.array(LAYOUT.foot_of_channel)
-    known, longest = np.full(UNKNOWNS.size, 0.25), 4.0 / (BLOCK * DT)
-    state = moment.init(log.raw[0])
-    assert_array_equal(product.offset_variance(state, np.zeros(2), known), 0.0)
-    for begun, count in (
-        (state, np.array([12.0, 0.0])),
-        (state._replace(swing_ago=np.array([0.0, -1.0])), np.array([12.0, 0.0])),
-    ):
-        whole = product.offset_variance(begun, count, known)
-        assert_allclose(whole, np.where(of_foot == 0, 0.0, 0.25 * longest))
-
-
-def test_rows_are_less_sure_by_what_they_share(moment, log):
-    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, 9.0]))
+def test_rows_are_less_sure_by_the_product(moment):
     known, places = np.full(UNKNOWNS.size, 0.25), np.zeros((6, 8))
+    known[UNKNOWNS.offset] = 0.04
     places[2, 5] = 3.0 / SETUP.weight
     rows = Rows(np.zeros((6, UNKNOWNS.size)), np.zeros(6), np.full(6, 0.1))
-    allowed = moment._product.allowed_for(rows, places, state, np.zeros(2), known)
-    offset = moment._product.offset_variance(state, np.zeros(2), known)[5]
-    expected = np.full(6, 0.1)
-    expected[2] += 6 * 9.0 * 0.25 * offset
-    assert_allclose(allowed.variance, expected)
-    assert allowed.H is rows.H
-    assert allowed.y is rows.y
+    for allowed, more in (
+        (moment._product.unsure(rows, places, known, np.full(6, 7.0)), 0.015 * 7.0 * 9.0 * 0.25 * 0.04),
+        (moment._product.since_swing(rows, places, known, np.full(8, 0.5)), 6 * 9.0 * 0.25 * 0.5),
+    ):
+        assert_allclose(allowed.variance, np.where(np.arange(6) == 2, 0.1 + more, 0.1))
+        assert allowed.H is rows.H
+        assert allowed.y is rows.y
 
 
 def test_what_is_handed_out_has_aged_by_the_drift_that_is_learnt(moment, log):
