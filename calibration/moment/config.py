@@ -134,7 +134,7 @@ class MomentFilterConfig:
     all blocks together then count as little more than one. 0 takes every block for itself."""
 
     leap: float = 0.25
-    """Change of a channel's reading from one sample to the next in body weights that no foot makes: such
+    """Change of a channel's force from one sample to the next in body weights that no foot makes: such
     readings are held for up to three samples."""
 
     stand_in_memory: float = 20.0

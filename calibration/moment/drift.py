@@ -95,6 +95,8 @@ class LearntDrift:
         surplus = ((square - 1.0) * sound) @ of_foot.T / channels
         seen = ends & (state.swing_ago > 0.0) & (channels > _FEWEST_CHANNELS)
         rate = state.rate * (1.0 + _MEMORY * (surplus * seen).sum(axis=-1))
+        # The first swing is the first however short it was.
+        ends = ends | (~air & (state.swing_ago < 0.0) & (state.swing_samples > 0.5))
         ends_of, air_of = (ends @ of_foot) > 0.5, (air @ of_foot) > 0.5
         added = state.swing_sum + reading / self.unknowns.unit * (count @ of_foot)
         return state._replace(

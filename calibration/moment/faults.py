@@ -2,7 +2,7 @@
 
 Three things give a channel away:
 
-* **It leaps.** A reading that is away from the last by more than a foot can is held, for a few samples; not
+* **It leaps.** A force that is away from the last by more than a foot can is held, for a few samples; not
   while several channels leap within seconds, as those of a robot that bounces do.
 * **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
 * **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.hypotheses`.
@@ -29,6 +29,9 @@ __all__ = ["LONGEST_LEAP", "TRUST", "ChannelFaults", "ChannelState"]
 
 LONGEST_LEAP = 3
 """Samples in a row that a reading may be away before it is believed."""
+
+_LEAP_SCALES = 0.3, 3.0
+"""Scales that leaps are counted with at least and at most: an estimate that is wrong must not blind it."""
 
 _ALONE = 4.0
 """How many times further than any other cell of its foot a reading must leap to be an error."""
@@ -110,7 +113,7 @@ class ChannelFaults:
 
     Args:
         setup: The robot.
-        leap: Change of a reading in one sample in body weights that no foot makes.
+        leap: Change of a force in one sample in body weights that no foot makes.
         change: Standard deviations of what a load changes, (centre of mass in foot lengths (2), mass), shape
             (3,).
         memory: Blocks that shares of load are remembered for.
@@ -165,7 +168,7 @@ class ChannelFaults:
         if state.altered:
             force = (state.wiring @ force[..., None])[..., 0]
             read = (np.abs(state.wiring) @ read[..., None])[..., 0] > 0.5
-        step = np.abs(scale * (force - state.last))
+        step = np.abs(force - state.last) * np.clip(np.abs(scale), *_LEAP_SCALES)
         state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > self._leap
         if not leaping.any():
             return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind

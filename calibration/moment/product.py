@@ -30,6 +30,9 @@ _WRONG = 0.003
 """Error of an offset in body weights (times foot lengths for a torque) beyond which what was learnt of its
 foot is forgotten: the scale of a channel that bears an eighth of the robot would be off by two percent."""
 
+_SURE_STD = 3.0
+"""Standard deviations of a tare by which it must be off besides."""
+
 _LONGEST_STANCE = 4.0
 """Time in s since a swing that counts at most: a robot that stands is to learn as well."""
 
@@ -54,7 +57,7 @@ class ErrorProduct:
         self._walk, self._longest = unknowns.walk[unknowns.offset] * block, _LONGEST_STANCE / block
 
     def forgotten(
-        self, state: MomentState, block: Block, count: Array, reading: Array
+        self, state: MomentState, block: Block, count: Array, reading: Array, lost: Array
     ) -> tuple[MomentState, Array]:
         """Forget what a foot was learnt with offsets that its first swing proves wrong.
 
@@ -65,6 +68,7 @@ class ErrorProduct:
             block: The samples.
             count: Samples in which each foot surely hangs, shape (..., F).
             reading: Mean reading of each channel over them in N, shape (..., K).
+            lost: Channels that are out (0 or 1), shape (..., K).
 
         Returns:
             The state, and which robots have forgotten anything (bool), shape (...).
@@ -74,23 +78,20 @@ class ErrorProduct:
         if not first.any():
             return state, first.any(axis=-1)
         tare = self.tare.rows(state.mean, block, count, reading)
-        off = tare.y - state.mean[..., unknowns.offset]
-        feet = first & ((np.abs(off) > _WRONG) @ self.tare.by_channel.T > 0.5)
+        off = np.abs(tare.y - state.mean[..., unknowns.offset])
+        seen = (off > _WRONG + _SURE_STD * np.sqrt(tare.variance)) & (lost < 0.5)
+        feet = first & (seen @ self.tare.by_channel.T > 0.5)
         wrong = feet @ self.tare.by_channel > 0.5
         gone = np.zeros(state.mean.shape, dtype=bool)
         gone[..., unknowns.scale], gone[..., unknowns.offset] = wrong[..., unknowns.inp], wrong
-        anew = wrong.any(axis=-1)
-        mean = np.where(gone, unknowns.start, state.mean)
-        covariance: Array = np.where(gone[..., None] | gone[..., None, :], self._start, state.covariance)
+        pair = gone[..., None] | gone[..., None, :]
         state = state._replace(
-            mean=mean,
-            covariance=covariance,
-            kept_mean=np.where(anew[..., None, None], mean[..., None, :], state.kept_mean),
-            kept_covariance=np.where(
-                anew[..., None, None, None], covariance[..., None, :, :], state.kept_covariance
-            ),
+            mean=np.where(gone, unknowns.start, state.mean),
+            covariance=np.where(pair, self._start, state.covariance),
+            kept_mean=np.where(gone[..., None, :], unknowns.start, state.kept_mean),
+            kept_covariance=np.where(pair[..., None, :, :], self._start, state.kept_covariance),
         )
-        return state, anew
+        return state, wrong.any(axis=-1)
 
     def unsure(self, rows: Rows, places: Array, known: Array, factor: Array) -> Rows:
         """Return rows of the robot's motion that are less sure by a share of the product.

@@ -169,7 +169,7 @@ class MomentStream:
         block = block._replace(use=block.use * self._complete(faults, read))
         state = self._walked(state, 1.0)
         count, reading, doubted = self._hanging(state, block, faults)
-        state, anew = self._product.forgotten(state, block, count, reading)
+        state, anew = self._product.forgotten(state, block, count, reading, faults.lost)
         # What rows left unexplained before was that of wrong columns.
         state = state._replace(noise=np.where(anew[..., None], FIRST_NOISE, state.noise))
         faults = faults._replace(trust=np.where(anew, 0.0, faults.trust))

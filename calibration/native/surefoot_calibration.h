@@ -143,6 +143,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_FASTEST ((sf_real)100.0)
 #define SF_FEWEST_SAMPLES ((sf_real)8.0)
 #define SF_FEWEST_CHANNELS ((sf_real)2.5)
+#define SF_SURE_STD ((sf_real)3.0)
 #define SF_LONGEST_STANCE ((sf_real)4.0)
 #define SF_LARGEST_SCALE ((sf_real)3.0)
 #define SF_FIRST_NOISE ((sf_real)16.0)
@@ -158,6 +159,8 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_NEGLIGIBLE ((sf_real)1e-18) /* share of a mixture that changes no digit of it */
 #define SF_FLOOR ((sf_real)1e-5)
 #define SF_LONGEST_LEAP 3
+#define SF_LEAST_LEAP_SCALE ((sf_real)0.3)
+#define SF_LARGEST_LEAP_SCALE ((sf_real)3.0)
 #define SF_ALONE ((sf_real)4.0)
 #define SF_BUMPY ((sf_real)1.5)
 #define SF_BUMP_MEMORY ((sf_real)0.993)
@@ -1083,25 +1086,35 @@ SF_API sf_real sf_hung(const sf_config *c, const sf_state *s, const sf_real *rea
     return c->distal_matters ? shown + felt[k] / (c->unit[k] * s->mean[k]) : shown;
 }
 
-/* ErrorProduct.forgotten, with noise and trust: forget what a foot was learnt with offsets that its first swing proves wrong. */
+/* Tare.variance: that of a mean reading over so many samples. */
+SF_API sf_real sf_tare_variance(const sf_config *c, sf_real number) {
+    return c->swing_noise * c->swing_noise * SF_SWING_SAMPLES / sf_max(number, 1);
+}
+
+/* ErrorProduct.forgotten, with noise and trust: forget what a foot was learnt with offsets that its first swing
+   proves wrong. */
 SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count, const sf_real *reading,
                           const sf_real *felt) {
     int K = c->channels, P = sf_scales(c), N = sf_unknowns(c), wrong[SF_FEET] = {0}, any = 0;
     for (int k = 0; k < K; k++) {
         int foot = c->foot_of_channel[k];
-        if (!(count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5)) continue;
-        if (sf_fabs(sf_hung(c, s, reading, felt, k) - s->mean[P + k]) > SF_WRONG) any = wrong[foot] = 1;
+        if (!(count[foot] > (sf_real)0.5 && s->swing_ago[foot] < 0 && s->swing_samples[foot] < (sf_real)0.5) ||
+            s->lost[k] != 0)
+            continue;
+        if (sf_fabs(sf_hung(c, s, reading, felt, k) - s->mean[P + k]) >
+            SF_WRONG + SF_SURE_STD * sf_sqrt(sf_tare_variance(c, count[foot])))
+            any = wrong[foot] = 1;
     }
     if (!any) return;
-    for (int i = 0; i < P + K; i++) {
-        if (!wrong[c->foot_of_channel[i < K ? i : i < P ? c->talk_from[i - K] : i - P]]) continue;
-        s->mean[i] = c->start[i];
-        for (int k = 0; k < N; k++) s->covariance[i * N + k] = s->covariance[k * N + i] = 0;
-        s->covariance[i * N + i] = c->first_variance[i];
-    }
-    for (int kept = 0; kept < 2; kept++) {
-        sf_copy(s->kept_mean + kept * N, s->mean, N);
-        sf_copy(s->kept_covariance + kept * N * N, s->covariance, N * N);
+    for (int state = 0; state < 3; state++) {
+        sf_real *mean = state == 0 ? s->mean : s->kept_mean + (state - 1) * N;
+        sf_real *covariance = state == 0 ? s->covariance : s->kept_covariance + (state - 1) * N * N;
+        for (int i = 0; i < P + K; i++) {
+            if (!wrong[c->foot_of_channel[i < K ? i : i < P ? c->talk_from[i - K] : i - P]]) continue;
+            mean[i] = c->start[i];
+            for (int k = 0; k < N; k++) covariance[i * N + k] = covariance[k * N + i] = 0;
+            covariance[i * N + i] = c->first_variance[i];
+        }
     }
     for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
     s->trust = 0;
@@ -1152,7 +1165,7 @@ SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *
         memset(rows->H + at * N, 0, (size_t)N * sizeof(sf_real));
         rows->H[at * N + P + k] = 1;
         rows->y[at] = sf_hung(c, s, reading, felt, k);
-        rows->variance[at] = c->swing_noise * c->swing_noise * SF_SWING_SAMPLES / sf_max(number, 1);
+        rows->variance[at] = sf_tare_variance(c, number);
     }
     return any;
 }
@@ -1177,7 +1190,9 @@ SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *co
     sf_real total = 0;
     for (int foot = 0; foot < c->feet; foot++) {
         sf_real number = sf_max(s->swing_samples[foot], 1), channels = 0, common = 0, surplus = 0;
-        int air = count[foot] > (sf_real)0.5, ends = !air && s->swing_samples[foot] >= SF_FEWEST_SAMPLES;
+        /* The first swing is the first however short it was. */
+        sf_real least = s->swing_ago[foot] < 0 ? (sf_real)0.5 : SF_FEWEST_SAMPLES - (sf_real)0.5;
+        int air = count[foot] > (sf_real)0.5, ends = !air && s->swing_samples[foot] > least;
         for (int k = 0; k < K; k++) {
             if (c->foot_of_channel[k] != foot || s->lost[k] != 0) continue;
             channels += 1;
@@ -1187,8 +1202,7 @@ SF_API void sf_drift_followed(const sf_config *c, sf_state *s, const sf_real *co
         for (int k = 0; k < K; k++) {
             if (c->foot_of_channel[k] != foot) continue;
             sf_real moved = s->swing_sum[k] / number - s->swing_zero[k] - common;
-            sf_real expected = s->rate * c->walk[P + k] * s->swing_ago[foot] +
-                               2 * (c->swing_noise * c->swing_noise) * SF_SWING_SAMPLES / number;
+            sf_real expected = s->rate * c->walk[P + k] * s->swing_ago[foot] + 2 * sf_tare_variance(c, number);
             expected *= 1 - 1 / sf_max(channels, 1);
             if (s->lost[k] == 0)
                 surplus += sf_clip(moved * moved / (expected > 0 ? expected : 1), 0, SF_LARGEST_SQUARE) - 1;
@@ -1555,7 +1569,8 @@ SF_API void sf_fault_sample(const sf_config *c, sf_state *s, sf_real *force, int
         }
     }
     for (int i = 0; i < K; i++) {
-        step[i] = sf_fabs(s->given[i] * (force[i] - s->last[i]));
+        step[i] = sf_fabs(force[i] - s->last[i]) *
+                  sf_clip(sf_fabs(s->given[i]), SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
         s->leapt[i] *= SF_BUMP_MEMORY;
         leaping[i] = step[i] > c->leap;
         any = any || leaping[i];

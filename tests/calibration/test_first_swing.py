@@ -70,48 +70,88 @@ def test_a_walk_begins_anew_once_for_each_foot(moment, log):
         assert states[at].noise.min() > 0.8 * FIRST_NOISE > states[at - 1].noise.min()
 
 
-def in_the_air(moment, offsets):
-    """A block in which the first foot of as many robots hangs, and shows these offsets in body weights."""
-    config, robots = moment.config, len(offsets)
-    samples = np.ones((robots, config.span))
-    feet, motion = np.ones((robots, config.span, 2)), moment._front_end.motions.resting
-    force = -np.asarray(offsets)[:, None, :] * SETUP.weight
+def in_the_air(moment, offsets, samples=BLOCK):
+    """A block in which the first foot of robots hangs for some samples, and shows offsets in body weights."""
+    config, ones = moment.config, np.ones((len(offsets), moment.config.span))
+    swing = np.zeros((*ones.shape, 2))
+    swing[:, : samples + 2 * config.settle, 0] = 1.0
     block = Block(
-        force=np.repeat(force, config.span, axis=1),
-        motion=motion + 0.0 * samples[..., None],
-        swing=feet * [1.0, 0.0],
-        use=samples,
-        stand=samples,
+        force=-np.asarray(offsets)[:, None, :] * SETUP.weight + 0.0 * ones[..., None],
+        motion=moment._front_end.motions.resting + 0.0 * ones[..., None],
+        swing=swing,
+        use=ones,
+        stand=ones,
     )
     return block, *moment.tare.hanging(block)
 
 
-def test_only_who_had_wrong_offsets_forgets(moment, log):
-    """Of three robots the first has never swung, the second has, the third knew its offsets."""
-    state = moment.init(np.stack([log.raw[0]] * 3))
-    mean, covariance = state.mean + 0.01, 0.5 * state.covariance
+def learnt_so_far(moment, log, robots):
+    """Robots that have not swung a foot, with offsets of 0.01 and covariances that are no start's."""
+    state = moment.init(np.stack([log.raw[0]] * robots))
+    covariance = 0.5 * state.covariance
     covariance[:, 0, -1] = covariance[:, -1, 0] = 1e-4
-    ago = np.array([[-1.0, -1.0], [3.0, 5.0], [-1.0, -1.0]])
-    state = state._replace(mean=mean, covariance=covariance, swing_ago=ago)
-    shown = np.full((3, 8), 0.0115)
-    shown[0, 2] = 0.014
-    block, count, reading = in_the_air(moment, shown)
-    after, anew = moment._product.forgotten(state, block, count, reading)
-    assert_array_equal(anew, [True, False, False])
+    return state._replace(
+        mean=state.mean + 0.01,
+        covariance=covariance,
+        kept_mean=state.kept_mean + 0.02,
+        kept_covariance=0.7 * state.kept_covariance,
+    )
+
+
+def test_only_who_had_wrong_offsets_forgets(moment, log):
+    """Of four robots the first has never swung, the second has, the third knew; the fourth lost the cell."""
+    state = learnt_so_far(moment, log, 4)
+    state = state._replace(swing_ago=np.array([[-1.0, -1.0], [3.0, 5.0], [-1.0, -1.0], [-1.0, -1.0]]))
+    shown, lost = np.full((4, 8), 0.0115), np.zeros((4, 8))
+    shown[[0, 1, 3], 2] = 0.03
+    lost[3, 2] = 1.0
+    after, anew = moment._product.forgotten(state, *in_the_air(moment, shown), lost)
+    assert_array_equal(anew, [True, False, False, False])
     gone = np.zeros(UNKNOWNS.size, dtype=bool)
     # One wrong offset of the foot is enough; the other foot has shown nothing.
     gone[:4] = gone[UNKNOWNS.scales : UNKNOWNS.scales + 4] = True
-    assert_array_equal(after.mean[0], np.where(gone, UNKNOWNS.start, mean[0]))
-    first = np.where(~gone[:, None] & ~gone, covariance[0], moment.init(log.raw[0]).covariance)
-    assert_array_equal(after.covariance[0], first)
-    # A fault that is found later must not bring back what was forgotten.
-    assert_array_equal(after.kept_mean[0], [after.mean[0]] * 2)
-    assert_array_equal(after.kept_covariance[0], [first] * 2)
-    for old, new in ((mean, after.mean), (covariance, after.covariance)):
+    pair, first = gone[:, None] | gone, moment.init(log.raw[0]).covariance
+    # A fault that is found later must not bring back what was forgotten, and a fall only what it shook.
+    for name in ("mean", "kept_mean"):
+        old, new = getattr(state, name), getattr(after, name)
+        assert_array_equal(new[0], np.where(gone, UNKNOWNS.start, old[0]))
+        assert_array_equal(new[1:], old[1:])
+    for name in ("covariance", "kept_covariance"):
+        old, new = getattr(state, name), getattr(after, name)
+        assert_array_equal(new[0], np.where(pair, first, old[0]))
         assert_array_equal(new[1:], old[1:])
     # Once in a swing.
-    swinging = state._replace(swing_samples=np.full((3, 2), 5.0))
-    assert not moment._product.forgotten(swinging, block, count, reading)[1].any()
+    swinging = state._replace(swing_samples=np.full((4, 2), 5.0))
+    assert not moment._product.forgotten(swinging, *in_the_air(moment, shown), lost)[1].any()
+
+
+def test_few_samples_prove_less(moment, log):
+    state, nothing = learnt_so_far(moment, log, 1), np.zeros((1, 8))
+    for samples, proven in ((1, False), (BLOCK, True)):
+        block, count, reading = in_the_air(moment, np.full((1, 8), 0.019), samples)
+        assert count[0, 0] == samples
+        assert moment._product.forgotten(state, block, count, reading, nothing)[1].all() == proven
+
+
+def test_a_first_swing_is_over_however_short_it_was(moment, log):
+    state = learnt_so_far(moment, log, 1)._replace(swing_samples=np.array([[2.0, 0.0]]))
+    after = moment._drifting.followed(state, np.zeros((1, 2)), np.zeros((1, 8)), np.ones((1, 8)))
+    assert_array_equal(after.swing_ago, [[0.0, -1.0]])
+    assert after.rate == 1.0
+
+
+def test_a_foot_that_never_swung_is_judged_by_the_starting_map(moment, log):
+    """What was learnt before says that it bears half the robot, and is sure of it."""
+    block, _, _ = in_the_air(moment, np.zeros((2, 8)))
+    state = learnt_so_far(moment, log, 2)
+    mean = state.mean.copy()
+    mean[:, UNKNOWNS.offset] = 0.125
+    state = state._replace(
+        mean=mean, covariance=1e-6 * state.covariance, swing_ago=np.array([[-1.0, -1.0], [3.0, 3.0]])
+    )
+    count, _, doubted = moment._hanging(state, block, state.faults)
+    assert_array_equal(count, [[BLOCK, 0.0], [0.0, 0.0]])
+    assert_array_equal(doubted, [False, True])
 
 
 def test_rows_share_what_offsets_drifted_by_since_a_swing(moment, log):
