@@ -28,7 +28,7 @@ _SHARED = 0.015
 
 _WRONG = 0.003
 """Error of an offset in body weights (times foot lengths for a torque) beyond which what was learnt of its
-foot is forgotten: the scale of a channel that bears an eighth of the robot would be off by two percent."""
+foot is forgotten: the scale of a channel that reads an eighth of the weight would be off by two percent."""
 
 _SURE_STD = 3.0
 """Standard deviations of a tare by which it must be off besides."""
