@@ -18,6 +18,7 @@ from surefoot.calibration import (
     online_method,
     replay,
 )
+from surefoot.calibration.moment.faults import ChannelFaults
 
 ROBOTS = 8
 AT = round(14.0 / DT)
@@ -26,6 +27,7 @@ IN_TIME = round(1.2 / DT)
 SETTLED = round(1.5 / DT)
 BAD = Faults.bad()
 IDENTITY = Parameters(np.ones(8), np.zeros(8))
+SETUP = OnlineSetup(layout=LAYOUT, mass=5.3, initial=IDENTITY)
 WHO = np.arange(ROBOTS)
 CHANNEL = WHO % 8
 SAME_FOOT = (CHANNEL + 2) % 4 + CHANNEL // 4 * 4
@@ -235,6 +237,39 @@ def test_exchanged_channels_are_put_right(broken, kind):
     lost = (broken.flags[kind] & int(Flag.LOST | Flag.FLIPPED | Flag.DEAD)) > 0
     assert not lost.any()
     assert broken.wrong_cop(kind)[found].max() < PUT_RIGHT
+
+
+@pytest.mark.parametrize(
+    ("scale", "leap", "held"),
+    [
+        (1.0, 0.3, True),
+        (1.0, -0.3, True),
+        (1.0, 0.2, False),
+        # It reads twice what it bears, and half.
+        (0.5, 0.4, False),
+        (0.5, 0.6, True),
+        (2.0, 0.15, True),
+        # A scale that cannot be does not blind the search, and does not make it see leaps in noise.
+        (0.0, 0.9, True),
+        (-1.0, 0.3, True),
+        (50.0, 0.05, False),
+        (50.0, 0.1, True),
+    ],
+)
+def test_leaps_are_those_of_calibrated_forces(scale, leap, held):
+    weight = SETUP.weight
+    faults = ChannelFaults(SETUP, 0.25, np.ones(3), 100.0)
+    resting, read = np.full((1, 8), 5.0), np.ones((1, 8), dtype=bool)
+    state = faults.init(resting, resting)
+    state, *_ = faults.sample(state, resting, read, np.ones((1, 8)))
+    force, scales = resting.copy(), np.ones((1, 8))
+    force[0, 3] += leap * weight
+    scales[0, 3] = scale
+    _, used, sure, flags = faults.sample(state, force, read, scales)
+    assert bool(flags[0, 3] & int(Flag.SPIKE)) == held
+    assert sure[0, 3] != held
+    assert used[0, 3] == (5.0 if held else force[0, 3])
+    assert not np.delete(flags, 3).any()
 
 
 @pytest.mark.slow
