@@ -8,7 +8,7 @@ from _synthetic import DT, LAYOUT, MASS, NOMINAL, walk
 from scipy.stats import chi2
 
 from surefoot.calibration import OnlineSetup, online_method
-from surefoot.calibration.moment import drift, noise
+from surefoot.calibration.moment import drift, noise, product
 from surefoot.calibration.moment import stream as stream_module
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.stream import moment_filter
@@ -59,7 +59,7 @@ def consistency(truth, layout, monkeypatch, runs=200, **options):
     # that stands still are then as good as any. The readings' own noise is in no row: it is small.
     monkeypatch.setattr(noise, "_NOISE_MEMORY", 0.0)
     monkeypatch.setattr(drift, "_MEMORY", 0.0)
-    monkeypatch.setattr(drift, "_LONGEST_STANCE", 0.0)
+    monkeypatch.setattr(product, "_LONGEST_STANCE", 0.0)
     monkeypatch.setattr(stream_module, "FIRST_NOISE", 1.0)
     # The filter's own posterior is judged, which then begins with the prior that the truth is drawn from.
     monkeypatch.setattr(stream_module, "FIRST_WIDTH", 1.0)
