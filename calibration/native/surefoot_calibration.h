@@ -1588,10 +1588,10 @@ SF_API void sf_fault_sample(const sf_config *c, sf_state *s, sf_real *force, int
             if (j != i && c->foot_of_channel[j] == c->foot_of_channel[i]) others = sf_max(others, step[j]);
         leaping[i] = leaping[i] && read[i] && s->leaps[i] < SF_LONGEST_LEAP && step[i] > SF_ALONE * others;
         leapt[i] = s->leapt[i] + (sf_real)(leaping[i] && s->leaps[i] == 0);
-        total += leapt[i];
+        total += s->leapt[i];
     }
     for (int i = 0; i < K; i++) {
-        leaping[i] = leaping[i] && total - leapt[i] < SF_BUMPY;
+        leaping[i] = leaping[i] && total - s->leapt[i] < SF_BUMPY;
         s->leapt[i] = leapt[i];
         s->leaps[i] = leaping[i] ? s->leaps[i] + 1 : read[i] ? 0 : s->leaps[i];
         if (leaping[i]) {
