@@ -54,6 +54,9 @@ _LONGEST_PAUSE = 3600.0
 _REACH = 12.0
 """Standard deviations of the prior that the filter begins with beyond which a sensor is not thought to be."""
 
+_ROUNDING = 1e-12
+"""Change of an unknown up to which it has not moved: two processors do not round alike."""
+
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to, and after which what is learnt is handed out."""
 
@@ -281,8 +284,8 @@ class MomentStream:
             state.mean, state.covariance, state.drift, state.misfit
         )
         mean = np.concatenate([learnt, state.mean[..., of_map.stop :]], axis=-1)
-        proven = state.unproven < 0.5
-        mean = np.where(((state.mean != before).any(axis=-1) & proven)[..., None], mean, state.given)
+        proven, stayed = state.unproven < 0.5, np.abs(state.mean - before) <= _ROUNDING
+        mean = np.where((proven & ~stayed.all(axis=-1))[..., None], mean, state.given)
         # They have drifted since they were learnt.
         covariance = covariance + self._drifting.aged(state)[..., None] * self._identity[of_map, of_map]
         covariance = np.where(proven[..., None, None], covariance, state.given_covariance)

@@ -135,6 +135,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
 #define SF_REACH ((sf_real)12.0)
+#define SF_ROUNDING ((sf_real)1e-12)
 #define SF_SHARED ((sf_real)0.015)
 #define SF_WRONG ((sf_real)0.003)
 #define SF_LEAST_LOAD ((sf_real)0.1)
@@ -1987,7 +1988,7 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     sf_fault_learn(c, s, force, use_all && !found);
     for (int i = 0; loaded && i < N; i++) s->covariance[i * N + i] += c->change[i];
     if (found) sf_back(c, s);
-    for (int i = 0; i < N; i++) moved = moved || s->mean[i] != before[i];
+    for (int i = 0; i < N; i++) moved = moved || sf_fabs(s->mean[i] - before[i]) > SF_ROUNDING;
     sf_given(c, s, w, moved);
     if (s->step / c->every % c->keep_every == 0) {
         sf_copy(s->kept_mean, s->kept_mean + N, N);
