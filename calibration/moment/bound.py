@@ -124,7 +124,7 @@ class BoundRows:
             mean = self.path[end - 1]
             block = samples.block(end - config.span, end)
             rows, _ = newton_euler.rows(mean, block, np.ones(newton_euler.kinds))
-            rows = rows.beside(tare.rows(mean, block, *tare.hanging(block)))
+            rows = rows.beside(tare.rows(mean, block, *tare.hanging(mean, block)))
             if parity.matters:
                 rows = rows.beside(parity.rows(mean, block))
             used = (rows.H != 0.0).any(axis=1)

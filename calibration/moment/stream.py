@@ -412,8 +412,8 @@ class MomentStream:
             nothing = 0.0 * state.swing_samples
             return nothing, 0.0 * state.swing_sum, nothing.any(axis=-1)
         of_map = self.unknowns.map
-        count, reading = self.tare.hanging(block)
         spare = faults.spare if faults.altered else None
+        count, reading = self.tare.hanging(state.mean, block, spare)
         stated = self._severity.stated(state.drift)[..., None, :]
         load, row = self.tare.load(state.mean, reading, spare)
         known = ((row @ state.covariance[..., of_map, of_map]) * row).sum(axis=-1)

@@ -37,8 +37,13 @@ class Tare:
         self._vertical = layout.wrench_map[:, _UP]
         self._offsets = np.eye(layout.channels, unknowns.size, unknowns.offset.start)
 
-    def hanging(self, block: Block) -> tuple[Array, Array]:
+    def hanging(self, mean: Array, block: Block, spare: Array | None = None) -> tuple[Array, Array]:
         """Average readings while feet surely hang, with ``settle`` samples to spare on either side.
+
+        Args:
+            mean: The unknowns as they are estimated, shape (..., N).
+            block: The samples.
+            spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
 
         Returns:
             Samples of each foot that count, shape (..., F), and the mean reading of each channel over its
@@ -46,14 +51,27 @@ class Tare:
         """
         settle, every = self.config.settle, self.config.every
         by_channel, middle = self.by_channel, self.config.middle
-        sure = block.swing[..., :every, :]
+        swing = block.swing * ~self._landed(mean, block, spare)
+        sure = swing[..., :every, :]
         for shift in range(1, 2 * settle + 1):
-            sure = sure * block.swing[..., shift : shift + every, :]
+            sure = sure * swing[..., shift : shift + every, :]
         sure = sure * block.use[..., middle][..., None]
         count = sure.sum(axis=-2)
         total = ((sure @ by_channel) * block.force[..., middle, :]).sum(axis=-2)
         number = count @ by_channel
         return count, total / np.where(number > 0.5, number, 1.0)
+
+    def _landed(self, mean: Array, block: Block, spare: Array | None) -> Array:
+        """Find feet that already carry weight where they should swing still, shape (..., n, F).
+
+        They carry more than in another sample of the swing, whatever their offsets are.
+        """
+        force = self.unknowns.force(mean[..., None, :], block.force)
+        if spare is not None:
+            force = (spare[..., None, :, :] @ force[..., None])[..., 0]
+        load = force @ self._vertical.T / self._weight
+        least = np.where(block.swing > 0.5, load, np.inf).min(axis=-2, keepdims=True)
+        return load > least + self.config.swing_load
 
     def load(self, mean: Array, reading: Array, spare: Array | None = None) -> tuple[Array, Array]:
         """Write the vertical force of each foot for a mean reading, about a level sole.

@@ -1061,16 +1061,40 @@ SF_API void sf_readings(const sf_config *c, const sf_block *b, sf_real *reading)
 
 /* ----------------------------------------------------------------------------------- moment: tare, parity */
 
+/* Tare._landed: which feet already carry weight where they should swing still. */
+SF_API void sf_landed(const sf_config *c, const sf_state *s, const sf_block *b, unsigned char *landed) {
+    int K = c->channels, n = sf_span(c);
+    sf_real up[SF_CHANNELS], force[SF_CHANNELS], load[SF_SPAN];
+    for (int foot = 0; foot < c->feet; foot++) {
+        const sf_real *vertical = c->wrench_map + (foot * 6 + SF_FZ) * K;
+        sf_real least = 0;
+        int any = 0;
+        if (s->altered) sf_multiply(up, vertical, s->spare, 1, K, K);
+        else sf_copy(up, vertical, K);
+        for (int t = 0; t < n; t++) {
+            sf_forces(c, s->mean, sf_block_force(b, t), force);
+            load[t] = sf_dot(up, force, K) / c->weight;
+            if (sf_block_swing(c, b, t)[foot] > (sf_real)0.5) {
+                least = any ? sf_min(least, load[t]) : load[t];
+                any = 1;
+            }
+        }
+        for (int t = 0; t < n; t++) landed[t * c->feet + foot] = load[t] > least + c->swing_load;
+    }
+}
+
 /* Tare.hanging: mean readings while feet surely hang, and how many samples of each foot count. */
-SF_API void sf_hanging(const sf_config *c, const sf_block *b, sf_real *count, sf_real *reading) {
+SF_API void sf_hanging(const sf_config *c, const sf_state *s, const sf_block *b, sf_real *count, sf_real *reading) {
     int K = c->channels;
+    unsigned char landed[SF_SPAN * SF_FEET];
     memset(count, 0, (size_t)c->feet * sizeof(sf_real));
     memset(reading, 0, (size_t)K * sizeof(sf_real));
+    sf_landed(c, s, b, landed);
     for (int i = 0; i < c->every; i++)
         for (int foot = 0; foot < c->feet; foot++) {
             sf_real sure = b->use[c->settle + i];
-            for (int shift = 0; shift <= 2 * c->settle; shift++)
-                sure *= sf_block_swing(c, b, i + shift)[foot];
+            for (int at = i; at <= i + 2 * c->settle; at++)
+                sure *= landed[at * c->feet + foot] ? 0 : sf_block_swing(c, b, at)[foot];
             count[foot] += sure;
             for (int k = 0; sure != 0 && k < K; k++)
                 if (c->foot_of_channel[k] == foot) reading[k] += sf_block_force(b, c->settle + i)[k];
@@ -1128,7 +1152,7 @@ SF_API int sf_tare(const sf_config *c, sf_state *s, const sf_block *b, sf_rows *
     int K = c->channels, P = sf_scales(c), M = sf_map(c), N = sf_unknowns(c), any = 0, all = 1;
     sf_real felt[SF_CHANNELS] = {0}, row[SF_MAP], up[SF_CHANNELS];
     sf_real tared[SF_CHANNELS];
-    sf_hanging(c, b, count, reading);
+    sf_hanging(c, s, b, count, reading);
     for (int foot = 0; foot < c->feet; foot++) all = all && count[foot] > (sf_real)0.5;
     for (int foot = 0; foot < c->feet; foot++) {
         const sf_real *vertical = c->wrench_map + (foot * 6 + SF_FZ) * K;

@@ -61,7 +61,7 @@ def blocks_of(log, config, unknowns):
         x[unknowns.scale] = log.truth.scale[end - 1]
         x[unknowns.offset] = log.truth.offset[end - 1] / (log.truth.scale[end - 1] * unknowns.unit)
         rows, _ = newton_euler.rows(x, block, np.ones(newton_euler.kinds))
-        yield end, rows.beside(tare.rows(x, block, *tare.hanging(block)))
+        yield end, rows.beside(tare.rows(x, block, *tare.hanging(x, block)))
 
 
 def test_the_bound_is_the_inverse_information_of_the_whole_path(log):

@@ -82,7 +82,7 @@ def in_the_air(moment, offsets, samples=BLOCK):
         use=ones,
         stand=ones,
     )
-    return block, *moment.tare.hanging(block)
+    return block, *moment.tare.hanging(moment.unknowns.start, block)
 
 
 def learnt_so_far(moment, log, robots):

@@ -171,7 +171,7 @@ def test_a_foot_in_the_air_reads_its_zero(layout, cross_talk):
     F0 = np.broadcast_to(np.linalg.solve(body.A, -body.offset), block.force.shape)
     hanging = np.zeros((body.n, body.feet))
     hanging[:, 0] = 1.0
-    count, reading = body.stream.tare.hanging(block_of(F0, block.motion, hanging))
+    count, reading = body.stream.tare.hanging(body.x, block_of(F0, block.motion, hanging))
     np.testing.assert_array_equal(count, [body.config.every] + [0] * (body.feet - 1))
     rows = body.stream.tare.rows(body.x, block, count, reading)
     np.testing.assert_allclose(rows.H @ body.x, rows.y, atol=1e-14)
@@ -186,11 +186,31 @@ def test_only_samples_well_within_a_swing_hang():
     block, settle = body.block(), body.config.settle
     swing = np.zeros((body.n, 2))
     swing[4:12, 0] = 1.0
-    count, reading = body.stream.tare.hanging(block_of(block.force, block.motion, swing))
+    still = block.force[0] + 0.1 * body.rng.normal(size=block.force.shape)
+    count, reading = body.stream.tare.hanging(body.x, block_of(still, block.motion, swing))
     inside = slice(4 + settle, 12 - settle)
     np.testing.assert_array_equal(count, [2, 0])
-    np.testing.assert_allclose(reading[:4], block.force[inside, :4].mean(axis=0))
+    np.testing.assert_allclose(reading[:4], still[inside, :4].mean(axis=0))
     np.testing.assert_array_equal(reading[4:], 0.0)
+
+
+@pytest.mark.parametrize(("layout", "cross_talk"), list(bodies()))
+@pytest.mark.parametrize("early", [0, 1, 5])
+def test_a_foot_that_comes_down_early_hangs_no_longer(layout, cross_talk, early):
+    """Whatever its offsets are: those of the robot are far from what it believes."""
+    body = Body(layout, 2, cross_talk)
+    block = body.block()
+    F0 = np.tile(np.linalg.solve(body.A, -body.offset), (body.n, 1))
+    down = np.zeros((body.n, 1))
+    down[body.n - early :] = 1.5 * body.config.swing_load * MASS * GRAVITY
+    up = layout.wrench_map[0, 2]
+    loaded = F0 + down * np.linalg.solve(body.A, up / (up @ up))
+    hanging = np.zeros((body.n, body.feet))
+    hanging[:, 0] = 1.0
+    count, reading = body.stream.tare.hanging(body.unknowns.start, block_of(loaded, block.motion, hanging))
+    assert count[0] == body.config.every - early
+    own = layout.foot_of_channel == 0
+    np.testing.assert_allclose(reading[own], F0[0, own], atol=1e-12)
 
 
 def test_the_load_of_a_foot_is_its_vertical_force_in_body_weights():
@@ -245,7 +265,7 @@ def test_masses_beyond_the_sensors_make_the_rows_whole(make):
     hanging[:, 1] = 1.0
     block, x = block_of(F, motion, hanging), body.unknowns.start.copy()
     x[body.unknowns.blur] = 0.0  # this reference follows at once
-    count, reading = body.stream.tare.hanging(block)
+    count, reading = body.stream.tare.hanging(x, block)
     tare = body.stream.tare.rows(x, block, count, reading)
     np.testing.assert_allclose(tare.H @ x, tare.y, atol=1e-9)
     rows = body.rows(x, block)

@@ -187,6 +187,12 @@ def lifted(log):
     log.force[AT : AT + 160] = 0.0
 
 
+def down_early(log):
+    for _ in range(8):
+        log.reference.swing[1:] |= log.reference.swing[:-1]
+    log.reference.stance[log.reference.swing] = False
+
+
 def clean(log):
     pass
 
@@ -197,6 +203,7 @@ FAULTS = [
 ]  # fmt: skip
 EVENTS = [
     clean, gaps, missing_and_impossible, bad_references, lies, retracted, stands_for_long, on_one_leg, lifted,
+    down_early,
 ]  # fmt: skip
 TABLE = [
     *[("cells", 2, event, {}) for event in (*FAULTS, *EVENTS)],
