@@ -251,8 +251,8 @@ def same(name, expected, found, close=CLOSE, spread=1.0):
         np.testing.assert_array_equal(found, expected, err_msg=name)
         return
     size = np.abs(expected).max(initial=0.0, where=np.isfinite(expected)) + np.zeros(expected.shape)
-    if name == "nis":
-        size = np.maximum(size, 1.0)  # a sum of squares, each of order one
+    if name in ("nis", "vgrf"):
+        size = np.maximum(size, 1.0)  # a sum of squares, each of order one; a difference of forces of newtons
     if "covariance" in name or name == "learnt":
         std = np.sqrt(np.abs(np.diagonal(expected, axis1=-2, axis2=-1)))
         size = spread * std[..., :, None] * std[..., None, :]
