@@ -344,8 +344,8 @@ def test_the_library_is_the_python(library, layout, lag, event, options):
     log = Log(layout)
     event(log)
     # Two instruments a foot and masses below them, on a made-up walk: scales go far, and rounding grows.
-    close = 100.0 * CLOSE if layout == "heavy both" else CLOSE
-    state, _ = play(*robot(library, layout, lag, **options), log, exchange=1234, close=close)
+    far = {"close": 100.0 * CLOSE, "spread": 10.0} if layout == "heavy both" else {}
+    state, _ = play(*robot(library, layout, lag, **options), log, exchange=1234, **far)
     assert np.isfinite(state.covariance).all()
     if event in (dead, flipped, crossed):
         assert state.faults.altered, "the fault was not found: nothing was tested"
