@@ -84,7 +84,8 @@ class MomentFilterConfig:
 
     com_known: float = 0.0012
     """Standard deviation in m down to which the centre of mass is estimated along an axis: errors of the
-    reference repeat at every stride, so that many strides tell no more of it than the first did."""
+    reference repeat at every stride, so that many strides tell no more of it than the first did. Half of it
+    while the robot does not walk."""
 
     sole_std: float = 0.0001
     """How much farther off the centre of mass is thought to be over one foot than over both, along each axis,
@@ -127,7 +128,8 @@ class MomentFilterConfig:
 
     swing_load: float = 0.1
     """Load of a foot in body weights above which it is not believed to swing, beyond four standard
-    deviations of what the load is known to."""
+    deviations of what the load is known to; and by which it may carry more than where it carries least before
+    it is taken to be down again."""
 
     still: float = 0.005
     """Change of a reading in body weights (times foot lengths for a torque) below which a robot stands still:

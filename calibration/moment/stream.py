@@ -54,6 +54,9 @@ _LONGEST_PAUSE = 3600.0
 _REACH = 12.0
 """Standard deviations of the prior that the filter begins with beyond which a sensor is not thought to be."""
 
+_STRIDE = 1.5
+"""Time in s without the end of a swing from which on a robot does not walk."""
+
 _ROUNDING = 1e-12
 """Change of an unknown up to which it has not moved: two processors do not round alike."""
 
@@ -179,7 +182,7 @@ class MomentStream:
         nothing = 0.0 * state.misfit
         unlearnt = KalmanStep(state.mean, state.covariance, nis=nothing, rows=nothing)
         # First of all, so that the columns of all other rows hold the offsets that are known by now.
-        tared, sound = self._tared(unlearnt, block, faults, count, reading)
+        tared, sound = self._tared(state, unlearnt, block, faults, count, reading)
         mean, covariance = tared.mean, tared.covariance
         spare = (faults.spare, faults.spare_std) if faults.altered else ()
         rows, places = self.newton_euler.rows(mean, block, state.noise, *spare)
@@ -206,7 +209,7 @@ class MomentStream:
         learnt_from = learnt_from.keep(~waiting[..., None])
         tared = KalmanStep(*(_where(waiting, *parts) for parts in zip(unlearnt, tared, strict=True)))
         wider = tared.covariance + np.where(changed[..., None, None], self._change, 0.0)
-        step, finite = self._step(tared.mean, wider, learnt_from)
+        step, finite = self._step(state, tared.mean, wider, learnt_from)
         low, high = self._limits(state.drift)
         clipped = np.clip(step.mean, low, high)
         rejected = rejected | doubted | (clipped != step.mean).any(axis=-1)
@@ -228,10 +231,15 @@ class MomentStream:
         both = step._replace(nis=step.nis + tared.nis, rows=step.rows + tared.rows)
         return state._replace(noise=noise), both
 
-    def _step(self, mean: Array, covariance: Array, rows: Rows) -> tuple[KalmanStep, Array]:
+    def _step(
+        self, state: MomentState, mean: Array, covariance: Array, rows: Rows
+    ) -> tuple[KalmanStep, Array]:
         """Learn from rows, and say whether all of what came is finite."""
+        since = state.swing_ago * (self.config.every * self.setup.dt)
+        walks = ((since >= 0.0) & (since <= _STRIDE)).any(axis=-1)
         # The mass only while it is much less sure than it began, the centre of mass until strides repeat.
-        unsure = np.linalg.diagonal(covariance) > self.unknowns.sure
+        sure = np.where(walks[..., None], self.unknowns.sure, self.unknowns.sure_still)
+        unsure = np.linalg.diagonal(covariance) > sure
         learnt = self.unknowns.learnt * unsure
         step = kalman_step(mean, covariance, *rows, learnt, self._identity, self.config.gate)
         finite = np.isfinite(step.mean).all(axis=-1)
@@ -431,14 +439,20 @@ class MomentStream:
         return np.where(doubted, 0.0, count), reading, doubted.any(axis=-1)
 
     def _tared(
-        self, unlearnt: KalmanStep, block: Block, faults: ChannelState, count: Array, reading: Array
+        self,
+        state: MomentState,
+        unlearnt: KalmanStep,
+        block: Block,
+        faults: ChannelState,
+        count: Array,
+        reading: Array,
     ) -> tuple[KalmanStep, Array]:
         """Learn from feet that hang, and say whether all of what came is finite."""
         if not (count > 0.5).any():
             return unlearnt, np.isfinite(unlearnt.nis)
         rows = self.tare.rows(unlearnt.mean, block, count, reading)
         rows = rows.keep(1.0 - faults.lost) if faults.altered else rows
-        step, finite = self._step(unlearnt.mean, unlearnt.covariance, rows)
+        step, finite = self._step(state, unlearnt.mean, unlearnt.covariance, rows)
         step = KalmanStep(*(_where(finite, *parts) for parts in zip(step, unlearnt, strict=True)))
         return step, finite
 

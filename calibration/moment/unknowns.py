@@ -32,6 +32,9 @@ from surefoot.calibration.setup import OnlineSetup
 _UP = 2
 """The row of the vertical force in a wrench map."""
 
+_STILL = 0.5
+"""Share of ``com_known`` down to which the centre of mass is estimated while the robot does not walk."""
+
 _UNSURE_MASS = 2.0
 """How many times less sure than at the start the mass is while it is estimated."""
 
@@ -64,6 +67,7 @@ class Unknowns:
         change: Standard deviations of sudden changes of the reference, shape (N,).
         learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
         sure: Variances from which down they are only considered as well, shape (N,).
+        sure_still: The same for a robot that does not walk.
     """
 
     def __init__(self, setup: OnlineSetup, config: MomentFilterConfig) -> None:
@@ -113,6 +117,8 @@ class Unknowns:
         self.sure: NDArray[np.float64] = np.zeros(self.size)
         self.sure[self.mass] = (_UNSURE_MASS * config.mass_std) ** 2
         self.sure[self.com] = (config.com_known / setup.length) ** 2
+        self.sure_still = self.sure.copy()
+        self.sure_still[self.com] *= _STILL**2
         identity = np.eye(channels)
         self._gather, self._inputs = identity[self.out], identity[self.inp]
 

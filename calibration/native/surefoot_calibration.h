@@ -135,6 +135,8 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_UNSURE ((sf_real)0.06)
 #define SF_LONGEST_PAUSE ((sf_real)3600.0)
 #define SF_REACH ((sf_real)12.0)
+#define SF_STRIDE ((sf_real)1.5)
+#define SF_STILL ((sf_real)0.5)
 #define SF_ROUNDING ((sf_real)1e-12)
 #define SF_SHARED ((sf_real)0.015)
 #define SF_WRONG ((sf_real)0.003)
@@ -2035,10 +2037,17 @@ SF_API sf_real sf_of_product(const sf_config *c, const sf_real *places, const sf
 
 /* MomentStream._step: learn from rows, and say whether all of what came is finite. */
 SF_API int sf_step(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, sf_real *nis_rows) {
-    int N = sf_unknowns(c);
+    int N = sf_unknowns(c), com = sf_map(c), walks = 0;
     sf_real learnt[SF_UNKNOWNS];
+    for (int foot = 0; foot < c->feet; foot++) {
+        sf_real since = s->swing_ago[foot] * (c->every * c->dt);
+        walks = walks || (since >= 0 && since <= SF_STRIDE);
+    }
     /* The mass only while it is much less sure than it began, the centre of mass until strides repeat. */
-    for (int i = 0; i < N; i++) learnt[i] = w->covariance[i * N + i] > c->sure[i] ? c->learnt[i] : 0;
+    for (int i = 0; i < N; i++) {
+        sf_real sure = c->sure[i] * (walks || i < com || i > com + 1 ? 1 : SF_STILL * SF_STILL);
+        learnt[i] = w->covariance[i * N + i] > sure ? c->learnt[i] : 0;
+    }
     return sf_kalman_step(s->mean, w->covariance, &w->rows, learnt, N, c->gate, &w->part.kalman, nis, nis_rows);
 }
 

@@ -9,7 +9,8 @@ from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, errors,
 
 from surefoot.calibration import FeetLayout, Flag, FootLayout, OnlineSetup, Parameters, Reference, replay
 from surefoot.calibration.moment.config import MomentFilterConfig
-from surefoot.calibration.moment.stream import moment_filter
+from surefoot.calibration.moment.rows import Rows
+from surefoot.calibration.moment.stream import MomentStream, moment_filter
 from surefoot.calibration.moment.unknowns import Unknowns
 
 
@@ -235,3 +236,22 @@ def test_a_load_that_is_picked_up_or_put_down_goes_to_the_mass_and_not_to_the_ga
         assert (np.abs(off) < 0.03).all()
     gains = [start.mean[:, unknowns.scale].mean(axis=-1) for start in (before, state)]
     np.testing.assert_allclose(gains[1] / gains[0], 1.0, atol=0.015)
+
+
+def test_how_well_the_centre_of_mass_is_learnt_depends_on_whether_the_robot_walks():
+    """What a walk gets wrong repeats at every stride; a motion of its own repeats nothing."""
+    config = MomentFilterConfig()
+    moment = MomentStream(OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL), config)
+    block, com = config.every * DT, moment.unknowns.com
+    swung = np.array([[-1.0, -1.0], [1.0, 9.0], [9.0, 1.0], [1.0 / block, 9.0], [2.0 / block, 2.0 / block]])
+    still = np.array([True, False, False, False, True])
+    state = moment.init(np.zeros((5, 8)))._replace(swing_ago=swung)
+    H = np.zeros((5, 2, moment.unknowns.size))
+    H[:, [0, 1], [com.start, com.stop - 1]] = 1.0
+    rows = Rows(H, np.full((5, 2), 1e-3), np.full((5, 2), 1e-6))
+    for share, learns in ((1.1, still | True), (0.9, still), (0.55, still), (0.45, still & False)):
+        known = np.zeros(moment.unknowns.size)
+        known[com] = (share * config.com_known / moment.setup.length) ** 2
+        step, finite = moment._step(state, state.mean, np.diag(known) + np.zeros((5, 1, 1)), rows)
+        assert finite.all()
+        np.testing.assert_array_equal((step.mean[:, com] != state.mean[:, com]).all(axis=-1), learns)
