@@ -65,27 +65,28 @@ class Start(NamedTuple):
 
 BAD = LoadCells(rate=None)
 CALIBRATED = replace(BAD, initial_scale_std=USUAL.scale, initial_offset_std=USUAL.offset)
+BENCH = replace(
+    BAD,
+    initial_scale_std=0.0,
+    initial_offset_std=0.0,
+    scale_drift=0.1 * BAD.scale_drift,
+    offset_drift=0.1 * BAD.offset_drift,
+)
 STARTS = {
     "bad": Start(BAD),
-    "bench": Start(
-        replace(
-            BAD,
-            initial_scale_std=0.0,
-            initial_offset_std=0.0,
-            scale_drift=0.1 * BAD.scale_drift,
-            offset_drift=0.1 * BAD.offset_drift,
-        )
-    ),
+    "bench": Start(BENCH),
     "weights": Start(
         replace(CALIBRATED, scale_drift=0.005 * PER_SQRT_MINUTE, offset_drift=0.2 * PER_SQRT_MINUTE)
     ),
     "triple": Start(scaled(BAD, 3.0)),
     "smooth": Start(BAD, stairs=False),
+    "smooth-bench": Start(BENCH, stairs=False),
+    "smooth-triple": Start(scaled(BAD, 3.0), stairs=False),
     "chips": Start(HX711_LOAD_CELLS, stairs=False),
 }
 """By name: never calibrated; a perfect map with a tenth of the drift; calibrated from weights, with the CoP
-paper's drift; three times as bad as the first; the first on servos without stairs; and so on the chips' own
-clocks (on stairs a reading that is 5 ms old would be of another step, whatever a method does)."""
+paper's drift; three times as bad as the first; three of these on servos without stairs; and the first on such
+servos and the chips' own clocks (on stairs an older reading is of another step, whatever a method does)."""
 
 STAND, DURATION, SETTLE = 4.0, 34.0, 14.0
 """How long the robot stands first, how long a walk is with that, and from when on errors count, in s."""
