@@ -24,9 +24,10 @@ class MomentState(NamedTuple):
     Attributes:
         front: What the way of a sample remembers.
         step: Samples seen.
-        pending: The newest samples, oldest first: F0, the flat reference, which channels were read, which
-            feet surely swing, whether any surely stands, whether the reference is sound, shape
-            (..., every + 2 settle, P); see :class:`BlockColumns`.
+        pending: The samples of the block under way behind the last ``2 settle`` of the one before, and room
+            for those to come: F0, the flat reference, which channels were read, which feet surely swing,
+            whether any surely stands, whether the reference is sound, shape (..., every + 2 settle, P); see
+            :class:`BlockColumns`.
         mean: The unknowns, shape (..., N).
         covariance: Their covariance, shape (..., N, N).
         drift: Variances that scales and offsets have drifted by since the start, shape (..., P + K).
@@ -44,6 +45,7 @@ class MomentState(NamedTuple):
         swing_sum: Readings of the swing under way, added up, shape (..., K).
         swing_samples: Their number, shape (..., F).
         unproven: Blocks in use that must pass before what is learnt is handed out, shape (...).
+        due: What is to be handed out of the last block: 0 nothing, 1 its uncertainty alone, 2 all, shape (...).
         quiet: Blocks in which the readings have not changed, shape (...).
         anchor: The readings from which on they have not, shape (..., K).
         status: Flags of the last update, shape (...).
@@ -70,6 +72,7 @@ class MomentState(NamedTuple):
     swing_sum: Array
     swing_samples: Array
     unproven: Array
+    due: Array
     quiet: Array
     anchor: Array
     status: Array

@@ -2,7 +2,8 @@
 
 Its theory and options are in :mod:`surefoot.calibration.moment.config`, its rows in
 :mod:`surefoot.calibration.moment.rows`. Samples wait until a block is full, so that most samples cost no
-more than applying the map.
+more than applying the map. What was learnt of it is handed out half a block later, with the prior that it asks
+for: no sample has both to do, and a robot's controller waits for neither long.
 """
 
 from typing import Any
@@ -59,6 +60,9 @@ _STRIDE = 1.5
 
 _ROUNDING = 1e-12
 """Change of an unknown up to which it has not moved: two processors do not round alike."""
+
+_SPREAD, _ALL = 1.0, 2.0
+"""What is due to be handed out of a block: how sure the unknowns are, or they themselves as well."""
 
 _KEPT = 1.5
 """Time in s between the states that are kept to go back to, and after which what is learnt is handed out."""
@@ -124,6 +128,7 @@ class MomentStream:
             swing_sum=zeros(channels),
             swing_samples=zeros(feet),
             unproven=zeros(),
+            due=zeros(),
             quiet=zeros(),
             anchor=zeros(channels),
             status=zeros(dtype=np.int64),
@@ -153,19 +158,22 @@ class MomentStream:
             return force, sure
 
         front, sample = self._front_end.observe(state.front, raw, reference, dt, repair)
-        pending = state.pending * 0.0 if sample.gap else state.pending
+        pending = state.pending * 0.0 if sample.gap else state.pending.copy()
         stand = sample.stance.any(axis=-1)[..., None]
         notes = np.concatenate([sample.read, sample.swing, stand, sample.sound[..., None]], axis=-1)
-        newest = np.concatenate([sample.past, sample.motion, notes], axis=-1)
-        pending = np.concatenate([pending[..., 1:, :], newest[..., None, :]], axis=-2)
+        row = 2 * self.config.settle + state.step % self.config.every
+        pending[..., row, :] = np.concatenate([sample.past, sample.motion, notes], axis=-1)
         state = state._replace(front=front, step=state.step + 1, pending=pending, faults=faults)
         if sample.gap and 0.0 < dt < float("inf"):
             state = self._walked(state, min(dt, _LONGEST_PAUSE) / (self.config.every * self.setup.dt))
-        if state.step % self.config.every:
-            nothing = 0.0 * state.noise[..., 0]
-            return state, self._estimate(state, sample, kinds, nothing + np.nan, nothing)
-        state, step = self._learn(state)
-        return state, self._estimate(state, sample, kinds | state.faults.kind, step.nis, step.rows)
+        rows = 0.0 * state.noise[..., 0]
+        nis, of_block = rows + np.nan, state.step % self.config.every
+        if of_block == 0:
+            state, step = self._learn(state)
+            kinds, nis, rows = kinds | state.faults.kind, step.nis, step.rows
+        if of_block == self.config.every // 2:
+            state = self._given(state, state.due > 0.5)
+        return state, self._estimate(state, sample, kinds, nis, rows)
 
     def _learn(self, state: MomentState) -> tuple[MomentState, KalmanStep]:
         """Update the unknowns by the block that is full."""
@@ -229,7 +237,10 @@ class MomentStream:
         kept = unused | (quiet > 0.5) | self._faults.explicable(state.faults)
         noise = np.where(kept[..., None], state.noise, followed_noise(state.noise, residuals))
         both = step._replace(nis=step.nis + tared.nis, rows=step.rows + tared.rows)
-        return state._replace(noise=noise), both
+        # The next block begins with the last samples of this one.
+        pending, every = state.pending.copy(), config.every
+        pending[..., :-every, :] = state.pending[..., every:, :]
+        return state._replace(noise=noise, pending=pending), both
 
     def _step(
         self, state: MomentState, mean: Array, covariance: Array, rows: Rows
@@ -268,8 +279,10 @@ class MomentStream:
 
     def _doubted(self, state: MomentState, which: Array) -> MomentState:
         """Return the state in which some robots, shape (...), hand out what they know now for a while."""
-        proven = state._replace(unproven=np.where(which, 0.0, state.unproven))
-        proven = self._given(proven, np.where(which[..., None], np.nan, state.mean))
+        proven = state._replace(
+            unproven=np.where(which, 0.0, state.unproven), due=np.where(which, _ALL, state.due)
+        )
+        proven = self._given(proven, which)
         return proven._replace(unproven=np.where(which, float(self._keep_every), state.unproven))
 
     def _limits(self, drift: Array) -> tuple[Array, Array]:
@@ -281,28 +294,32 @@ class MomentStream:
         reach = _REACH * np.concatenate([sensors, others], axis=-1)
         return start - reach, start + reach
 
-    def _given(self, state: MomentState, before: Array) -> MomentState:
-        """Return the state with what is handed out: the unknowns by a prior that was learnt as well.
+    def _given(self, state: MomentState, which: Array) -> MomentState:
+        """Return the state with what is handed out of some robots: the unknowns by a prior that was learnt too.
 
         It moves only where the unknowns did, as without new rows only the uncertainty changes, and not while
         they are unproven: a fall shows some moments after it has begun.
         """
+        if not which.any():
+            return state
         of_map = self.unknowns.map
         learnt, covariance = self._severity.reweighted(
             state.mean, state.covariance, state.drift, state.misfit
         )
         mean = np.concatenate([learnt, state.mean[..., of_map.stop :]], axis=-1)
-        proven, stayed = state.unproven < 0.5, np.abs(state.mean - before) <= _ROUNDING
-        mean = np.where((proven & ~stayed.all(axis=-1))[..., None], mean, state.given)
+        proven = which & (state.unproven < 0.5)
+        mean = np.where((proven & (state.due >= _ALL))[..., None], mean, state.given)
         # They have drifted since they were learnt.
         covariance = covariance + self._drifting.aged(state)[..., None] * self._identity[of_map, of_map]
         covariance = np.where(proven[..., None, None], covariance, state.given_covariance)
         of_channels = self._uncertainty.of_parameters(mean, covariance)
+        of_channels = np.where(which[..., None, None], of_channels, state.learnt)
         return state._replace(
             given=mean,
             given_covariance=covariance,
             learnt=of_channels,
             spread=self._uncertainty.of_channels(of_channels),
+            due=np.where(which, 0.0, state.due),
         )
 
     def _watch(
@@ -342,7 +359,10 @@ class MomentStream:
         state = state._replace(faults=faults, covariance=state.covariance + more)
         if found.any():
             state = self._back(state, found)
-        state = self._given(state, before)
+        moved = (np.abs(state.mean - before) > _ROUNDING).any(axis=-1)
+        state = state._replace(due=np.where(moved, _ALL, _SPREAD))
+        # What a fault has spoilt is put right at once.
+        state = self._given(state, found)
         if (state.step // self.config.every) % self._keep_every == 0:
             state = state._replace(
                 kept_mean=np.stack([state.kept_mean[..., 1, :], state.mean], axis=-2),

@@ -31,7 +31,7 @@ class NativeState:
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """That of an estimate of the moment filter, the same array until the next block is learnt from."""
+        """That of an estimate of the moment filter, the same array until the next one is handed out."""
         if self._covariance is None:
             self._covariance = self.record["learnt"].copy()
         return self._covariance
@@ -165,8 +165,7 @@ class NativeFilter:
         else:
             for place, part in zip(self._inputs, reference, strict=False):
                 place[...] = part
-        self._functions.surefoot_step(filter_at, state.address, reading, beliefs, dt, out)
-        if self.estimate.now["nis"] == self.estimate.now["nis"]:
+        if self._functions.surefoot_step(filter_at, state.address, reading, beliefs, dt, out):
             state.changed()
         return self.read(state)
 

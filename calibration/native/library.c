@@ -88,7 +88,7 @@ static const place places[] = {
     FRONT_OF(state), S_WHOLE(step), S_REAL(pending), S_REAL(mean), S_REAL(covariance), S_REAL(drift), S_REAL(given),
     S_REAL(given_covariance), S_REAL(learnt), S_REAL(spread), S_REAL(kept_mean), S_REAL(kept_covariance),
     S_REAL(noise), S_REAL(misfit), S_REAL(rate), S_REAL(swing_zero), S_REAL(swing_ago), S_REAL(swing_sum),
-    S_REAL(swing_samples), S_REAL(unproven), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
+    S_REAL(swing_samples), S_REAL(unproven), S_REAL(due), S_REAL(quiet), S_REAL(anchor), S_WHOLE(status),
     S_REAL(last), S_WHOLE(leaps), S_REAL(leapt), S_REAL(trust), S_REAL(doubt), S_REAL(scores),
     S_REAL(size), S_REAL(load), S_REAL(moments), S_REAL(lost), S_WHOLE(kind), S_REAL(wiring),
     S_REAL(spare), S_REAL(spare_std), S_REAL(agreed), S_WHOLE(altered),
@@ -193,19 +193,21 @@ EXPORTED void surefoot_begin(const sf_filter *f, void *state) {
 EXPORTED void surefoot_retract(const sf_filter *f, void *state) {
     if (f->method == MOMENT) sf_calibrator_retract(f->config, state);
 }
-EXPORTED void surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
-                            double dt, sf_estimate *out) {
+/* Returns whether something new is handed out. */
+EXPORTED int surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
+                           double dt, sf_estimate *out) {
     const sf_reference *reference = &belief->reference;
     const sf_real *imu[] = {belief->accelerometer, belief->gyroscope};
     sf_window_work work;
     switch (f->method) {
-    case MOMENT: sf_calibrator_step(f->config, state, raw, reference, (sf_real)dt, out); break;
+    case MOMENT: return sf_calibrator_step(f->config, state, raw, reference, (sf_real)dt, out);
     case WINDOW:
         sf_window_step(f->config, f->own, state, &work, raw, reference, imu, (sf_real)dt, out);
         break;
     case TARE: sf_tare_step(f->config, f->own, state, raw, reference, (sf_real)dt, out); break;
     default: sf_uncorrected_step(f->config, state, raw, reference, (sf_real)dt, out);
     }
+    return 1;
 }
 
 EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing) {
@@ -247,7 +249,7 @@ EXPORTED void surefoot_view_show(const sf_config *config, const sf_view *view, s
 }
 
 /* All of one sample: packets that have arrived, beliefs, filter and view. how: 1 if `planned` is one, plus 2 to
-   learn nothing. Returns what surefoot_beliefs_sample does, plus 8 if something was learnt. */
+   learn nothing. Returns what surefoot_beliefs_sample does, plus 8 if something new is handed out. */
 EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, int count, double time, double now,
                              int how) {
     const sf_config *config = at->filter->config;
@@ -257,7 +259,7 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     int found = surefoot_beliefs_sample(at->timing, at->beliefs, time, how & 1 ? at->planned : NULL, how & 2,
                                         at->belief);
     if (found & 1) surefoot_retract(at->filter, at->state);
-    surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
+    int fresh = surefoot_step(at->filter, at->state, at->raw, at->belief, at->dt, at->estimate);
     sf_beliefs_soles(at->timing, at->beliefs, now, soles);
     sf_view_show(config, at->view, at->held, at->estimate, soles, &told->shown);
     told->belief = *at->belief;
@@ -265,6 +267,6 @@ EXPORTED int surefoot_sample(const sf_sample_records *at, const double *rows, in
     if (at->filter->method == MOMENT)
         memcpy(told->covariance, ((const sf_state *)at->state)->learnt,
                sizeof(sf_real) * (size_t)(4 * config->channels * config->channels));
-    return found + 8 * !isnan(at->estimate->nis);
+    return found + 8 * fresh;
 }
 #endif

@@ -12,7 +12,7 @@ NATIVE = Native(
         "surefoot_init": (None, (ADDRESS, ADDRESS)),
         "surefoot_begin": (None, (ADDRESS, ADDRESS)),
         "surefoot_retract": (None, (ADDRESS, ADDRESS)),
-        "surefoot_step": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
+        "surefoot_step": (ctypes.c_int, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_fit": (ctypes.c_int, (ADDRESS, ADDRESS)),
         "surefoot_beliefs_init": (None, (ADDRESS,)),
         "surefoot_beliefs_packets": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_int)),

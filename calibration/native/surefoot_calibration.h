@@ -138,6 +138,8 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_STRIDE ((sf_real)1.5)
 #define SF_STILL ((sf_real)0.5)
 #define SF_ROUNDING ((sf_real)1e-12)
+#define SF_SPREAD ((sf_real)1.0)
+#define SF_ALL ((sf_real)2.0)
 #define SF_SHARED ((sf_real)0.015)
 #define SF_WRONG ((sf_real)0.003)
 #define SF_LEAST_LOAD ((sf_real)0.1)
@@ -256,7 +258,7 @@ typedef struct {
     sf_real kept_mean[2 * SF_UNKNOWNS], kept_covariance[2 * SF_UNKNOWNS * SF_UNKNOWNS];
     sf_real noise[SF_KINDS], misfit;
     sf_real rate, swing_zero[SF_CHANNELS], swing_ago[SF_FEET], swing_sum[SF_CHANNELS], swing_samples[SF_FEET];
-    sf_real unproven, quiet, anchor[SF_CHANNELS];
+    sf_real unproven, due, quiet, anchor[SF_CHANNELS];
     sf_whole status;
 
     sf_real last[SF_CHANNELS];
@@ -1970,14 +1972,14 @@ SF_API void sf_back(const sf_config *c, sf_state *s) {
     memset(s->pending, 0, (size_t)(sf_span(c) * sf_width(c)) * sizeof(sf_real));
 }
 
-/* MomentStream._given: what is handed out. It moves only where the unknowns did, as without new rows only the
+/* MomentStream._given: what is handed out of what is due: SF_SPREAD or SF_ALL. It moves only where the unknowns did, as without new rows only the
    uncertainty changes, and not while they are unproven: a fall shows some moments after it has begun. */
-SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w, int moved) {
+SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w) {
     int M = sf_map(c), N = sf_unknowns(c);
     if (s->unproven < (sf_real)0.5) {
         sf_real mean[SF_MAP], walk[SF_UNKNOWNS];
         if (sf_reweighted(c, s, &w->part.severity, mean)) {
-            if (moved) {
+            if (s->due >= SF_ALL) {
                 sf_copy(s->given, mean, M);
                 sf_copy(s->given + M, s->mean + M, N - M);
             }
@@ -1985,16 +1987,18 @@ SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w, int moved) {
             /* They have drifted since they were learnt. */
             sf_walk(c, s, walk);
             for (int i = 0; i < M; i++)
-                s->given_covariance[i * M + i] += walk[i] * (sf_real)(c->settle + c->every) / (sf_real)c->every;
+                s->given_covariance[i * M + i] += walk[i] * ((sf_real)c->settle / (sf_real)c->every + (sf_real)1.5);
         }
     }
     sf_of_parameters(c, s);
+    s->due = 0;
 }
 
 /* MomentStream._doubted: hand out what is known now for a while. */
 SF_API void sf_doubted(const sf_config *c, sf_state *s, sf_work *w) {
     s->unproven = 0;
-    sf_given(c, s, w, 1);
+    s->due = SF_ALL;
+    sf_given(c, s, w);
     s->unproven = (sf_real)c->keep_every;
 }
 
@@ -2015,7 +2019,8 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     for (int i = 0; loaded && i < N; i++) s->covariance[i * N + i] += c->change[i];
     if (found) sf_back(c, s);
     for (int i = 0; i < N; i++) moved = moved || sf_fabs(s->mean[i] - before[i]) > SF_ROUNDING;
-    sf_given(c, s, w, moved);
+    s->due = moved ? SF_ALL : SF_SPREAD;
+    if (found) sf_given(c, s, w); /* what a fault has spoilt is put right at once */
     if (s->step / c->every % c->keep_every == 0) {
         sf_copy(s->kept_mean, s->kept_mean + N, N);
         sf_copy(s->kept_mean + N, s->mean, N);
@@ -2181,6 +2186,8 @@ SF_API void sf_learn(const sf_config *c, sf_state *s, sf_work *w, sf_real *nis, 
         surplus /= (sf_real)sf_groups(c);
         s->noise[kind] = sf_clip(s->noise[kind] * (1 + SF_NOISE_MEMORY * surplus), 1, SF_LOUDEST);
     }
+    /* The next block begins with the last samples of this one. */
+    memmove(s->pending, s->pending + c->every * b.width, (size_t)((n - c->every) * b.width) * sizeof(sf_real));
 }
 
 /* What forces that are added up so say of (a, b), or of the unknowns where there is cross-talk. */
@@ -2310,10 +2317,11 @@ SF_API void sf_calibrator_retract_with(const sf_config *c, sf_state *s, sf_work 
 /* MomentStream.update with FrontEnd.observe: take in one sample.
 
    raw: K readings, NaN where none arrived. reference: the robot's beliefs `lag` samples ago. dt: time since
-   the last sample in s. Values never stop it: what is not finite or not possible is held and flagged. */
-SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, const sf_real *raw,
+   the last sample in s. Values never stop it: what is not finite or not possible is held and flagged.
+   Returns whether something new is handed out. */
+SF_API int sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, const sf_real *raw,
                                     const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
-    int K = c->channels, R = sf_motion(c), width = sf_width(c), gap, standing = 0;
+    int K = c->channels, R = sf_motion(c), width = sf_width(c), gap, standing = 0, fresh = 0;
     sf_real *newest;
     const sf_real *past = sf_past(c, &s->front);
     sf_whole kinds[SF_CHANNELS];
@@ -2326,8 +2334,7 @@ SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w,
 
     /* The sample that the reference describes waits until its block is full. */
     if (gap) memset(s->pending, 0, (size_t)(sf_span(c) * width) * sizeof(sf_real));
-    else memmove(s->pending, s->pending + width, (size_t)((sf_span(c) - 1) * width) * sizeof(sf_real));
-    newest = s->pending + (sf_span(c) - 1) * width;
+    newest = s->pending + (2 * c->settle + s->step % c->every) * width;
     sf_copy(newest, past, K);
     sf_copy(newest + K, s->front.motion, R);
     newest += K + R;
@@ -2346,9 +2353,15 @@ SF_API void sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w,
     if (s->step % c->every == 0) {
         sf_learn(c, s, w, &estimate->nis, &estimate->nis_rows);
         for (int i = 0; i < K; i++) kinds[i] |= s->kind[i];
+        fresh = s->due == 0;
+    }
+    if (s->step % c->every == c->every / 2 && s->due > 0) {
+        sf_given(c, s, w);
+        fresh = 1;
     }
     for (int i = 0; i < K; i++) sample.flags[i] |= kinds[i];
     sf_estimate_of(c, s, &sample, estimate);
+    return fresh;
 }
 
 /* The same three with the work on the stack. */
@@ -2362,10 +2375,10 @@ SF_API void sf_calibrator_retract(const sf_config *c, sf_state *s) {
     sf_calibrator_retract_with(c, s, &work);
 }
 
-SF_API void sf_calibrator_step(const sf_config *c, sf_state *s, const sf_real *raw,
-                               const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
+SF_API int sf_calibrator_step(const sf_config *c, sf_state *s, const sf_real *raw,
+                              const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
     sf_work work;
-    sf_calibrator_step_with(c, s, &work, raw, reference, dt, estimate);
+    return sf_calibrator_step_with(c, s, &work, raw, reference, dt, estimate);
 }
 
 #endif

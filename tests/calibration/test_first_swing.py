@@ -183,11 +183,17 @@ def test_rows_are_less_sure_by_the_product(moment):
 def test_what_is_handed_out_has_aged_by_the_drift_that_is_learnt(moment, log):
     drift = LearntDrift(SETUP, CONFIG, UNKNOWNS, Tare(SETUP, CONFIG, UNKNOWNS))
     state = moment.init(log.raw[0])._replace(rate=np.array(9.0))
-    assert_allclose(drift.aged(state), 9.0 * (UNKNOWNS.age * UNKNOWNS.walk)[UNKNOWNS.map])
+    # From the middle of a block to the middle of its use, which begins half a block after its end.
+    age = (CONFIG.settle + 1.5 * CONFIG.every) * SETUP.dt
+    assert_allclose(drift.aged(state), 9.0 * (age * UNKNOWNS.walk)[UNKNOWNS.map])
     state = blocks(moment, log.raw, log.reference)[-1]
     offsets = slice(UNKNOWNS.scales, None)
-    known = np.diag(state.given_covariance)[offsets]
-    assert (known > drift.aged(state)[offsets]).all()
-    faster = moment._given(state._replace(rate=np.array(100.0)), state.mean)
-    more = np.diag(faster.given_covariance)[offsets] - known
+
+    def known(rate):
+        given = moment._given(state._replace(rate=np.array(rate)), state.due > 0.5)
+        return np.diag(given.given_covariance)[offsets]
+
+    as_it_is = known(float(state.rate))
+    assert (as_it_is > drift.aged(state)[offsets]).all()
+    more = known(100.0) - as_it_is
     assert_allclose(more, (100.0 / state.rate - 1.0) * drift.aged(state)[offsets], rtol=1e-6)
