@@ -152,6 +152,10 @@ class FootCalibrator:
             self._state = state
         return native, state
 
+    def is_in(self, state: NativeState) -> bool:
+        """Return whether this state, and no copy of it, is what it goes on with."""
+        return self._state is state
+
     def retract(self, which: Array | bool = True) -> None:
         """Take back what was learnt in the last seconds, for a robot that has fallen or was seized.
 

@@ -148,11 +148,11 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and read the sensors."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        truth = self.source.truth
-        before, self._clock = self._clock, float(truth.time[-1])
+        truth, robot = self.source.truth, self.robot
+        before, self._clock = self._clock, truth.time.item(-1)
         if before is not None:
-            check_clock("FootSensors", self.env, self._clock - before, self.telemetry.dt)
-        seen = self.robot.step(truth, observation)
+            check_clock("FootSensors", self.env, self._clock - before, robot.dt)
+        seen = robot.step(truth, observation)
         if seen is None:
             seen = self._show(observation)
         return seen, reward, terminated, truncated, info

@@ -23,7 +23,7 @@ from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
 from surefoot.wrappers.instruments import layout_options
 from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
 from surefoot.wrappers.native_beliefs import NativeBeliefs, native_beliefs
-from surefoot.wrappers.native_sample import NativeSample
+from surefoot.wrappers.native_sample import NOTHING, NativeSample
 from surefoot.wrappers.nominal import Masses, NominalModel
 from surefoot.wrappers.robot_sensors import Equipment, RobotSensors
 from surefoot.wrappers.source import check_stream, wants_fresh
@@ -201,22 +201,24 @@ class RobotCalibration:
 
     def by_library(self) -> NativeSample | None:
         """Return what takes in a whole sample in one call; ``None`` where Python does it, or its parts."""
-        beliefs, native = self.beliefs, self.calibrator.native()
-        if native is None or not isinstance(beliefs, NativeBeliefs):
-            self._native = None
-        elif self._native is None or not self._native.goes_on(beliefs, native[1]):
-            self._native = NativeSample(beliefs, *native, self._view, self.calibrator.setup.dt)
+        own, beliefs, calibrator = self._native, self.beliefs, self.calibrator
+        if own is not None and own.goes_on(beliefs, calibrator):
+            return own
+        native = calibrator.native()
+        self._native = None
+        if native is not None and isinstance(beliefs, NativeBeliefs):
+            self._native = NativeSample(beliefs, *native, self._view, calibrator.setup.dt)
         return self._native
 
     def feed(self, native: NativeSample, command: Any) -> None:
         """Take in the packets that have arrived and one sample by :meth:`by_library`."""
-        sensors, hold = self._sensors, self._next()
+        sensors, beliefs, hold = self._sensors, self.beliefs, self._next()
         arrived = sensors.arrived()
         if arrived is None:
-            self.beliefs.update(sensors.packets)
+            beliefs.update(sensors.packets)
         self._estimate = None  # made of the library's record when somebody asks
-        native.feed(sensors.raw, (self.reference_time, sensors.time), command, hold, arrived)
-        self._chances.add(self.beliefs.known, self.beliefs.standing)
+        native.feed(sensors.raw, self.reference_time, sensors.time, command, hold, *(arrived or NOTHING))
+        self._chances.add(beliefs.known, beliefs.standing)
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""

@@ -156,9 +156,10 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment and calibrate by one sample."""
-        before = self._sensors.time
+        sensors = self._sensors.robot
+        before = sensors.time
         observation, reward, terminated, truncated, info = self.env.step(action)
-        check_clock("SelfCalibration", self.env, self._sensors.time - before, self._sensors.telemetry.dt)
+        check_clock("SelfCalibration", self.env, sensors.time - before, sensors.dt)
         observation = self._calibrate(observation, info)
         if terminated:
             # Mostly a fall, which began some moments ago.

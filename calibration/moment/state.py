@@ -45,7 +45,7 @@ class MomentState(NamedTuple):
         swing_sum: Readings of the swing under way, added up, shape (..., K).
         swing_samples: Their number, shape (..., F).
         unproven: Blocks in use that must pass before what is learnt is handed out, shape (...).
-        due: What is to be handed out of the last block: 0 nothing, 1 its uncertainty alone, 2 all, shape (...).
+        due: What is to be handed out of the last block, shape (...): 0 nothing, 1 its uncertainty, 2 all.
         quiet: Blocks in which the readings have not changed, shape (...).
         anchor: The readings from which on they have not, shape (..., K).
         status: Flags of the last update, shape (...).

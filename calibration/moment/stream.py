@@ -2,8 +2,8 @@
 
 Its theory and options are in :mod:`surefoot.calibration.moment.config`, its rows in
 :mod:`surefoot.calibration.moment.rows`. Samples wait until a block is full, so that most samples cost no
-more than applying the map. What was learnt of it is handed out half a block later, with the prior that it asks
-for: no sample has both to do, and a robot's controller waits for neither long.
+more than applying the map. What was learnt of it is handed out half a block later, with the prior that it
+asks for: no sample has both to do, and a robot's controller waits for neither long.
 """
 
 from typing import Any
@@ -295,7 +295,7 @@ class MomentStream:
         return start - reach, start + reach
 
     def _given(self, state: MomentState, which: Array) -> MomentState:
-        """Return the state with what is handed out of some robots: the unknowns by a prior that was learnt too.
+        """Return the state with what some robots hand out: the unknowns by a prior that was learnt as well.
 
         It moves only where the unknowns did, as without new rows only the uncertainty changes, and not while
         they are unproven: a fall shows some moments after it has begun.
