@@ -60,6 +60,8 @@ class WheelOfOnePlatform(bdist_wheel):
 
 
 setup(
+    # What pip brings for the time of the build; no setting of pyproject.toml can ask for a compiler.
+    setup_requires=BUILD["requirements"](),
     cmdclass={"build_py": BuildWithLibraries, "bdist_wheel": WheelOfOnePlatform},
     long_description=readme(),
     long_description_content_type="text/markdown",

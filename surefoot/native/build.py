@@ -32,6 +32,9 @@ PLATFORMS = {
 
 _ZIG = (sys.executable, "-m", "ziglang", "cc")
 
+COMPILER = 'ziglang>=0.14; platform_machine in "x86_64 AMD64 aarch64 arm64"'
+"""The package that compiles where the system has no compiler, on the platforms that it is published for."""
+
 
 def compiler(platform: str | None = None) -> tuple[str, ...] | None:
     """Return the command of a C compiler; ``None`` without one.
@@ -48,6 +51,11 @@ def compiler(platform: str | None = None) -> tuple[str, ...] | None:
         if words and (program := shutil.which(words[0])):
             return (program, *words[1:])
     return zig
+
+
+def requirements() -> list[str]:
+    """Return what installing needs to compile: nothing with a compiler, or where ``SUREFOOT_NATIVE`` is 0."""
+    return [] if compiler() or os.environ.get("SUREFOOT_NATIVE") == "0" else [COMPILER]
 
 
 def ending(platform: str | None = None) -> str:

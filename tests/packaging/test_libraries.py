@@ -62,6 +62,19 @@ def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_installing_brings_a_compiler_where_there_is_none(monkeypatch, tmp_path):
+    monkeypatch.delenv("SUREFOOT_NATIVE", raising=False)
+    monkeypatch.setattr(build, "find_spec", lambda name: None)
+    monkeypatch.setenv("CC", "cc")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert build.requirements() == [build.COMPILER]
+    monkeypatch.setenv("SUREFOOT_NATIVE", "0")
+    assert build.requirements() == []
+    monkeypatch.delenv("SUREFOOT_NATIVE")
+    (tmp_path / "cc").touch(mode=0o755)
+    assert build.requirements() == []
+
+
 @pytest.mark.parametrize("sdist", [True, False])
 def test_packages_side_by_side_are_found_in_an_sdist_alone(sdist, monkeypatch, tmp_path, capsys):
     (tmp_path / "calibration" / "native").mkdir(parents=True)
