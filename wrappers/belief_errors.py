@@ -1,19 +1,10 @@
 """How wrong a robot is about itself."""
 
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 from surefoot.sensors.configuration import from_mapping, require, require_not_negative
-
-FORMER: Final = {
-    "mass_error": "mass",
-    "com_offset": "com",
-    "bench_scale_error": "scale",
-    "bench_offset_error": "offset",
-}
-"""Keyword arguments of the wrappers in version 0.1, and the fields that took their place."""
 
 
 @dataclass(frozen=True)
@@ -50,16 +41,6 @@ NO_ERRORS: Final = BeliefErrors(mass=0.0, com=0.0, scale=0.0, offset=0.0)
 """A robot that knows itself."""
 
 
-def belief_errors(given: BeliefErrors | Mapping[str, Any], options: dict[str, Any]) -> BeliefErrors:
-    """Return the errors that a wrapper was given.
-
-    Args:
-        given: The errors, also as a mapping of some of the fields.
-        options: The wrapper's further keyword arguments, from which those of version 0.1 (:data:`FORMER`)
-            are taken out.
-    """
-    errors = given if isinstance(given, BeliefErrors) else from_mapping(BeliefErrors, given)
-    former = {FORMER[name]: options.pop(name) for name in FORMER if name in options}
-    if former:
-        warnings.warn(f"Give errors={former!r} in place of {list(FORMER)}.", DeprecationWarning, stacklevel=4)
-    return replace(errors, **former)
+def belief_errors(given: BeliefErrors | Mapping[str, Any]) -> BeliefErrors:
+    """Return the errors that a wrapper was given, also as a mapping of some of the fields."""
+    return given if isinstance(given, BeliefErrors) else from_mapping(BeliefErrors, given)

@@ -60,7 +60,7 @@ class CalibrationSetup:
         fresh: Whether calibration starts fresh at each reset.
         errors: How wrong the robots are about themselves.
         stream: Number of the random stream.
-        options: Of the method, and of version 0.1.
+        options: Of the method.
 
     Attributes:
         start: The map to start from.
@@ -88,7 +88,7 @@ class CalibrationSetup:
         **options: Any,
     ) -> None:
         self.method = method_name(method)
-        self.errors = belief_errors(errors, options)
+        self.errors = belief_errors(errors)
         instruments, drawing = equipment.instruments, equipment.drawing
         self.start = StartingMap(initial, instruments.nominal, self.errors)
         check_stream(owner, stream)

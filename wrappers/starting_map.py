@@ -1,6 +1,5 @@
 """The map that a calibrator starts from, as a user gives it."""
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -54,9 +53,6 @@ class StartingMap:
 
 def _read(initial: Any, channels: int) -> str | Parameters:
     """Read the map to start from."""
-    if isinstance(initial, str) and initial == "bench":
-        warnings.warn("initial='bench' is initial='calibrated' now.", DeprecationWarning, stacklevel=5)
-        initial = "calibrated"
     if isinstance(initial, str) and initial in ("nominal", "calibrated"):
         return initial
     if isinstance(initial, Parameters):

@@ -218,12 +218,3 @@ def test_bad_options_are_refused_before_the_first_step(make, text: str, make_bar
 def test_the_perfect_preset_reads_in_newtons() -> None:
     np.testing.assert_array_equal(preset("perfect").nominal_scale, np.ones(8))
     np.testing.assert_array_equal(preset("perfect").nominal_offset, np.zeros(8))
-
-
-def test_the_keywords_of_version_0_1_are_understood(make_bare) -> None:
-    feet = FootSensors(make_bare())
-    with pytest.warns(DeprecationWarning, match=r"Give errors=\{'mass': 0.02, 'scale': 0.01\} in place"):
-        env = SelfCalibration(feet, "none", mass_error=0.02, bench_scale_error=0.01)
-    assert env.spec.additional_wrappers[-1].kwargs["errors"] == BeliefErrors(mass=0.02, scale=0.01)
-    with pytest.warns(DeprecationWarning, match="initial='bench' is initial='calibrated' now"):
-        SelfCalibration(feet, "none", initial="bench")

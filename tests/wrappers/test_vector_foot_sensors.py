@@ -131,8 +131,6 @@ def test_seeds_settle_all_and_options_decide_for_one_reset():
 
 
 def test_perfect_cells_read_the_truth_and_truth_is_each_copys_own():
-    with pytest.warns(DeprecationWarning, match="leave averaged= out"):
-        TruthRow(_walk(None), averaged=False)
     copies = SyncVectorEnv([lambda: TruthRow(_walk(None))] * ROBOTS)
     felt = VectorFootSensors(copies, "perfect", imu="perfect", encoders="perfect", link="perfect")
     felt.reset(seed=0)

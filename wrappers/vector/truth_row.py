@@ -8,7 +8,6 @@ sees it.
 The row is what the simulator's sensors read at each substep; what it means is worked out where it is read.
 """
 
-import warnings
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -65,7 +64,6 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 
     Args:
         env: An environment built on MuJoCo.
-        averaged: Of no effect since the row has all substeps; it will be taken out.
         keep_info: Whether ``info["surefoot"]``, in which the copy has its truth, is handed on; it costs
             more than everything else here.
 
@@ -78,12 +76,8 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         RuntimeError: At a step, if a wrapper below repeats steps or resets by itself.
     """
 
-    def __init__(
-        self, env: gym.Env[Any, Any], *, averaged: bool | None = None, keep_info: bool = False
-    ) -> None:
+    def __init__(self, env: gym.Env[Any, Any], *, keep_info: bool = False) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, keep_info=keep_info)
-        if averaged is not None:
-            warnings.warn("The row of TruthRow has all substeps: leave averaged= out.", DeprecationWarning, 2)
         if isinstance(env.observation_space, spaces.Dict) and TRUTH_KEY in env.observation_space.spaces:
             raise TypeError(f"TruthRow found another TruthRow below it; one is enough. Got {env}.")
         gym.Wrapper.__init__(self, with_source(env))
