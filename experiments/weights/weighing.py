@@ -94,11 +94,12 @@ class _Cells:
         step = np.sqrt(self.setup.seconds_per_weighing)
         walk = np.cumsum(self.rng.standard_normal((2, *load.shape)), axis=1) * step
         wander = np.array([self.config.scale_drift, self.config.offset_drift])[:, None, None]
-        aged = self.state._replace(error=self.state.error[:, None, :] + wander * walk)
-        self.state = self.state._replace(error=aged.error[:, -1])
-        repeated = np.broadcast_to(bowed, (self.setup.readings, *load.shape))
-        mean: NDArray[np.float64] = static_counts(self.config, aged, repeated, self.rng).mean(axis=0)
-        return mean
+        counts, error = np.empty_like(load), self.state.error[:, None] + wander * walk
+        for i, one in enumerate(bowed):
+            self.state = self.state._replace(error=error[:, i])
+            repeated = np.tile(one, (self.setup.readings, 1))
+            counts[i] = static_counts(self.config, self.state, repeated, self.rng).mean(axis=0)
+        return counts
 
 
 def run_weighing(
