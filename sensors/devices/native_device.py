@@ -1,7 +1,7 @@
 """Devices of one robot by the library: the same states, the same counts, the same random numbers.
 
-The Python is the specification. It alone reads what is larger than the library's room, batches, and what
-draws from a generator of NumPy's.
+The Python is the specification. It alone reads what is larger than the library's room, and what draws from a
+generator of NumPy's.
 """
 
 from collections.abc import Callable

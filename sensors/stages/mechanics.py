@@ -117,7 +117,7 @@ class MechanicsState(NamedTuple):
 
 
 def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
-    """Build the spring elements of cells; readings are loads in N, shape (..., K).
+    """Build the spring elements of cells; readings are loads in N, shape (K,).
 
     A load that is not finite, as of a simulation that blew up, comes out as NaN and leaves no trace.
 
@@ -161,7 +161,7 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
 
 
 def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
-    """Return what impacts and overloads have done to the offsets in N, shape (..., K); 0.0 without."""
+    """Return what impacts and overloads have done to the offsets in N, shape (K,); 0.0 without."""
     offset: Array | float = 0.0
     if state.mounting:
         offset = offset + state.mounting.offset
@@ -171,7 +171,7 @@ def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
 
 
 def bent(state: MechanicsState, load: Array, capacity: float) -> Array:
-    """Return what cells at rest make of loads by their nonlinearity alone; both in N, shape (..., K)."""
+    """Return what cells at rest make of loads by their nonlinearity alone; both in N, (K,) or (N, K)."""
     if not state.nonlinearity:
         return load
     u = limit(load / capacity, -1.0, 1.0)

@@ -137,7 +137,7 @@ def wire(
     bits: int,
     coding: str = "two's complement",
 ) -> Corruption[WireState]:
-    """Build the wire to the host; readings are counts, shape (..., K).
+    """Build the wire to the host; readings are counts, shape (K,).
 
     Args:
         config: The wire.
