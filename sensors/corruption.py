@@ -8,7 +8,7 @@ A device is that of one robot, and its readings are one row, shape (K,), for K c
 float64 and writes into none of its arguments.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial, wraps
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
@@ -77,6 +77,28 @@ def stateless(function: Callable[[Array, Rng, float], Array]) -> Corruption[tupl
 
     def apply(reading: Array, state: tuple[()], rng: Rng, dt: float) -> tuple[Array, tuple[()]]:
         return function(reading, rng, dt), state
+
+    return Corruption(init, apply)
+
+
+def parts(kind: type[State], on: Mapping[str, Corruption[Any]]) -> Corruption[State]:
+    """Pass readings through named corruptions, in their order.
+
+    Args:
+        kind: The state, a ``NamedTuple``; its fields are ``()`` for parts that are not on.
+        on: The parts that are, by the names of these fields.
+    """
+    off: Any = kind(*((),) * len(kind._fields))  # type: ignore[attr-defined]
+
+    def init(shape: tuple[int, ...], rng: Rng) -> State:
+        begun: State = off._replace(**{name: part.init(shape, rng) for name, part in on.items()})
+        return begun
+
+    def apply(reading: Array, state: State, rng: Rng, dt: float) -> tuple[Array, State]:
+        after = {}
+        for name, part in on.items():
+            reading, after[name] = part.apply(reading, getattr(state, name), rng, dt)
+        return reading, off._replace(**after)
 
     return Corruption(init, apply)
 

@@ -19,7 +19,8 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import ChannelFit, fit_channels
 from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
 from surefoot.envs.instrumentation.plate import SolePlate
-from surefoot.sensors.devices.load_cells import LoadCells, LoadCellState, load_cells, static_counts
+from surefoot.sensors import LoadCells, load_cells
+from surefoot.sensors.devices.load_cells import LoadCellState, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 _STREAM = 7001  # keeps this randomness apart from every other stream with the same seed

@@ -33,7 +33,7 @@ from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.transport.wire import DIRECT, Wire, wire
 
 AXES = 6
-"""Channels of a sensor."""
+"""Channels of a sensor, the components of a wrench (fx, fy, fz, tx, ty, tz)."""
 
 MOST_ERROR = 0.25
 """Largest ``initial_scale_std + 5 cross_talk_std`` (one axis and the five others) for which the matrices of
@@ -184,7 +184,7 @@ class ForceTorque:
         return np.stack([np.diag(part) for part in self.nominal_scale.reshape(self.sensors, AXES)])
 
     def _per_channel(self, force: float, torque: float) -> NDArray[np.float64]:
-        return np.tile(np.repeat([force, torque], 3), self.sensors)
+        return np.tile(per_axis(force, torque), self.sensors)
 
 
 class ForceTorqueState(NamedTuple):

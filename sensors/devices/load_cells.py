@@ -34,19 +34,11 @@ from surefoot.sensors.stages.clock import (
     settle,
 )
 from surefoot.sensors.stages.converter import quantize, saturate, white_noise
-from surefoot.sensors.stages.mechanics import bent, mechanics, shifted_offset
+from surefoot.sensors.stages.mechanics import mechanics, shifted_offset
 from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.nonlinearity import bent
 from surefoot.sensors.stages.temperature import thermal_drift, warmed
 from surefoot.sensors.transport.wire import WireState, wire
-
-__all__ = [
-    "LoadCellState",
-    "LoadCells",
-    "load_cell_chain",
-    "load_cells",
-    "static_counts",
-    "true_map",
-]
 
 
 class LoadCellState(NamedTuple):
@@ -233,9 +225,9 @@ def static_counts(
             f"'load' must hold {config.channels} cells on its last axis, got shape {load.shape}."
         )
     if state.mechanics:
-        load = bent(state.mechanics, load, config.capacity) + shifted_offset(
-            config.mechanics, state.mechanics
-        )
+        if state.mechanics.nonlinearity:
+            load = bent(load, state.mechanics.nonlinearity, config.capacity)
+        load = load + shifted_offset(config.mechanics, state.mechanics)
     counts: NDArray[np.float64] = config.zero_code + config.slope * (
         (1.0 + state.error[SCALE]) * load + state.error[OFFSET]
     )

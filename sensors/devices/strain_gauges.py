@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
-from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
+from surefoot.sensors.devices.force_torque import AXES, per_axis
+from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.randomness import normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep
 from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
@@ -193,7 +194,7 @@ def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     Returns:
         The largest amplitudes in N and N m or in counts, and those that read true in shares of them.
     """
-    true = np.repeat([config.hysteresis_true_force, config.hysteresis_true_torque], 3)
+    true = per_axis(config.hysteresis_true_force, config.hysteresis_true_torque)
     felt = np.eye(AXES) if config.hysteresis_of == "load" else np.abs(config.nominal_response)
     most = (felt * config.full_scale).max(axis=1)
     return most, (felt * true).max(axis=1) / most
@@ -202,7 +203,7 @@ def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 def gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
     """Return what turns k unit errors into counts that C_0 shows as that force and torque, shape (k, k)."""
     response = config.nominal_response
-    image: NDArray[np.float64] = response * np.repeat([force, torque], 3)
+    image: NDArray[np.float64] = response * per_axis(force, torque)
     if config.channels == AXES:
         return image
     # Beyond what a wrench can cause: as much as there is on average within it.

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
-from surefoot.sensors.corruption import Array, Corruption, Rng, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, parts
 from surefoot.sensors.stages.creep import check_creep, creep
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mounting import WARP, mounting
@@ -145,19 +145,12 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
         )
     if config.overload_share:
         on["overload"] = overload(config.overload_share, config.safe_overload * capacity)
-    off = MechanicsState(*((),) * len(MechanicsState._fields))
-
-    def init(shape: tuple[int, ...], rng: Rng) -> MechanicsState:
-        return off._replace(**{name: stage.init(shape, rng) for name, stage in on.items()})
+    elements = parts(MechanicsState, on)
 
     def apply(load: Array, state: MechanicsState, rng: Rng, dt: float) -> tuple[Array, MechanicsState]:
-        after = {}
-        load = np.where(np.isfinite(load), load, np.nan)
-        for name, stage in on.items():
-            load, after[name] = stage.apply(load, getattr(state, name), rng, dt)
-        return load, off._replace(**after)
+        return elements.apply(np.where(np.isfinite(load), load, np.nan), state, rng, dt)
 
-    return Corruption(init, apply)
+    return Corruption(elements.init, apply)
 
 
 def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
@@ -168,12 +161,3 @@ def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
     if state.overload:
         offset = offset + config.overload_share * (state.overload.excess[0] + state.overload.excess[1])
     return offset
-
-
-def bent(state: MechanicsState, load: Array, capacity: float) -> Array:
-    """Return what cells at rest make of loads by their nonlinearity alone; both in N, (K,) or (N, K)."""
-    if not state.nonlinearity:
-        return load
-    u = limit(load / capacity, -1.0, 1.0)
-    read: Array = load + 4.0 * capacity * state.nonlinearity.quadratic * u * (1.0 - u)
-    return read

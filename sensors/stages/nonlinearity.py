@@ -101,10 +101,16 @@ def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonline
     def apply(
         reading: Array, state: NonlinearityState, rng: Rng, dt: float
     ) -> tuple[Array, NonlinearityState]:
-        u = limit(reading / scale, -1.0, 1.0)
-        return reading + (4.0 * state.quadratic * scale) * (u - u * u), state
+        return bent(reading, state, scale), state
 
     return Corruption(init, apply)
+
+
+def bent(reading: Array, state: NonlinearityState, full_scale: Array | float) -> Array:
+    """Return what :func:`drawn_nonlinearity` makes of readings, shape (K,) or (N, K)."""
+    u = limit(reading / full_scale, -1.0, 1.0)
+    off: Array = (4.0 * state.quadratic * full_scale) * (u - u * u)
+    return reading + off
 
 
 class CoupledState(NamedTuple):
