@@ -32,8 +32,8 @@ from surefoot.calibration.in_situ.validation import as_seen
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,
-    read_imus,
-    read_sensors,
+    read_imu,
+    read_sensor,
     sensor_config,
     static_sets,
 )
@@ -96,8 +96,8 @@ def scores(sensor: str, bent: bool, weighed: bool, seeds: Sequence[int]) -> list
     found = []
     for seed in seeds:
         run = record_rig(range(1, 9), rate=RATE, seed=seed)
-        forces = read_imus([run], [seed])[0, ..., :3]
-        ((counts, truth),) = read_sensors(config, sensor, [run], [seed])
+        forces = read_imu(run, seed)[..., :3]
+        counts, truth = read_sensor(config, sensor, run, seed)
         sets = static_sets(sensor, run, counts, forces - accelerometer_bias(forces))
         limb = truth.limb
         known = KnownLimb(limb.mass, WEIGHED * limb.mass, limb.com, PLACED) if weighed else None

@@ -27,8 +27,8 @@ from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ.instruments import (
     SensorTruth,
     accelerometer_bias,
-    read_imus,
-    read_sensors,
+    read_imu,
+    read_sensor,
     sensor_config,
     static_sets,
 )
@@ -66,13 +66,14 @@ class Score(NamedTuple):
 
 def scores(case: Case, seeds: Sequence[int], rate: float) -> list[Score]:
     """Calibrate one sensor a seed."""
-    runs = [record_rig(SETS, rate=rate, seed=seed, rasters=case.path == "raster") for seed in seeds]
-    force = read_imus(runs, seeds)[..., :3]
     config = sensor_config(case.sensor, white=case.hysteresis is None)
     config = replace(config, hysteresis=case.hysteresis or 0.0)
     found = []
-    for i, (counts, truth) in enumerate(read_sensors(config, case.sensor, runs, seeds)):
-        sets = static_sets(case.sensor, runs[i], counts, force[i] - accelerometer_bias(force[i]))
+    for seed in seeds:
+        run = record_rig(SETS, rate=rate, seed=seed, rasters=case.path == "raster")
+        force = read_imu(run, seed)[..., :3]
+        counts, truth = read_sensor(config, case.sensor, run, seed)
+        sets = static_sets(case.sensor, run, counts, force - accelerometer_bias(force))
         if not case.times:
             sets = tuple(replace(one, time=None) for one in sets)
         found.append(score(calibrate_in_situ(sets, refuse=False), truth))

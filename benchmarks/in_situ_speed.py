@@ -34,9 +34,10 @@ from surefoot.calibration.in_situ import (
     estimate_offset,
 )
 from surefoot.envs.leg_rig.recording import record_rig
+from surefoot.experiments.in_situ.instruments import read_sequence
 from surefoot.experiments.study.tables import Table, number
 from surefoot.sensors import StrainGauges, preset, strain_gauges
-from surefoot.sensors.devices.strain_gauges import read_sequence
+from surefoot.sensors.randomness import Stream
 
 Floats = NDArray[np.float64]
 Method = Callable[[Sequence[InSituSet]], float]
@@ -53,15 +54,9 @@ def simulate(duration: float, seed: int = 0) -> tuple[list[InSituSet], float]:
     """Record a leg with eight added masses by one FTSens with all its errors; returns its mass in kg too."""
     recordings = record_rig(duration=duration, rate=RATE, seed=seed)
     config, rng = preset("icub-ftsens-leg", StrainGauges), np.random.default_rng([seed, 1])
-    state = strain_gauges(config).init((len(recordings), config.channels), rng)
     # The sets are of one sensor, switched on anew for each.
-    state = state._replace(
-        response=np.broadcast_to(state.response[:1], state.response.shape).copy(),
-        offset=np.broadcast_to(state.offset[:1], state.offset.shape).copy(),
-        tempco=np.broadcast_to(state.tempco[:1], state.tempco.shape).copy(),
-    )
-    wrench = np.stack([recording.wrench_leg for recording in recordings])
-    counts, _, _ = read_sequence(config, wrench, state, rng, 1.0 / RATE)
+    state, stream = strain_gauges(config).init((config.channels,), rng), Stream.of(seed, 1)
+    counts = [read_sequence(config, one.wrench_leg, state, stream, 1.0 / RATE)[0] for one in recordings]
     sets = [
         InSituSet(
             raw=raw,

@@ -31,8 +31,8 @@ from surefoot.calibration.results import CalibrationRefused
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.in_situ.instruments import (
     SensorTruth,
-    read_imus,
-    read_sensors,
+    read_imu,
+    read_sensor,
     sensor_config,
     static_sets,
 )
@@ -72,8 +72,8 @@ def recorded(seed: int, gyroscope: bool, sensor: str = "leg", **rig: Any) -> Log
     recordings = record_rig(range(1, FITTED + 1), **how)
     unseen = record_rig(range(FITTED + 1, 9), duration=DURATION, rate=1.0, speed_deg=SPEED_DEG, seed=seed)
     config = sensor_config(sensor)
-    counts, truth = read_sensors(config, sensor, [recordings], [seed])[0]
-    felt = read_imus([recordings], [seed], IMU)[0]
+    counts, truth = read_sensor(config, sensor, recordings, seed)
+    felt = read_imu(recordings, seed, IMU)
     sets = static_sets(sensor, recordings, counts, felt[..., :3])
     if gyroscope:
         sets = tuple(map(in_motion, sets, felt, recordings, [sensor] * FITTED))

@@ -4,15 +4,16 @@
 ``apply`` passes one reading on. State is a value and randomness an argument: an old state stays as it was,
 and what is constant over an episode cannot become a random walk over episodes.
 
-Every stage takes any leading batch dimensions, reckons in float64, and writes into none of its arguments.
+A device is that of one robot, and its readings are one row, shape (K,), for K channels. A stage reckons in
+float64 and writes into none of its arguments.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial, wraps
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.sensors.randomness import Stream
 
@@ -30,7 +31,7 @@ class Corruption(NamedTuple, Generic[State]):
     """One link of a sensor's error chain.
 
     Attributes:
-        init: ``init(shape, rng) -> state`` for readings of the given shape.
+        init: ``init(shape, rng) -> state`` for readings of the given shape, (K,).
         apply: ``apply(reading, state, rng, dt) -> (reading, state)`` with dt, the time in s since the
             reading before.
     """
@@ -54,10 +55,18 @@ def device(build: Callable[Arguments, Corruption[State]]) -> Callable[Arguments,
     return built
 
 
-def limit(reading: Array, low: Any, high: Any) -> Array:
+def limit(reading: ArrayLike, low: Any, high: Any) -> Array:
     """Clip readings to a range: cheaper than ``clip`` on small arrays."""
     limited: Array = np.minimum(np.maximum(reading, low), high)
     return limited
+
+
+def check_channels(shape: tuple[int, ...], channels: int) -> None:
+    """Raise ValueError if a device of so many channels is to read another shape."""
+    if shape != (channels,):
+        raise ValueError(
+            f"A reading must hold the {channels} channels, got shape {shape}; give ({channels},)."
+        )
 
 
 def stateless(function: Callable[[Array, Rng, float], Array]) -> Corruption[tuple[()]]:
@@ -68,6 +77,28 @@ def stateless(function: Callable[[Array, Rng, float], Array]) -> Corruption[tupl
 
     def apply(reading: Array, state: tuple[()], rng: Rng, dt: float) -> tuple[Array, tuple[()]]:
         return function(reading, rng, dt), state
+
+    return Corruption(init, apply)
+
+
+def parts(kind: type[State], on: Mapping[str, Corruption[Any]]) -> Corruption[State]:
+    """Pass readings through named corruptions, in their order.
+
+    Args:
+        kind: The state, a ``NamedTuple``; its fields are ``()`` for parts that are not on.
+        on: The parts that are, by the names of these fields.
+    """
+    off: Any = kind(*((),) * len(kind._fields))  # type: ignore[attr-defined]
+
+    def init(shape: tuple[int, ...], rng: Rng) -> State:
+        begun: State = off._replace(**{name: part.init(shape, rng) for name, part in on.items()})
+        return begun
+
+    def apply(reading: Array, state: State, rng: Rng, dt: float) -> tuple[Array, State]:
+        after = {}
+        for name, part in on.items():
+            reading, after[name] = part.apply(reading, getattr(state, name), rng, dt)
+        return reading, off._replace(**after)
 
     return Corruption(init, apply)
 

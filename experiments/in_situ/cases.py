@@ -13,8 +13,8 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,
     moving_sets,
-    read_imus,
-    read_sensors,
+    read_imu,
+    read_sensor,
     sensor_config,
     static_sets,
 )
@@ -75,7 +75,7 @@ def exact_errors(sensor: str, rate: float) -> dict[str, Rows]:
     ``exact`` has relative errors: offset (III-B, worst set), matrix (III-C, Frobenius norm of rows), limb.
     """
     recordings = record_rig(rate=rate, at_rest=True)
-    counts, truth = read_sensors(sensor_config(sensor, exact=True), sensor, [recordings], [0])[0]
+    counts, truth = read_sensor(sensor_config(sensor, exact=True), sensor, recordings, 0)
     sets = static_sets(sensor, recordings, counts, _specific_force(recordings))
     offsets = np.array([estimate_offset(data.raw, data.gravity).offset for data in sets])
     fit = estimate_matrix(sets[:FITTED], offsets[:FITTED], noise_margin=0.0)
@@ -97,26 +97,26 @@ def sweep_and_calibrate(seeds: tuple[int, ...], rate: float) -> dict[str, Rows]:
     ``fits`` has a row a sensor, seed and method (``clipped``: the converter ended, and :func:`fit_row`),
     ``sets`` those of :func:`set_rows`, ``shown`` the points of seed 0 that figures show.
     """
-    runs = [record_rig(rate=rate, seed=seed) for seed in seeds]
-    force = read_imus(runs, seeds)[..., FORCE]
-    for of_seed in force:
-        of_seed -= accelerometer_bias(of_seed[:FITTED])
+    runs = {seed: record_rig(rate=rate, seed=seed) for seed in seeds}
+    force = {seed: read_imu(run, seed)[..., FORCE] for seed, run in runs.items()}
     fits: Rows = []
     checked: Rows = []
     shown: Rows = []
     for sensor in SENSORS:
         config = sensor_config(sensor)
-        for i, (counts, truth) in enumerate(read_sensors(config, sensor, runs, seeds)):
-            sets = static_sets(sensor, runs[i], counts, force[i])
-            wrench = _wrenches(runs[i][FITTED:], sensor)
+        for seed, run in runs.items():
+            counts, truth = read_sensor(config, sensor, run, seed)
+            bias = accelerometer_bias(force[seed][:FITTED])
+            sets = static_sets(sensor, run, counts, force[seed] - bias)
+            wrench = _wrenches(run[FITTED:], sensor)
             found = calibrate_by_all(sets, config.nominal_matrix, InSituOptions(code_range=config.code_range))
             for method in METHODS:
-                key = {"sensor": sensor, "seed": seeds[i], "method": method}
+                key = {"sensor": sensor, "seed": seed, "method": method}
                 row = fit_row(found[method], truth, wrench)
                 fits.append({**key, "clipped": _clipped(counts[:FITTED], config), **row})
                 checked += [{**key, **row} for row in set_rows(found[method], sets)]
             thin = slice(None, None, max(counts.shape[1] // _SHOWN, 1))
-            for j in range(FITTED, len(sets)) if seeds[i] == 0 else ():
+            for j in range(FITTED, len(sets)) if seed == 0 else ():
                 raw = counts[j, thin]
                 points = {"raw": raw, "gravity": sets[j].gravity[thin]}
                 points |= {f"force_{name}": _forces(found[name], j, raw) for name in DRAWN}
@@ -138,8 +138,8 @@ def compare_with_bound(seeds: tuple[int, ...], kind: str, rate: float) -> dict[s
         config = sensor_config(sensor, white=kind != "real")
         deviation = np.repeat([config.noise_force, config.noise_torque], 3)
         noise = (config.nominal_response * deviation**2) @ config.nominal_response.T
-        read = read_sensors(config, sensor, runs, seeds)
-        for seed, run, (counts, truth) in zip(seeds, runs, read, strict=True):
+        for seed, run in zip(seeds, runs, strict=True):
+            counts, truth = read_sensor(config, sensor, run, seed)
             sets = static_sets(sensor, run, counts, _specific_force(run))
             if kind != "real":
                 # Each posture was held: with times a fit would count what turning from one to the next adds.
@@ -178,25 +178,26 @@ def compare_motion(index: int, seeds: tuple[int, ...], rate: float) -> dict[str,
     rate = max(rate, 100.0) if motion.fast else rate
     how: dict[str, Any] = {"duration": motion.duration, "rate": rate, "fast_motion": motion.fast}
     runs = [record_rig(range(1, FITTED + 1), seed=seed, **how) for seed in seeds]
-    readings = read_imus(runs, seeds)
+    readings = [read_imu(run, seed) for run, seed in zip(runs, seeds, strict=True)]
     resting = readings
     minutes = FITTED * motion.duration / 60.0
     if motion.fast:
-        still = _thinned(record_rig((1,), rate=rate, at_rest=True, seed=seeds[0])[0], REST)
-        resting = read_imus([[still]] * len(seeds), seeds)
+        rest = _thinned(record_rig((1,), rate=rate, at_rest=True, seed=seeds[0])[0], REST)
+        resting = [read_imu([rest], seed) for seed in seeds]
         minutes += REST / 60.0
     unseen = record_rig(range(FITTED + 1, 9), rate=10.0)
     rows = []
     for sensor in SENSORS:
         wrench = _wrenches(unseen, sensor)
-        for i, (counts, truth) in enumerate(read_sensors(sensor_config(sensor), sensor, runs, seeds)):
-            bias = accelerometer_bias(resting[i, ..., FORCE])
+        for seed, run, read, still in zip(seeds, runs, readings, resting, strict=True):
+            counts, truth = read_sensor(sensor_config(sensor), sensor, run, seed)
+            bias = accelerometer_bias(still[..., FORCE])
             if motion.fast:
-                sets = moving_sets(sensor, runs[i], counts, readings[i], bias)
+                sets = moving_sets(sensor, run, counts, read, bias)
             else:
-                sets = static_sets(sensor, runs[i], counts, readings[i, ..., FORCE] - bias)
+                sets = static_sets(sensor, run, counts, read[..., FORCE] - bias)
             found = of_fit(calibrate_in_situ(sets, refuse=False), sets)
-            key = {"motion": index, "sensor": sensor, "seed": seeds[i], "minutes": minutes}
+            key = {"motion": index, "sensor": sensor, "seed": seed, "minutes": minutes}
             rows.append({**key, **fit_row(found, truth, wrench)})
     return {"motions": rows}
 

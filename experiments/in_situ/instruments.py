@@ -14,12 +14,10 @@ from surefoot.calibration.in_situ import InSituSet, Limb
 from surefoot.envs.leg_rig.recording import RigRecording
 from surefoot.experiments.arrays import Floats
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
-from surefoot.sensors.devices.strain_gauges import (
-    StrainGaugeState,
-    read_sequence,
-    shift_offset,
-    true_response,
-)
+from surefoot.sensors.devices.native_device import native_here
+from surefoot.sensors.devices.native_force_torque import STRAIN_GAUGES
+from surefoot.sensors.devices.strain_gauges import StrainGaugeState, shift_offset, true_response
+from surefoot.sensors.randomness import Stream
 
 XSENS_MTX = Imu(
     accelerometer_noise=2.0e-3,
@@ -69,54 +67,61 @@ def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> S
     return replace(config, noise_force=0.0, noise_torque=0.0) if exact else config
 
 
-def read_sensors(
-    config: StrainGauges, sensor: str, runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int]
-) -> list[tuple[Floats, SensorTruth]]:
-    """Return counts (J, n, 6) that each seed's sensor reads of J recordings of one rate, and the truth."""
-    limb = Limb(*getattr(runs[0][0], f"limb_{sensor}"))
-    wrench = np.array([[getattr(recording, f"wrench_{sensor}") for recording in run] for run in runs])
+def read_sensor(
+    config: StrainGauges, sensor: str, recordings: Sequence[RigRecording], seed: int
+) -> tuple[Floats, SensorTruth]:
+    """Return counts (J, n, 6) that a seed's sensor reads of J recordings of one rate, and the truth."""
     place = ("foot", "leg").index(sensor)
-    rng = np.random.default_rng([_STREAM, place, *seeds])
-    state = strain_gauges(config).init((len(seeds), len(runs[0]), config.channels), rng)
-    for i, seed in enumerate(seeds):
-        # One sensor reads all sets: its offsets jump in between, and nothing else.
-        one = _one_sensor(config, len(runs[0]), np.random.default_rng([_STREAM, place + 2, seed]))
-        state.response[i], state.offset[i], state.tempco[:, i] = one.response, one.offset, one.tempco
-        for of_all, own in zip(state.bend, one.bend, strict=True):
-            of_all[i] = own
-    response, offset = true_response(config, state)
-    dt = float(runs[0][0].time[1] - runs[0][0].time[0])
-    counts, after, _ = read_sequence(config, wrench, state, rng, dt)
-    _, last = true_response(config, after)
-    return [
-        (of_seed, SensorTruth(np.array(A[0]), (first + end) / 2.0, np.array(end[-1]), limb))
-        for of_seed, A, first, end in zip(counts, response, offset, last, strict=True)
-    ]
+    rng, stream = np.random.default_rng([_STREAM, place + 2, seed]), Stream.of(_STREAM, place, seed)
+    state = strain_gauges(config).init((config.channels,), rng)
+    response = true_response(config, state)[0]
+    dt = float(recordings[0].time[1] - recordings[0].time[0])
+    counts: list[Floats] = []
+    begun: list[Floats] = []
+    ended: list[Floats] = []
+    for recording in recordings:
+        if begun:
+            # It is switched on anew for each set: its offsets have jumped since the last, and nothing else.
+            state = shift_offset(config, state, rng, *OFFSET_SHIFT)
+        raw, after = read_sequence(config, getattr(recording, f"wrench_{sensor}"), state, stream, dt)
+        counts.append(raw)
+        begun.append(state.offset)
+        ended.append(after.offset)
+    offsets = (np.array(begun) + np.array(ended)) / 2.0
+    limb = Limb(*getattr(recordings[0], f"limb_{sensor}"))
+    return np.array(counts), SensorTruth(response, offsets, ended[-1], limb)
 
 
-def _one_sensor(config: StrainGauges, sets: int, rng: np.random.Generator) -> StrainGaugeState:
-    """Draw one sensor before each of its sets, as a batch of them."""
-    first = strain_gauges(config).init((config.channels,), rng)
-    offsets = [first.offset]
-    for _ in range(1, sets):
-        offsets.append(shift_offset(config, first._replace(offset=offsets[-1]), rng, *OFFSET_SHIFT).offset)
-    return first._replace(offset=np.array(offsets), tempco=np.asarray(first.tempco)[:, None])
+def read_sequence(
+    config: StrainGauges, wrench: Floats, state: StrainGaugeState, stream: Stream, dt: float
+) -> tuple[Floats, StrainGaugeState]:
+    """Return what a sensor reads of wrenches (n, 6), dt apart, shape (n, k), and the sensor after them.
+
+    The library reads them where there is one, in a tenth of the time.
+    """
+    native = native_here(STRAIN_GAUGES, config)
+    if native is not None:
+        kept = native.pack(state)
+        return np.array([native.step(kept, one, stream, dt) for one in wrench]), kept.python()
+    sensor, counts = strain_gauges(config), []
+    for one in wrench:
+        read, state = sensor.apply(one, state, stream, dt)
+        counts.append(read)
+    return np.array(counts), state
 
 
-def read_imus(
-    runs: Sequence[Sequence[RigRecording]], seeds: Sequence[int], config: Imu = XSENS_MTX
-) -> Floats:
-    """Return what an IMU of each seed reads: force and angular velocity, shape (S, J, n, 6)."""
-    device = imu(config)
-    felt = np.array([[np.hstack([r.specific_force, r.angular_velocity]) for r in run] for run in runs])
-    rng = np.random.default_rng([_STREAM, 4, *seeds])
-    bias = np.stack([device.init((6,), np.random.default_rng([_STREAM, 5, seed])).bias for seed in seeds])
-    state = device.init((*felt.shape[:2], 6), rng)
-    state = state._replace(bias=np.repeat(bias[:, None], felt.shape[1], axis=1))
-    dt = float(runs[0][0].time[1] - runs[0][0].time[0])
-    for i in range(felt.shape[2]):
-        felt[:, :, i], state = device.apply(felt[:, :, i], state, rng, dt)
-    return felt
+def read_imu(recordings: Sequence[RigRecording], seed: int, config: Imu = XSENS_MTX) -> Floats:
+    """Return what a seed's IMU reads: force and angular velocity, shape (J, n, 6)."""
+    device, rng = imu(config), np.random.default_rng([_STREAM, 4, seed])
+    first = device.init((6,), np.random.default_rng([_STREAM, 5, seed]))
+    found = []
+    for recording in recordings:
+        felt, state = np.hstack([recording.specific_force, recording.angular_velocity]), first
+        dt = float(recording.time[1] - recording.time[0])
+        for i, row in enumerate(felt):
+            felt[i], state = device.apply(row, state, rng, dt)
+        found.append(felt)
+    return np.array(found)
 
 
 def static_sets(

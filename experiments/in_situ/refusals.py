@@ -14,8 +14,8 @@ from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ.instruments import (
     SensorTruth,
     accelerometer_bias,
-    read_imus,
-    read_sensors,
+    read_imu,
+    read_sensor,
     sensor_config,
     static_sets,
 )
@@ -111,8 +111,8 @@ def spoil_and_calibrate(index: int, seed: int, rate: float) -> dict[str, list[di
     case = SPOILT[index]
     recordings = record_rig(case.configurations, rate=rate, seed=seed, **case.rig)
     config = sensor_config(SENSOR)
-    counts, truth = read_sensors(config, SENSOR, [recordings], [seed])[0]
-    force = read_imus([recordings], [seed])[0, ..., :3]
+    counts, truth = read_sensor(config, SENSOR, recordings, seed)
+    force = read_imu(recordings, seed)[..., :3]
     # A plane is refused by the accelerometer's calibration as well: the robot goes on with what it has.
     with suppress(CalibrationRefused):
         force = force - accelerometer_bias(force)

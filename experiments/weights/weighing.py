@@ -19,7 +19,8 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import ChannelFit, fit_channels
 from surefoot.calibration.weights.cop_correction import CopCorrectionFit, PlacementScore, fit_cop_correction
 from surefoot.envs.instrumentation.plate import SolePlate
-from surefoot.sensors.devices.load_cells import LoadCells, LoadCellState, load_cells, static_counts
+from surefoot.sensors import LoadCells, load_cells
+from surefoot.sensors.devices.load_cells import LoadCellState, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 
 _STREAM = 7001  # keeps this randomness apart from every other stream with the same seed
@@ -94,11 +95,12 @@ class _Cells:
         step = np.sqrt(self.setup.seconds_per_weighing)
         walk = np.cumsum(self.rng.standard_normal((2, *load.shape)), axis=1) * step
         wander = np.array([self.config.scale_drift, self.config.offset_drift])[:, None, None]
-        aged = self.state._replace(error=self.state.error[:, None, :] + wander * walk)
-        self.state = self.state._replace(error=aged.error[:, -1])
-        repeated = np.broadcast_to(bowed, (self.setup.readings, *load.shape))
-        mean: NDArray[np.float64] = static_counts(self.config, aged, repeated, self.rng).mean(axis=0)
-        return mean
+        counts, error = np.empty_like(load), self.state.error[:, None] + wander * walk
+        for i, one in enumerate(bowed):
+            self.state = self.state._replace(error=error[:, i])
+            repeated = np.tile(one, (self.setup.readings, 1))
+            counts[i] = static_counts(self.config, self.state, repeated, self.rng).mean(axis=0)
+        return counts
 
 
 def run_weighing(

@@ -36,5 +36,5 @@ class Encoders:
 
 @device
 def encoders(config: Encoders) -> Corruption[Any]:
-    """Build joint encoders; readings are angles in rad, shape (..., J)."""
+    """Build joint encoders; readings are angles in rad, shape (J,)."""
     return chain(drift(config.bias_std), white_noise(config.noise_std), quantize(config.resolution))

@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.transport.wire import DIRECT, Wire, wire
 
 AXES = 6
-"""Channels of a sensor."""
+"""Channels of a sensor, the components of a wrench (fx, fy, fz, tx, ty, tz)."""
 
 MOST_ERROR = 0.25
 """Largest ``initial_scale_std + 5 cross_talk_std`` (one axis and the five others) for which the matrices of
@@ -184,7 +184,7 @@ class ForceTorque:
         return np.stack([np.diag(part) for part in self.nominal_scale.reshape(self.sensors, AXES)])
 
     def _per_channel(self, force: float, torque: float) -> NDArray[np.float64]:
-        return np.tile(np.repeat([force, torque], 3), self.sensors)
+        return np.tile(per_axis(force, torque), self.sensors)
 
 
 class ForceTorqueState(NamedTuple):
@@ -192,8 +192,8 @@ class ForceTorqueState(NamedTuple):
 
     Attributes:
         error: E, relative errors of the scales on the diagonal and cross-talk in shares of the full scales
-            beside it (row: what reads, column: what is felt), shape (..., sensors, 6, 6).
-        offset: z in N and N m, shape (..., sensors, 6).
+            beside it (row: what reads, column: what is felt), shape (sensors, 6, 6).
+        offset: z in N and N m, shape (sensors, 6).
         wire: What is on the wire; ``()`` where nothing happens to codes.
     """
 
@@ -206,9 +206,9 @@ class ForceTorqueState(NamedTuple):
 def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     """Build six-axis sensors.
 
-    ``init(shape, rng)`` takes the shape of the readings, (..., 6 sensors). ``apply(wrench, state, rng, dt)``
-    takes true wrenches at the instant of reading in N and N m, at and in the sensors' frames, and returns
-    counts; both (..., 6 sensors).
+    ``init(shape, rng)`` takes the shape of the readings, (K,) with K = 6 sensors. ``apply(wrench, state, rng,
+    dt)`` takes true wrenches at the instant of reading in N and N m, at and in the sensors' frames, and
+    returns counts; both (K,).
 
     Args:
         config: The instrument.
@@ -225,20 +225,18 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     way = wire(config.wire, rated, (low, high), config.word_bits) if config.wire.acts else None
 
     def init(shape: tuple[int, ...], rng: Rng) -> ForceTorqueState:
-        if not shape or shape[-1] != config.channels:
-            raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
-        each = (*shape[:-1], config.sensors, AXES)
-        error, offset = normal(rng, (*each, AXES)), normal(rng, each)
-        brought = way.init(shape, rng) if way else ()
-        return ForceTorqueState(error * spread, offset * offset_std, brought)
+        check_channels(shape, config.channels)
+        error = spread * normal(rng, (config.sensors, AXES, AXES))
+        offset = offset_std * normal(rng, (config.sensors, AXES))
+        return ForceTorqueState(error, offset, way.init(shape, rng) if way else ())
 
     def apply(wrench: Array, state: ForceTorqueState, rng: Rng, dt: float) -> tuple[Array, ForceTorqueState]:
-        of_scale, of_offset, of_noise = normal(rng, (3, *state.offset.shape), before=1)
-        error = state.error + (scale_walk * dt**0.5) * of_scale[..., None] * eye
+        of_scale, of_offset, of_noise = normal(rng, (3, *state.offset.shape))
+        error = state.error + (scale_walk * dt**0.5) * of_scale[:, :, None] * eye
         offset = state.offset + dt**0.5 * offset_walk * of_offset
         true = wrench.reshape(offset.shape)
-        felt = true + (error * ratio * true[..., None, :]).sum(axis=-1) + offset
-        read = felt.reshape(wrench.shape) + of_noise.reshape(wrench.shape) * noise
+        felt = true + (error * ratio * true[:, None]).sum(axis=2) + offset
+        read = felt.ravel() + of_noise.ravel() * noise
         if converts:
             read = np.rint(limit(read * slope, low, high))
         brought = state.wire
@@ -253,8 +251,8 @@ def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Ar
     """Return the map that would undo the sensors' errors at this moment.
 
     Returns:
-        The matrix C in N and N m per count, shape (..., sensors, 6, 6), and the offset o in counts, shape
-        (..., sensors, 6): the true wrench is C (s - o).
+        The matrix C in N and N m per count, shape (sensors, 6, 6), and the offset o in counts, shape
+        (sensors, 6): the true wrench is C (s - o).
     """
     slope = config.slope[:AXES]
     return np.linalg.inv(np.eye(AXES) + state.error * full_scale_ratio(config)) / slope, state.offset * slope

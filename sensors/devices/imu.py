@@ -1,13 +1,12 @@
 """An accelerometer and a gyroscope in one chip: six channels (ax, ay, az, wx, wy, wz) in its own axes."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from surefoot.sensors.configuration import require, require_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import normal
 
 NO_STEP = 2.0**-60
@@ -78,10 +77,9 @@ class ImuState(NamedTuple):
     """An IMU in use.
 
     Attributes:
-        bias: (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (..., 6).
+        bias: (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (6,).
         matrix: What the accelerometers and the gyroscopes read of the three components (row: what reads,
-            column: what is felt), shape (..., 2, 3, 3), constant from power-up; ``()`` for axes that are
-            right.
+            column: what is felt), shape (2, 3, 3), constant from power-up; ``()`` for axes that are right.
     """
 
     bias: Array
@@ -98,14 +96,10 @@ def imu(config: Imu) -> Corruption[ImuState]:
 
     Angles are small: an axis tilted by e reads its own component in full and the share e of another.
 
-    Readings are specific force in m/s^2 and angular velocity in rad/s, shape (..., 6).
+    Readings are specific force in m/s^2 and angular velocity in rad/s, shape (6,).
     """
-    walk_and_noise = np.stack(
-        [
-            _pair(config.accelerometer_walk, config.gyroscope_walk),
-            _pair(config.accelerometer_noise, config.gyroscope_noise),
-        ]
-    )
+    walk = _pair(config.accelerometer_walk, config.gyroscope_walk)
+    noise = _pair(config.accelerometer_noise, config.gyroscope_noise)
     bias_std = _pair(config.accelerometer_bias_std, config.gyroscope_bias_std)
     resolution = _pair(config.accelerometer_resolution, config.gyroscope_resolution)
     rounds = bool(resolution.any())
@@ -117,24 +111,17 @@ def imu(config: Imu) -> Corruption[ImuState]:
     axes = np.eye(3)
     spread = scales * axes + config.misalignment_std * (1.0 - axes)
     skewed = bool(spread.any())
-    scaled = lru_cache(maxsize=16)(lambda dt: walk_and_noise * [[dt**0.5], [dt**-0.5]])
 
     def init(shape: tuple[int, ...], rng: Rng) -> ImuState:
-        drawn = normal(rng, shape)
-        bias = bias_std * drawn
-        if not skewed:
-            return ImuState(bias)
-        drawn = normal(rng, (*shape[:-1], 2, 3, 3))
-        return ImuState(bias, axes + spread * drawn)
+        check_channels(shape, 6)
+        bias = bias_std * normal(rng, shape)
+        return ImuState(bias, axes + spread * normal(rng, (2, 3, 3)) if skewed else ())
 
     def apply(reading: Array, state: ImuState, rng: Rng, dt: float) -> tuple[Array, ImuState]:
-        drawn = normal(rng, (*reading.shape[:-1], 2, 6)) * scaled(dt)
-        bias = state.bias + drawn[..., 0, :]
-        felt = reading
-        if skewed:
-            components = reading.reshape((*reading.shape[:-1], 2, 1, 3))
-            felt = (state.matrix * components).sum(axis=-1).reshape(reading.shape)
-        measured = felt + bias + drawn[..., 1, :]
+        of_walk, of_noise = normal(rng, (2, 6))
+        bias = state.bias + dt**0.5 * walk * of_walk
+        felt = (state.matrix * reading.reshape(2, 1, 3)).sum(axis=2).ravel() if skewed else reading
+        measured = felt + bias + dt**-0.5 * noise * of_noise
         if clips:
             measured = limit(measured, -highest, highest)
         if rounds:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.mechanics import CELLS_OF_A_FOOT, IDEAL, Mechanics
+from surefoot.sensors.transport.errors import CODINGS
 from surefoot.sensors.transport.wire import DIRECT, Wire
 
 
@@ -87,22 +88,12 @@ class LoadCells:
 
     def __post_init__(self) -> None:
         """Raise ValueError if a value is impossible."""
-        require(
-            isinstance(self.channels, int) and self.channels > 0,
-            self,
-            "channels",
-            "be a positive whole number",
-        )
+        require_whole(self, "channels", "settling")
         require_positive(self, "capacity", "rated_output", "excitation", "adc_gain")
         require(
             isinstance(self.adc_bits, int) and 0 <= self.adc_bits <= 32, self, "adc_bits", "lie in 0 to 32"
         )
-        require(
-            self.coding in ("offset-binary", "two's complement"),
-            self,
-            "coding",
-            "be 'offset-binary' or \"two's complement\"",
-        )
+        require(self.coding in CODINGS, self, "coding", f"be one of {CODINGS}")
         require(
             isinstance(self.polarity, tuple)
             and len(self.polarity) > 0
@@ -135,7 +126,6 @@ class LoadCells:
             "rate",
             "be None or (lowest, highest) with 0 < lowest <= highest",
         )
-        require_whole(self, "settling")
         require(isinstance(self.mechanics, Mechanics), self, "mechanics", "be a Mechanics")
         require(
             not self.mechanics.jumps or self.channels % CELLS_OF_A_FOOT == 0,

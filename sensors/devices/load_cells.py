@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain, device, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, chain, check_channels, device, limit
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import drift, offset, scale, scale_drift
@@ -34,32 +34,24 @@ from surefoot.sensors.stages.clock import (
     settle,
 )
 from surefoot.sensors.stages.converter import quantize, saturate, white_noise
-from surefoot.sensors.stages.mechanics import bent, mechanics, shifted_offset
+from surefoot.sensors.stages.mechanics import mechanics, shifted_offset
 from surefoot.sensors.stages.moving_average import moving_average
+from surefoot.sensors.stages.nonlinearity import bent
 from surefoot.sensors.stages.temperature import thermal_drift, warmed
 from surefoot.sensors.transport.wire import WireState, wire
-
-__all__ = [
-    "LoadCellState",
-    "LoadCells",
-    "load_cell_chain",
-    "load_cells",
-    "static_counts",
-    "true_map",
-]
 
 
 class LoadCellState(NamedTuple):
     """Load cells in use.
 
     Attributes:
-        period: Time between conversions in s, shape (..., K); constant from power-up.
-        due: Time to the next conversion in s, shape (..., K).
-        previous: Load at the end of the block before in N, shape (..., K).
-        held: The last conversion in counts, shape (..., K); NaN before the first.
-        error: What drifts, shape (2, ..., K): the relative error of the scale (row :data:`SCALE`), and the
+        period: Time between conversions in s, shape (K,); constant from power-up.
+        due: Time to the next conversion in s, shape (K,).
+        previous: Load at the end of the block before in N, shape (K,).
+        held: The last conversion in counts, shape (K,); NaN before the first.
+        error: What drifts, shape (2, K): the relative error of the scale (row :data:`SCALE`), and the
             offset of the bridge in N at the nominal scale (row :data:`OFFSET`).
-        thermal: For cells that warm up, shape (3, ..., K): what a kelvin adds to each of the two errors, in
+        thermal: For cells that warm up, shape (3, K): what a kelvin adds to each of the two errors, in
             1/K and N/K, and the rise of the temperature since power-up in K (row :data:`RISE`); empty, shape
             (0,), for others.
         window: For converters that average, their last conversions in N (see
@@ -116,9 +108,9 @@ def load_cell_chain(config: LoadCells) -> Corruption[Any]:
 def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """Build load cells with their stages fused, for speed.
 
-    ``init(shape, rng)`` takes the shape of the readings, (..., K). ``apply(block, state, rng, dt)`` takes
-    true loads in N at the ends of S equal substeps that fill dt, shape (..., S, K), and returns counts,
-    shape (..., K).
+    ``init(shape, rng)`` takes the shape of the readings, (K,). ``apply(block, state, rng, dt)`` takes
+    true loads in N at the ends of S equal substeps that fill dt, shape (S, K), and returns counts,
+    shape (K,).
 
     The spring elements are stepped once a block, at the load of its last conversion; the conversions before
     it, which the host never reads, leave no trace in them.
@@ -131,12 +123,14 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     """
     low, high = config.code_range
     zero_code, rate, clipped = config.zero_code, config.rate, config.adc_bits > 0
-    walks, noise = (config.scale_drift, config.offset_drift), config.noise_counts
-    drawn_per_step = sum(walk > 0.0 for walk in walks) + (noise > 0.0)
-    slope, both_walks = config.slope, np.array(walks)
-    initial_std = np.array([config.initial_scale_std, config.initial_offset_std])
+    noise = config.noise_counts
+    walks = np.array([[config.scale_drift], [config.offset_drift]])
+    walking = np.flatnonzero(walks > 0.0)
+    drawn_per_step = len(walking) + (noise > 0.0)
+    slope = config.slope
+    initial_std = np.array([[config.initial_scale_std], [config.initial_offset_std]])
     warms, ramp, rise = config.warms, config.temperature_ramp, config.temperature_rise
-    tempco_std = np.array([config.scale_tempco, config.offset_tempco])
+    tempco_std = np.array([[config.scale_tempco], [config.offset_tempco]])
     settling = config.settling
     average = moving_average(settling)
     element = mechanics(config.mechanics, config.capacity) if config.mechanics.acts else None
@@ -144,55 +138,44 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
     remembers = element is not None or settling > 1
 
     def init(shape: tuple[int, ...], rng: Rng) -> LoadCellState:
-        if not shape or shape[-1] != config.channels:
-            raise ValueError(f"The last axis must hold the {config.channels} channels, got shape {shape}.")
+        check_channels(shape, config.channels)
         nothing = np.zeros(shape)
         period, due = (nothing, nothing) if rate is None else init_clock(rate, shape, rng)
         window: Any = ()
-        if settling > 1 and rate is None:
-            window = average.init(shape, rng)
-        elif settling > 1:
-            window = init_window(settling, shape)
+        if settling > 1:
+            window = average.init(shape, rng) if rate is None else init_window(settling, shape)
         felt = element.init(shape, rng) if element else ()
         # In the order of the single stages: scale, offset, each with its coefficient in cells that warm up.
-        drawn = normal(rng, (4 if warms else 2, *shape), before=1)
-        rows = (2, *(1,) * len(shape))
-        error = drawn[:: 2 if warms else 1] * initial_std.reshape(rows)
-        thermal = np.zeros(0)
+        drawn = normal(rng, (4 if warms else 2, *shape))
+        error, thermal = drawn[:: 2 if warms else 1] * initial_std, np.zeros(0)
         if warms:
-            tempco = drawn[1::2] * tempco_std.reshape(rows)
-            thermal = np.concatenate([tempco, nothing[None]])
+            thermal = np.concatenate([drawn[1::2] * tempco_std, nothing[None]])
         brought = way.init(shape, rng) if way else ()
         return LoadCellState(
             period, due, nothing, np.full(shape, np.nan), error, thermal, window, felt, brought
         )
 
     def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
+        if block.ndim != 2 or block.shape[1] != config.channels:
+            raise ValueError(f"Loads must have the shape (S, {config.channels}), got {block.shape}.")
         period, due, previous, held, error, thermal, window, felt, brought = state
         if remembers:
             block = np.where(np.isfinite(block), block, np.nan)
-        load = last = block[..., -1, :] + 0.0
-        drawn = number = last
+        load = last = block[-1] + 0.0
+        converts: Any = True
         if rate is not None:
             number, at, due = latest_conversion(period, due, dt)
-            position = at * (block.shape[-2] / dt)
-            if remembers:
-                # A chip that finishes no conversion: its cell feels the load at the block's start.
-                position = np.maximum(position, 0.0)
-            load = interpolate(block, previous, position)
+            converts = number >= 0.0
+            # A chip that finishes no conversion: its cell feels the load at the block's start.
+            load = interpolate(block, previous, np.maximum(at * (len(block) / dt), 0.0))
             if remembers:
                 last = np.where(np.isnan(last), previous, last)
         if element:
             load, felt = element.apply(load, felt, rng, dt)
-        if drawn_per_step:
-            drawn = normal(rng, (drawn_per_step, *load.shape), before=1)
-        if all(walks):
-            error = error + drawn[:2] * (dt**0.5 * both_walks.reshape((2, *(1,) * load.ndim)))
-        elif any(walks):
-            only = SCALE if walks[SCALE] else OFFSET
-            rows = [error[SCALE], error[OFFSET]]
-            rows[only] = rows[only] + walks[only] * dt**0.5 * drawn[0]
-            error = np.stack(rows)
+        drawn = normal(rng, (drawn_per_step, *load.shape)) if drawn_per_step else np.zeros(0)
+        if len(walking):
+            error = error.copy()
+            error[walking] += dt**0.5 * walks[walking] * drawn[: len(walking)]
         if warms:
             tempco, before = thermal[:RISE], thermal[RISE]
             temperature = warmed(before, ramp, rise, dt)
@@ -202,16 +185,13 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         if settling > 1 and rate is None:
             bridge, window = average.apply(bridge, window, rng, dt)
         elif settling > 1 and rate is not None:
-            most = most_conversions(rate, dt)
-            bridge, window = settle(window, bridge, number, most)
+            bridge, window = settle(window, bridge, number, most_conversions(rate, dt))
         counts = bridge * slope + zero_code
         if noise:
             counts = counts + noise * drawn[-1]
         if clipped:
             counts = np.rint(limit(counts, low, high))
-        if rate is not None:
-            counts = np.where(number >= 0.0, counts, held)
-        held = counts
+        counts = held = np.where(converts, counts, held)
         if way:
             counts, brought = way.apply(counts, brought, rng, dt)
         return counts, LoadCellState(period, due, last, held, error, thermal, window, felt, brought)
@@ -227,11 +207,11 @@ def static_counts(
     Args:
         config: The instrument.
         state: Its state from ``load_cells(config).init((K,), rng)``; it is not changed.
-        load: True loads in N, shape (..., K).
+        load: True loads in N, one weighing, shape (K,), or several, (N, K).
         rng: Where the noise comes from.
 
     Returns:
-        Counts, shape (..., K).
+        Counts, of the same shape.
 
     >>> config = LoadCells(adc_bits=0, input_noise=0.0, initial_scale_std=0.0, initial_offset_std=0.0,
     ...                    polarity=(1,), channels=4)
@@ -245,9 +225,9 @@ def static_counts(
             f"'load' must hold {config.channels} cells on its last axis, got shape {load.shape}."
         )
     if state.mechanics:
-        load = bent(state.mechanics, load, config.capacity) + shifted_offset(
-            config.mechanics, state.mechanics
-        )
+        if state.mechanics.nonlinearity:
+            load = bent(load, state.mechanics.nonlinearity, config.capacity)
+        load = load + shifted_offset(config.mechanics, state.mechanics)
     counts: NDArray[np.float64] = config.zero_code + config.slope * (
         (1.0 + state.error[SCALE]) * load + state.error[OFFSET]
     )
@@ -264,7 +244,7 @@ def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     map of counts can undo, are left out.
 
     Returns:
-        Scale in N per count and offset in N, both (..., K): the true load is scale * counts + offset.
+        Scale in N per count and offset in N, both (K,): the true load is scale * counts + offset.
     """
     scale_true = 1.0 + state.error[SCALE]
     scale = 1.0 / (config.slope * scale_true)

@@ -57,8 +57,4 @@ def _constants(config: LoadCells) -> dict[str, Any]:
     }
 
 
-def _felt(config: LoadCells) -> int:
-    return config.channels
-
-
-CELLS = Kind("cells", load_cells, _constants, _felt, blocks=True)
+CELLS = Kind("cells", load_cells, _constants, blocks=True)

@@ -1,7 +1,7 @@
 """Devices of one robot by the library: the same states, the same counts, the same random numbers.
 
-The Python is the specification. It alone reads what is larger than the library's room, batches, and what
-draws from a generator of NumPy's.
+The Python is the specification. It alone reads what is larger than the library's room, and what draws from a
+generator of NumPy's.
 """
 
 from collections.abc import Callable
@@ -27,15 +27,19 @@ class Kind(NamedTuple):
         name: Its records are ``sf_<name>_config`` and ``sf_<name>``.
         build: Makes the Python of a configuration.
         constants: Returns what is in the first record of a configuration, by its names there.
-        felt: Returns how many loads one reads; its channels are ``config.channels``.
         blocks: Whether it reads blocks of substeps rather than an instant.
+        loads: How many loads it reads; ``None`` for as many as it has channels.
     """
 
     name: str
     build: Callable[[Any], Corruption[Any]]
     constants: Callable[[Any], dict[str, Any]]
-    felt: Callable[[Any], int]
-    blocks: bool
+    blocks: bool = False
+    loads: int | None = None
+
+    def felt(self, config: Any) -> int:
+        """Return how many loads a device of a configuration reads."""
+        return int(self.loads or config.channels)
 
 
 class NativeState:

@@ -66,8 +66,4 @@ def _constants(broken: Broken) -> dict[str, Any]:
     }
 
 
-def _counts(broken: Broken) -> int:
-    return broken.channels
-
-
-FAULTS = Kind("faults", _build, _constants, _counts, blocks=False)
+FAULTS = Kind("faults", _build, _constants)

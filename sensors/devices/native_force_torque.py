@@ -8,9 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.sensors.devices.force_torque import ForceTorque, force_torque, full_scale_ratio, per_axis
+from surefoot.sensors.devices.force_torque import (
+    AXES,
+    ForceTorque,
+    force_torque,
+    full_scale_ratio,
+    per_axis,
+)
 from surefoot.sensors.devices.native_device import Kind, wire_constants
-from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
+from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.devices.strain_gauges import SMALLEST_LOOP, gauge_map, lag, strain_gauges
 from surefoot.sensors.stages.hysteresis import halving_slacks
 
@@ -57,13 +63,5 @@ def _of_gauges(config: StrainGauges) -> dict[str, Any]:
     }
 
 
-def _axes(config: ForceTorque) -> int:
-    return config.channels
-
-
-def _wrench(config: StrainGauges) -> int:
-    return AXES
-
-
-FORCE_TORQUE = Kind("force_torque", force_torque, _of_sensors, _axes, blocks=False)
-STRAIN_GAUGES = Kind("strain_gauges", strain_gauges, _of_gauges, _wrench, blocks=False)
+FORCE_TORQUE = Kind("force_torque", force_torque, _of_sensors)
+STRAIN_GAUGES = Kind("strain_gauges", strain_gauges, _of_gauges, loads=AXES)

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.sensors.configuration import require, require_not_negative, require_positive
+from surefoot.sensors.configuration import is_whole, require, require_not_negative, require_positive
+from surefoot.sensors.devices.force_torque import AXES, per_axis
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.stages.creep import check_creep
 from surefoot.sensors.stages.nonlinearity import coupled_slope
-
-AXES = 6
-"""Components of a wrench, (fx, fy, fz, tx, ty, tz)."""
 
 Matrix = tuple[tuple[float, ...], ...]
 """Rows of a matrix; nested tuples, so that configurations compare, hash and travel through JSON."""
@@ -146,8 +144,7 @@ class StrainGauges:
         require_not_negative(self, *(name for name in self.__dataclass_fields__ if name not in others))
         for name in ("scale_error_std", "cross_talk_std"):
             require(getattr(self, name) <= 0.5, self, name, "be at most 0.5")
-        whole = isinstance(self.adc_bits, int) and not isinstance(self.adc_bits, bool)
-        possible = whole and (self.adc_bits == 0 or 2 <= self.adc_bits <= 32)
+        possible = is_whole(self.adc_bits) and (self.adc_bits == 0 or 2 <= self.adc_bits <= 32)
         require(possible, self, "adc_bits", "be 0 or lie in 2 to 32")
         require(self.hysteresis_of in ("load", "gauges"), self, "hysteresis_of", "be 'load' or 'gauges'")
         require(self.hysteresis <= 0.08, self, "hysteresis", "be at most 0.08")
@@ -196,7 +193,7 @@ class StrainGauges:
     @property
     def full_scale(self) -> NDArray[np.float64]:
         """Largest component along each axis in N and N m, shape (6,)."""
-        return np.repeat([self.full_scale_force, self.full_scale_torque], 3)
+        return per_axis(self.full_scale_force, self.full_scale_torque)
 
     @property
     def nominal_matrix(self) -> NDArray[np.float64]:

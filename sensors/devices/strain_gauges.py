@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
-from surefoot.sensors.devices.strain_gauge_config import AXES, StrainGauges
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
+from surefoot.sensors.devices.force_torque import AXES, per_axis
+from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.randomness import normal, uniform
 from surefoot.sensors.stages.creep import CreepState, creep
 from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
@@ -49,11 +50,11 @@ class StrainGaugeState(NamedTuple):
     """A sensor in use.
 
     Attributes:
-        response: A without the heat in counts per N and N m, shape (..., k, 6); constant from power-up.
-        tempco: What a kelvin adds to a gauge, shape (2, ..., k): to its scale, relative, in 1/K (row
+        response: A without the heat in counts per N and N m, shape (k, 6); constant from power-up.
+        tempco: What a kelvin adds to a gauge, shape (2, k): to its scale, relative, in 1/K (row
             :data:`SCALE`), and to its offset in counts/K (row :data:`OFFSET`); constant from power-up.
-        offset: o in counts, with drift and heat, shape (..., k).
-        temperature: Rise since power-up in K, shape (...).
+        offset: o in counts, with drift and heat, shape (k,).
+        temperature: Rise since power-up in K, shape ().
         creep: What the loads have left to creep.
         hysteresis: What the loads have left in the slacks.
         bend: A ``CoupledState``; ``()`` where the element is linear.
@@ -72,9 +73,9 @@ class StrainGaugeState(NamedTuple):
 def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     """Build a six-axis sensor of strain gauges.
 
-    ``init(shape, rng)`` takes the shape of the readings, (..., k). ``apply(wrench, state, rng, dt)`` takes
-    true wrenches at the instant of reading in N and N m, at and in the sensor's frame, shape (..., 6), and
-    returns counts, shape (..., k).
+    ``init(shape, rng)`` takes the shape of the readings, (k,). ``apply(wrench, state, rng, dt)`` takes
+    true wrenches at the instant of reading in N and N m, at and in the sensor's frame, shape (6,), and
+    returns counts, shape (k,).
 
     Args:
         config: The instrument.
@@ -103,39 +104,33 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
     bending = coupled_nonlinearity(config.nonlinearity, config.cross_nonlinearity, full_scale)
 
     def init(shape: tuple[int, ...], rng: Rng) -> StrainGaugeState:
-        if not shape or shape[-1] != k:
-            raise ValueError(f"The last axis must hold the {k} gauges, got shape {shape}.")
-        batch = shape[:-1]
-        drawn = normal(rng, (*batch, AXES, AXES))
-        grown = eye + drawn * change
+        check_channels(shape, k)
+        grown = eye + change * normal(rng, (AXES, AXES))
         for _ in range(DOUBLINGS):
             grown = grown @ grown
         offset = uniform(rng, -1.0, 1.0, shape) @ offset_map
-        heat = normal(rng, (2, *shape), before=1)
+        heat = normal(rng, (2, k))
         tempco = np.stack([config.scale_tempco * heat[0], heat[1] @ tempco_map])
         return StrainGaugeState(
             response @ grown,
             tempco,
             offset,
-            np.zeros(batch),
-            creeping.init((*batch, AXES), rng),
-            lagging.init((*batch, AXES if of_load else k), rng),
-            bending.init((*batch, AXES), rng) if bends else (),
+            np.zeros(()),
+            creeping.init((AXES,), rng),
+            lagging.init((AXES if of_load else k,), rng),
+            bending.init((AXES,), rng) if bends else (),
         )
 
     def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
-        if wrench.shape != (*state.offset.shape[:-1], AXES):
-            raise ValueError(
-                f"Wrenches of these sensors must have the shape {(*state.offset.shape[:-1], AXES)}, "
-                f"got {wrench.shape}."
-            )
+        if wrench.shape != (AXES,):
+            raise ValueError(f"A wrench must have the shape ({AXES},), got {wrench.shape}.")
         matrix, tempco, offset, before = state[:4]
         bent, bend = bending.apply(wrench, state.bend, rng, dt) if bends else (wrench, ())
         load, crept = creeping.apply(bent, state.creep, rng, dt)
         lagged = state.hysteresis
         if of_load:
             load, lagged = lagging.apply(load, lagged, rng, dt)
-        counts = (matrix @ load[..., None])[..., 0]
+        counts = matrix @ load
         if not of_load:
             counts, lagged = lagging.apply(counts, lagged, rng, dt)
         if walks:
@@ -144,8 +139,8 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         temperature = before
         if config.temperature_ramp:
             temperature = warmed(before, config.temperature_ramp, config.temperature_rise, dt)
-            offset = offset + tempco[OFFSET] * (temperature - before)[..., None]
-            counts = counts * (1.0 + tempco[SCALE] * temperature[..., None])
+            offset = offset + tempco[OFFSET] * (temperature - before)
+            counts = counts * (1.0 + tempco[SCALE] * temperature)
         counts = counts + offset
         if noisy:
             counts = counts + normal(rng, counts.shape) @ noise_map
@@ -154,34 +149,6 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         return counts, StrainGaugeState(matrix, tempco, offset, temperature, crept, lagged, bend)
 
     return Corruption(init, apply)
-
-
-def read_sequence(
-    config: StrainGauges, wrench: Array, state: StrainGaugeState, rng: Rng, dt: float
-) -> tuple[Array, StrainGaugeState, Array]:
-    """Return the readings of recorded wrenches, one after the other, as ``apply`` would make them.
-
-    Args:
-        config: The instrument.
-        wrench: True wrenches in N and N m, at and in the sensor's frame, shape (..., n, 6); the batch may be
-            narrower than the state's, so that many sensors feel the same recording.
-        state: The sensors before the first of them.
-        rng: Where noise and drift come from.
-        dt: Time between them in s.
-
-    Returns:
-        Counts, shape (..., n, k), the sensor after the last of them, and the rise of its temperature since
-        power-up in K at each of them, shape (..., n).
-    """
-    sensor = strain_gauges(config)
-    batch, count = state.offset.shape[:-1], wrench.shape[-2]
-    wrench = np.broadcast_to(wrench, (*batch, count, AXES))
-    counts = np.empty((*batch, count, config.channels))
-    temperature = np.empty((*batch, count))
-    for index in range(count):
-        counts[..., index, :], state = sensor.apply(wrench[..., index, :], state, rng, dt)
-        temperature[..., index] = state.temperature
-    return counts, state, temperature
 
 
 def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array, Array]:
@@ -193,11 +160,11 @@ def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array,
     ``config.hysteresis_true_torque``.
 
     Returns:
-        A in counts per N and N m, shape (..., k, 6), and o in counts, shape (..., k): the reading of w is
+        A in counts per N and N m, shape (k, 6), and o in counts, shape (k,): the reading of w is
         A w + o, and the map that undoes it w = A^+ (r - o).
     """
-    heated = 1.0 + state.tempco[SCALE] * state.temperature[..., None]
-    return state.response * heated[..., None], state.offset + 0.0
+    heated = 1.0 + state.tempco[SCALE] * state.temperature
+    return state.response * heated[:, None], state.offset + 0.0
 
 
 def shift_offset(
@@ -227,7 +194,7 @@ def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     Returns:
         The largest amplitudes in N and N m or in counts, and those that read true in shares of them.
     """
-    true = np.repeat([config.hysteresis_true_force, config.hysteresis_true_torque], 3)
+    true = per_axis(config.hysteresis_true_force, config.hysteresis_true_torque)
     felt = np.eye(AXES) if config.hysteresis_of == "load" else np.abs(config.nominal_response)
     most = (felt * config.full_scale).max(axis=1)
     return most, (felt * true).max(axis=1) / most
@@ -236,7 +203,7 @@ def lag(config: StrainGauges) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 def gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
     """Return what turns k unit errors into counts that C_0 shows as that force and torque, shape (k, k)."""
     response = config.nominal_response
-    image: NDArray[np.float64] = response * np.repeat([force, torque], 3)
+    image: NDArray[np.float64] = response * per_axis(force, torque)
     if config.channels == AXES:
         return image
     # Beyond what a wrench can cause: as much as there is on average within it.

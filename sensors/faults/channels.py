@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import is_whole, require, require_not_negative, require_positive
-from surefoot.sensors.corruption import Array, Corruption, Rng, device, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import uniform
 
 KINDS = ("dead", "stuck", "saturated", "spiking", "dropped", "swapped", "flipped")
@@ -110,10 +110,10 @@ class FaultState(NamedTuple):
     """Channels with faults.
 
     Attributes:
-        time: Time of the last reading in s, shape (..., 1).
-        held: For each of F faults the last reading of its channel before it in counts, shape (..., F); NaN
-            before there was any.
-        lost: For each of them 1 within a gap and 0 elsewhere, shape (..., F).
+        time: Time of the last reading in s, shape (1,).
+        held: For each of F faults the last reading of its channel before it in counts, shape (F,); NaN before
+            there was any.
+        lost: For each of them 1 within a gap and 0 elsewhere, shape (F,).
     """
 
     time: Array
@@ -125,7 +125,7 @@ class FaultState(NamedTuple):
 def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[FaultState]:
     """Build faults of single channels, for a stream of counts.
 
-    ``init(shape, rng)`` takes the shape of the readings, (..., K), and starts the clock at 0 s: the first
+    ``init(shape, rng)`` takes the shape of the readings, (K,), and starts the clock at 0 s: the first
     reading is that of the time ``dt``. Whether a fault is active or not, it draws the same random numbers.
 
     Args:
@@ -141,40 +141,33 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
     chance = [index for index, fault in enumerate(faults) if fault.kind in ("spiking", "dropped")]
 
     def init(shape: tuple[int, ...], rng: Rng) -> FaultState:
-        if not shape or shape[-1] != len(channels):
-            raise ValueError(f"The last axis must hold the {len(channels)} channels, got shape {shape}.")
-        flags = (*shape[:-1], len(faults))
-        return FaultState(np.zeros((*shape[:-1], 1)), np.full(flags, np.nan), np.zeros(flags))
+        check_channels(shape, len(channels))
+        return FaultState(np.zeros(1), np.full(len(faults), np.nan), np.zeros(len(faults)))
 
     def apply(reading: Array, state: FaultState, rng: Rng, dt: float) -> tuple[Array, FaultState]:
-        time = state.time + dt
-        now, counts = time[..., 0], reading + 0.0
-        shape = (len(chance), 2, *counts.shape[:-1])
-        drawn = uniform(rng, 0.0, 1.0, shape, before=2) if chance else ()
+        now, counts = float(state.time[0] + dt), reading + 0.0
+        held, lost = state.held.copy(), np.zeros(len(faults))
+        drawn = uniform(rng, 0.0, 1.0, (len(chance), 2)) if chance else ()
         draws = dict(zip(chance, drawn, strict=True))
-        held_next, lost_next = [], []
         for index, fault in enumerate(faults):
-            active = now >= fault.start - ROUNDING
-            if fault.stop is not None:
-                active = active & (now < fault.stop - ROUNDING)
-            code, kept, gap = counts[..., fault.channel], state.held[..., index], state.lost[..., index]
-            kept = np.where((active & ~np.isnan(kept)) | np.isnan(code), kept, code)
-            held_next.append(kept)
-            if fault.kind == "swapped":
-                counts = _swapped(counts, fault, active)
-            else:
-                if fault.kind == "dropped":
-                    gap = _gap(fault, gap, draws[index][0], dt)
-                    wrong = np.where(gap > 0.5, np.nan, code)
-                elif fault.kind == "stuck":
-                    wrong = kept
-                else:
-                    wrong = _misread(fault, channels[fault.channel], code, draws.get(index), dt)
-                counts[..., fault.channel] = np.where(active, wrong, code)
-            lost_next.append(np.where(active, gap, 0.0))
-        if not faults:
-            return counts, FaultState(time, state.held, state.lost)
-        return counts, FaultState(time, np.stack(held_next, axis=-1), np.stack(lost_next, axis=-1))
+            k, code = fault.channel, counts[fault.channel]
+            stops = np.inf if fault.stop is None else fault.stop
+            active = fault.start - ROUNDING <= now < stops - ROUNDING
+            if not (np.isnan(code) or (active and not np.isnan(held[index]))):
+                held[index] = code
+            if not active:
+                continue
+            match fault.kind:
+                case "swapped":
+                    counts[k], counts[fault.other] = counts[fault.other], code
+                case "stuck":
+                    counts[k] = held[index]
+                case "dropped":
+                    lost[index] = _gap(fault, state.lost[index], draws[index][0], dt)
+                    counts[k] = np.nan if lost[index] else code
+                case _:
+                    counts[k] = _misread(fault, channels[k], code, draws.get(index), dt)
+        return counts, FaultState(np.array([now]), held, lost)
 
     return Corruption(init, apply)
 
@@ -237,9 +230,9 @@ class Channel(NamedTuple):
     high: float
     rounds: bool
 
-    def clip(self, code: Array) -> Array:
+    def clip(self, code: float) -> float:
         """Return a code that a converter can put out."""
-        return limit(code, self.low, self.high)
+        return float(limit(code, self.low, self.high))
 
     def saturated(self, level: float | None) -> tuple[float, float]:
         """Return the lowest and the highest code that is left; without a level both are the rail."""
@@ -260,37 +253,29 @@ def channels_of(config: Converter) -> list[Channel]:
     return [Channel(k, unloaded, low, high, rounds) for k, unloaded, low, high in columns.tolist()]
 
 
-def _misread(fault: Fault, channel: Channel, code: Array, draws: Any, dt: float) -> Array:
+def _misread(fault: Fault, channel: Channel, code: float, draws: Any, dt: float) -> float:
     """Return what a faulty channel reads by its own code and by chance; a code that never came stays NaN."""
     match fault.kind:
         case "dead":
             return code * 0.0 + channel.unloaded
         case "saturated":
-            return limit(code, *channel.saturated(fault.level))
+            return float(limit(code, *channel.saturated(fault.level)))
         case "spiking":
-            hit = draws[0] < 1.0 - np.exp(-fault.rate * dt)
-            jump = code * 0.0 + np.where(draws[1] < 0.5, -1.0, 1.0)
+            if draws[0] >= 1.0 - np.exp(-fault.rate * dt):
+                return code
+            jump = code * 0.0 + (-1.0 if draws[1] < 0.5 else 1.0)
             off = channel.clip(code + jump * (abs(channel.slope) * fault.size))
-            return np.where(hit, np.rint(off) if channel.rounds else off, code)
+            return float(np.rint(off)) if channel.rounds else off
     return channel.clip(2.0 * channel.unloaded - code)  # flipped
 
 
-def _gap(fault: Fault, gap: Array, drawn: Array, dt: float) -> Array:
+def _gap(fault: Fault, gap: float, drawn: float, dt: float) -> bool:
     """Return whether a reading is in a gap, by one step of a chain with two states."""
     if fault.burst == 0.0 or fault.probability == 1.0:
-        return (drawn < fault.probability).astype(np.float64)
+        return drawn < fault.probability
     leave = 1.0 - np.exp(-dt / fault.burst)
     enter = min(leave * fault.probability / (1.0 - fault.probability), 1.0)
-    lost: Array = np.where(gap > 0.5, drawn >= leave, drawn < enter).astype(np.float64)
-    return lost
-
-
-def _swapped(counts: Array, fault: Fault, active: NDArray[np.bool_]) -> Array:
-    """Return counts with two channels exchanged where the fault is active."""
-    order = list(range(counts.shape[-1]))
-    assert fault.other is not None
-    order[fault.channel], order[fault.other] = fault.other, fault.channel
-    return np.where(active[..., None], counts[..., order], counts)
+    return bool(drawn >= leave if gap else drawn < enter)
 
 
 def _check(faults: tuple[Fault, ...], channels: list[Channel]) -> None:

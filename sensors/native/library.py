@@ -5,8 +5,6 @@ from pathlib import Path
 
 from surefoot.native import ADDRESS, Library, Native, Sources
 
-_SIZE = ctypes.c_size_t
-
 _DEVICES = ("cells", "force_torque", "strain_gauges", "faults")
 """What loads go into, or counts as they were, and counts come out of."""
 
@@ -14,7 +12,7 @@ NATIVE = Native(
     Sources(Path(__file__).parent),
     {
         "surefoot_philox": (None, (ADDRESS, ADDRESS, ADDRESS)),
-        "surefoot_draw": (None, (ADDRESS, ADDRESS, _SIZE, _SIZE, _SIZE, ctypes.c_int, ADDRESS)),
+        "surefoot_draw": (None, (ADDRESS, ctypes.c_int, ctypes.c_int, ADDRESS)),
         **{f"surefoot_{device}_fits": (ctypes.c_int, (ADDRESS,)) for device in _DEVICES},
         **{
             f"surefoot_{device}_step": (None, (*(ADDRESS,) * 4, ctypes.c_int, ctypes.c_double, ADDRESS))

@@ -32,7 +32,7 @@ class WalkState(NamedTuple):
     """Where a random walk stands.
 
     Attributes:
-        error: One number a channel, shape (..., K).
+        error: One number a channel, shape (K,).
     """
 
     error: Array

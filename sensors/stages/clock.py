@@ -4,11 +4,9 @@ Each chip's oscillator is off by some percent and starts at a random phase. The 
 conversion: sometimes the same one twice, sometimes one is skipped, and every reading is up to a period old.
 """
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.sensors.configuration import check_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng, chain, limit
@@ -19,13 +17,13 @@ class ClockState(NamedTuple):
     """The clocks of K chips and what they last put out.
 
     Attributes:
-        period: Time between conversions in s, shape (..., K); constant from power-up.
-        due: Time from now to the next conversion in s, shape (..., K).
-        previous: The signal at the end of the block before, shape (..., K).
-        held: The last finished conversion, shape (..., K); NaN before the first.
+        period: Time between conversions in s, shape (K,); constant from power-up.
+        due: Time from now to the next conversion in s, shape (K,).
+        previous: The signal at the end of the block before, shape (K,).
+        held: The last finished conversion, shape (K,); NaN before the first.
         inner: State of what happens to a signal when it is converted.
-        window: The last conversions (see :func:`settle`), shape (settling, ..., K); ``()`` for a chip that
-            settles at once.
+        window: The last conversions (see :func:`settle`), shape (settling, K); ``()`` for a chip that settles
+            at once.
         converter: State of what happens to their mean.
     """
 
@@ -50,7 +48,7 @@ def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Arra
     Returns:
         How many conversions follow the first one in the block, -1 where there is none; the time of the last
         one since the start of the block in s, negative where there is none; and the time from the end of the
-        block to the next one; each (..., K).
+        block to the next one; each (K,).
     """
     number = np.floor((dt - due) / period)
     at = due + number * period
@@ -61,36 +59,19 @@ def interpolate(block: Array, previous: Array, position: Array) -> Array:
     """Return a signal between the substeps of a block, by linear interpolation.
 
     Args:
-        block: Signals at the ends of S substeps, shape (..., S, K).
-        previous: Signals at the block's start, shape (..., K).
-        position: Where to read, from 0 (the start) to S (the last row), shape (..., K); outside of it the
-            result has no meaning.
+        block: Signals at the ends of S substeps, shape (S, K).
+        previous: Signals at the block's start, shape (K,).
+        position: Where to read, from 0 (the start) to S (the last row), shape (K,).
 
     Returns:
-        Signals, shape (..., K).
+        Signals, shape (K,).
     """
-    substeps = block.shape[-2]
-    if substeps == 1:
-        return previous + position * (block[..., 0, :] - previous)
-    if block.ndim == 2:
-        channels = block.shape[1]
-        rows = np.empty((substeps + 1, channels))
-        rows[0], rows[1:] = previous, block
-        low = np.minimum(position.astype(np.intp), substeps - 1)
-        index = low * channels + _channel_numbers(channels)
-        # A position before the start wraps around within the block: the reading is not used.
-        start, end = rows.take(index, mode="wrap"), rows.take(index + channels, mode="wrap")
-        between: Array = start + (position - low) * (end - start)
-        return between
-    rows = np.concatenate([previous[..., None, :], block], axis=-2)
-    weight = 1.0 - np.abs(position[..., None, :] - np.arange(substeps + 1.0)[:, None])
-    weighted: Array = (limit(weight, 0.0, 1.0) * rows).sum(axis=-2)
-    return weighted
-
-
-@cache
-def _channel_numbers(channels: int) -> NDArray[np.intp]:
-    return np.arange(channels)
+    rows = np.concatenate([previous[None], block])
+    low = np.minimum(position.astype(np.intp), len(block) - 1)
+    channels = np.arange(len(low))
+    start, end = rows[low, channels], rows[low + 1, channels]
+    between: Array = start + (position - low) * (end - start)
+    return between
 
 
 def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Array, Array]:
@@ -101,14 +82,14 @@ def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Arra
     the window the one before stands in its place.
 
     Args:
-        window: The last n conversions, shape (n, ..., K): the newest one's signal, NaN before the first, and
-            how far each before it lies above it, zero before the first.
-        signal: The signal at the last conversion of the block, shape (..., K).
-        number: How many follow the first one in the block, -1 where there is none, shape (..., K).
+        window: The last n conversions, shape (n, K): the newest one's signal, NaN before the first, and how
+            far each before it lies above it, zero before the first.
+        signal: The signal at the last conversion of the block, shape (K,).
+        number: How many follow the first one in the block, -1 where there is none, shape (K,).
         most: Largest number of conversions that a block of this length can have.
 
     Returns:
-        The mean, shape (..., K), and the window after the block.
+        The mean, shape (K,), and the window after the block.
     """
     length = len(window)
     before, *lags = window
@@ -119,13 +100,8 @@ def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Arra
     for push in range(min(most, length - 1)):
         # 1 where there was another conversion, which goes in front, and 0 elsewhere.
         another = limit(came - float(push), 0.0, 1.0)
-        moved = []
-        for lag, new in zip(lags, [step, *(lag + step for lag in lags[:-1])], strict=True):
-            change = new - lag
-            change *= another
-            change += lag
-            moved.append(change)
-        lags = moved
+        pushed = [step, *(lag + step for lag in lags[:-1])]
+        lags = [lag + another * (new - lag) for lag, new in zip(lags, pushed, strict=True)]
     mean = np.where(sound, signal + sum(lags[1:], lags[0]) / length, np.nan)
     return mean, np.stack([signal, *lags])
 
@@ -153,7 +129,7 @@ def sample_and_hold(
     """Convert a signal by unsynchronised chips and hold each conversion until the next.
 
     The reading handed to ``apply`` is a *block*: the signal at the ends of S equal substeps that fill
-    dt, shape (..., S, K). The result has shape (..., K). Between substeps the signal is interpolated.
+    dt, shape (S, K). The result has shape (K,). Between substeps the signal is interpolated.
 
     Args:
         inner: What happens to the signal at a conversion, such as noise and rounding. It is stepped
@@ -186,15 +162,14 @@ def sample_and_hold(
     def apply(block: Array, state: ClockState, rng: Rng, dt: float) -> tuple[Array, ClockState]:
         period, due, previous, held = state[:4]
         number, at, due = latest_conversion(period, due, dt)
-        position = np.maximum(at * (block.shape[-2] / dt), 0.0)
+        position = np.maximum(at * (len(block) / dt), 0.0)
         signal, inner_state = inner.apply(interpolate(block, previous, position), state.inner, rng, dt)
         window = state.window
         if settling > 1:
-            most = most_conversions(rate, dt)
-            signal, window = settle(window, signal, number, most)
+            signal, window = settle(window, signal, number, most_conversions(rate, dt))
         converted, converter_state = converter.apply(signal, state.converter, rng, dt)
         held = np.where(number >= 0.0, converted, held)
-        last = block[..., -1, :] + 0.0
+        last = block[-1] + 0.0
         return held, ClockState(period, due, last, held, inner_state, window, converter_state)
 
     return Corruption(init, apply)

@@ -24,7 +24,7 @@ class CreepState(NamedTuple):
 
     Attributes:
         yielded: The loads that each exponential has followed so far, in the unit of the readings, shape
-            (J, ..., K).
+            (J, K).
     """
 
     yielded: Array

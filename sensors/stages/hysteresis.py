@@ -33,8 +33,8 @@ class HysteresisState(NamedTuple):
     """What a spring element remembers of its loads.
 
     Attributes:
-        plays: Where each slack stands in shares of the full scale, the widest first, shape (P, ..., K); zero
-            for an element that was never loaded. No plays, P = 0, where there is no hysteresis.
+        plays: Where each slack stands in shares of the full scale, the widest first, shape (P, K); zero for
+            an element that was never loaded. No plays, P = 0, where there is no hysteresis.
     """
 
     plays: Array
@@ -91,7 +91,7 @@ def hysteresis(
         if not np.all((value > 0.0) & (value <= 1.0)):
             raise ValueError(f"'{name}' must lie in (0, 1], shares of the full scale, got {value}.")
     thresholds, excess = halving_slacks(share, smallest, true)
-    count = len(thresholds)
+    count, slacks = len(thresholds), thresholds[:, None]
     if (most := float(excess.max())) >= 1.0:
         raise ValueError(
             f"'share' must be below {share / most:.3g}, or readings would fall while a small load grows; "
@@ -107,7 +107,6 @@ def hysteresis(
         plays = state.plays
         # The smallest play lies within the slack of all others: fed to them, it moves none.
         load = np.where(np.isfinite(reading), reading / scales, plays[-1])
-        slacks = thresholds.reshape((count, *(1,) * reading.ndim))
         plays = np.maximum(load - slacks, np.minimum(load + slacks, plays))
         bent = share * (plays.sum(axis=0) + plays[-1]) - excess * load
         return reading + scales * bent, HysteresisState(plays)

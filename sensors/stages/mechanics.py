@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive
-from surefoot.sensors.corruption import Array, Corruption, Rng, limit
+from surefoot.sensors.corruption import Array, Corruption, Rng, parts
 from surefoot.sensors.stages.creep import check_creep, creep
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mounting import WARP, mounting
@@ -117,7 +117,7 @@ class MechanicsState(NamedTuple):
 
 
 def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
-    """Build the spring elements of cells; readings are loads in N, shape (..., K).
+    """Build the spring elements of cells; readings are loads in N, shape (K,).
 
     A load that is not finite, as of a simulation that blew up, comes out as NaN and leaves no trace.
 
@@ -145,35 +145,19 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
         )
     if config.overload_share:
         on["overload"] = overload(config.overload_share, config.safe_overload * capacity)
-    off = MechanicsState(*((),) * len(MechanicsState._fields))
-
-    def init(shape: tuple[int, ...], rng: Rng) -> MechanicsState:
-        return off._replace(**{name: stage.init(shape, rng) for name, stage in on.items()})
+    elements = parts(MechanicsState, on)
 
     def apply(load: Array, state: MechanicsState, rng: Rng, dt: float) -> tuple[Array, MechanicsState]:
-        after = {}
-        load = np.where(np.isfinite(load), load, np.nan)
-        for name, stage in on.items():
-            load, after[name] = stage.apply(load, getattr(state, name), rng, dt)
-        return load, off._replace(**after)
+        return elements.apply(np.where(np.isfinite(load), load, np.nan), state, rng, dt)
 
-    return Corruption(init, apply)
+    return Corruption(elements.init, apply)
 
 
 def shifted_offset(config: Mechanics, state: MechanicsState) -> Array | float:
-    """Return what impacts and overloads have done to the offsets in N, shape (..., K); 0.0 without."""
+    """Return what impacts and overloads have done to the offsets in N, shape (K,); 0.0 without."""
     offset: Array | float = 0.0
     if state.mounting:
         offset = offset + state.mounting.offset
     if state.overload:
         offset = offset + config.overload_share * (state.overload.excess[0] + state.overload.excess[1])
     return offset
-
-
-def bent(state: MechanicsState, load: Array, capacity: float) -> Array:
-    """Return what cells at rest make of loads by their nonlinearity alone; both in N, shape (..., K)."""
-    if not state.nonlinearity:
-        return load
-    u = limit(load / capacity, -1.0, 1.0)
-    read: Array = load + 4.0 * capacity * state.nonlinearity.quadratic * u * (1.0 - u)
-    return read

@@ -20,7 +20,6 @@ import numpy as np
 from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal
-from surefoot.sensors.rare import change_rows
 
 WARP = (1, -1, -1, 1)
 """Signs of the warp for (front-left, front-right, rear-left, rear-right)."""
@@ -30,9 +29,9 @@ class MountingState(NamedTuple):
     """The mounting of F feet of C cells.
 
     Attributes:
-        offset: What impacts have done to each offset, in the unit of the readings, shape (..., F * C).
-        load: Each foot's load at the last reading, shape (..., F); NaN before the first.
-        impact: For each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (..., F).
+        offset: What impacts have done to each offset, in the unit of the readings, shape (F * C,).
+        load: Each foot's load at the last reading, shape (F,); NaN before the first.
+        impact: For each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (F,).
     """
 
     offset: Array
@@ -63,35 +62,24 @@ def mounting(
     cells = len(warp)
     if not cells or any(sign not in (-1, 1) for sign in warp):
         raise ValueError(f"'warp' must hold +1 or -1 for each cell of a foot, got {tuple(warp)}.")
-    modes = warp_std * np.array(warp), np.full(cells, common_std)
-    moving = [mode for mode in modes if mode.any()]
+    modes = [mode for mode in (warp_std * np.array(warp), np.full(cells, common_std)) if mode.any()]
 
     def init(shape: tuple[int, ...], rng: Rng) -> MountingState:
-        if not shape or shape[-1] % cells:
-            raise ValueError(f"The last axis must hold whole feet of {cells} cells, got shape {shape}.")
-        feet = (*shape[:-1], shape[-1] // cells)
-        return MountingState(
-            np.zeros(shape),
-            np.full(feet, np.nan),
-            np.zeros(feet),
-        )
+        if len(shape) != 1 or shape[0] % cells:
+            raise ValueError(f"A reading must hold whole feet of {cells} cells, got shape {shape}.")
+        feet = shape[0] // cells
+        return MountingState(np.zeros(shape), np.full(feet, np.nan), np.zeros(feet))
 
     def apply(reading: Array, state: MountingState, rng: Rng, dt: float) -> tuple[Array, MountingState]:
         offset, before, impact = state
-        by_foot = reading.reshape((*before.shape, cells))
-        # Added up one by one: NumPy is slow at short sums.
-        load = sum((by_foot[..., cell] for cell in range(1, cells)), by_foot[..., 0])
+        load = reading.reshape(-1, cells).sum(axis=1)
         lost = ~np.isfinite(load)
         # Neither the first reading nor one without a value is compared: NaN exceeds nothing.
         hit = (np.abs(load - before) > threshold) & ~lost
         start = hit & (impact < 0.5)
-
-        def jump(few: Array) -> Array:
-            one, *others = (normal(rng, (*few.shape[:-1], 1)) * mode for mode in moving)
-            return few + sum(others, one)
-
-        if moving:
-            offset = change_rows(offset, start, jump, rng)
+        if modes:
+            jump = sum((normal(rng, (len(load), 1)) * mode for mode in modes), np.zeros(cells))
+            offset = np.where(np.repeat(start, cells), offset + jump.ravel(), offset)
         load = np.where(lost, before, load)
         return reading + offset, MountingState(offset, load, hit.astype(np.float64))
 

@@ -25,8 +25,8 @@ class MovingAverageState(NamedTuple):
     """What a filter remembers.
 
     Attributes:
-        window: The readings before, the oldest first, shape (L, ..., K) with L = m (n - 1); NaN before the
-            first, which then counts as having been there for ever.
+        window: The readings before, the oldest first, shape (L, K) with L = m (n - 1); NaN before the first,
+            which then counts as having been there for ever.
     """
 
     window: Array
@@ -41,9 +41,9 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
     Args:
         count: Over how many readings n; 1 changes nothing.
         order: How many times m.
-        blocks: Whether a reading is a block of substeps, shape (..., S, K), as a stage with a clock takes
-            it: each substep is filtered and the result is a block again, so that the filter can stand before
-            load cells or :mod:`~surefoot.sensors.stages.clock`.
+        blocks: Whether a reading is a block of substeps, shape (S, K), as a stage with a clock takes it:
+            each substep is filtered and the result is a block again, so that the filter can stand before load
+            cells or :mod:`~surefoot.sensors.stages.clock`.
 
     Raises:
         ValueError: If a number is not a positive whole one.
@@ -72,18 +72,18 @@ def moving_average(count: int, order: int = 1, *, blocks: bool = False) -> Corru
     ) -> tuple[Array, MovingAverageState]:
         if not length:
             return reading + 0.0, state
-        block = np.moveaxis(reading, -2, 0) if blocks else reading[None]
+        block = reading if blocks else reading[None]
         window, came = state.window, np.isfinite(block)
         if not came.all():
             block = _filled_up(block, came, window[-1])
         rows = np.concatenate([np.where(np.isnan(window), block[:1], window), block])
         # The kernel is its own mirror image: the oldest row comes first either way.
-        averaged = weights[0] * rows[: block.shape[0]]
+        averaged = weights[0] * rows[: len(block)]
         for number, weight in enumerate(weights[1:], start=1):
-            averaged = averaged + weight * rows[number : number + block.shape[0]]
+            averaged = averaged + weight * rows[number : number + len(block)]
         averaged = np.where(came, averaged, np.nan)
-        kept = MovingAverageState(rows[block.shape[0] :])
-        return (np.moveaxis(averaged, 0, -2) if blocks else averaged[0]), kept
+        kept = MovingAverageState(rows[len(block) :])
+        return (averaged if blocks else averaged[0]), kept
 
     return Corruption(init, apply)
 

@@ -74,8 +74,7 @@ class NonlinearityState(NamedTuple):
     """Nonlinearity of the channels.
 
     Attributes:
-        quadratic: Departure at half of the full scale in shares of it, shape (..., K); constant from
-            power-up.
+        quadratic: Departure at half of the full scale in shares of it, shape (K,); constant from power-up.
     """
 
     quadratic: Array
@@ -102,19 +101,25 @@ def drawn_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonline
     def apply(
         reading: Array, state: NonlinearityState, rng: Rng, dt: float
     ) -> tuple[Array, NonlinearityState]:
-        u = limit(reading / scale, -1.0, 1.0)
-        return reading + (4.0 * state.quadratic * scale) * (u - u * u), state
+        return bent(reading, state, scale), state
 
     return Corruption(init, apply)
+
+
+def bent(reading: Array, state: NonlinearityState, full_scale: Array | float) -> Array:
+    """Return what :func:`drawn_nonlinearity` makes of readings, shape (K,) or (N, K)."""
+    u = limit(reading / full_scale, -1.0, 1.0)
+    off: Array = (4.0 * state.quadratic * full_scale) * (u - u * u)
+    return reading + off
 
 
 class CoupledState(NamedTuple):
     """Nonlinearity of axes that feel each other; constant from power-up.
 
     Attributes:
-        cubic: Departure of each axis at 0.577 of its full scale in shares of it, shape (..., K).
+        cubic: Departure of each axis at 0.577 of its full scale in shares of it, shape (K,).
         cross: Departure of each axis where two others are at their full scales, in shares of its own, shape
-            (..., K, K, K); zero but for j < k.
+            (K, K, K); zero but for j < k.
     """
 
     cubic: Array
@@ -160,8 +165,7 @@ def coupled_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> C
 
     def apply(reading: Array, state: CoupledState, rng: Rng, dt: float) -> tuple[Array, CoupledState]:
         u = limit(reading / scale, -1.0, 1.0)
-        products = ((state.cross @ u[..., None, :, None])[..., 0] @ u[..., None])[..., 0]
-        off = CUBIC_PEAK * state.cubic * (u - u * u * u) + products
+        off = CUBIC_PEAK * state.cubic * (u - u * u * u) + state.cross @ u @ u
         return reading + scale * off, state
 
     return Corruption(init, apply)

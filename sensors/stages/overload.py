@@ -25,7 +25,7 @@ class OverloadState(NamedTuple):
 
     Attributes:
         excess: Largest excess so far of pressing (positive) and of pulling (negative) loads over the safe
-            ones in the unit of the readings, shape (2, ..., K).
+            ones in the unit of the readings, shape (2, K).
     """
 
     excess: Array
@@ -57,16 +57,12 @@ def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
         raise ValueError(f"'share' must be at most 1, got {share}.")
     if not np.all((limits > 0.0) & np.isfinite(limits)):
         raise ValueError(f"'safe' must be finite and positive, got {safe!r}.")
-    smallest = float(limits.min())
 
     def init(shape: tuple[int, ...], rng: Rng) -> OverloadState:
         return OverloadState(np.zeros((2, *shape)))
 
     def apply(reading: Array, state: OverloadState, rng: Rng, dt: float) -> tuple[Array, OverloadState]:
         highest, lowest = state.excess
-        # Overloads are rare: skip the rest if there is none.
-        if np.abs(reading).max() <= smallest:
-            return reading + share * (highest + lowest), state
         excess = reading - limit(reading, -limits, limits)
         # What is not finite is neither more nor less.
         excess = np.where(np.isfinite(excess), excess, 0.0)

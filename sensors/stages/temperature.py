@@ -20,9 +20,9 @@ class ThermalState(NamedTuple):
     """A channel that drifts and warms up.
 
     Attributes:
-        error: Its error now, shape (..., K).
-        tempco: What a kelvin adds to it, shape (..., K); constant from power-up.
-        temperature: Rise since power-up in K, shape (..., K).
+        error: Its error now, shape (K,).
+        tempco: What a kelvin adds to it, shape (K,); constant from power-up.
+        temperature: Rise since power-up in K, shape (K,).
     """
 
     error: Array

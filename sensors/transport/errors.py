@@ -40,7 +40,6 @@ from numpy.typing import ArrayLike
 from surefoot.sensors.configuration import check_not_negative, is_whole
 from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import normal, uniform
-from surefoot.sensors.rare import RARE, change_at_random, replace_where
 
 CODINGS = ("offset-binary", "two's complement")
 """How a word stands for a number; the names of :class:`~surefoot.sensors.LoadCells`."""
@@ -50,17 +49,17 @@ class RepeatState(NamedTuple):
     """What a reader returned last.
 
     Attributes:
-        held: Shape (..., K); NaN before the first.
+        held: Shape (K,); NaN before the first.
     """
 
     held: Array
 
 
 class GapState(NamedTuple):
-    """Whether links are up.
+    """Whether the link is up.
 
     Attributes:
-        lost: 1 within a gap and 0 elsewhere, shape (..., 1); (..., K) for channels with a link each.
+        lost: 1 within a gap and 0 elsewhere, shape (1,); (K,) for channels with a link each.
     """
 
     lost: Array
@@ -86,11 +85,11 @@ def spikes(
         raise ValueError(f"'size' must be finite and not negative, got {size!r}.")
 
     def add(reading: Array, rng: Rng, dt: float) -> Array:
-        def spike(few: Array, spread: Array, *ends: Array) -> Array:
-            off = few + spread * normal(rng, few.shape)
-            return np.rint(limit(off, *ends)) if ends else off
-
-        return change_at_random(reading, -expm1(-rate * dt), spike, rng, sizes, *(code_range or ()))
+        hit = uniform(rng, 0.0, 1.0, reading.shape) < -expm1(-rate * dt)
+        off = reading + sizes * normal(rng, reading.shape)
+        if code_range is not None:
+            off = np.rint(limit(off, *code_range))
+        return np.where(hit, off, reading)
 
     return stateless(add)
 
@@ -125,18 +124,15 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
     # A reading adds what the bit is worth where it was 0 and loses it where it was 1.
     worths = places * signs
 
-    def flip(word: Array, rng: Rng) -> Array:
-        which = (uniform(rng, 0.0, 1.0, word.shape) * bits).astype(np.intp)
-        place, worth = places[which], worths[which]
+    def turn_over(reading: Array, rng: Rng, dt: float) -> Array:
+        hit = uniform(rng, 0.0, 1.0, reading.shape) < probability
+        which = (uniform(rng, 0.0, 1.0, reading.shape) * bits).astype(np.intp)
         # Halving rounds down, so negative words show the bits of their two's complement.
-        above = np.floor(word / place)
+        above = np.floor(reading / places[which])
         bit = above - 2.0 * np.floor(above / 2.0)
-        return word + (1.0 - 2.0 * bit) * worth
+        return np.where(hit, reading + (1.0 - 2.0 * bit) * worths[which], reading)
 
-    def read(reading: Array, rng: Rng, dt: float) -> Array:
-        return change_at_random(reading, probability, lambda words: flip(words, rng), rng)
-
-    return stateless(read)
+    return stateless(turn_over)
 
 
 def stale_repeats(probability: float, *, each: bool = False) -> Corruption[RepeatState]:
@@ -146,7 +142,7 @@ def stale_repeats(probability: float, *, each: bool = False) -> Corruption[Repea
 
     Args:
         probability: Probability that a reading is a repeat; 0 repeats nothing.
-        each: Whether each channel repeats on its own; otherwise those of a robot do so together.
+        each: Whether each channel repeats on its own; otherwise all do so together.
 
     Raises:
         ValueError: If the probability does not lie in [0, 1).
@@ -158,9 +154,8 @@ def stale_repeats(probability: float, *, each: bool = False) -> Corruption[Repea
         return RepeatState(np.full(shape, np.nan))
 
     def apply(reading: Array, state: RepeatState, rng: Rng, dt: float) -> tuple[Array, RepeatState]:
-        shape = reading.shape if each else (*reading.shape[:-1], 1)
-        stale = uniform(rng, 0.0, 1.0, shape) < probability
-        read = replace_where(reading, state.held, stale, probability <= RARE)
+        stale = uniform(rng, 0.0, 1.0, reading.shape if each else (1,)) < probability
+        read = np.where(stale & ~np.isnan(state.held), state.held, reading)
         return read, RepeatState(read)
 
     return Corruption(init, apply)
@@ -173,8 +168,8 @@ def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corru
         share: Share of the time that is lost in the long run; 0 loses nothing.
         mean_length: Mean length of a gap in s. Where it is not long against the time between
             readings, gaps that fall between two of them are not seen, and those that are seem longer.
-        each: Whether each channel has a link of its own; otherwise the channels of a robot, which travel in
-            one packet, are lost together.
+        each: Whether each channel has a link of its own; otherwise all channels, which travel in one packet,
+            are lost together.
 
     Raises:
         ValueError: If the share does not lie in [0, 1) or the length is not positive.
@@ -185,7 +180,7 @@ def burst_gaps(share: float, mean_length: float, *, each: bool = False) -> Corru
         raise ValueError(f"'mean_length' must be finite and positive, got {mean_length}.")
 
     def init(shape: tuple[int, ...], rng: Rng) -> GapState:
-        drawn = uniform(rng, 0.0, 1.0, shape if each else (*shape[:-1], 1))
+        drawn = uniform(rng, 0.0, 1.0, shape if each else (1,))
         return GapState((drawn < share).astype(np.float64))
 
     def apply(reading: Array, state: GapState, rng: Rng, dt: float) -> tuple[Array, GapState]:

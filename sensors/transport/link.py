@@ -1,8 +1,8 @@
 """A link that brings readings late: by a mean delay, with jitter, but in the order in which they left.
 
 Two faces of one model. :func:`latency` is a stage like any other: it holds the newest reading that has
-arrived, for any batch of robots. :func:`send` and :func:`receive` deliver every packet with the time of its
-arrival, for one robot whose host needs them all.
+arrived. :func:`send` and :func:`receive` deliver every packet with the time of its arrival, for a host that
+needs them all.
 """
 
 from dataclasses import dataclass
@@ -45,9 +45,9 @@ class LatencyState(NamedTuple):
     """The last D readings that were sent, the oldest first.
 
     Attributes:
-        due: Time until each arrives in s, shape (D, ..., 1); 0 or less for one that has.
-        readings: Shape (D, ..., C); NaN before the first.
-        held: The last that arrived, shape (..., C); NaN before the first.
+        due: Time until each arrives in s, shape (D, 1); 0 or less for one that has.
+        readings: Shape (D, K); NaN before the first.
+        held: The last that arrived, shape (K,); NaN before the first.
     """
 
     due: Array
@@ -71,20 +71,18 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
         raise ValueError(f"'depth' must be at least 1, got {depth}.")
 
     def init(shape: tuple[int, ...], rng: Rng) -> LatencyState:
-        due = np.full((depth, *shape[:-1], 1), -np.inf)
+        due = np.full((depth, 1), -np.inf)
         readings = np.full((depth, *shape), np.nan)
         return LatencyState(due, readings, np.full(shape, np.nan))
 
     def apply(reading: Array, state: LatencyState, rng: Rng, dt: float) -> tuple[Array, LatencyState]:
-        drawn = jitter * normal(rng, (*reading.shape[:-1], 1)) + delay
+        drawn = jitter * normal(rng, (1,)) + delay
         waiting = state.due - dt
         due = np.maximum(np.maximum(drawn, 0.0), waiting[-1])
         due = np.concatenate([waiting[1:], due[None]])
         # Readings come in order, so their number is the row. Row 0, for none, is the last that came before.
-        arrived = (due <= 0.0).sum(axis=0).ravel()
         rows = np.concatenate([state.held[None], state.readings[1:], reading[None]])
-        which = len(arrived) * arrived + np.arange(len(arrived))
-        held = rows.reshape((-1, reading.shape[-1])).take(which, axis=0).reshape(reading.shape)
+        held = rows[np.count_nonzero(due <= 0.0)].copy()
         return held, LatencyState(due, rows[1:], held)
 
     return Corruption(init, apply)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.sensors.configuration import require, require_not_negative, require_positive, require_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Array, Corruption, Rng, parts
 from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
 from surefoot.sensors.transport.link import latency
 
@@ -137,7 +137,7 @@ def wire(
     bits: int,
     coding: str = "two's complement",
 ) -> Corruption[WireState]:
-    """Build the wire to the host; readings are counts, shape (..., K).
+    """Build the wire to the host; readings are counts, shape (K,).
 
     Args:
         config: The wire.
@@ -166,16 +166,10 @@ def wire(
         on["gaps"] = burst_gaps(config.gap_share, config.gap_length)
     if config.late:
         on["latency"] = latency(config.delay, config.jitter, config.under_way)
-    off = WireState(*((),) * len(WireState._fields))
-
-    def init(shape: tuple[int, ...], rng: Rng) -> WireState:
-        return off._replace(**{name: stage.init(shape, rng) for name, stage in on.items()})
+    links = parts(WireState, on)
 
     def apply(counts: Array, state: WireState, rng: Rng, dt: float) -> tuple[Array, WireState]:
         check_wire(config, dt)
-        after = {}
-        for name, stage in on.items():
-            counts, after[name] = stage.apply(counts, getattr(state, name), rng, dt)
-        return counts, off._replace(**after)
+        return links.apply(counts, state, rng, dt)
 
-    return Corruption(init, apply)
+    return Corruption(links.init, apply)

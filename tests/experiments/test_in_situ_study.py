@@ -8,14 +8,14 @@ import pytest
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ
 from surefoot.calibration.in_situ.bound import cramer_rao, normalised_error, offset_bounds
 from surefoot.envs.leg_rig.recording import record_rig
-from surefoot.experiments.in_situ import cases, methods
+from surefoot.experiments.in_situ import cases, instruments, methods
 from surefoot.experiments.in_situ.cases import compare_with_bound, exact_errors, sweep_and_calibrate
 from surefoot.experiments.in_situ.claims import Limit, consistency, limits_of
 from surefoot.experiments.in_situ.instruments import (
     XSENS_MTX,
     accelerometer_bias,
-    read_imus,
-    read_sensors,
+    read_imu,
+    read_sensor,
     sensor_config,
     static_sets,
 )
@@ -144,7 +144,7 @@ def test_methods_see_what_a_robot_has(recordings, monkeypatch):
 
 def test_a_sensor_is_the_same_in_all_sets_but_for_its_zeros(recordings):
     config = sensor_config("foot", exact=True)
-    ((counts, truth),) = read_sensors(config, "foot", [recordings], [1])
+    counts, truth = read_sensor(config, "foot", recordings, 1)
     wrench = np.stack([one.wrench_foot for one in recordings])
     expected = wrench @ truth.response.T + truth.offsets[:, None]
     assert np.allclose(counts, expected, atol=1e-6 * np.abs(counts).max())
@@ -152,17 +152,28 @@ def test_a_sensor_is_the_same_in_all_sets_but_for_its_zeros(recordings):
     assert np.allclose(truth.offset, truth.offsets[-1])
 
 
-def test_a_seed_means_the_same_sensor_in_any_batch(recordings):
-    config = sensor_config("leg", exact=True)
-    alone = read_sensors(config, "leg", [recordings[:2]], [4])[0]
-    among = read_sensors(config, "leg", [recordings[:2]] * 2, [2, 4])[1]
-    assert np.array_equal(alone[0], among[0])
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_seed_means_the_same_sensor_whatever_it_reads(recordings, exact):
+    config = sensor_config("leg", exact=exact)
+    (first, _), (of_two, truth) = (read_sensor(config, "leg", recordings[:n], 4) for n in (1, 2))
+    assert np.array_equal(first[0], of_two[0])
+    other = read_sensor(config, "leg", recordings[:2], 5)[1]
+    assert (np.abs(other.response - truth.response) > 0.0).all()
+
+
+def test_sensors_read_the_same_with_the_library_and_without(recordings, monkeypatch):
+    config = sensor_config("foot")
+    counts, truth = read_sensor(config, "foot", recordings[:2], 3)
+    monkeypatch.setattr(instruments, "native_here", lambda kind, config: None)
+    in_python, same = read_sensor(config, "foot", recordings[:2], 3)
+    # What lies just between two codes may be rounded to either.
+    assert (counts != in_python).sum() <= 2
+    np.testing.assert_allclose(same.offsets, truth.offsets, rtol=1e-9)
 
 
 def test_the_accelerometers_bias_is_found_from_its_readings(recordings):
     rest = record_rig((1,), duration=100.0, rate=20.0, at_rest=True)
-    readings = read_imus([rest] * 2, [0, 1])
-    for of_seed in readings:
+    for of_seed in (read_imu(rest, seed) for seed in (0, 1)):
         bias = np.mean(of_seed[0, :, :3] - rest[0].specific_force, axis=0)
         assert np.linalg.norm(bias) > 0.01
         assert accelerometer_bias(of_seed[..., :3]) == pytest.approx(bias, abs=0.01)
@@ -256,7 +267,7 @@ def test_wrench_errors_are_shares_of_the_load():
 
 
 def test_a_refused_calibration_has_no_numbers_and_says_why(recordings):
-    ((_, truth),) = read_sensors(sensor_config("leg"), "leg", [recordings[:1]], [0])
+    _, truth = read_sensor(sensor_config("leg"), "leg", recordings[:1], 0)
     row = fit_row("because", truth, recordings[0].wrench_leg)
     assert row["refusal"] == "because"
     assert np.isnan(row["limb_error"])
@@ -354,7 +365,7 @@ def test_ten_seeds_reach_the_targets():
 
 def test_sets_that_were_not_fitted_get_offsets_of_their_own(recordings):
     config = sensor_config("leg")
-    ((counts, truth),) = read_sensors(config, "leg", [recordings], [0])
+    counts, truth = read_sensor(config, "leg", recordings, 0)
     force = np.stack([one.specific_force for one in recordings])
     sets = static_sets("leg", recordings, counts, force)
     found = calibrate_by_all(sets, config.nominal_matrix, InSituOptions())["measurement"]

@@ -12,9 +12,9 @@ def leaves(state: Any) -> list[Any]:
 
 
 def follow(stage: Any, loads: Any, seed: int = 0, dt: float = DT, state: Any = None) -> tuple[Any, Any]:
-    """Pass readings through a stage, one after the other along the first axis; its readings and state."""
+    """Pass readings (N, K) or blocks (N, S, K) through a stage in turn; its readings and state."""
     rng, read = np.random.default_rng(seed), []
-    state = stage.init(loads.shape[1:], rng) if state is None else state
+    state = stage.init(loads.shape[-1:], rng) if state is None else state
     for load in loads:
         reading, state = stage.apply(load, state, rng, dt)
         read.append(reading)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _streams import stream
 
 from surefoot.sensors import Imu, imu, load_cells
 from surefoot.sensors.presets import HX711_LOAD_CELLS
@@ -34,14 +35,10 @@ def promised(density, walk, tau):
 
 def test_load_cells_have_the_noise_and_the_walk_of_their_configuration():
     dt, walk = 1 / 80, 2e-4
-    config = replace(HX711_LOAD_CELLS, rate=None, scale_drift=0.0, offset_drift=walk, initial_scale_std=0.0)
-    rng, cells = np.random.default_rng(0), load_cells(config)
-    state, rows = cells.init((40, 8), rng), []
-    block = np.zeros((40, 1, 8))
-    for _ in range(12_000):
-        counts, state = cells.apply(block, state, rng, dt)
-        rows.append(counts)
-    force = config.nominal_scale * np.stack(rows) + config.nominal_offset
+    config = replace(HX711_LOAD_CELLS, channels=320, rate=None, scale_drift=0.0, offset_drift=walk)
+    config = replace(config, initial_scale_std=0.0)
+    rows = stream(load_cells(config), np.zeros((12_000, 1, 320)), dt=dt)
+    force = config.nominal_scale * rows + config.nominal_offset
     phase = integral(force.reshape(12_000, -1, 1), dt)
     density = config.noise_counts / config.counts_per_newton * dt**0.5
     for tau in (0.0125, 0.05, 0.2, 1.0, 5.0, 20.0):
@@ -54,21 +51,13 @@ def test_load_cells_have_the_noise_and_the_walk_of_their_configuration():
 
 
 def test_an_imu_has_the_noise_and_the_walk_of_its_configuration():
-    dt, config = 0.05, Imu(accelerometer_resolution=0.0, gyroscope_resolution=0.0)
-    rng, stage = np.random.default_rng(1), imu(config)
-    state, rows = stage.init((60, 6), rng), []
-    still = np.zeros((60, 6))
-    for _ in range(12_000):
-        sample, state = stage.apply(still, state, rng, dt)
-        rows.append(sample)
-    phase = integral(np.stack(rows), dt)
-    density = np.repeat([config.accelerometer_noise, config.gyroscope_noise], 3)
-    walk = np.repeat([config.accelerometer_walk, config.gyroscope_walk], 3)
-    for tau in (0.05, 0.5, 5.0, 20.0, 60.0):
-        measured = overlapping_allan(phase, dt, tau)
-        np.testing.assert_allclose(measured, promised(density, walk, tau), rtol=0.1)
-    np.testing.assert_allclose(overlapping_allan(phase, dt, 0.1) * 0.1**0.5, density, rtol=0.1)
-    by_sensor = overlapping_allan(phase, dt, 100.0).reshape(2, 3)
-    np.testing.assert_allclose(
-        np.sqrt(np.mean(by_sensor**2, axis=1)) * (3.0 / 100.0) ** 0.5, walk[::3], rtol=0.1
-    )
+    dt, config = 0.2, Imu(accelerometer_resolution=0.0, gyroscope_resolution=0.0)
+    rows = stream(imu(config), np.zeros((60_000, 6)), seed=1, dt=dt)
+    for axes, kind in ((slice(0, 3), "accelerometer"), (slice(3, 6), "gyroscope")):
+        density, walk = getattr(config, f"{kind}_noise"), getattr(config, f"{kind}_walk")
+        phase = integral(rows[:, axes, None], dt)
+        for tau in (0.2, 1.0, 5.0, 20.0, 60.0):
+            measured = overlapping_allan(phase, dt, tau)
+            np.testing.assert_allclose(measured, promised(density, walk, tau), rtol=0.1)
+        np.testing.assert_allclose(overlapping_allan(phase, dt, 0.4) * 0.4**0.5, density, rtol=0.1)
+        np.testing.assert_allclose(overlapping_allan(phase, dt, 100.0) * (3.0 / 100.0) ** 0.5, walk, rtol=0.1)

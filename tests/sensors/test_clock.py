@@ -78,21 +78,13 @@ def test_between_substeps_the_signal_is_interpolated_from_the_end_of_the_block_b
     """A straight line is read without error wherever a conversion falls, also before the first row."""
     rng = np.random.default_rng(2)
     clock = sample_and_hold(chain(), (78.0, 94.0))
-    single, batch = clock.init((300,), rng), None
-    state = single
+    state = clock.init((300,), rng)
     for step in range(20):
         number = np.floor((DT - state.due) / state.period)
         expected = step * DT + state.due + number * state.period
         held, state = clock.apply(ramp(step, 300), state, rng, DT)
         if step:
             np.testing.assert_allclose(held[number >= 0], expected[number >= 0], atol=1e-12)
-    # The general code for batches reads the same.
-    batch = type(single)(*(part[None] if hasattr(part, "shape") else part for part in single))
-    alone = single
-    for step in range(20):
-        held, alone = clock.apply(ramp(step, 300), alone, rng, DT)
-        many, batch = clock.apply(ramp(step, 300)[None], batch, rng, DT)
-        np.testing.assert_allclose(many[0], held, atol=1e-12)
 
 
 def test_conversions_happen_after_the_instrument_not_before_the_hold() -> None:

@@ -217,19 +217,18 @@ NULL = {
 stages = pytest.mark.parametrize("name", STAGES)
 
 
-def readings(name: str, batch: tuple[int, ...] = ()) -> list[Any]:
+def readings(name: str) -> list[Any]:
     """Ten readings in the shape that a stage takes, around 5 N."""
     _, channels, blocks = STAGES[name]
-    shape = (10, *batch, SUBSTEPS, channels) if blocks else (10, *batch, channels)
+    shape = (10, SUBSTEPS, channels) if blocks else (10, channels)
     return list(np.random.default_rng(1).normal(5.0, 2.0, shape))
 
 
-def run(name: str, inputs: list[Any]) -> Any:
-    make, channels, blocks = STAGES[name]
-    stage, rng = make(), np.random.default_rng(0)
-    state = stage.init((*inputs[0].shape[: -2 if blocks else -1], channels), rng)
-    outputs = []
-    for reading in inputs:
+def run(name: str, rng: Any) -> Any:
+    make, channels, _ = STAGES[name]
+    stage, outputs = make(), []
+    state = stage.init((channels,), rng)
+    for reading in readings(name):
         output, state = stage.apply(reading, state, rng, DT)
         outputs.append(output)
     return np.stack(outputs)
@@ -256,59 +255,19 @@ def test_a_step_follows_from_its_arguments_and_changes_none(name: str) -> None:
 
 
 @stages
-def test_shape_and_dtype_are_kept_for_any_batch(name: str) -> None:
-    read = run(name, readings(name, batch=(3, 2)))
-    assert read.shape == (10, 3, 2, STAGES[name][1])
+def test_shape_and_dtype_are_kept(name: str) -> None:
+    read = run(name, np.random.default_rng(0))
+    assert read.shape == (10, STAGES[name][1])
     assert read.dtype == np.float64
 
 
 @stages
-def test_robots_of_a_batch_do_not_touch_each_other(name: str) -> None:
-    """Change what the first robot feels: the others read what they read before."""
-    inputs = readings(name, batch=(3,))
-    changed = [reading.copy() for reading in inputs]
-    for reading in changed:
-        reading[0] += 1.0
-    one, other = (run(name, values) for values in (inputs, changed))
-    np.testing.assert_array_equal(one[:, 1:], other[:, 1:])
-
-
-@stages
-def test_a_robot_with_a_stream_reads_the_same_alone_and_in_any_batch(name: str, monkeypatch: Any) -> None:
-    """To rounding, as a batch interpolates and multiplies matrices in another order; with C and without."""
-    make, channels, _ = STAGES[name]
-    stage, keys = make(), [(4, 7), (0x5F00, 2), (3,)]
-    for in_python in (False, True):
-        if in_python:
-            monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda: None)
-        many, alone = Stream.of_each(keys), Stream.of(*keys[1])
-        batch, single = stage.init((3, channels), many), stage.init((channels,), alone)
-        for reading in readings(name, batch=(3,)):
-            output, batch = stage.apply(reading, batch, many, DT)
-            own, single = stage.apply(reading[1], single, alone, DT)
-            np.testing.assert_allclose(output[1], own, rtol=1e-12, atol=1e-12)
-        assert many.record[1] == alone.record
-
-
-class Still(np.random.Generator):
-    """A generator without chance, so that the order of draws does not matter."""
-
-    def standard_normal(self, size: Any = None, dtype: Any = None, out: Any = None) -> Any:
-        return np.zeros(size)
-
-    def random(self, size: Any = None, dtype: Any = None, out: Any = None) -> Any:
-        return np.full(size, 0.5)
-
-
-@stages
-def test_a_batch_and_single_robots_read_the_same_without_chance(name: str) -> None:
-    make, channels, _ = STAGES[name]
-    stage, rng = make(), Still(np.random.PCG64())
-    batched, single = stage.init((2, channels), rng), stage.init((channels,), rng)
-    for reading in readings(name, batch=(2,)):
-        output, batched = stage.apply(reading, batched, rng, DT)
-        alone, single = stage.apply(reading[1], single, rng, DT)
-        np.testing.assert_allclose(output[1], alone, rtol=1e-12, atol=1e-9)
+def test_a_stream_brings_the_same_with_the_library_and_without(name: str, monkeypatch: Any) -> None:
+    one, other = Stream.of(4, 7), Stream.of(4, 7)
+    read = run(name, one)
+    monkeypatch.setattr("surefoot.sensors.randomness.installed", lambda: None)
+    np.testing.assert_allclose(run(name, other), read, rtol=1e-12, atol=1e-12)
+    assert one.record == other.record
 
 
 @pytest.mark.parametrize("name", NULL)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _streams import DT, stream
 
 from surefoot.sensors import Fault, ForceTorque, LoadCells, apply_faults, channel_faults, parse_fault
 from surefoot.sensors.faults.words import CELLS as CELL_NAMES
@@ -13,7 +14,6 @@ from surefoot.sensors.presets import HX711_LOAD_CELLS
 CELLS = HX711_LOAD_CELLS
 K = CELLS.slope
 ZERO = CELLS.zero_code
-DT = 1 / 80
 
 
 def log(seconds=4.0, seed=0):
@@ -98,18 +98,14 @@ def test_a_saturated_cell_clips_on_the_side_that_presses_whichever_way_it_is_wir
         assert load.min() < 2.0
 
 
-def many(fault, seconds):
-    """What 100 robots read of counts of no load, each for this long: (N, 100)."""
-    rng, stage = np.random.default_rng(0), channel_faults([fault], CELLS)
-    state, rows = stage.init((100, 8), rng), []
-    for _ in range(round(seconds / DT)):
-        read, state = stage.apply(np.full((100, 8), ZERO), state, rng, DT)
-        rows.append(read[:, fault.channel])
-    return np.stack(rows)
+def many(kind, seconds, **parameters):
+    """What is read of no load with a fault in each of the eight channels: counts (N, 8)."""
+    faults = [Fault(kind, channel, **parameters) for channel in range(8)]
+    return stream(channel_faults(faults, CELLS), np.full((round(seconds / DT), 8), ZERO))
 
 
 def test_spikes_come_at_their_rate_with_their_size_to_either_side():
-    off = (many(Fault("spiking", 1, rate=2.0, size=15.0), 2.0) - ZERO) / K[1]
+    off = (many("spiking", 25.0, rate=2.0, size=15.0) - ZERO) / K
     hit = off != 0.0
     # Of a Poisson process at 2/s in 12.5 ms: 400 +- 20 in 200 s.
     assert 330 < hit.sum() < 470
@@ -119,7 +115,7 @@ def test_spikes_come_at_their_rate_with_their_size_to_either_side():
 
 @pytest.mark.parametrize("burst", [0.0, 0.25])
 def test_samples_are_lost_by_their_share_in_gaps_of_their_length(burst):
-    lost = np.isnan(many(Fault("dropped", 3, probability=0.3, burst=burst), 10.0))
+    lost = np.isnan(many("dropped", 125.0, probability=0.3, burst=burst))
     assert lost.mean() == pytest.approx(0.3, abs=0.05)
     ends = (lost[:-1] & ~lost[1:]).sum()
     # Readings lost each on its own leave gaps of 1/(1 - 0.3) readings.
@@ -155,12 +151,7 @@ def test_a_log_reads_what_a_stream_reads():
         Fault("stuck", 2, 1.0, 2.0),
     )
     counts, _ = log()
-    stream, rng = channel_faults(faults, CELLS), np.random.default_rng(4)
-    state = stream.init((8,), rng)
-    read = []
-    for row in counts:
-        one, state = stream.apply(row, state, rng, DT)
-        read.append(one)
+    read = stream(channel_faults(faults, CELLS), counts, seed=4)
     np.testing.assert_array_equal(read, faulty(*faults, seed=4))
 
 

@@ -37,11 +37,11 @@ WARMING = replace(
 
 
 def read(config: LoadCells, loads: np.ndarray) -> np.ndarray:
-    """Read loads of shape (N, ..., K), constant over each step, and return what the host finds in N."""
+    """Read loads of shape (N, K), constant over each step, and return what the host finds in N."""
     rng, cells, rows = np.random.default_rng(0), load_cells(config), []
     state = cells.init(loads.shape[1:], rng)
     for load in loads:
-        counts, state = cells.apply(load[..., None, :], state, rng, DT)
+        counts, state = cells.apply(load[None], state, rng, DT)
         rows.append(counts)
     return config.nominal_scale * np.stack(rows) + config.nominal_offset
 
@@ -89,9 +89,9 @@ def test_fused_cells_equal_the_chain_of_their_stages(config: LoadCells) -> None:
 
 def test_counts_are_whole_and_scale_24_bits() -> None:
     rng = np.random.default_rng(2)
-    cells = load_cells(HX711_LOAD_CELLS)
-    state = cells.init((1000, 8), rng)
-    block = np.linspace(-800.0, 800.0, 1000)[:, None, None] * np.ones((10, 8))
+    cells = load_cells(replace(HX711_LOAD_CELLS, channels=8000))
+    state = cells.init((8000,), rng)
+    block = np.repeat(np.linspace(-800.0, 800.0, 1000), 8) * np.ones((10, 1))
     for _ in range(3):
         counts, state = cells.apply(block, state, rng, DT)
     np.testing.assert_array_equal(counts, np.round(counts))
@@ -123,17 +123,17 @@ def test_bridges_may_be_wired_either_way_round() -> None:
 
 def test_errors_at_power_up_have_their_spread() -> None:
     rng = np.random.default_rng(5)
-    state = load_cells(HX711_LOAD_CELLS).init((5000, 8), rng)
+    state = load_cells(replace(HX711_LOAD_CELLS, channels=40_000)).init((40_000,), rng)
     assert state.error[0].std() == pytest.approx(0.12, rel=0.02)
     assert state.error[1].std() == pytest.approx(1.5, rel=0.02)
 
 
 def test_cells_drift_by_2_percent_and_1_newton_in_a_minute() -> None:
     rng = np.random.default_rng(6)
-    config = replace(HX711_LOAD_CELLS, initial_scale_std=0.0, initial_offset_std=0.0)
+    config = replace(HX711_LOAD_CELLS, channels=16_000, initial_scale_std=0.0, initial_offset_std=0.0)
     cells = load_cells(config)
-    state = cells.init((2000, 8), rng)
-    block = np.zeros((2000, 1, 8))
+    state = cells.init((16_000,), rng)
+    block = np.zeros((1, 16_000))
     for _ in range(60):
         _, state = cells.apply(block, state, rng, 1.0)
     assert state.error[0].std() == pytest.approx(0.02, rel=0.03)
@@ -170,18 +170,18 @@ def test_static_readings_leave_the_state_alone_and_do_not_drift() -> None:
 @pytest.mark.parametrize("steps", [10, 60])
 def test_ten_minutes_of_warming_move_offset_and_scale_by_their_coefficients(rise, expected, steps):
     rng = np.random.default_rng(10)
-    config = replace(WARMING, scale_drift=0.0, offset_drift=0.0, temperature_rise=rise)
+    config = replace(WARMING, channels=24_000, scale_drift=0.0, offset_drift=0.0, temperature_rise=rise)
     cells = load_cells(config)
-    start = state = cells.init((3000, 8), rng)
-    block = np.zeros((3000, 1, 8))
+    start = state = cells.init((24_000,), rng)
+    block = np.zeros((1, 24_000))
     for _ in range(steps):
         _, state = cells.apply(block, state, rng, 600.0 / steps)
     np.testing.assert_allclose(state.thermal[2], expected, rtol=1e-9)
     np.testing.assert_allclose(state.error - start.error, start.thermal[:2] * expected, atol=1e-9)
     assert (state.error - start.error)[0].std() == pytest.approx(1e-3 * expected, rel=0.03)
     assert (state.error - start.error)[1].std() == pytest.approx(0.03 * expected, rel=0.03)
-    # Cells of one robot warm up alike, but each follows with a coefficient of its own.
-    assert np.corrcoef(start.thermal[1].T)[0, 1] == pytest.approx(0.0, abs=0.06)
+    # Cells warm up alike, but each follows with a coefficient of its own.
+    assert np.corrcoef(start.thermal[1].reshape(2, -1))[0, 1] == pytest.approx(0.0, abs=0.06)
 
 
 def test_the_true_map_knows_the_temperature():
@@ -218,9 +218,14 @@ def test_cells_that_do_not_warm_up_read_bit_for_bit_what_they_read_before(off):
 
 def test_wrong_channels_are_refused() -> None:
     rng = np.random.default_rng(9)
-    with pytest.raises(ValueError, match=r"must hold the 8 channels, got shape \(4,\)"):
-        load_cells(HX711_LOAD_CELLS).init((4,), rng)
+    for shape, given in (((4,), r"\(4,\)"), ((3, 8), r"\(3, 8\)")):
+        with pytest.raises(
+            ValueError, match=rf"^A reading must hold the 8 channels, got shape {given}; give \(8,\)"
+        ):
+            load_cells(HX711_LOAD_CELLS).init(shape, rng)
     state = load_cells(HX711_LOAD_CELLS).init((8,), rng)
+    with pytest.raises(ValueError, match=r"^Loads must have the shape \(S, 8\), got \(3, 10, 8\)\.$"):
+        load_cells(HX711_LOAD_CELLS).apply(np.zeros((3, 10, 8)), state, rng, DT)
     with pytest.raises(ValueError, match=r"'load' must hold 8 cells on its last axis, got shape \(3, 4\)"):
         static_counts(HX711_LOAD_CELLS, state, np.zeros((3, 4)), rng)
 
@@ -279,19 +284,19 @@ def test_the_mean_is_over_conversions_however_the_host_steps(blocks):
 
 def test_noise_is_that_of_one_conversion_with_and_without_a_filter():
     for settling in (1, 4):
-        config = replace(CODES, input_noise=9e-8, rate=(80.0, 80.0), settling=settling)
-        rows = read(config, np.full((50, 300, 8), 10.0))[10:]
+        config = replace(CODES, channels=2400, input_noise=9e-8, rate=(80.0, 80.0), settling=settling)
+        rows = read(config, np.full((50, 2400), 10.0))[10:]
         assert rows.std() == pytest.approx(config.noise_counts * config.nominal_scale[0], rel=0.02)
 
 
 def test_a_chip_that_skips_a_look_does_not_lead_its_cell_astray():
     """Slow chips, most of whose looks find nothing new: no spring element sees a load that never was."""
-    config = replace(spring(overload_share=1.0, safe_overload=0.2), rate=(9.0, 11.0))
+    config = replace(spring(overload_share=1.0, safe_overload=0.2), channels=4000, rate=(9.0, 11.0))
     rng, cells = np.random.default_rng(6), load_cells(config)
-    state = cells.init((500, 8), rng)
+    state = cells.init((4000,), rng)
     for k in range(300):
         load = 10.0 + 9.0 * np.sin(2.0 * k * DT)
-        _, state = cells.apply(np.full((500, 10, 8), load), state, rng, DT)
+        _, state = cells.apply(np.full((10, 4000), load), state, rng, DT)
     assert state.mechanics.overload.excess.max() == 0.0
 
 

@@ -78,12 +78,13 @@ def test_every_preset_can_be_five_times_as_bad_and_reads(kind, name):
         last = worse
     if kind in (LoadCells, ForceTorque):
         device = (load_cells if kind is LoadCells else force_torque)(worse)
-        rng, shape = np.random.default_rng(0), (20, config.channels)
-        state = device.init(shape, rng)
+        load = np.full((2, config.channels) if kind is LoadCells else config.channels, 10.0)
+        rng, finite = np.random.default_rng(0), 0
+        state = device.init((config.channels,), rng)
         for _ in range(40):
-            loads = np.full((20, 2, config.channels) if kind is LoadCells else shape, 10.0)
-            read, state = device.apply(loads, state, rng, 1 / 80)
-        assert np.isfinite(read).any()
+            read, state = device.apply(load, state, rng, 1 / 80)
+            finite += np.isfinite(read).all()
+        assert finite > 10
 
 
 def test_errors_that_end_somewhere_stop_there_and_others_go_on():
@@ -121,13 +122,12 @@ def test_a_severity_of_another_type_makes_the_same_device(severity):
 
 
 def test_cells_of_twice_the_severity_are_twice_as_far_off():
-    config = LoadCells(rate=None, adc_bits=0, polarity=(1,), input_noise=0.0)
+    config = LoadCells(channels=32_000, rate=None, adc_bits=0, polarity=(1,), input_noise=0.0)
     rng = np.random.default_rng(0)
     spread = []
     for severity in (0.0, 1.0, 2.0):
         cells = load_cells(scaled(config, severity))
-        load = np.full((4000, 1, 8), 10.0)
-        read, _ = cells.apply(load, cells.init((4000, 8), rng), rng, 60.0)
+        read, _ = cells.apply(np.full((1, 32_000), 10.0), cells.init((32_000,), rng), rng, 60.0)
         spread.append((read - 10.0).std())
     # 10 N with a gain error of 12 % + 2 % and a zero of 1.5 N + 1 N, a minute after power-up.
     one = np.hypot(10.0 * np.hypot(0.12, 0.02), np.hypot(1.5, 1.0))
