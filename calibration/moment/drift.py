@@ -41,9 +41,6 @@ _FEWEST_CHANNELS = 2.5
 _LARGEST_SCALE = 3.0
 """Largest scale that a gain's drift is worked out with; the least is 1."""
 
-_LATER = 0.5
-"""Blocks between learning and handing out."""
-
 
 class LearntDrift:
     """Follows the drift of one setup's sensors.
@@ -60,7 +57,7 @@ class LearntDrift:
     ) -> None:
         self.unknowns, self.tare = unknowns, tare
         block = config.every * setup.dt
-        self._walk, self._age = unknowns.walk * block, unknowns.age / block + _LATER
+        self._walk, self._age = unknowns.walk * block, unknowns.age / block
 
     def walk(self, state: MomentState) -> Array:
         """Return the variances by which the unknowns drift in one block, shape (..., N)."""

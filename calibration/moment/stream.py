@@ -2,7 +2,7 @@
 
 Its theory and options are in :mod:`surefoot.calibration.moment.config`, its rows in
 :mod:`surefoot.calibration.moment.rows`. Samples wait until a block is full, so that most samples cost no
-more than applying the map. What was learnt of it is handed out half a block later, with the prior that it
+more than applying the map. What was learnt of it is handed out with the next sample, under the prior that it
 asks for: no sample has both to do, and a robot's controller waits for neither long.
 """
 
@@ -171,7 +171,7 @@ class MomentStream:
         if of_block == 0:
             state, step = self._learn(state)
             kinds, nis, rows = kinds | state.faults.kind, step.nis, step.rows
-        if of_block == self.config.every // 2:
+        if of_block == min(1, self.config.every - 1):
             state = self._given(state, state.due > 0.5)
         return state, self._estimate(state, sample, kinds, nis, rows)
 

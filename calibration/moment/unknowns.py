@@ -63,8 +63,7 @@ class Unknowns:
         start: Mean to start from, shape (N,).
         std: Standard deviations to start from, shape (N,).
         walk: Variance of their random walks per second, shape (N,).
-        age: Time in s, on the average, since the middle of the block that they were learnt from, if they are
-            handed out at its end.
+        age: Time in s, on the average, since the middle of the block that they were learnt from.
         change: Standard deviations of sudden changes of the reference, shape (N,).
         learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
         sure: Variances from which down they are only considered as well, shape (N,).

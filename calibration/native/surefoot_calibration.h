@@ -1987,7 +1987,7 @@ SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w) {
             /* They have drifted since they were learnt. */
             sf_walk(c, s, walk);
             for (int i = 0; i < M; i++)
-                s->given_covariance[i * M + i] += walk[i] * ((sf_real)c->settle / (sf_real)c->every + (sf_real)1.5);
+                s->given_covariance[i * M + i] += walk[i] * (sf_real)(c->settle + c->every) / (sf_real)c->every;
         }
     }
     sf_of_parameters(c, s);
@@ -2355,7 +2355,7 @@ SF_API int sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, 
         for (int i = 0; i < K; i++) kinds[i] |= s->kind[i];
         fresh = s->due == 0;
     }
-    if (s->step % c->every == c->every / 2 && s->due > 0) {
+    if (s->step % c->every == (c->every > 1) && s->due > 0) {
         sf_given(c, s, w);
         fresh = 1;
     }

@@ -183,9 +183,7 @@ def test_rows_are_less_sure_by_the_product(moment):
 def test_what_is_handed_out_has_aged_by_the_drift_that_is_learnt(moment, log):
     drift = LearntDrift(SETUP, CONFIG, UNKNOWNS, Tare(SETUP, CONFIG, UNKNOWNS))
     state = moment.init(log.raw[0])._replace(rate=np.array(9.0))
-    # From the middle of a block to the middle of its use, which begins half a block after its end.
-    age = (CONFIG.settle + 1.5 * CONFIG.every) * SETUP.dt
-    assert_allclose(drift.aged(state), 9.0 * (age * UNKNOWNS.walk)[UNKNOWNS.map])
+    assert_allclose(drift.aged(state), 9.0 * (UNKNOWNS.age * UNKNOWNS.walk)[UNKNOWNS.map])
     state = blocks(moment, log.raw, log.reference)[-1]
     offsets = slice(UNKNOWNS.scales, None)
 

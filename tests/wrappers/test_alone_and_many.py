@@ -136,7 +136,7 @@ def test_hardware_and_what_was_learnt_survive_in_files(method: str, tmp_path: An
     still = np.zeros((ROBOTS, 11), np.float32)
     old.reset(seed=1)
     new.reset(seed=7)
-    for _ in range(155):  # what was learnt of the ninth block was handed out
+    for _ in range(150):
         *_, infos = old.step(still)
     old.env.save(tmp_path / "sensors.npz")
     old.save(tmp_path / "learnt.npz")

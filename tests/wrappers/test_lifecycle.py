@@ -123,7 +123,7 @@ def test_who_is_frozen_learns_nothing_and_still_corrects(stood) -> None:
     env = stood
     env.freeze()
     # What was measured by then is still learnt, with the block that it belongs to, and then handed out.
-    steps(env, 28)
+    steps(env, 20)
     kept = env.estimate
     for _ in range(60):
         (observation,) = steps(env, 1)
