@@ -87,6 +87,10 @@ class _Together:
     def native(self) -> None:
         """Nothing, as no filter of the library's alone makes the estimates."""
 
+    def is_in(self, state: Any) -> bool:
+        """No: no state of the library's alone is what it goes on with."""
+        return False
+
     def update(self, raw: Floats, reference: Reference | ReferenceRecord) -> Estimate:
         self.estimates = [method.update(raw, reference) for method in self.methods]
         return self.estimates[0]
