@@ -37,7 +37,7 @@ def write_arena_page(results: ArenaResults) -> Report:
     """Draw the figures, save the tables as CSV, and write ``report.html``; return it with what sums it up."""
     options, scores, scenarios = results.options, results.scores, results.scenarios
     drawn = options.out / "figures"
-    timing, alarms = tables.timing_table(results.timing, scores), tables.alarm_table(scores)
+    timing, alarms = tables.timing_table(results.timing), tables.alarm_table(scores)
     summary = (tables.overview_table(scores, scenarios), timing, alarms)
     faults = tables.fault_table(scores, scenarios)
     claims = claims_of(scores, results.timing)

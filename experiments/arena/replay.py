@@ -1,9 +1,8 @@
-"""Replay the streams of a scenario as one batch, and keep what the scores need and nothing else.
+"""Replay the streams of a scenario, and keep what the scores need and nothing else.
 
 A covariance is held against the truth as it appears, once a second, and forgotten.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +15,7 @@ from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.experiments.arena.options import TRUE_MAP
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.arrays import Floats
-from surefoot.experiments.walks.replay import LogBatch, age_of, batches_of, starting_map
+from surefoot.experiments.walks.replay import age_of, starting_map, steps_of
 from surefoot.experiments.walks.score import held
 
 SNAPSHOT = 1.0  # time between looks at a covariance in s
@@ -43,19 +42,13 @@ class Played:
     offset: Floats  # b in N, shape (N, K)
     flags: NDArray[np.int64]  # bits of :class:`~surefoot.calibration.Flag`, shape (N, K)
     consistency: Consistency
-    seconds: float  # a sample and robot of the batch
 
 
 def play(streams: Sequence[Stream], method: str, **options: Any) -> list[Played]:
     """Run a method, or the true map, over streams of any lengths and robots; each option is the method's."""
     if method == TRUE_MAP:
         return [_true_map(stream) for stream in streams]
-    logs = [stream.log for stream in streams]
-    played: dict[int, Played] = {}
-    for batch in batches_of(logs, [starting_map(log) for log in logs]):
-        found = _play_batch([streams[i] for i in batch.members], batch, method, options)
-        played |= zip(batch.members, found, strict=True)
-    return [played[i] for i in range(len(streams))]
+    return [_play(stream, method, options) for stream in streams]
 
 
 def _true_map(stream: Stream) -> Played:
@@ -69,7 +62,6 @@ def _true_map(stream: Stream) -> Played:
         offset=undone.offset,
         flags=np.zeros(log.raw.shape, dtype=np.int64),
         consistency=Consistency(nothing, nothing, nothing, nothing, float("nan"), 0.0),
-        seconds=float("nan"),
     )
 
 
@@ -86,82 +78,71 @@ def _undone(stream: Stream) -> Floats:
     return undone
 
 
-def _play_batch(streams: list[Stream], batch: LogBatch, method: str, options: dict[str, Any]) -> list[Played]:
-    first = streams[0].log
-    layout, samples, robots = first.layout, len(first), len(streams)
-    known: dict[str, Any] = {"dt": first.dt, "lag": first.lag, "age": age_of(first)}
-    calibrator = FootCalibrator(layout, method, mass=first.mass, **known, **options)
-    force, scale, offset = (np.empty((samples, robots, layout.channels)) for _ in range(3))
-    flags = np.empty((samples, robots, layout.channels), dtype=np.int64)
-    watch = _Watch(streams)
-    seconds = 0.0
-    for k, step in enumerate(batch.steps.tolist()):
-        now = Reference(*(part[k] for part in batch.reference))
-        began = time.perf_counter()
-        estimate = calibrator.update(batch.force[k], now, step)
-        seconds += time.perf_counter() - began
+def _play(stream: Stream, method: str, options: dict[str, Any]) -> Played:
+    log, K = stream.log, stream.log.layout.channels
+    known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    calibrator = FootCalibrator(log.layout, method, mass=log.mass, **known, **options)
+    force, scale, offset = np.empty((3, len(log), K))
+    flags = np.empty((len(log), K), dtype=np.int64)
+    watch = _Watch(stream)
+    # Readings are handed over as forces by the starting map, which scale and offset are then relative to.
+    reading = starting_map(log).force(log.raw)
+    for k, step in enumerate(steps_of(log).tolist()):
+        now = Reference(*(part[k] for part in log.reference))
+        estimate = calibrator.update(reading[k], now, step)
         force[k], scale[k], offset[k] = estimate.force, estimate.scale, estimate.offset
         flags[k] = estimate.flags
         watch.look(k, estimate, now)
-    return [
-        Played(force[:, i], scale[:, i], offset[:, i], flags[:, i], watch.of(i), seconds / (samples * robots))
-        for i in range(robots)
-    ]
+    return Played(force, scale, offset, flags, watch.seen())
 
 
 class _Watch:
-    """Compares what a batch of streams claims with the truth, as it goes."""
+    """Compares what is claimed of a stream with the truth, as it goes."""
 
-    def __init__(self, streams: list[Stream]) -> None:
-        self._streams = streams
-        self._every = max(round(SNAPSHOT / streams[0].log.dt), 1)
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._every = max(round(SNAPSHOT / stream.log.dt), 1)
         self._time: list[float] = []
-        self._seen: list[Floats] = []
-        self._nis, self._rows = np.zeros((2, len(streams)))
-        truths = [Parameters(s.truth.scale, s.truth.offset).relative_to(starting_map(s.log)) for s in streams]
-        # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
-        self._healthy = np.array([not s.faults for s in streams])
-        self._map = np.stack([np.hstack([t.scale, t.offset]) for t in truths], axis=1)
-        self._judged = np.stack([s.judged for s in streams], axis=1)
+        self._seen: list[tuple[float, float, float]] = []
+        self._nis = self._rows = 0.0
+        truth = Parameters(stream.truth.scale, stream.truth.offset).relative_to(starting_map(stream.log))
+        self._map = np.hstack([truth.scale, truth.offset])
 
     def look(self, k: int, estimate: Estimate, reference: Reference) -> None:
         """Take in sample ``k``."""
-        nis, rows = estimate.nis, estimate.nis_rows
-        if nis is not None and rows is not None:
-            counted = self._judged[k] & (rows > 0) & np.isfinite(nis)
-            self._nis += np.where(counted, nis, 0.0)
-            self._rows += np.where(counted, rows, 0)
+        stream, nis, rows = self._stream, estimate.nis, estimate.nis_rows
+        if nis is not None and rows is not None and stream.judged[k] and rows > 0 and np.isfinite(nis):
+            self._nis += float(nis)
+            self._rows += float(rows)
         if (k + 1) % self._every:
             return
-        error = np.hstack([estimate.scale, estimate.offset]) - self._map[k]
-        nees = np.where(self._healthy, _normalised(error, estimate.covariance), np.nan)
-        true_force = np.stack([s.truth.force[k] for s in self._streams])
-        force = cop = np.full(len(self._streams), np.nan)
+        # A faulty channel no longer reads its own force: there is no map to compare the estimate with.
+        nees = force = cop = float("nan")
+        if not stream.faults:
+            error = np.hstack([estimate.scale, estimate.offset]) - self._map[k]
+            nees = _normalised(error, estimate.covariance)
+        true_force = stream.truth.force[k]
         if estimate.force_std is not None:
-            force = np.mean(((estimate.force - true_force) / estimate.force_std) ** 2, axis=-1)
-        if estimate.cop_covariance is not None:
+            force = float(np.mean(((estimate.force - true_force) / estimate.force_std) ** 2))
+        if estimate.cop_covariance is not None and estimate.cop_valid:
             # The true forces are placed under the soles that the estimate is placed under.
-            wrench = sole_wrenches(true_force, self._streams[0].log.layout)
+            wrench = sole_wrenches(true_force, stream.log.layout)
             true_cop = cop_of_feet(wrench, reference.position_sole, reference.R_level_sole)
-            off = _normalised(estimate.cop - true_cop, estimate.cop_covariance)
-            cop = np.where(estimate.cop_valid, off, np.nan)
-        self._time.append(float(self._streams[0].log.time[k]))
-        self._seen.append(np.stack([nees, cop, force]))
+            cop = _normalised(estimate.cop - true_cop, estimate.cop_covariance)
+        self._time.append(float(stream.log.time[k]))
+        self._seen.append((nees, cop, force))
 
-    def of(self, robot: int) -> Consistency:
-        """Return what was seen of one robot."""
-        nees, cop, force = np.array(self._seen).reshape(-1, 3, len(self._streams))[..., robot].T
-        nis, rows = float(self._nis[robot]), float(self._rows[robot])
-        return Consistency(np.array(self._time), nees, cop, force, nis, rows)
+    def seen(self) -> Consistency:
+        """Return what was seen."""
+        nees, cop, force = np.array(self._seen).reshape(-1, 3).T
+        return Consistency(np.array(self._time), nees, cop, force, self._nis, self._rows)
 
 
-def _normalised(error: Floats, covariance: Any) -> Floats:
-    """Squared errors by their covariance over their number, shape (B,); infinite where it is not one."""
+def _normalised(error: Floats, covariance: Any) -> float:
+    """Return squared errors by their covariance over their number; infinite where it is not one."""
     if covariance is None:
-        return np.full(len(error), np.nan)
-    found = np.full(len(error), np.inf)
-    for i, (off, matrix) in enumerate(zip(error, np.asarray(covariance, dtype=np.float64), strict=True)):
-        values, vectors = np.linalg.eigh(matrix) if np.isfinite(matrix).all() else (np.zeros(1), None)
-        if vectors is not None and values[0] > 0.0:
-            found[i] = np.mean((vectors.T @ off) ** 2 / values)
-    return found
+        return float("nan")
+    values, vectors = np.linalg.eigh(covariance) if np.isfinite(covariance).all() else (np.zeros(1), None)
+    if vectors is None or values[0] <= 0.0:
+        return float("inf")
+    return float(np.mean((vectors.T @ error) ** 2 / values))

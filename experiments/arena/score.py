@@ -76,7 +76,6 @@ def score_run(stream: Stream, played: Played) -> dict[str, Any]:
         "worse_cell": _larger(rms(cell[last]), rms(start_cell[last])),
         "converged": _converged(log.time, running, end, stream.began),
         "spread": float(np.nanstd(running[judged])) if np.isfinite(running[judged]).any() else np.nan,
-        "batch_us": 1e6 * played.seconds,
     }
     row |= _parameter_errors(stream, played)
     row |= _consistency(stream, played)

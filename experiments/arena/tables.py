@@ -151,14 +151,11 @@ def alarm_table(scores: Frame) -> Table:
     return laid_out("alarms", "False alarms in all walks", columns, parts)
 
 
-def timing_table(timing: Frame, scores: Frame) -> Table:
-    """Return the time of one robot's update and the share of it in a batch."""
+def timing_table(timing: Frame) -> Table:
+    """Return the time of one robot's update."""
     columns: dict[str, Cell] = {
         "method": lambda row: look_of(row.method).label,
-        "one robot, median (µs)": lambda row: number(row.median_us),
-        "one robot, mean (µs)": lambda row: number(row.mean_us),
-        "in a batch, each (µs)": lambda row: number(
-            scores[scores["method"] == row.method]["batch_us"].mean()
-        ),
+        "median (µs)": lambda row: number(row.median_us),
+        "mean (µs)": lambda row: number(row.mean_us),
     }
     return laid_out("timing", "Time of one update", columns, timing.itertuples())

@@ -21,7 +21,7 @@ def scores_of(scenario: str, cop: dict[str, list[float]], **changes: object) -> 
     common = {
         "fell": False, "vgrf": 0.3, "cell": 0.35, "finite": True, "scale": 0.01, "offset": 0.1,
         "worse": False,
-        "worse_vgrf": False, "worse_cell": False, "converged": 4.0, "spread": 1e-4, "batch_us": 5.0,
+        "worse_vgrf": False, "worse_cell": False, "converged": 4.0, "spread": 1e-4,
         "nees_end": np.nan, "nees_cop": np.nan, "nis": np.nan, "nis_rows": 0.0, "parameters": 16.0,
         "alarms": 0.0, "hours": 0.5, "found": np.nan, "isolated": np.nan, "named": np.nan, "after": np.nan,
         "bound_cop": np.nan, "bound_vgrf": np.nan, "bound_cell": np.nan,
