@@ -1,10 +1,10 @@
-"""Time one update of every online method, for one robot and for batches of robots.
+"""Time one update of every online method.
 
-    OMP_NUM_THREADS=1 python benchmarks/method_update.py --robots 1 4096
+    OMP_NUM_THREADS=1 python benchmarks/method_update.py
 
 Methods take turns sample by sample in one process, so that what else the machine does hits all of them
 alike. The sliding window solves on every fourth sample (40 samples, 5 iterations, 16 parameters; the CoP
-paper: 2.5 ms), the moment filter on every sixteenth. One robot's moment filter runs in C as well, called by
+paper: 2.5 ms), the moment filter on every sixteenth. The moment filter runs in C as well, called by
 ``FootCalibrator``. No test asserts these figures.
 """
 
@@ -33,24 +33,23 @@ EVERY = {"moment": 16, "moment, in C": 16}
 MASS = 5.305
 
 
-def stepping_robot(samples: int, robots: int, seed: int = 0) -> tuple[NDArray[np.float64], Reference]:
+def stepping_robot(samples: int, seed: int = 0) -> tuple[NDArray[np.float64], Reference]:
     """Shift the weight from foot to foot once in 0.8 s; readings in N with gains off by 10 %."""
     rng = np.random.default_rng(seed)
     moment = np.arange(samples) * DT
     share = np.clip(0.5 + np.sin(2 * np.pi * moment / 1.6), 0.0, 1.0)
     load = np.repeat(np.stack([share, 1.0 - share], axis=1), 4, axis=1) * MASS * GRAVITY / 4.0
-    gain = 1.0 + 0.1 * rng.normal(size=(robots, 8))
-    reading = load[:, None] * gain + 0.05 * rng.normal(size=(samples, robots, 8))
+    gain = 1.0 + 0.1 * rng.normal(size=8)
+    reading = load * gain + 0.05 * rng.normal(size=(samples, 8))
     soles = np.array([(0.0, 0.05, 0.0), (0.0, -0.05, 0.0)])
-    zero = np.zeros((samples, robots, 3))
-    com = zero + np.stack([0.024 + 0 * share, 0.1 * share - 0.05, 0.26 + 0 * share], axis=1)[:, None]
-    standing = np.stack([share > 0.0, share < 1.0], axis=1)[:, None].repeat(robots, axis=1)
+    zero = np.zeros((samples, 3))
+    standing = np.stack([share > 0.0, share < 1.0], axis=1)
     return reading, Reference(
-        com=com,
+        com=np.stack([0.024 + 0 * share, 0.1 * share - 0.05, 0.26 + 0 * share], axis=1),
         com_acceleration=zero,
         angular_momentum_rate=zero,
-        position_sole=np.broadcast_to(soles, (samples, robots, 2, 3)),
-        R_level_sole=np.broadcast_to(np.eye(3), (samples, robots, 2, 3, 3)),
+        position_sole=np.broadcast_to(soles, (samples, 2, 3)),
+        R_level_sole=np.broadcast_to(np.eye(3), (samples, 2, 3, 3)),
         stance=standing,
         swing=~standing,
         accelerometer=zero + np.array([0.0, 0.0, GRAVITY]),
@@ -58,11 +57,9 @@ def stepping_robot(samples: int, robots: int, seed: int = 0) -> tuple[NDArray[np
     )
 
 
-def measure(samples: int, robots: int) -> None:
-    """Print medians for all methods over a batch of robots; a batch of one is left unbatched."""
-    reading, reference = stepping_robot(samples, robots)
-    if robots == 1:
-        reading, reference = reading[:, 0], Reference(*(part[:, 0] for part in reference))
+def measure(samples: int) -> None:
+    """Print medians for all methods."""
+    reading, reference = stepping_robot(samples)
     layout = nao_shoe_layout()
     setup = OnlineSetup(layout=layout, mass=MASS, initial=Parameters(np.ones(8), np.zeros(8)))
     steps = {name: stepper(name, setup, reading[0]) for name in METHODS}
@@ -78,10 +75,10 @@ def measure(samples: int, robots: int) -> None:
             start = time.perf_counter()
             step(reading[k], row)
             seconds[name].append(time.perf_counter() - start)
-    print(f"{robots} robot(s), {samples} samples, microseconds for each robot:")
+    print(f"{samples} samples, in microseconds:")
     settled = np.arange(samples) >= samples // 2
     for name, taken in seconds.items():
-        spent = 1e6 * np.array(taken) / robots
+        spent = 1e6 * np.array(taken)
         solving = (np.arange(samples) + 1) % EVERY.get(name, 4) == 0
         with_solve, without = (np.median(spent[settled & part]) for part in (solving, ~solving))
         mean, (median, tail) = spent[settled].mean(), np.percentile(spent[settled], [50, 99])
@@ -106,7 +103,4 @@ def stepper(name: str, setup: OnlineSetup, raw: NDArray[np.float64]) -> Callable
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=2000)
-    parser.add_argument("--robots", type=int, nargs="+", default=[1, 256])
-    arguments = parser.parse_args()
-    for robots in arguments.robots:
-        measure(arguments.samples if robots == 1 else min(arguments.samples, 256), robots)
+    measure(parser.parse_args().samples)

@@ -55,15 +55,15 @@ class TareConfig:
 
 
 class TareState(NamedTuple):
-    """What the tare remembers; any leading batch dimensions ``...``.
+    """What the tare remembers.
 
     Attributes:
         front: What the way of a sample remembers.
-        airborne: Samples that each channel's foot has been in the air for, shape (..., K).
-        count: Readings of this swing that were used, shape (..., K).
-        mean: Their mean in N, shape (..., K).
-        scatter: Sum of their squared deviations in N^2, shape (..., K).
-        offset: b in N, shape (..., K).
+        airborne: Samples that each channel's foot has been in the air for, shape (K,).
+        count: Readings of this swing that were used, shape (K,).
+        mean: Their mean in N, shape (K,).
+        scatter: Sum of their squared deviations in N^2, shape (K,).
+        offset: b in N, shape (K,).
     """
 
     front: FrontState
@@ -82,47 +82,40 @@ def tare(setup: OnlineSetup, config: TareConfig | None = None) -> OnlineMethod:
         config: Options.
     """
     options = config or TareConfig()
+    channels, foot_of, feet = setup.layout.channels, setup.layout.foot_of_channel, setup.layout.slices
     front_end = FrontEnd(setup, imu=False)
     settle = round(options.settle / setup.dt)
-    foot = setup.layout.foot_of_channel
     spread, limit = options.spread * setup.weight, options.offset_range * setup.weight
-    by_foot = np.eye(len(setup.layout.feet))[:, foot]
 
     def init(raw: Array) -> TareState:
-        front = front_end.init(raw)
-        counter = np.zeros(raw.shape, dtype=np.int64)
-        zero = np.zeros_like(front.raw)
-        return TareState(front, counter, counter, zero, zero, zero)
+        counter, zero = np.zeros(channels, dtype=np.int64), np.zeros(channels)
+        return TareState(front_end.init(raw), counter, counter, zero, zero, zero)
 
     def update(state: TareState, raw: Array, reference: Reference, dt: float) -> tuple[TareState, Estimate]:
         front, sample = front_end.observe(state.front, raw, reference, dt)
-        in_air = sample.swing @ by_foot > 0.5
         # Across a gap the foot may have stood: what was counted before is not of this swing.
-        airborne = np.where(in_air, (state.airborne * 0 if sample.gap else state.airborne) + 1, 0)
-        fresh = airborne == 1
+        airborne = np.where(sample.swing[foot_of], (1 - sample.gap) * state.airborne + 1, 0)
         used = (airborne > settle) & sample.read
 
         # Welford's running mean and scatter of this swing.
-        before = np.where(fresh, 0, state.count)
+        before = np.where(airborne == 1, 0, state.count)
+        mean, scatter = (np.where(before == 0, 0.0, part) for part in (state.mean, state.scatter))
         count = before + used
         number = np.maximum(count, 1)
-        deviation = np.where(used, sample.past - state.mean, 0.0)
-        deviation = np.where(before == 0, np.where(used, sample.past, 0.0), deviation)
-        mean = np.where(before == 0, 0.0, state.mean) + deviation / number
-        off = np.where(used, sample.past - mean, 0.0)
-        scatter = np.where(before == 0, 0.0, state.scatter) + deviation * off
+        deviation = np.where(used, sample.past - mean, 0.0)
+        mean = mean + deviation / number
+        scatter = scatter + deviation * np.where(used, sample.past - mean, 0.0)
 
         enough = used & (count >= options.minimum_samples)
-        still = scatter <= number * spread**2
-        small = np.abs(mean) <= limit
-        # Where one channel carries load, or all together do, the foot did not swing.
-        feet_of = by_foot.mT
-        doubt = (enough & ~(still & small)) @ feet_of
-        carries = np.abs(np.where(enough, mean, 0.0) @ feet_of) > limit
-        hangs = (doubt < 0.5) & ~carries
-        foot_hangs = hangs @ by_foot > 0.5
-        offset = np.where(enough & foot_hangs, -mean, state.offset)
-        rejected = np.where(enough & ~foot_hangs, int(Flag.REJECTED), 0)
+        plausible = (scatter <= number * spread**2) & (np.abs(mean) <= limit)
+        offset, rejected = state.offset.copy(), np.zeros(channels, dtype=np.int64)
+        for foot in feet:
+            seen = np.flatnonzero(enough[foot]) + foot.start
+            # Where one channel carries load, or all together do, the foot did not swing.
+            if plausible[seen].all() and abs(mean[seen].sum()) <= limit:
+                offset[seen] = -mean[seen]
+            else:
+                rejected[seen] = int(Flag.REJECTED)
 
         estimate = front_end.estimate(sample, np.ones_like(offset), offset)
         estimate = estimate._replace(flags=estimate.flags | rejected)

@@ -12,8 +12,8 @@ give, with c = (x, y, z) the centre of mass and p_z the height of the ground,
 
 Han's earlier method supposes a quasi-static robot: Fz = M g and p = (x, y).
 
-Only the ground's forces enter: a hand on the robot shows up as an error of this reference. Arrays have any
-leading batch dimensions ``...``.
+Only the ground's forces enter: a hand on the robot shows up as an error of this reference. A series of
+samples has them first, written as ``...``.
 """
 
 from typing import NamedTuple
@@ -56,7 +56,7 @@ def ground_height(reference: Reference) -> Array:
 
 def ground_reference(
     reference: Reference,
-    mass: float | Array,
+    mass: float,
     *,
     height: Array | None = None,
     quasi_static: bool = False,
@@ -68,7 +68,7 @@ def ground_reference(
     Args:
         reference: The robot's beliefs; used are ``com``, ``com_acceleration``, ``angular_momentum_rate`` and,
             where no height is given, ``position_sole``.
-        mass: The robot's mass in kg, a number or shape (...).
+        mass: The robot's mass in kg.
         height: Height p_z of the ground in the level frame in m, shape (...); by default
             :func:`ground_height`.
         quasi_static: Whether to leave the motion out: Fz = M g above the centre of mass.

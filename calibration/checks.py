@@ -6,6 +6,12 @@ import numpy as np
 
 from surefoot.calibration.arrays import Array
 
+ONE_ROBOT = (
+    "That is of several robots, and a calibrator is of one: make a FootCalibrator for each, or wrap their "
+    "environments into VectorSelfCalibration."
+)
+"""The way out for whoever gives a batch."""
+
 
 def check_floating(array: Array, what: str) -> None:
     """Raise ValueError for integers and booleans, in which neither forces nor NaN can be written.
@@ -37,6 +43,18 @@ def check_tail(array: Array, tail: tuple[int | str, ...], what: str) -> None:
     if len(last) != len(tail) or not all(fits):
         axes = ", ".join(str(wanted) for wanted in tail)
         raise ValueError(f"'{what}' must have shape (..., {axes}), got {shape}.")
+
+
+def check_shape(array: Array, shape: tuple[int, ...], what: str) -> None:
+    """Raise ValueError if an array of one robot has another shape; of several robots, it says the way out."""
+    found = getattr(array, "shape", None)
+    if found == shape:
+        return
+    if found is None:
+        raise ValueError(f"'{what}' must have shape {shape}, got {type(array).__name__}.")
+    several = len(found) > len(shape) and found[len(found) - len(shape) :] == shape
+    way_out = f" {ONE_ROBOT}" if several else ""
+    raise ValueError(f"'{what}' must have shape {shape}, got {found}.{way_out}")
 
 
 def check_positive(config: Any, *fields: str) -> None:

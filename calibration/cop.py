@@ -10,7 +10,7 @@ epsilon) it is NaN here. Holding the last value for an observation is the busine
 For a wrench (fx, fy, fz, tx, ty, tz) at and in a sole frame the same point on the sole is (-ty, tx) / fz.
 Both feet are brought together as *moments*, (Fz, Fz px, Fz py), which add and are linear in the cells'
 forces; the one division comes last. A force plate is one foot alone: shapes given with a 2 for the feet
-have a 1 then. Arrays have any leading batch dimensions ``...``.
+have a 1 then. A series of samples has them first, written as ``...``.
 """
 
 import numpy as np
@@ -220,7 +220,11 @@ def moment_rows(layout: FeetLayout, position_sole: Array, R_level_sole: Array) -
     feet = len(layout.feet)
     check_tail(position_sole, (feet, 3), "position_sole")
     check_tail(R_level_sole, (feet, 3, 3), "R_level_sole")
-    wrench_map = layout.wrench_map
+    return level_rows(layout.wrench_map, position_sole, R_level_sole)
+
+
+def level_rows(wrench_map: Array, position_sole: Array, R_level_sole: Array) -> Array:
+    """Return :func:`moment_rows` without its checks, of feet whose channels make up wrenches by (F, 6, K)."""
     force_level = R_level_sole @ wrench_map[..., :3, :]
     torque_level = R_level_sole @ wrench_map[..., 3:, :]
     fz = force_level[..., 2:3, :]

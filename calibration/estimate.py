@@ -60,34 +60,34 @@ class Flag(IntFlag):
 
 
 class Estimate(NamedTuple):
-    """Calibrated readings of one sample; any leading batch dimensions, written as ``...``.
+    """Calibrated readings of one sample; a replay of N samples has N first in each field.
 
     Forces, wrenches and parameters are always finite. A centre of pressure is NaN exactly where its
     validity is false. Forces, and all that is made of them, are those of now: where readings are older by the
     setup's ``age``, they are carried on from there (:mod:`surefoot.calibration.front_end.ages`).
 
     Attributes:
-        force: Calibrated channels in N (or the channel's own unit), shape (..., K).
-        wrench: Wrenches of the ground on the robot at and in the sole frames in N and N m, shape (..., 2, 6).
-        vgrf: Vertical force on each foot in the level frame in N, shape (..., 2).
-        cop: Centre of pressure of both feet in the level frame of the reference in m, shape (..., 2).
-        cop_foot: Centres of pressure in the sole frames in m, shape (..., 2, 2).
-        cop_valid: Where ``cop`` exists (bool), shape (...).
-        cop_foot_valid: Where ``cop_foot`` exists (bool), shape (..., 2).
-        scale: Newtons per unit of the reading (a count), shape (..., K).
-        offset: Force that a reading of zero stands for in N, shape (..., K).
+        force: Calibrated channels in N (or the channel's own unit), shape (K,).
+        wrench: Wrenches of the ground on the robot at and in the sole frames in N and N m, shape (2, 6).
+        vgrf: Vertical force on each foot in the level frame in N, shape (2,).
+        cop: Centre of pressure of both feet in the level frame of the reference in m, shape (2,).
+        cop_foot: Centres of pressure in the sole frames in m, shape (2, 2).
+        cop_valid: Whether ``cop`` exists (bool), shape ().
+        cop_foot_valid: Where ``cop_foot`` exists (bool), shape (2,).
+        scale: Newtons per unit of the reading (a count), shape (K,).
+        offset: Force that a reading of zero stands for in N, shape (K,).
         covariance: Covariance of (scale, offset) relative to the starting map, that is of (a, b) in
-            F = a F0 + b, shape (..., 2K, 2K); ``None`` for a method that claims none.
-        flags: :class:`Flag` bits of each channel (integers), shape (..., K).
-        force_std: Standard deviation of ``force`` by that covariance in N, shape (..., K), or ``None``.
-        cop_covariance: Covariance of ``cop`` by it in m^2, shape (..., 2, 2), NaN where there is no centre of
+            F = a F0 + b, shape (2K, 2K); ``None`` for a method that claims none.
+        flags: :class:`Flag` bits of each channel (integers), shape (K,).
+        force_std: Standard deviation of ``force`` by that covariance in N, shape (K,), or ``None``.
+        cop_covariance: Covariance of ``cop`` by it in m^2, shape (2, 2), NaN where there is no centre of
             pressure; or ``None``.
-        nis: Normalised innovation squared of the update at this sample, shape (...), NaN at samples without
+        nis: Normalised innovation squared of the update at this sample, shape (), NaN at samples without
             one; or ``None``.
-        nis_rows: Number of rows, its degrees of freedom, shape (...), or ``None``.
+        nis_rows: Number of rows, its degrees of freedom, shape (), or ``None``.
         matrix: Scales of a calibration with cross-talk against the starting map, the A of F = A F0 + b, shape
-            (..., K, K); ``None`` where there is one scale a channel.
-        cop_measured: Centre of pressure of the forces as they were read, in m, shape (..., 2), NaN where they
+            (K, K); ``None`` where there is one scale a channel.
+        cop_measured: Centre of pressure of the forces as they were read, in m, shape (2,), NaN where they
             have none; ``cop`` itself where readings have no age.
     """
 

@@ -5,9 +5,8 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.layout import FeetLayout
@@ -29,9 +28,9 @@ from surefoot.names import plain_name
 class FootCalibrator:
     """Calibrate the feet of a robot while it moves.
 
-    A thin object over the pure functions of :mod:`surefoot.calibration.online`: it makes a state that fits
-    the first reading and carries it along. A method of this package for one robot runs in C where the library
-    of :mod:`surefoot.calibration.native` lies, with the same numbers to rounding.
+    A thin object over the pure functions of :mod:`surefoot.calibration.online`, which carries their state
+    along, for one robot. A method of this package runs in C where the library of
+    :mod:`surefoot.calibration.native` lies, with the same numbers to rounding.
 
     Args:
         layout: How the channels make up the feet's wrenches.
@@ -115,10 +114,10 @@ class FootCalibrator:
     def update(
         self, raw: ArrayLike, reference: Reference | ReferenceRecord, dt: float | None = None
     ) -> Estimate:
-        """Take in one sample of one robot or of a batch.
+        """Take in one sample.
 
         Args:
-            raw: Readings, shape (..., K). NaN: no sample arrived.
+            raw: Readings, shape (K,). NaN: no sample arrived.
             reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record.
             dt: Time since the last sample in s; the nominal one by default.
 
@@ -126,7 +125,7 @@ class FootCalibrator:
             The calibrated sample.
 
         Raises:
-            ValueError: If an array has a wrong shape, or another batch shape than the first one had.
+            ValueError: If an array has a wrong shape, such as that of several robots.
         """
         raw = np.asarray(raw, dtype=np.float64)
         dt = self.setup.dt if dt is None else dt
@@ -136,7 +135,7 @@ class FootCalibrator:
                 return self._native.update(native[1], raw, reference, dt)
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
-        state = self.fresh_state(raw) if self._state is None else self.state
+        state = self._fresh_state(raw) if self._state is None else self.state
         self._state, estimate = self._pure.update(state, raw, reference, dt)
         return estimate
 
@@ -156,22 +155,16 @@ class FootCalibrator:
         """Return whether this state, and no copy of it, is what it goes on with."""
         return self._state is state
 
-    def retract(self, which: Array | bool = True) -> None:
+    def retract(self) -> None:
         """Take back what was learnt in the last seconds, for a robot that has fallen or was seized.
 
         Both begin before anybody notices. The moment filter goes back by 1.5 to 3 s, and hands out nothing
         new before it has learnt for 1.5 s again; other methods go on as they are.
-
-        Args:
-            which: Robots of a batch (bool), of the batch's shape; all by default.
         """
-        if which is True and isinstance(self._state, NativeState) and self._native is not None:
+        if isinstance(self._state, NativeState) and self._native is not None:
             self._native.retract(self._state)
-            return
-        state = self.state
-        if state is not None:
-            everyone = _front(state).known | True
-            self._state = self._pure.retract(state, everyone & which)
+        elif self._state is not None:
+            self._state = self._pure.retract(self.state)
 
     def reset(self) -> None:
         """Drop all that was learnt: the next sample begins from the starting map."""
@@ -187,26 +180,20 @@ class FootCalibrator:
             raise RuntimeError("There is nothing to save before the first update().")
         save_state(path, self.state, **self._notes())
 
-    def load(self, path: str | PathLike[str], like: Array | None = None) -> None:
+    def load(self, path: str | PathLike[str]) -> None:
         """Go on from a file that :meth:`save` wrote, bit for bit.
-
-        Args:
-            path: The file.
-            like: Readings of a batch, shape (..., K), if there was no sample of it yet; their values do not
-                matter.
 
         Raises:
             ValueError: If the file is not from this method and setup, or its arrays do not fit.
         """
-        if like is None:
-            state = self.state
-            like = np.zeros(self.setup.layout.channels) if state is None else _front(state).raw
-        self._state = load_state(path, self.fresh_state(like), **self._notes())
+        fresh = self._fresh_state(np.zeros(self.setup.layout.channels))
+        self._state = load_state(path, fresh, **self._notes())
 
-    def fresh_state(self, raw: Any) -> Any:
-        """Return a state in which nothing was learnt, for readings of this shape, (..., K)."""
+    def _fresh_state(self, raw: NDArray[np.float64]) -> Any:
+        """Return a state in which nothing was learnt."""
         state = self._pure.init(raw)
-        if not isinstance(_front(state), FrontState):
+        # A method that learns nothing has no more than what it remembers of the stream.
+        if not isinstance(getattr(state, "front", state), FrontState):
             raise TypeError(
                 f"Method {self.method!r} has a state {type(state).__name__} without a FrontState as 'front'; "
                 "see register_method of surefoot.calibration."
@@ -230,8 +217,3 @@ class FootCalibrator:
             **{f"initial.{name}": str(np.asarray(part, dtype=np.float64).tolist()) for name, part in maps},
             "wrench_map": f"{wrench_map.shape} {sha256(wrench_map.tobytes()).hexdigest()[:16]}",
         }
-
-
-def _front(state: Any) -> Any:
-    """Return what a state remembers of the stream; a method that learns nothing has no more than that."""
-    return getattr(state, "front", state)

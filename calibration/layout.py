@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.arrays import skew
+from surefoot.calibration.checks import check_shape
 
 __all__ = ["FeetLayout", "FootLayout", "FootSensor"]
 
@@ -226,7 +227,7 @@ class FeetLayout:
     """Both feet, ordered (left, right); their channels follow each other in one flat array.
 
     A force plate or a balance board is one foot alone. What is documented with a 2 for the feet then has
-    a 1: positions of the soles, for instance, have shape (..., 1, 3).
+    a 1: positions of the soles, for instance, have shape (1, 3).
 
     Attributes:
         feet: The layouts of the left and of the right foot, or of the only one.
@@ -277,6 +278,15 @@ class FeetLayout:
     def foot_of_channel(self) -> NDArray[np.intp]:
         """0 for a channel of the left foot and 1 for one of the right, shape (K,)."""
         return np.repeat(np.arange(len(self.feet)), [foot.channels for foot in self.feet])
+
+    def check_reading(self, raw: Any, what: str = "raw") -> None:
+        """Raise ValueError if readings are not those of one robot at one moment, shape (K,).
+
+        Raises:
+            ValueError: If they are not one a channel, or those of several robots.
+        """
+        self.check_raw(raw, what)
+        check_shape(np.asarray(raw), (self.channels,), what)
 
     def check_raw(self, raw: Any, what: str = "raw") -> None:
         """Raise ValueError if the last axis of readings is not the channels of this layout.

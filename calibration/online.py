@@ -3,12 +3,12 @@
 An online method is a set of pure functions over a state that is a value,
 
     init, update, retract = online_method("moment", setup)
-    state = init(raw)                                       # the shape of readings to come
+    state = init(raw)                                       # of one robot
     state, estimate = update(state, raw, reference, dt)     # one sample
-    state = retract(state, fell)                            # what robots learnt as they began to fall
+    state = retract(state)                                  # what the robot learnt as it began to fall
 
-of NumPy's arrays, in float64, for one robot or a batch. A state is a ``NamedTuple`` of arrays and whole
-numbers: keeping one, copying one, and :func:`surefoot.calibration.state.save_state` lose nothing.
+of NumPy's arrays in float64, for one robot. A state is a ``NamedTuple`` of arrays and numbers: keeping one,
+copying one, and :func:`surefoot.calibration.state.save_state` lose nothing.
 
 Methods differ in what they learn from. What they share (checks, the delay of the reference, what an
 estimate holds) is described in :mod:`surefoot.calibration.front_end.readings`:
@@ -93,10 +93,10 @@ def register_method(
     error.
 
     A method is an :class:`OnlineMethod` of pure functions. Its state is a
-    :class:`~surefoot.calibration.front_end.readings.FrontState`, or a ``NamedTuple`` of arrays with the batch
-    in front that holds one as ``front``: the
-    :class:`~surefoot.calibration.front_end.readings.FrontEnd` checks readings, waits for the reference and
-    makes estimates. If the class has a tuple ``LEARNT``, it names the fields that outlive an episode.
+    :class:`~surefoot.calibration.front_end.readings.FrontState`, or a ``NamedTuple`` of arrays that holds one
+    as ``front``: the :class:`~surefoot.calibration.front_end.readings.FrontEnd` checks readings, waits for
+    the reference and makes estimates. If the class has a tuple ``LEARNT``, it names the fields that outlive
+    an episode.
 
     Args:
         name: A new name.

@@ -16,11 +16,11 @@ from surefoot.calibration.arrays import Array
 
 
 class Parameters(NamedTuple):
-    """Scales and offsets of K channels; any leading batch dimensions, written as ``...``.
+    """Scales and offsets of K channels; those of N samples have N first.
 
     Attributes:
-        scale: Newtons per unit of the reading (a count), shape (..., K).
-        offset: Force that a reading of zero stands for in N, shape (..., K).
+        scale: Newtons per unit of the reading (a count), shape (K,).
+        offset: Force that a reading of zero stands for in N, shape (K,).
 
     >>> import numpy as np
     >>> nominal = Parameters(scale=np.array([2e-5, -4e-5]), offset=np.array([-160.0, 330.0]))
@@ -35,10 +35,10 @@ class Parameters(NamedTuple):
         """Return the forces of readings, F = c raw + d (CoP paper, Eq. 2).
 
         Args:
-            raw: Readings, shape (..., K).
+            raw: Readings, shape (K,) or, of N samples, (N, K).
 
         Returns:
-            Forces in N, shape (..., K).
+            Forces in N, of the same shape.
         """
         return self.scale * raw + self.offset
 

@@ -14,19 +14,19 @@ GRAVITY = 9.81
 
 
 class Reference(NamedTuple):
-    """One sample of a robot's beliefs; any leading batch dimensions, written as ``...``.
+    """One sample of a robot's beliefs; a log of N samples has N first in each field.
 
     Attributes:
-        com: Centre of mass in the level frame in m, shape (..., 3).
-        com_acceleration: Its acceleration without gravity in m/s^2, shape (..., 3).
-        angular_momentum_rate: Rate of the centroidal angular momentum in N m, shape (..., 3).
-        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
-        R_level_sole: Rotations from the sole frames to the level frame, shape (..., 2, 3, 3).
-        stance: Feet that the robot is sure to have on the ground (bool), shape (..., 2).
-        swing: Feet that the robot is sure to have in the air (bool), shape (..., 2). A foot in a
+        com: Centre of mass in the level frame in m, shape (3,).
+        com_acceleration: Its acceleration without gravity in m/s^2, shape (3,).
+        angular_momentum_rate: Rate of the centroidal angular momentum in N m, shape (3,).
+        position_sole: Origins of the sole frames in the level frame in m, shape (2, 3).
+        R_level_sole: Rotations from the sole frames to the level frame, shape (2, 3, 3).
+        stance: Feet that the robot is sure to have on the ground (bool), shape (2,).
+        swing: Feet that the robot is sure to have in the air (bool), shape (2,). A foot in a
             transition is neither.
-        accelerometer: Specific force at the IMU in its own axes in m/s^2, shape (..., 3).
-        gyroscope: Angular velocity of the IMU in its own axes in rad/s, shape (..., 3).
+        accelerometer: Specific force at the IMU in its own axes in m/s^2, shape (3,).
+        gyroscope: Angular velocity of the IMU in its own axes in rad/s, shape (3,).
     """
 
     com: Array

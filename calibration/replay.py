@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.checks import check_value
+from surefoot.calibration.checks import ONE_ROBOT, check_value
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.foot_calibrator import FootCalibrator
 from surefoot.calibration.front_end.filters import zero_phase as filter_zero_phase
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.layout import FeetLayout
-from surefoot.calibration.online import method_entry, method_name, online_method
+from surefoot.calibration.online import method_entry, method_name
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
-from surefoot.calibration.setup import setup_from_options
 
 PAPER_CUTOFF = 10.0
 """Cutoff of the CoP paper's zero-phase filter in Hz."""
@@ -41,12 +41,12 @@ def replay(
     watch: Callable[[range], Iterable[int]] = iter,
     **options: Any,
 ) -> Estimate:
-    """Run a method over a whole log.
+    """Run a method over a whole log of one robot, by a :class:`~surefoot.calibration.FootCalibrator`.
 
     Args:
         layout: How the channels make up the feet's wrenches.
         method: A key of :data:`~surefoot.calibration.online.METHODS`.
-        raw: Readings, shape (N, ..., K): time first, then any batch of robots.
+        raw: Readings, shape (N, K).
         reference: The robot's beliefs as they were known at each sample, N first in each field.
         dt: Time between samples in s, or the times since the sample before, shape (N,).
         mass: Mass of the robot as it believes it, in kg.
@@ -67,9 +67,10 @@ def replay(
     method = method_name(method)
     readings = np.asarray(raw, dtype=np.float64)
     layout.check_raw(readings)
-    if readings.ndim < 2 or len(readings) == 0:
-        raise ValueError(f"'raw' must have shape (samples, ..., channels), got {readings.shape}.")
-    log = Reference(*(np.asarray(part) for part in reference))
+    if readings.ndim != 2 or len(readings) == 0:
+        way_out = f" {ONE_ROBOT}" if readings.ndim > 2 else ""
+        raise ValueError(f"'raw' must have shape (samples, channels), got {readings.shape}.{way_out}")
+    log = Reference(*(_in_float64(part) for part in reference))
     for field, part in zip(Reference._fields, log, strict=True):
         if part.shape[:1] != readings.shape[:1]:
             raise ValueError(
@@ -85,41 +86,46 @@ def replay(
         check_value("dt", dt, positive=True)
     steps = np.broadcast_to(np.asarray(dt, dtype=np.float64), len(readings))
     nominal = float(np.median(steps))
-    setup, options = setup_from_options(
-        layout, mass=mass, initial=initial, dt=nominal, lag=lag, options=options
-    )
 
-    front_end = FrontEnd(setup)
-    learnt_from, learnt_with = readings, log
+    cutoff = None
     if zero_phase:
         cutoff = options.pop("cutoff", None) or PAPER_CUTOFF
         if "cutoff" in getattr(method_entry(method).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
-        low, high = front_end.plausible
-        learnt_from = _filter_plausible(readings, low, high, cutoff, nominal)
+    calibrator = FootCalibrator(layout, method, mass=mass, initial=initial, dt=nominal, lag=lag, **options)
+    learnt_from, learnt_with = readings, log
+    if cutoff is not None:
+        front_end = FrontEnd(calibrator.setup)
+        front = front_end.init(readings[0])
+        learnt_from = _filter_plausible(readings, *front_end.plausible, cutoff, nominal)
         limits = (-LARGEST_REFERENCE, LARGEST_REFERENCE)
         learnt_with = log._replace(
             com_acceleration=_filter_plausible(log.com_acceleration, *limits, cutoff, nominal),
             angular_momentum_rate=_filter_plausible(log.angular_momentum_rate, *limits, cutoff, nominal),
         )
-    init, update, _ = online_method(method, setup, **options)
-    state, front = init(readings[0]), front_end.init(readings[0])
     estimates = []
     for k in watch(range(len(readings))):
         step = float(steps[k])
-        row = Reference(*(part[k] for part in learnt_with))
-        state, estimate = update(state, learnt_from[k], row, step)
-        if zero_phase:
-            front, sample = front_end.observe(front, readings[k], Reference(*(part[k] for part in log)), step)
-            estimate = front_end.estimate(
-                sample,
-                estimate.scale / setup.initial.scale,
-                estimate.offset - estimate.scale / setup.initial.scale * setup.initial.offset,
-                covariance=estimate.covariance,
-            )._replace(flags=estimate.flags | sample.flags)
+        estimate = calibrator.update(learnt_from[k], _row(learnt_with, k), step)
+        if cutoff is not None:
+            front, sample = front_end.observe(front, readings[k], _row(log, k), step)
+            learnt = Parameters(estimate.scale, estimate.offset).relative_to(calibrator.setup.initial)
+            unfiltered = front_end.estimate(sample, *learnt, covariance=estimate.covariance)
+            estimate = unfiltered._replace(flags=estimate.flags | sample.flags)
         estimates.append(estimate)
     columns: list[Any] = list(zip(*estimates, strict=True))
     return Estimate(*(None if column[0] is None else np.stack(column) for column in columns))
+
+
+def _in_float64(values: Any) -> NDArray[Any]:
+    """Return numbers in double precision, which the library takes; booleans stay."""
+    array = np.asarray(values)
+    return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else array
+
+
+def _row(reference: Reference, k: int) -> Reference:
+    """Return one sample of a log's beliefs."""
+    return Reference(*(part[k] for part in reference))
 
 
 def _filter_plausible(values: NDArray[Any], low: Any, high: Any, cutoff: float, dt: float) -> NDArray[Any]:

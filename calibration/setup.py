@@ -34,19 +34,19 @@ def method_name(name: str) -> str:
 
 
 class OnlineMethod(NamedTuple):
-    """An online calibrator as pure functions.
+    """An online calibrator of one robot as pure functions.
 
     Attributes:
-        init: ``init(raw) -> state``. ``raw``, float64 of shape (..., K), only gives the shape.
+        init: ``init(raw) -> state``. ``raw``, float64 of shape (K,), is a reading whose values do not matter.
         update: ``update(state, raw, reference, dt) -> (state, Estimate)``.
-        retract: ``retract(state, which) -> state`` takes back what robots have learnt in the last seconds,
-            those of ``which`` (bool, the batch shape), as something happened to them that began before it was
-            noticed, such as a fall. Methods that remember no earlier state leave theirs as it is.
+        retract: ``retract(state) -> state`` takes back what was learnt in the last seconds, as something
+            happened to the robot that began before it was noticed, such as a fall. Methods that remember no
+            earlier state leave theirs as it is.
     """
 
     init: Callable[[Array], Any]
     update: Callable[[Any, Array, Reference, float], tuple[Any, Estimate]]
-    retract: Callable[[Any, Array], Any] = lambda state, which: state
+    retract: Callable[[Any], Any] = lambda state: state
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

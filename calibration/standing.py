@@ -25,13 +25,19 @@ row. With s_e = 0 and s small against s_a and s_b it is the paper's solution of 
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import check_count, check_not_negative, check_positive, check_tail
+from surefoot.calibration.checks import (
+    check_count,
+    check_floating,
+    check_not_negative,
+    check_positive,
+    check_shape,
+)
 from surefoot.calibration.cop import FORCE_THRESHOLD, moment_rows
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
 from surefoot.calibration.layout import FeetLayout
@@ -47,47 +53,47 @@ PLAUSIBLE_WEIGHTS = 20.0
 
 
 class StandingState(NamedTuple):
-    """What has been seen so far; any batch dimensions ``...``.
+    """What has been seen so far.
 
     Attributes:
-        time: Time since the start in s, shape (...).
-        samples: Samples that were used, shape (...).
-        dropped: Samples after warming up with a value that is not finite or absurd, shape (...).
-        gated: Samples after warming up without contact or with motion, shape (...).
-        information: Sum of J' J over the whitened rows, shape (..., 2 K + 3, 2 K + 3).
-        gradient: Sum of J' y, shape (..., 2 K + 3).
-        energy: Sum of y' y, shape (...).
+        time: Time since the start in s.
+        samples: Samples that were used.
+        dropped: Samples after warming up with a value that is not finite or absurd.
+        gated: Samples after warming up without contact or with motion.
+        information: Sum of J' J over the whitened rows, shape (2 K + 3, 2 K + 3).
+        gradient: Sum of J' y, shape (2 K + 3,).
+        energy: Sum of y' y.
     """
 
-    time: Array
-    samples: Array
-    dropped: Array
-    gated: Array
+    time: float
+    samples: int
+    dropped: int
+    gated: int
     information: Array
     gradient: Array
-    energy: Array
+    energy: float
 
 
 class StandingEstimate(NamedTuple):
-    """Starting values; any batch dimensions ``...``.
+    """Starting values.
 
     Attributes:
-        parameters: The map (c, d) of the readings, shape (..., K) each.
-        correction: The same as (a, b) of F = a F0 + b, shape (..., K) each.
-        covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (..., 2 K, 2 K).
-        rank: Directions of (a, b) whose variance the samples at least halved, shape (...).
-        residual_rms: Of what is left, in multiples of the noise that was assumed, shape (...).
-        condition: Ratio of the most to the least constrained direction's standard deviation, shape (...).
-        ready: Whether enough samples came over enough time, shape (...).
+        parameters: The map (c, d) of the readings, shape (K,) each.
+        correction: The same as (a, b) of F = a F0 + b, shape (K,) each.
+        covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K).
+        rank: Directions of (a, b) whose variance the samples at least halved.
+        residual_rms: Of what is left, in multiples of the noise that was assumed.
+        condition: Ratio of the most to the least constrained direction's standard deviation.
+        ready: Whether enough samples came over enough time.
     """
 
     parameters: Parameters
     correction: Parameters
     covariance: Array
-    rank: Array
-    residual_rms: Array
-    condition: Array
-    ready: Array
+    rank: int
+    residual_rms: float
+    condition: float
+    ready: bool
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -152,7 +158,7 @@ class QuietStanding:
         check_count(self, "minimum_samples")
         for field in ("scale", "offset"):
             value = getattr(self.start, field)
-            self.layout.check_raw(value, f"start.{field}")
+            self.layout.check_reading(value, f"start.{field}")
             if not np.isfinite(np.asarray(value)).all():
                 raise ValueError(f"'start.{field}' holds values that are not finite: {value}.")
 
@@ -160,78 +166,70 @@ class QuietStanding:
         """Return the state before any sample.
 
         Args:
-            raw: Readings of the shape to come, (..., K); their values do not matter.
+            raw: A reading, shape (K,); its values do not matter.
         """
-        self.layout.check_raw(raw)
-        batch, unknowns = raw.shape[:-1], 2 * self.layout.channels + _ROWS
-
-        def zeros(*tail: int, dtype: Any = np.float64) -> Array:
-            return np.zeros((*batch, *tail), dtype=dtype)
-
-        return StandingState(
-            time=zeros(),
-            samples=zeros(dtype=np.int64),
-            dropped=zeros(dtype=np.int64),
-            gated=zeros(dtype=np.int64),
-            information=zeros(unknowns, unknowns),
-            gradient=zeros(unknowns),
-            energy=zeros(),
-        )
+        self.layout.check_reading(raw)
+        unknowns = 2 * self.layout.channels + _ROWS
+        return StandingState(0.0, 0, 0, 0, np.zeros((unknowns, unknowns)), np.zeros(unknowns), 0.0)
 
     def update(self, state: StandingState, raw: Array, reference: Reference, dt: float) -> StandingState:
         """Take in one sample; one that is not finite, in contact and still is only counted.
 
         Args:
             state: What has been seen so far.
-            raw: Readings, shape (..., K).
+            raw: Readings, shape (K,).
             reference: The robot's beliefs at the same time.
             dt: Time to the next sample in s.
 
         Returns:
             The new state.
+
+        Raises:
+            ValueError: If an array is not of one sample of one robot.
         """
-        rows, target, finite, quiet = self.rows(raw, reference)
+        self._check(raw, reference)
         warm = state.time >= self.warm_up - 1e-9
-        used = warm & finite & quiet
-        rows_used = rows * used[..., None, None]
-        return StandingState(
-            time=state.time + dt,
-            samples=state.samples + used,
-            dropped=state.dropped + (warm & ~finite),
-            gated=state.gated + (warm & finite & ~quiet),
-            information=state.information + rows_used.mT @ rows,
-            gradient=state.gradient + (rows_used * target[..., None]).sum(axis=-2),
-            energy=state.energy + used * (target**2).sum(axis=-1),
+        state = state._replace(time=state.time + dt)
+        if not warm:
+            return state
+        if not self._finite(raw, reference):
+            return state._replace(dropped=state.dropped + 1)
+        rows, target, loaded = self._rows(raw, reference)
+        if not (loaded and self._still(reference)):
+            return state._replace(gated=state.gated + 1)
+        return state._replace(
+            samples=state.samples + 1,
+            information=state.information + rows.T @ rows,
+            gradient=state.gradient + rows.T @ target,
+            energy=state.energy + float(target @ target),
         )
 
-    def ready(self, state: StandingState) -> Array:
-        """Return whether enough samples came over enough time (bool), shape (...)."""
+    def ready(self, state: StandingState) -> bool:
+        """Return whether enough samples came over enough time."""
         enough_time = state.time >= self.warm_up + self.duration - 1e-9
-        return (state.samples >= self.minimum_samples) & enough_time
+        return state.samples >= self.minimum_samples and enough_time
 
     def solve(self, state: StandingState) -> StandingEstimate:
         """Return the map nearest to the starting one that explains the samples (CoP paper, Eq. 13).
 
         Without samples it is the starting map.
         """
-        channels, deviation = self.layout.channels, self._deviations()
-        posterior = np.linalg.inv(state.information + np.eye(state.gradient.shape[-1]))
-        posterior = 0.5 * (posterior + posterior.mT)
-        whitened = (posterior @ state.gradient[..., None])[..., 0]
-        shift = whitened[..., : 2 * channels] * deviation
-        correction = Parameters(1 + shift[..., :channels], shift[..., channels:])
-        kept = posterior[..., : 2 * channels, : 2 * channels]
+        K, deviation = self.layout.channels, self._deviations()
+        posterior = np.linalg.inv(state.information + np.eye(2 * K + _ROWS))
+        posterior = 0.5 * (posterior + posterior.T)
+        whitened = posterior @ state.gradient
+        shift = whitened[: 2 * K] * deviation
+        correction = Parameters(1.0 + shift[:K], shift[K:])
+        kept = posterior[: 2 * K, : 2 * K]
         variance = np.linalg.eigvalsh(kept)
-        explained = (state.information @ whitened[..., None])[..., 0] - 2 * state.gradient
-        left = state.energy + (whitened * explained).sum(axis=-1)
-        rows = _ROWS * np.maximum(state.samples, 1)
+        left = state.energy + whitened @ (state.information @ whitened - 2.0 * state.gradient)
         return StandingEstimate(
             parameters=correction.after(self.start),
             correction=correction,
             covariance=deviation[:, None] * kept * deviation,
-            rank=(variance < 0.5).sum(axis=-1),
-            residual_rms=np.sqrt(np.maximum(left, 0.0) / rows),
-            condition=np.sqrt(variance[..., -1] / variance[..., 0]),
+            rank=int((variance < 0.5).sum()),
+            residual_rms=float(np.sqrt(max(left, 0.0) / (_ROWS * max(state.samples, 1)))),
+            condition=float(np.sqrt(variance[-1] / variance[0])),
             ready=self.ready(state),
         )
 
@@ -239,51 +237,46 @@ class QuietStanding:
         """Return the units of (a, b), shape (2 K,): one is as far from the start as assumed."""
         return np.repeat([self.scale_std, self.offset_std], self.layout.channels)
 
-    def rows(self, raw: Array, reference: Reference) -> tuple[Array, Array, Array, Array]:
-        """Return samples as whitened rows J u = y, and which are finite, and which in contact and still.
-
-        Returns:
-            J (..., 3, 2 K + 3), y (..., 3), finite (...), quiet (...); zeros where not finite.
-        """
-        self.layout.check_raw(raw)
+    def _check(self, raw: Array, reference: Reference) -> None:
+        """Raise ValueError if a shape is not that of one sample, or a dtype not floating."""
         feet = len(self.layout.feet)
-        for field, tail in (
+        self.layout.check_reading(raw)
+        for field, shape in (
             ("com", (3,)),
             ("position_sole", (feet, 3)),
             ("R_level_sole", (feet, 3, 3)),
             ("accelerometer", (3,)),
             ("gyroscope", (3,)),
         ):
-            check_tail(getattr(reference, field), tail, field)
+            check_floating(getattr(reference, field), field)
+            check_shape(getattr(reference, field), shape, field)
 
-        def clean(values: Array, axes: int, limit: float = LARGEST_REFERENCE) -> tuple[Array, Array]:
-            finite = (np.abs(values) <= limit).all(axis=tuple(range(-axes, 0)))
-            return np.where(finite[(..., *[None] * axes)], values, 0.0), finite
+    def _finite(self, raw: Array, reference: Reference) -> bool:
+        """Return whether all of a sample is finite, and of a size that a robot can have."""
+        force = self.start.force(raw)
+        beliefs = (reference.com, reference.position_sole, reference.R_level_sole)
+        measured = (reference.accelerometer, reference.gyroscope)
+        return bool((np.abs(force) <= PLAUSIBLE_WEIGHTS * self.mass * GRAVITY).all()) and all(
+            bool((np.abs(part) <= LARGEST_REFERENCE).all()) for part in (*beliefs, *measured)
+        )
 
-        force, finite = clean(self.start.force(raw), 1, PLAUSIBLE_WEIGHTS * self.mass * GRAVITY)
-        com, com_finite = clean(reference.com, 1)
-        sole, sole_finite = clean(reference.position_sole, 2)
-        R, R_finite = clean(reference.R_level_sole, 3)
-        acceleration, acceleration_finite = clean(reference.accelerometer, 1)
-        rate, rate_finite = clean(reference.gyroscope, 1)
-        finite = finite & com_finite & sole_finite & R_finite & acceleration_finite & rate_finite
+    def _still(self, reference: Reference) -> bool:
+        """Return whether the robot is at rest by its IMU."""
+        specific, rate = np.linalg.norm(reference.accelerometer), np.linalg.norm(reference.gyroscope)
+        return bool(abs(specific - GRAVITY) < self.acceleration_threshold and rate < self.rate_threshold)
 
-        about_com = np.concatenate([sole[..., :2] - com[..., None, :2], sole[..., 2:]], axis=-1)
-        by_channel = moment_rows(self.layout, about_com, R).sum(axis=-3)
-        total = (by_channel @ force[..., None])[..., 0]
-        weight = self.mass * GRAVITY
+    def _rows(self, raw: Array, reference: Reference) -> tuple[Array, Array, bool]:
+        """Return a sample as whitened rows J u = y, and whether it is in contact.
+
+        Returns:
+            J (3, 2 K + 3), y (3,), and whether the total force exceeds the threshold.
+        """
+        weight, force = self.mass * GRAVITY, self.start.force(raw)
+        about_com = reference.position_sole - np.append(reference.com[:2], 0.0)
+        by_channel = moment_rows(self.layout, about_com, reference.R_level_sole).sum(axis=0)
+        total = by_channel @ force
         noise = np.array([self.force_noise, weight * self.cop_noise, weight * self.cop_noise])
         shared = np.diag([weight * self.mass_error, *[weight * self.com_error] * 2])
-        by_unknown = np.concatenate([by_channel * force[..., None, :], by_channel], axis=-1)
-        by_unknown = by_unknown * self._deviations()
-        shared = np.broadcast_to(shared, (*by_unknown.shape[:-1], _ROWS))
-        rows = np.concatenate([by_unknown, shared], axis=-1) / noise[:, None]
-        target = (np.array([weight, 0.0, 0.0]) - total) / noise
-
-        def length(vector: Array) -> Array:
-            return np.sqrt((vector**2).sum(axis=-1))
-
-        still = (np.abs(length(acceleration) - GRAVITY) < self.acceleration_threshold) & (
-            length(rate) < self.rate_threshold
-        )
-        return rows, target, finite, (total[..., 0] > self.threshold) & still
+        by_unknown = np.hstack([by_channel * force, by_channel]) * self._deviations()
+        rows = np.hstack([by_unknown, shared]) / noise[:, None]
+        return rows, (np.array([weight, 0.0, 0.0]) - total) / noise, bool(total[0] > self.threshold)

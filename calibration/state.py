@@ -1,6 +1,6 @@
 """Keeping the state of an online method: to a file and back without losing a bit.
 
-A state is a tree of tuples, mostly named, with arrays and whole numbers at its leaves. The file is a plain
+A state is a tree of tuples, mostly named, with arrays and numbers at its leaves. The file is a plain
 ``.npz`` with one entry a leaf, named by its path such as ``"front.raw"``, and no pickles.
 """
 
@@ -76,8 +76,7 @@ def load_state(path: str | PathLike[str], like: Any, **notes: str) -> Any:
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise ValueError(
                 f"'{name}' in '{path}' has shape {found.shape} and dtype {found.dtype}, but this state needs "
-                f"{expected.shape} and {expected.dtype}: layout, batch, lag and window must be as they were "
-                "saved."
+                f"{expected.shape} and {expected.dtype}: layout, lag and window must be as they were saved."
             )
     return _rebuild(like, saved_leaves, "")
 

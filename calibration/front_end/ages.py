@@ -39,32 +39,35 @@ def as_read(setup: OnlineSetup) -> OnlineSetup:
     return replace(setup, age=0.0)
 
 
-def expected_change(history: Array, clean: Array, time: Array, interval: float) -> Array:
-    """Return by how much forces are expected to have changed since they were read, in N, shape (..., K).
+def expected_change(history: Array, clean: int, time: Array, interval: float) -> Array:
+    """Return by how much forces are expected to have changed since they were read, in N, shape (K,).
 
     That is nothing where a reading at an end of the slope did not come, or a sample between was not good.
 
     Args:
-        history: The last samples, the newest at the end: F0 and whether it was read, shape (..., n, 2K).
-        clean: Good samples since the last bad one, shape (...).
+        history: The last n samples, the newest at the end: F0 and whether it was read, shape (n, 2K).
+        clean: Good samples since the last bad one.
         time: By how long each channel is carried on in s, shape (K,).
         interval: Time between samples in s.
     """
-    K = time.shape[-1]
-    newest, before = history[..., -1, :], history[..., -1 - SLOPE_SAMPLES, :]
-    there = (newest[..., K:] > 0.5) & (before[..., K:] > 0.5) & (clean >= SLOPE_SAMPLES)[..., None]
-    slope = (newest[..., :K] - before[..., :K]) / (SLOPE_SAMPLES * interval)
-    return np.where(there, time * slope, 0.0 * time)
+    K = len(time)
+    if clean < SLOPE_SAMPLES:
+        return np.zeros(K)
+    newest, before = history[-1], history[-1 - SLOPE_SAMPLES]
+    there = (newest[K:] > 0.5) & (before[K:] > 0.5)
+    slope = (newest[:K] - before[:K]) / (SLOPE_SAMPLES * interval)
+    return np.where(there, time * slope, 0.0)
 
 
 def with_total_kept(change: Array, up: Array) -> Array:
     """Return changes of forces that leave the vertical force as it is.
 
     Args:
-        change: Changes in N, shape (..., K).
-        up: What a newton on each channel adds to the vertical force, shape (..., K).
+        change: Changes in N, shape (K,).
+        up: What a newton on each channel adds to the vertical force, shape (K,).
     """
     by = up * change * change
-    room = (by * up).sum(axis=-1)
-    excess = (up * change).sum(axis=-1) / np.where(room > 0.0, room, 1.0)
-    return np.where((room > 0.0)[..., None], change - by * excess[..., None], 0.0 * change)
+    room = (by * up).sum()
+    if not room > 0.0:
+        return np.zeros_like(change)
+    return change - by * ((up * change).sum() / room)

@@ -20,11 +20,11 @@ from surefoot.calibration.arrays import Array
 
 
 class LowPass(NamedTuple):
-    """A causal filter as a pair of pure functions over arrays of shape (..., C): C signals side by side.
+    """A causal filter as a pair of pure functions over C signals side by side, shape (C,).
 
     Attributes:
         init: ``init(signal) -> state``: the state of a filter that has seen this value for ever, shape
-            (..., 2, C).
+            (2, C).
         apply: ``apply(signal, state) -> (filtered, state)``.
     """
 
@@ -52,11 +52,11 @@ def low_pass(cutoff: float, dt: float) -> LowPass:
     transition, steady = coefficients(cutoff, dt)
 
     def init(signal: Array) -> Array:
-        return steady * signal[..., None, :]
+        return steady * signal
 
     def apply(signal: Array, state: Array) -> tuple[Array, Array]:
-        both = transition @ np.concatenate([signal[..., None, :], state], axis=-2)
-        return both[..., 0, :], both[..., 1:, :]
+        both = transition @ np.vstack([signal, state])
+        return both[0], both[1:]
 
     return LowPass(init, apply)
 
@@ -67,12 +67,12 @@ def zero_phase(values: NDArray[np.float64], cutoff: float, dt: float) -> NDArray
     Missing values are bridged by straight lines for the filter's sake and are missing again in the result.
 
     Args:
-        values: The log along the first axis, shape (N, ...). NaN and infinite values count as missing.
+        values: The log, N samples first in any shape. NaN and infinite values count as missing.
         cutoff: Cutoff of each of the two passes in Hz.
         dt: Time between samples in s.
 
     Returns:
-        The filtered log, shape (N, ...).
+        The filtered log, of the same shape.
 
     Raises:
         ValueError: If the cutoff does not lie between zero and half of the sample rate.

@@ -13,24 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration.arrays import Array, in_a_row
-from surefoot.calibration.layout import FeetLayout
+from surefoot.calibration.checks import check_shape
+from surefoot.calibration.cop import level_rows
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.setup import OnlineSetup
 
 LARGEST_REFERENCE = 1e6
 """Magnitude, in any unit, beyond which a value of a reference is taken for an error."""
 
-_FEATURES = 15
-"""Numbers of a foot that its rows are linear in: up, px up, py up, ex, ey, 3 each."""
-
 LARGEST_WEIGHTS = 5.0
 """Vertical force, in body weights, beyond which a reference is taken for an error."""
 
 LARGEST_REACH = 10.0
 """Distance of a reference's centre of pressure from a sole, in foot lengths, taken for an error."""
-
-_QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
-"""Takes (x, y, z) to (y, -x)."""
 
 
 class MotionColumns(NamedTuple):
@@ -55,7 +50,10 @@ class MotionColumns(NamedTuple):
         return int(self.R_level_sole.stop)
 
     def soles(self, motion: Array) -> tuple[Array, Array]:
-        """Return the soles of flat references: positions (..., F, 3) and rotations (..., F, 3, 3)."""
+        """Return the soles of one flat reference: positions (F, 3) and rotations (F, 3, 3).
+
+        Those of n samples, shape (n, R), have n first.
+        """
         position, R = motion[..., self.position_sole], motion[..., self.R_level_sole]
         each = (*motion.shape[:-1], position.shape[-1] // 3)
         return position.reshape(*each, 3), R.reshape(*each, 3, 3)
@@ -72,17 +70,17 @@ class Motions:
     Attributes:
         imu: The same.
         columns: Where the parts of a flat reference lie.
-        tails: The shape of each field of a reference behind its batch dimensions.
+        shapes: The shape of each field of a reference.
         resting: A flat reference with the soles level at the origin, shape (R,).
     """
 
     def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
         self._quasi_static, self.imu = quasi_static, imu
-        self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
+        self._feet, self._wrench_map = len(setup.layout.feet), setup.layout.wrench_map
         self._threshold, self._weight, self._mass = setup.force_threshold, setup.weight, setup.mass
         self._reach = LARGEST_REACH * setup.length
         self.columns = MotionColumns.of(self._feet)
-        self.tails: dict[str, tuple[int, ...]] = {
+        self.shapes: dict[str, tuple[int, ...]] = {
             "com": (3,),
             "com_acceleration": (3,),
             "angular_momentum_rate": (3,),
@@ -95,14 +93,9 @@ class Motions:
         }
         level = np.tile(np.eye(3).ravel(), self._feet)
         self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
-        self._row_map = _row_map(setup.layout)
 
-    def check(self, reference: Reference, batch: tuple[int, ...]) -> None:
+    def check(self, reference: Reference) -> None:
         """Raise an error if a reference does not fit.
-
-        Args:
-            reference: The reference.
-            batch: The batch shape that it must have.
 
         Raises:
             ValueError: If a field has another shape, or contacts are no booleans.
@@ -111,108 +104,72 @@ class Motions:
         if not isinstance(reference, Reference):
             raise TypeError(f"'reference' must be a Reference, got {type(reference).__name__}.")
         for field, value in zip(Reference._fields, reference, strict=True):
-            shape = batch + self.tails[field]
-            if getattr(value, "shape", None) != shape:
-                found = value.shape if hasattr(value, "shape") else type(value).__name__
-                raise ValueError(f"'reference.{field}' must have shape {shape}, got {found}.")
+            check_shape(value, self.shapes[field], f"reference.{field}")
         for field, value in (("stance", reference.stance), ("swing", reference.swing)):
             if value.dtype != np.bool:
                 raise ValueError(f"'reference.{field}' must hold booleans, got dtype {value.dtype}.")
 
     def flatten(self, reference: Reference) -> Array:
-        """Return the numbers of a reference side by side, in float64, shape (..., R)."""
-        batch = reference.com.shape[:-1]
+        """Return the numbers of a reference side by side, in float64, shape (R,)."""
         parts = (
             reference.com,
             reference.com_acceleration,
             reference.angular_momentum_rate,
-            reference.accelerometer if self.imu else np.zeros_like(reference.com),
-            reference.gyroscope if self.imu else np.zeros_like(reference.com),
-            reference.position_sole.reshape(*batch, 3 * self._feet),
-            reference.R_level_sole.reshape(*batch, 9 * self._feet),
+            reference.accelerometer if self.imu else np.zeros(3),
+            reference.gyroscope if self.imu else np.zeros(3),
+            reference.position_sole.reshape(-1),
+            reference.R_level_sole.reshape(-1),
         )
-        return np.concatenate(parts, axis=-1, dtype=np.float64)
+        return np.concatenate(parts, dtype=np.float64)
 
     def unflatten(self, motion: Array, stance: Array, swing: Array) -> Reference:
         """Return a flat motion as a reference again, with contacts of its own."""
         columns = self.columns
         position_sole, R_level_sole = columns.soles(motion)
         return Reference(
-            com=motion[..., columns.com],
-            com_acceleration=motion[..., columns.com_acceleration],
-            angular_momentum_rate=motion[..., columns.angular_momentum_rate],
+            com=motion[columns.com],
+            com_acceleration=motion[columns.com_acceleration],
+            angular_momentum_rate=motion[columns.angular_momentum_rate],
             position_sole=position_sole,
             R_level_sole=R_level_sole,
             stance=stance,
             swing=swing,
-            accelerometer=motion[..., columns.accelerometer],
-            gyroscope=motion[..., columns.gyroscope],
+            accelerometer=motion[columns.accelerometer],
+            gyroscope=motion[columns.gyroscope],
         )
 
-    def ground(self, motion: Array) -> tuple[Array, Array, Array]:
+    def ground(self, motion: Array) -> tuple[float, Array, bool]:
         """Return what a motion asks of the ground.
 
         Args:
-            motion: Flat references, shape (..., R).
+            motion: A flat reference, shape (R,).
 
         Returns:
-            Vertical force in N (Eq. 9, or M g), shape (...); centre of pressure in m (Eqs. 10, 11, or (x,
-            y)), shape (..., 2); and whether a robot can do that at all (bool), shape (...).
+            Vertical force in N (Eq. 9, or M g); centre of pressure in m (Eqs. 10, 11, or (x, y)), shape (2,);
+            and whether a robot can do that at all.
         """
-        columns = self.columns
-        threshold, mass, weight = self._threshold, self._mass, self._weight
-        soles = motion[..., columns.position_sole].reshape(*motion.shape[:-1], self._feet, 3)
-        com = motion[..., columns.com]
+        columns, mass = self.columns, self._mass
+        com, soles = motion[columns.com], motion[columns.position_sole].reshape(-1, 3)
         if self._quasi_static:
-            vgrf, cop = 0.0 * com[..., 2] + weight, com[..., :2]
+            vgrf, cop = self._weight, com[:2]
         else:
-            acceleration = motion[..., columns.com_acceleration]
-            rate = motion[..., columns.angular_momentum_rate]
-            vgrf = mass * (acceleration[..., 2] + GRAVITY)  # Eq. 9
-            safe_vgrf = np.where(vgrf > threshold, vgrf, weight)
+            ax, ay, az = motion[columns.com_acceleration]
+            rate_x, rate_y, _ = motion[columns.angular_momentum_rate]
             # The lower sole is on the ground whatever the robot believes of its contacts.
-            height = mass * (com[..., 2] - soles[..., 2].min(axis=-1))
-            moment = height[..., None] * acceleration[..., :2] + rate @ _QUARTER_TURN
-            cop = com[..., :2] - moment / safe_vgrf[..., None]  # Eqs. 10, 11
-        reach = np.abs(soles[..., :2] - cop[..., None, :])
-        near = (reach <= self._reach).all(axis=(-2, -1))
-        return vgrf, cop, near & (vgrf > threshold) & (vgrf < LARGEST_WEIGHTS * weight)
+            lever = mass * (com[2] - soles[:, 2].min())
+            vgrf = mass * (az + GRAVITY)  # Eq. 9
+            moment = np.array([lever * ax + rate_y, lever * ay - rate_x])
+            cop = com[:2] - moment / (vgrf if vgrf > self._threshold else self._weight)  # Eqs. 10, 11
+        near = (np.abs(soles[:, :2] - cop) <= self._reach).all()
+        return vgrf, cop, bool(near and self._threshold < vgrf < LARGEST_WEIGHTS * self._weight)
 
     def rows(self, motion: Array) -> Array:
         """Return rows by channel that give (Fz, Fz px, Fz py) of each foot in the level frame.
 
         Args:
-            motion: Flat references, shape (..., R).
+            motion: A flat reference, shape (R,).
 
         Returns:
-            Shape (..., F, 3, K).
+            Shape (F, 3, K).
         """
-        columns, batch, feet = self.columns, motion.shape[:-1], self._feet
-        position = motion[..., columns.position_sole].reshape(*batch, feet, 3)
-        rotation = motion[..., columns.R_level_sole].reshape(*batch, feet, 9)
-        axes, up = rotation[..., :6], rotation[..., 6:]
-        lever = (position[..., :2, None] * up[..., None, :]).reshape(*batch, feet, 6)
-        features = np.concatenate([up, lever, axes], axis=-1)
-        rows = features.reshape(*batch, _FEATURES * feet) @ self._row_map
-        return rows.reshape(*batch, feet, 3, self._channels)
-
-
-def _row_map(layout: FeetLayout) -> NDArray[np.float64]:
-    """Return what maps each foot's (up, px up, py up, ex, ey) to its rows (Fz, Fz px, Fz py) by channel.
-
-    ``ex``, ``ey`` and ``up`` are the rows of R_level_sole, so that with f and t the sole's force and torque
-
-        Fz = up . f,    Fz px = px up . f - ey . t,    Fz py = py up . f + ex . t.
-
-    Returns:
-        Shape (15 F, 3 F K).
-    """
-    feet, channels = len(layout.feet), layout.channels
-    row_map = np.zeros((feet, 5, 3, feet, 3, channels))
-    for foot, wrench_map in enumerate(layout.wrench_map):
-        force, torque = wrench_map[:3], wrench_map[3:]
-        for row in range(3):
-            row_map[foot, row, :, foot, row] = force
-        row_map[foot, 4, :, foot, 1] = -torque
-        row_map[foot, 3, :, foot, 2] = torque
-    return row_map.reshape(_FEATURES * feet, 3 * feet * channels)
+        return level_rows(self._wrench_map, *self.columns.soles(motion))

@@ -34,45 +34,42 @@ LONGEST_GAP = 5.0
 """Time between samples, in nominal ones, beyond which they no longer belong together."""
 
 
-_MISSING, _OUT_OF_RANGE, _REFERENCE = int(Flag.MISSING), int(Flag.OUT_OF_RANGE), int(Flag.REFERENCE)
-
-
 class FrontState(NamedTuple):
-    """What the way of a sample remembers; any leading batch dimensions ``...``.
+    """What the way of a sample remembers.
 
     Attributes:
-        raw: Last good reading of each channel, shape (..., K).
+        raw: Last good reading of each channel, shape (K,).
         history: The last ``lag`` + 1 samples, four at least where readings have an age, oldest first: F0
-            and whether it was read, shape (..., lag + 1, 2K).
-        motion: The last good reference, flat, shape (..., R).
-        known: Whether any reference was good so far (bool), shape (...).
-        clean: Good samples since the last bad one, shape (...).
+            and whether it was read, shape (lag + 1, 2K).
+        motion: The last good reference, flat, shape (R,).
+        known: Whether any reference was good so far.
+        clean: Good samples since the last bad one.
     """
 
     raw: Array
     history: Array
     motion: Array
-    known: Array
-    clean: Array
+    known: bool
+    clean: int
 
 
 class Sample(NamedTuple):
-    """One sample, checked and aligned; any leading batch dimensions ``...``; F feet.
+    """One sample, checked and aligned; F feet.
 
     Attributes:
-        force: Newest force by the starting map, F0, in N, shape (..., K).
+        force: Newest force by the starting map, F0, in N, shape (K,).
         ahead: The same carried on to now; ``None`` where readings have no age.
-        rows: Rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (..., F, 3, K).
-        past: F0 at the time that the reference describes, shape (..., K).
-        read: Whether ``past`` was read and not held (bool), shape (..., K).
-        sound: Whether the reference is good and the clock did not jump (bool), shape (...).
-        good: Whether the sample may be learnt from: sound, and every channel read (bool), shape (...).
-        clean: Good samples since the last bad one, this one included, shape (...).
-        motion: The reference, flat; the last good one where this one was not, shape (..., R).
-        stance: Feet surely on the ground by a reference that is good (bool), shape (..., F).
-        swing: Feet surely in the air by a reference that is good (bool), shape (..., F).
-        known: Whether any reference was good so far (bool), shape (...).
-        flags: What is wrong with the newest readings and the reference, shape (..., K).
+        rows: Rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (F, 3, K).
+        past: F0 at the time that the reference describes, shape (K,).
+        read: Whether ``past`` was read and not held (bool), shape (K,).
+        sound: Whether the reference is good and the clock did not jump.
+        good: Whether the sample may be learnt from: sound, and every channel read.
+        clean: Good samples since the last bad one, this one included.
+        motion: The reference, flat; the last good one where this one was not, shape (R,).
+        stance: Feet surely on the ground by a reference that is good (bool), shape (F,).
+        swing: Feet surely in the air by a reference that is good (bool), shape (F,).
+        known: Whether any reference was good so far.
+        flags: What is wrong with the newest readings and the reference, shape (K,).
         gap: Whether the clock jumped, so that the last sample and this one do not belong together.
     """
 
@@ -81,13 +78,13 @@ class Sample(NamedTuple):
     rows: Array
     past: Array
     read: Array
-    sound: Array
-    good: Array
-    clean: Array
+    sound: bool
+    good: bool
+    clean: int
     motion: Array
     stance: Array
     swing: Array
-    known: Array
+    known: bool
     flags: Array
     gap: bool
 
@@ -111,7 +108,7 @@ class FrontEnd:
     def __init__(self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True) -> None:
         self.setup = setup
         self.motions = Motions(setup, quasi_static=quasi_static, imu=imu)
-        self._feet, self._channels = len(setup.layout.feet), setup.layout.channels
+        self._channels, self._wrench_map = setup.layout.channels, setup.layout.wrench_map
         self._threshold = setup.force_threshold
         self._scale, self._offset = (np.asarray(part, dtype=np.float64) for part in setup.initial)
         limit = setup.plausible_weights * setup.weight
@@ -120,42 +117,37 @@ class FrontEnd:
         self.carried = carried_time(setup)
         self._aged = bool(self.carried.any())
         self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
-        self._wrench_map = setup.layout.wrench_map.reshape(6 * self._feet, self._channels).T
 
     def init(self, raw: Array) -> FrontState:
         """Return the state before any sample.
 
         Args:
-            raw: Readings of the shape to come, (..., K); their values do not matter.
+            raw: A reading, shape (K,); its values do not matter.
 
         Raises:
-            ValueError: If they are not one a channel.
+            ValueError: If it is not one a channel.
         """
-        self.setup.layout.check_raw(raw)
-        batch = raw.shape[:-1]
+        self.setup.layout.check_reading(raw)
         return FrontState(
-            raw=np.zeros(raw.shape) - self._offset / self._scale,
-            history=np.zeros((*batch, self.kept + 1, 2 * self._channels)),
-            motion=np.zeros((*batch, 1)) + self.motions.resting,
-            known=np.zeros(batch, dtype=np.bool),
-            clean=np.zeros(batch, dtype=np.int64),
+            raw=-self._offset / self._scale,
+            history=np.zeros((self.kept + 1, 2 * self._channels)),
+            motion=self.motions.resting.copy(),
+            known=False,
+            clean=0,
         )
 
-    def check(self, state: FrontState, raw: Array, reference: Reference) -> None:
-        """Raise ValueError if arrays do not fit the state.
+    def check(self, raw: Array, reference: Reference) -> None:
+        """Raise ValueError if arrays are not those of one sample of one robot.
 
         Raises:
-            ValueError: If a shape is not as it was at ``init``, or readings are not in float64.
+            ValueError: If a shape is another, or readings are not in float64.
         """
-        if not hasattr(raw, "shape") or raw.shape != state.raw.shape:
-            self.setup.layout.check_raw(raw)
-            raise ValueError(
-                f"'raw' must keep the shape {state.raw.shape} that the state was made for, "
-                f"got {raw.shape}; make a new state with init(raw) for another batch."
-            )
-        if raw.dtype != np.float64:
-            raise ValueError(f"'raw' must hold float64 numbers, got dtype {raw.dtype}.")
-        self.motions.check(reference, raw.shape[:-1])
+        if getattr(raw, "shape", None) != (self._channels,):
+            self.setup.layout.check_reading(raw)
+        if getattr(raw, "dtype", None) != np.float64:
+            found = getattr(raw, "dtype", type(raw).__name__)
+            raise ValueError(f"'raw' must hold float64 numbers, got dtype {found}.")
+        self.motions.check(reference)
 
     def observe(
         self,
@@ -169,7 +161,7 @@ class FrontEnd:
 
         Args:
             state: What the way of a sample remembers.
-            raw: Readings, shape (..., K).
+            raw: Readings, shape (K,).
             reference: The robot's beliefs ``lag`` samples ago.
             dt: Time since the last sample in s.
             repair: Takes the newest forces and whether they were read, and hands back those to go on with.
@@ -178,75 +170,68 @@ class FrontEnd:
             The new state and the sample.
 
         Raises:
-            ValueError: If an array does not fit the state.
+            ValueError: If an array does not fit.
         """
-        self.check(state, raw, reference)
+        self.check(raw, reference)
         K = self._channels
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
 
         low, high = self.plausible
         read = (raw >= low) & (raw <= high)
-        all_read = read.all()
-        held = raw.copy() if all_read else np.where(read, raw, state.raw)
+        held = np.where(read, raw, state.raw)
         force, sure = self._scale * held + self._offset, read
         if repair is not None:
             force, sure = repair(force, read)
-        newest = np.concatenate([force, sure], axis=-1)
-        history = np.concatenate([state.history[..., 1:, :], newest[..., None, :]], axis=-2)
-        described = history[..., self.kept - self.setup.lag, :]
-        past, past_read = described[..., :K], described[..., K:] > 0.5
+        history = np.vstack([state.history[1:], np.concatenate([force, sure])])
+        described = history[self.kept - self.setup.lag]
+        past, past_read = described[:K], described[K:] > 0.5
 
         flat = self.motions.flatten(reference)
-        sound = (np.abs(flat) <= LARGEST_REFERENCE).all(axis=-1)
-        known = sound.all()
-        motion = flat if known else np.where(sound[..., None], flat, state.motion)
-        usable = sound & False if gap else sound
-        good = usable & past_read.all(axis=-1)
-        clean = (state.clean + 1) * good
+        sound = bool((np.abs(flat) <= LARGEST_REFERENCE).all())
+        motion, known = flat if sound else state.motion, state.known or sound
+        good = sound and not gap and bool(past_read.all())
+        clean = state.clean + 1 if good else 0
         ahead = None
         if self._aged:
             # Samples that come late are further apart than they should be.
             ahead = force + expected_change(history, clean, self.carried, max(dt, self.setup.dt))
 
-        if all_read and known:
-            flags = np.zeros(raw.shape, dtype=np.int64)
-        else:
-            wrong = np.where(raw == raw, _OUT_OF_RANGE, _MISSING)
-            flags = wrong * (~read) | _REFERENCE * (~sound)[..., None]
+        flags = np.where(read, 0, np.where(np.isnan(raw), int(Flag.MISSING), int(Flag.OUT_OF_RANGE)))
+        flags = flags | (0 if sound else int(Flag.REFERENCE)) | (int(Flag.GAP) if gap else 0)
         sample = Sample(
             force=force,
             ahead=ahead,
             rows=self.motions.rows(motion),
             past=past,
             read=past_read,
-            sound=usable,
+            sound=sound and not gap,
             good=good,
             clean=clean,
             motion=motion,
-            stance=reference.stance & sound[..., None],
-            swing=reference.swing & sound[..., None],
-            known=state.known | sound,
-            flags=flags | int(Flag.GAP) if gap else flags,
+            stance=reference.stance & sound,
+            swing=reference.swing & sound,
+            known=known,
+            flags=flags,
             gap=gap,
         )
-        return FrontState(held, history, motion, sample.known, clean), sample
+        return FrontState(held, history, motion, known, clean), sample
 
     def estimate(
         self,
         sample: Sample,
         correction_scale: Array,
         correction_offset: Array,
-        status: Array | int = 0,
+        status: int = 0,
         covariance: Array | None = None,
     ) -> Estimate:
         """Apply a correction (a, b) to the newest forces, carried on to now.
 
         Args:
             sample: The sample.
-            correction_scale: a, shape (..., K).
-            correction_offset: b in N, shape (..., K).
-            status: Flags that all channels share, shape (...).
-            covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
+            correction_scale: a, shape (K,).
+            correction_offset: b in N, shape (K,).
+            status: Flags that all channels share.
+            covariance: Of (a, b), shape (2K, 2K), if the method claims one.
         """
         force, ahead = (
             None if part is None else correction_scale * part + correction_offset
@@ -257,7 +242,7 @@ class FrontEnd:
             force,
             correction_scale * self._scale,
             correction_scale * self._offset + correction_offset,
-            status if isinstance(status, int) else status[..., None],
+            status,
             covariance,
             ahead,
         )
@@ -276,27 +261,27 @@ class FrontEnd:
 
         Args:
             sample: The sample.
-            force: Its calibrated forces as they were read in N, shape (..., K).
-            scale: Newtons per unit of the reading, shape (..., K).
-            offset: Force that a reading of zero stands for in N, shape (..., K).
-            status: Flags of each channel, or of all alike, shape (..., K) or (..., 1).
-            covariance: Of (a, b), shape (..., 2K, 2K), if the method claims one.
+            force: Its calibrated forces as they were read in N, shape (K,).
+            scale: Newtons per unit of the reading, shape (K,).
+            offset: Force that a reading of zero stands for in N, shape (K,).
+            status: Flags of each channel, shape (K,), or of all alike.
+            covariance: Of (a, b), shape (2K, 2K), if the method claims one.
             ahead: The same carried on to now, each by itself; ``None`` where readings have no age.
         """
         wrench, moments, cop, loaded = self._centres(sample, force)
-        measured = cop[..., -1, :]
+        measured = cop[-1]
         if ahead is not None:
-            up = sample.rows[..., 0, :].sum(axis=-2)
+            up = sample.rows[:, 0].sum(axis=0)
             force = force + with_total_kept(ahead - force, up)
             wrench, moments, cop, loaded = self._centres(sample, force)
         return Estimate(
             force=force,
             wrench=wrench,
-            vgrf=moments[..., 0],
-            cop=cop[..., -1, :],
-            cop_foot=cop[..., :-1, :],
-            cop_valid=loaded[..., -1],
-            cop_foot_valid=loaded[..., :-1],
+            vgrf=moments[:, 0],
+            cop=cop[-1],
+            cop_foot=cop[:-1],
+            cop_valid=loaded[-1],
+            cop_foot_valid=loaded[:-1],
             scale=scale,
             offset=offset,
             covariance=covariance,
@@ -306,6 +291,5 @@ class FrontEnd:
 
     def _centres(self, sample: Sample, force: Array) -> tuple[Array, Array, Array, Array]:
         """Return wrenches, (Fz, Fz px, Fz py) of the feet, and centres with where they are, of forces."""
-        wrench = (force @ self._wrench_map).reshape(*force.shape[:-1], self._feet, 6)
-        moments = (sample.rows @ force[..., None, :, None])[..., 0]
+        wrench, moments = self._wrench_map @ force, sample.rows @ force
         return wrench, moments, *centres(wrench, moments, sample.known, self._threshold)

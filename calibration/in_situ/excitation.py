@@ -344,7 +344,6 @@ class _Design:
             self._rows.append(rows)
         self._goal = goal
         self._variance = np.full(k, 1.0 / samples)
-        self._identity = np.eye(size)
         self._spread = _spread(gravity, block)
 
     def start(self) -> Matrix:
@@ -367,7 +366,7 @@ class _Design:
         rows = self._rows[mass][orientation]
         nothing = np.zeros(self._size)
         y, learnt = np.zeros(len(rows)), nothing + 1.0
-        step = kalman_step(nothing, P, rows, y, self._variance, learnt, self._identity, np.inf)
+        step = kalman_step(nothing, P, rows, y, self._variance, learnt, np.inf)
         return np.asarray(step.covariance)
 
     def block(self, P: Matrix, mass: int, size: int) -> list[PlannedPose]:

@@ -205,27 +205,28 @@ class InSituStream:
         touched = ~(distance <= self.config.reject**2) & self._felt(innovation)
         use = ready & aloft
         learns = use & ~touched
-        step = kalman_step(
-            state.mean,
-            state.covariance,
-            np.where(learns[..., None, None], H, 0.0),
-            np.where(learns[..., None], y, 0.0),
-            np.ones_like(y),
-            self._learnt,
-            self._identity,
-            self.config.gate,
-        )
-        finite = np.isfinite(step.mean).all(axis=-1)
-        finite = finite & np.isfinite(step.covariance).all(axis=(-2, -1))
-        taken = learns & finite
-        state = state._replace(
-            mean=np.where(taken[..., None], step.mean, state.mean),
-            covariance=np.where(taken[..., None, None], step.covariance, state.covariance),
-        )
-        marks = int(Flag.REJECTED) * (use & touched) + int(Flag.SINGULAR) * (learns & ~finite)
+        mean, covariance = state.mean.copy(), state.covariance.copy()
+        taken, rows, nis = np.zeros(batch, dtype=np.bool), np.zeros(batch), np.full(batch, np.nan)
+        for sensor_of in np.ndindex(batch):
+            if not learns[sensor_of]:
+                continue
+            step = kalman_step(
+                mean[sensor_of],
+                covariance[sensor_of],
+                H[sensor_of],
+                y[sensor_of],
+                np.ones(self.channels),
+                self._learnt,
+                self.config.gate,
+            )
+            rows[sensor_of] = step.rows
+            if np.isfinite(step.mean).all() and np.isfinite(step.covariance).all():
+                mean[sensor_of], covariance[sensor_of] = step.mean, step.covariance
+                taken[sensor_of], nis[sensor_of] = True, step.nis
+        state = state._replace(mean=mean, covariance=covariance)
+        marks = int(Flag.REJECTED) * (use & touched) + int(Flag.SINGULAR) * (learns & ~taken)
         estimate = self._estimate(state, flags | np.asarray(marks, dtype=np.int64)[..., None])
-        nis = np.where(taken, step.nis, np.nan)
-        return state, estimate._replace(nis=nis, nis_rows=step.rows, learnt=taken)
+        return state, estimate._replace(nis=nis, nis_rows=rows, learnt=taken)
 
     def _felt(self, innovation: Array) -> Array:
         """Return whether innovations are those of a force or a torque that counts beside the limb's own."""

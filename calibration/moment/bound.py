@@ -102,7 +102,7 @@ class BoundRows:
         config = config or MomentFilterConfig()
         raw = self._checked(setup, np.asarray(raw, dtype=np.float64), reference, truth)
         self.unknowns = unknowns = Unknowns(setup, config)
-        self._uncertainty = Uncertainty(setup, unknowns)
+        self._uncertainty = Uncertainty(unknowns)
         newton_euler = NewtonEuler(setup, config, unknowns)
         tare, parity = Tare(setup, config, unknowns), Parity(setup, config, unknowns)
         start = Parameters(*(np.asarray(part, dtype=np.float64) for part in setup.initial))
@@ -111,7 +111,7 @@ class BoundRows:
         self.every = every = config.every
         self.start: Floats = np.diag(unknowns.std**2)
         self._walk = np.diag(unknowns.walk * every * setup.dt)
-        self._identity, self._free = np.eye(unknowns.size), np.ones(unknowns.size)
+        self._free = np.ones(unknowns.size)
         self._setup, self._samples = setup, samples
         self.path: Floats = np.tile(unknowns.start, (len(raw), 1))
         self.path[:, : unknowns.channels] = learnt.scale
@@ -132,7 +132,7 @@ class BoundRows:
 
     def passage(self) -> "Passage":
         """Return what all of it makes of any covariance."""
-        identity, none = self._identity, np.zeros_like(self._walk)
+        identity, none = np.eye(len(self._walk)), np.zeros_like(self._walk)
         whole = Passage(identity, none, none)
         for _, rows in self.blocks:
             if rows is not None:
@@ -156,7 +156,7 @@ class BoundRows:
         """Return the covariance after one more block."""
         nothing = np.zeros(len(covariance))
         covariance = covariance + self._walk
-        step = kalman_step(nothing, covariance, *rows, self._free, self._identity, np.inf)
+        step = kalman_step(nothing, covariance, *rows, self._free, np.inf)
         return step.covariance  # type: ignore[no-any-return]
 
     def spread_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
@@ -166,13 +166,18 @@ class BoundRows:
             Rows that take what ``unknowns.map`` names to forces in N, shape (n, K, P), to the vertical force
             on all feet in N, shape (n, 1, P), and to the centre of pressure in m, shape (n, 2, P).
         """
-        force, rows = self._samples.force[part], self._samples.rows[part]
-        to_force = self._uncertainty.to_force(self.path[part], force)
-        true = self.unknowns.force(self.path[part], force)
-        moments = (rows @ true[..., None])[..., 0]
-        cop = cop_of_moments(moments[..., 0], moments[..., 1:], self._setup.force_threshold)
+        found = [self._spread_rows(k) for k in range(*part.indices(len(self.path)))]
+        force, vgrf, cop = (np.array(rows) for rows in zip(*found, strict=True))
+        return force, vgrf, cop
+
+    def _spread_rows(self, k: int) -> tuple[Floats, Floats, Floats]:
+        """Return the same of one sample."""
+        force, rows, mean = self._samples.force[k], self._samples.rows[k], self.path[k]
+        to_force = self._uncertainty.to_force(mean, force)
+        moments = rows @ self.unknowns.force(mean, force)
+        cop = cop_of_moments(moments[0], moments[1:], self._setup.force_threshold)
         row = rows @ to_force
-        return to_force, row[:, :1], to_cop(row, cop, moments[..., 0])
+        return to_force, row[:1], to_cop(row, cop, moments[0])
 
     @staticmethod
     def _checked(setup: OnlineSetup, raw: Floats, reference: Reference, truth: Parameters) -> Floats:
@@ -244,8 +249,8 @@ class _Samples:
         self._motion: Floats = np.array([sample.motion for sample in kept])
         self._swing: Floats = np.array([sample.swing for sample in kept], dtype=np.float64)
         self._stand: Floats = np.array([sample.stance.any() for sample in kept], dtype=np.float64)
-        _, _, physical = front.motions.ground(self._motion)
-        self._use: Floats = np.array([sample.good for sample in kept]) & physical
+        physical = [front.motions.ground(motion)[2] for motion in self._motion]
+        self._use: Floats = np.array([sample.good for sample in kept]) & np.array(physical)
 
     def block(self, start: int, end: int) -> Block:
         part = slice(start, end)
@@ -262,8 +267,12 @@ class _Spread:
 
     def add(self, covariance: Floats, part: slice) -> None:
         covariance = self._log.aged(covariance)
+        if part.start >= part.stop:
+            return
         parts = self._log.spread_rows(part)
-        force_std, vgrf_std, cop_std = (np.sqrt(variances(one, covariance)) for one in parts)
+        force_std, vgrf_std, cop_std = (
+            np.sqrt([variances(rows, covariance) for rows in one]) for one in parts
+        )
         self._parts.append((force_std, vgrf_std[:, 0], cop_std))
 
     def result(self) -> tuple[Floats, Floats, Floats]:

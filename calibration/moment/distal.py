@@ -59,59 +59,58 @@ class DistalMasses:
         """Sum up what the feet's wrenches lack, over n samples in a row.
 
         Args:
-            motion: Flat references, shape (..., n, R).
-            origin: Points that moments are taken about in m, shape (..., n, 3).
+            motion: Flat references, shape (n, R).
+            origin: Points that moments are taken about in m, shape (n, 3).
 
         Returns:
-            Mean wrench of all feet about those points in N and N m, shape (..., 6).
+            Mean wrench of all feet about those points in N and N m, shape (6,).
         """
         position, _ = self._motion.soles(motion)
-        wrench, middle = self._wrenches(motion)
-        arm = (position - origin[..., None, :]).mean(axis=-3)
-        parts = []
-        for p, foot in enumerate(self._foot_of):
+        arm = (position - origin[:, None]).mean(axis=0)
+        wrenches, R = self._wrenches(motion)
+        total = np.zeros(6)
+        for foot, wrench, share in zip(self._foot_of, wrenches, self._share, strict=True):
             # A sensor lacks nothing along the axes of the sole that it does not measure.
-            turn = middle[..., foot, :, :]
-            part = np.stack([wrench[p][..., :3], wrench[p][..., 3:]], axis=-1)
-            part = turn @ ((turn.mT @ part) * self._share[p].reshape(2, 3).T)
-            force, moment = part[..., 0], part[..., 1]
-            parts.append(np.concatenate([force, moment + _cross(arm[..., foot, :], force)], axis=-1))
-        return sum(parts[1:], parts[0])
+            force, moment = (
+                R[foot] @ (measured * (R[foot].T @ part))
+                for measured, part in zip(share.reshape(2, 3), wrench.reshape(2, 3), strict=True)
+            )
+            total += np.concatenate([force, moment + np.cross(arm[foot], force)])
+        return total
 
     def felt(self, motion: Array) -> Array:
         """Return what each channel reads of it while nothing touches its foot.
 
         Args:
-            motion: Flat references of n samples in a row, shape (..., n, R).
+            motion: Flat references of n samples in a row, shape (n, R).
 
         Returns:
-            In N or N m, shape (..., K).
+            In N or N m, shape (K,).
         """
-        wrenches, middle = self._wrenches(motion)
-        parts = []
-        for p, (foot, part) in enumerate(zip(self._foot_of, wrenches, strict=True)):
-            turned = middle[..., foot, :, :].mT
-            force, moment = turned @ part[..., :3, None], turned @ part[..., 3:, None]
-            parts.append(np.concatenate([force, moment], axis=-2)[..., 0] @ self._felt[p])
-        return sum(parts[1:], parts[0])
+        wrenches, R = self._wrenches(motion)
+        return np.sum(
+            [
+                (wrench.reshape(2, 3) @ R[foot]).ravel() @ felt
+                for foot, wrench, felt in zip(self._foot_of, wrenches, self._felt, strict=True)
+            ],
+            axis=0,
+        )
 
     def _wrenches(self, motion: Array) -> tuple[list[Array], Array]:
-        """Return each part's wrench at its sole's origin in level axes, shape (..., 6) each.
+        """Return each part's wrench at its sole's origin in level axes, shape (6,) each.
 
-        And the soles' rotations at the middle sample, shape (..., F, 3, 3).
+        And the soles' rotations at the middle sample, shape (F, 3, 3).
         """
-        com, acceleration = motion[..., self._motion.com], motion[..., self._motion.com_acceleration]
+        com, acceleration = motion[:, self._motion.com], motion[:, self._motion.com_acceleration]
         position, R = self._motion.soles(motion)
-        curve = self._curves[position.shape[-3]]
+        middle = R[len(R) // 2]
         # A level frame may move from sample to sample; distances to the centre of mass do not care.
-        bend = ((position - com[..., None, :]) * curve[:, None, None]).sum(axis=-3)
-        sole = bend + acceleration.mean(axis=-2)[..., None, :]
-        middle = R[..., R.shape[-4] // 2, :, :, :]
+        bend = np.tensordot(self._curves[len(motion)], position - com[:, None], 1)
+        sole = bend + acceleration.mean(axis=0)
         parts = []
-        for p, foot in enumerate(self._foot_of):
-            force = self._mass[p] * (sole[..., foot, :] + GRAVITY * (_UP - middle[..., foot, :, 2]))
-            arm = (middle[..., foot, :, :] @ self._com[p][:, None])[..., 0]
-            parts.append(np.concatenate([force, _cross(arm, force)], axis=-1))
+        for foot, mass, center in zip(self._foot_of, self._mass, self._com, strict=True):
+            force = mass * (sole[foot] + GRAVITY * (_UP - middle[foot] @ _UP))
+            parts.append(np.concatenate([force, np.cross(middle[foot] @ center, force)]))
         return parts, middle
 
 
@@ -120,14 +119,3 @@ def _curvature(n: int) -> NDArray[np.float64]:
     k = np.arange(n) - (n - 1) / 2.0
     weights: NDArray[np.float64] = 2.0 * np.linalg.pinv(np.stack([np.ones(n), k, k**2], axis=1))[2]
     return weights
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )

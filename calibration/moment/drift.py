@@ -55,54 +55,63 @@ class LearntDrift:
     def __init__(
         self, setup: OnlineSetup, config: MomentFilterConfig, unknowns: Unknowns, tare: Tare
     ) -> None:
-        self.unknowns, self.tare = unknowns, tare
+        self.unknowns, self.tare, self._slices = unknowns, tare, setup.layout.slices
         block = config.every * setup.dt
         self._walk, self._age = unknowns.walk * block, unknowns.age / block
 
     def walk(self, state: MomentState) -> Array:
-        """Return the variances by which the unknowns drift in one block, shape (..., N)."""
-        unknowns, rate = self.unknowns, state.rate[..., None]
+        """Return the variances by which the unknowns drift in one block, shape (N,)."""
+        unknowns, walk = self.unknowns, self._walk.copy()
         scale = np.clip(unknowns.own_scales(state.mean), 1.0, _LARGEST_SCALE)
-        walk: Array = self._walk + 0.0 * state.mean
-        walk[..., : unknowns.channels] *= rate * scale**4
-        walk[..., unknowns.offset] *= rate
+        walk[: unknowns.channels] *= state.rate * scale**4
+        walk[unknowns.offset] *= state.rate
         return walk
 
     def aged(self, state: MomentState) -> Array:
-        """Return the variances by which scales and offsets drifted since they were learnt, (..., P + K)."""
-        return self._age * self.walk(state)[..., self.unknowns.map]
+        """Return the variances by which scales and offsets drifted since they were learnt, shape (P + K,)."""
+        return self._age * self.walk(state)[self.unknowns.map]
 
     def followed(self, state: MomentState, count: Array, reading: Array, sound: Array) -> MomentState:
         """Return the state with the rate that swings show which end with this block.
 
         Args:
             state: The state.
-            count: Samples of this block in which each foot surely hangs, shape (..., F).
-            reading: Means of the forces by the starting map over them in N, shape (..., K).
-            sound: Channels that are not lost (0 or 1), shape (..., K).
+            count: Samples of this block in which each foot surely hangs, shape (F,).
+            reading: Means of the forces by the starting map over them in N, shape (K,).
+            sound: Channels that are not lost (0 or 1), shape (K,).
         """
-        of_foot, air = self.tare.by_channel, count > 0.5
-        ends = ~air & (state.swing_samples >= _FEWEST_SAMPLES)
-        number = np.maximum(state.swing_samples, 1.0) @ of_foot
-        zero = state.swing_sum / number
-        sound = sound * (ends @ of_foot)
-        channels = np.maximum(sound @ of_foot.T, 1.0)
-        moved = (zero - state.swing_zero) * sound
-        moved = moved - ((moved @ of_foot.T / channels) @ of_foot) * sound
-        expected = state.rate[..., None] * self._walk[self.unknowns.offset] * (state.swing_ago @ of_foot)
-        expected = (expected + 2.0 * self.tare.variance(number)) * ((1.0 - 1.0 / channels) @ of_foot)
-        square = np.clip(moved * moved / np.where(expected > 0.0, expected, 1.0), 0.0, _LARGEST_SQUARE)
-        surplus = ((square - 1.0) * sound) @ of_foot.T / channels
-        seen = ends & (state.swing_ago > 0.0) & (channels > _FEWEST_CHANNELS)
-        rate = state.rate * (1.0 + _MEMORY * (surplus * seen).sum(axis=-1))
-        # The first swing is the first however short it was.
-        ends = ends | (~air & (state.swing_ago < 0.0) & (state.swing_samples > 0.5))
-        ends_of, air_of = (ends @ of_foot) > 0.5, (air @ of_foot) > 0.5
-        added = state.swing_sum + reading / self.unknowns.unit * (count @ of_foot)
+        zero, ago = state.swing_zero.copy(), state.swing_ago.copy()
+        total, samples = state.swing_sum.copy(), state.swing_samples.copy()
+        surplus = 0.0
+        for foot, own in enumerate(self._slices):
+            if count[foot] > 0.5:
+                total[own] += reading[own] / self.unknowns.unit[own] * count[foot]
+                samples[foot] += count[foot]
+                continue
+            whole = samples[foot] >= _FEWEST_SAMPLES
+            if whole:
+                surplus += self._surplus(state, foot, own, sound[own])
+            # The first swing is the first however short it was.
+            if whole or (ago[foot] < 0.0 and samples[foot] > 0.5):
+                zero[own], ago[foot] = total[own] / samples[foot], 0.0
+            total[own], samples[foot] = 0.0, 0.0
         return state._replace(
-            rate=np.clip(rate, 1.0, _FASTEST),
-            swing_zero=np.where(ends_of, zero, state.swing_zero),
-            swing_ago=np.where(ends, 0.0, state.swing_ago),
-            swing_sum=np.where(air_of, added, 0.0),
-            swing_samples=np.where(air, state.swing_samples + count, 0.0),
+            rate=float(np.clip(state.rate * (1.0 + _MEMORY * surplus), 1.0, _FASTEST)),
+            swing_zero=zero,
+            swing_ago=ago,
+            swing_sum=total,
+            swing_samples=samples,
         )
+
+    def _surplus(self, state: MomentState, foot: int, own: slice, sound: Array) -> float:
+        """Return the mean of d^2 / E d^2 - 1 over a foot's channels ``own``, as its swing ends."""
+        channels = float(sound.sum())
+        if state.swing_ago[foot] <= 0.0 or channels <= _FEWEST_CHANNELS:
+            return 0.0
+        samples = state.swing_samples[foot]
+        moved = (state.swing_sum[own] / samples - state.swing_zero[own]) * sound
+        moved = moved - moved.sum() / channels
+        walked = state.rate * self._walk[self.unknowns.offset][own] * state.swing_ago[foot]
+        expected = (walked + 2.0 * self.tare.variance(samples)) * (1.0 - 1.0 / channels)
+        square = np.minimum(moved * moved / expected, _LARGEST_SQUARE)
+        return float(((square - 1.0) * sound).sum()) / channels

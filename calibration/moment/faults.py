@@ -69,32 +69,32 @@ A load that changes by less than the first shows nothing."""
 
 
 class ChannelState(NamedTuple):
-    """What is known of the channels' faults; any leading batch dimensions ``...``; H hypotheses.
+    """What is known of the channels' faults; H hypotheses.
 
     Attributes:
-        last: Last readings that were believed, F0 in N, shape (..., K).
-        leaps: Samples in a row that were held for leaping, shape (..., K).
-        leapt: How often each channel leapt of late, shape (..., K).
-        trust: Blocks in which nothing seemed wrong, shape (...).
-        doubt: Blocks since something seemed wrong, 0 while nothing does, shape (...).
-        scores: As in :class:`~surefoot.calibration.moment.hypotheses.Evidence`, shape (..., 1 + H + 1).
-        size: As there, shape (..., H).
-        load: As there, shape (..., 3, 4).
-        moments: How cells share loads, shape (..., K, K).
-        lost: Channels that are out (0 or 1), shape (..., K).
-        kind: Flags of what is wrong with each channel, shape (..., K).
-        wiring: Signed permutation that puts exchanged and turned channels right, shape (..., K, K).
-        spare: How forces are made of the channels that are not out, shape (..., K, K).
-        spare_std: Standard deviation of a reconstructed force in N, 0 for others, shape (..., K).
-        agreed: Blocks that a lost channel has agreed for, shape (..., K).
-        altered: Whether any channel of the batch is out, turned or exchanged, 0 or 1.
+        last: Last readings that were believed, F0 in N, shape (K,).
+        leaps: Samples in a row that were held for leaping, shape (K,).
+        leapt: How often each channel leapt of late, shape (K,).
+        trust: Blocks in which nothing seemed wrong.
+        doubt: Blocks since something seemed wrong, 0 while nothing does.
+        scores: As in :class:`~surefoot.calibration.moment.hypotheses.Evidence`, shape (1 + H + 1,).
+        size: As there, shape (H,).
+        load: As there, shape (3, 4).
+        moments: How cells share loads, shape (K, K).
+        lost: Channels that are out (0 or 1), shape (K,).
+        kind: Flags of what is wrong with each channel, shape (K,).
+        wiring: Signed permutation that puts exchanged and turned channels right, shape (K, K).
+        spare: How forces are made of the channels that are not out, shape (K, K).
+        spare_std: Standard deviation of a reconstructed force in N, 0 for others, shape (K,).
+        agreed: Blocks that a lost channel has agreed for, shape (K,).
+        altered: Whether any channel is or was out, turned or exchanged, 0 or 1.
     """
 
     last: Array
     leaps: Array
     leapt: Array
-    trust: Array
-    doubt: Array
+    trust: float
+    doubt: float
     scores: Array
     size: Array
     load: Array
@@ -124,28 +124,26 @@ class ChannelFaults:
         self.hypotheses = Hypotheses(setup, self.stand_in.cells, change)
         self._leap, self._weight = leap * setup.weight, setup.weight
         foot = setup.layout.foot_of_channel
-        self._identity = np.eye(setup.layout.channels)
-        self._same_foot = (foot[:, None] == foot[None, :]) - self._identity
+        self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
 
-    def init(self, raw: Array, resting: Array) -> ChannelState:
-        """Return the state of sound channels; see :class:`ChannelState`."""
-        zero = np.zeros(raw.shape)
-        identity = self._identity + 0.0 * zero[..., None]
-        hypotheses = self.hypotheses.count
+    def init(self, resting: Array) -> ChannelState:
+        """Return the state of sound channels, of which F0 is ``resting``; see :class:`ChannelState`."""
+        K, hypotheses = len(resting), self.hypotheses.count
+        zero = np.zeros(K)
         return ChannelState(
-            last=resting + zero,
-            leaps=np.zeros(raw.shape, dtype=np.int64) + LONGEST_LEAP,
+            last=resting,
+            leaps=np.full(K, LONGEST_LEAP, dtype=np.int64),
             leapt=zero,
-            trust=np.zeros(raw.shape[:-1]),
-            doubt=np.zeros(raw.shape[:-1]),
-            scores=np.zeros((*raw.shape[:-1], 1 + hypotheses + 1)),
-            size=np.zeros((*raw.shape[:-1], hypotheses)),
-            load=np.zeros((*raw.shape[:-1], 3, 4)),
-            moments=self.stand_in.init(zero),
+            trust=0.0,
+            doubt=0.0,
+            scores=np.zeros(1 + hypotheses + 1),
+            size=np.zeros(hypotheses),
+            load=np.zeros((3, 4)),
+            moments=self.stand_in.init(),
             lost=zero,
-            kind=np.zeros(raw.shape, dtype=np.int64),
-            wiring=identity,
-            spare=identity,
+            kind=np.zeros(K, dtype=np.int64),
+            wiring=np.eye(K),
+            spare=np.eye(K),
             spare_std=zero,
             agreed=zero,
             altered=0,
@@ -158,25 +156,24 @@ class ChannelFaults:
 
         Args:
             state: What is known.
-            force: Forces by the starting map in N, shape (..., K).
-            read: Whether they were read just now (bool), shape (..., K).
-            scale: What a newton by the starting map is as far as is known, shape (..., K).
+            force: Forces by the starting map in N, shape (K,).
+            read: Whether they were read just now (bool), shape (K,).
+            scale: What a newton by the starting map is as far as is known, shape (K,).
 
         Returns:
             The state; forces to use; whether each may be learnt from (bool); and flags of each channel.
         """
         if state.altered:
-            force = (state.wiring @ force[..., None])[..., 0]
-            read = (np.abs(state.wiring) @ read[..., None])[..., 0] > 0.5
+            force, read = state.wiring @ force, np.abs(state.wiring) @ read > 0.5
         step = np.abs(force - state.last) * np.clip(np.abs(scale), *_LEAP_SCALES)
         state, leaping = state._replace(leapt=_BUMP_MEMORY * state.leapt), step > self._leap
         if not leaping.any():
-            return state._replace(last=force, leaps=state.leaps * 0), force, read, state.kind
+            return state._replace(last=force, leaps=np.zeros_like(state.leaps)), force, read, state.kind
         # A foot that lands moves several of its cells.
-        others = (step[..., None, :] * self._same_foot).max(axis=-1)
+        others = (step * self._same_foot).max(axis=1)
         leaping = leaping & read & (state.leaps < LONGEST_LEAP) & (step > _ALONE * others)
         leapt = state.leapt + (leaping & (state.leaps == 0))
-        leaping = leaping & (state.leapt.sum(axis=-1)[..., None] - state.leapt < _BUMPY)
+        leaping = leaping & (state.leapt.sum() - state.leapt < _BUMPY)
         leaps = np.where(leaping, state.leaps + 1, np.where(read, 0, state.leaps))
         used = np.where(leaping, state.last, force)
         flags = state.kind | int(Flag.SPIKE) * leaping
@@ -187,26 +184,24 @@ class ChannelFaults:
 
         Args:
             state: What is known.
-            force: Forces by the starting map of the samples that wait in N, shape (..., n, K).
-            read: Whether they were read (0 or 1), shape (..., n, K).
+            force: Forces by the starting map of the samples that wait in N, shape (n, K).
+            read: Whether they were read (0 or 1), shape (n, K).
         """
-        high, low = force.max(axis=-2), force.min(axis=-2)
-        spread = high - low
+        high, spread = force.max(axis=0), np.ptp(force, axis=0)
         flat = spread == 0.0
         moving = (spread > _MOVING * self._weight) @ self._same_foot > 0.5
-        share = read.mean(axis=-2)
-        missing = (share < _MOSTLY_MISSING) & (share.max(axis=-1) >= _MOSTLY_MISSING)[..., None]
-        again = (share > _ALL_READ) & ~flat & ((state.kind & int(Flag.MISSING)) > 0) & (state.lost > 0.5)
-        state = self._return(state, again)
-        stuck = flat & moving & (share > _ALL_READ)
-        dead = stuck & (np.abs(high) <= _NO_LOAD * self._weight)
-        rail = stuck & ~dead & (np.abs(high) > _HEAVIEST * self._weight)
-        kind = int(Flag.DEAD) * dead | int(Flag.SATURATED) * rail | int(Flag.STUCK) * (stuck & ~dead & ~rail)
-        kind = kind | int(Flag.MISSING) * missing
-        fresh = (stuck | missing) & (state.lost < 0.5) & self.stand_in.cells
-        return self._lose(state, fresh, kind)
+        share = read.mean(axis=0)
+        missing = (share < _MOSTLY_MISSING) & (share.max() >= _MOSTLY_MISSING)
+        was_missing = (state.kind & int(Flag.MISSING)) > 0
+        state = self._return(state, (share > _ALL_READ) & ~flat & was_missing & (state.lost > 0.5))
 
-    def contradicted(self, state: ChannelState, seen: Contradiction) -> tuple[ChannelState, Array, Array]:
+        stuck = flat & moving & (share > _ALL_READ)
+        kind = np.where(np.abs(high) > _HEAVIEST * self._weight, int(Flag.SATURATED), int(Flag.STUCK))
+        kind = np.where(np.abs(high) <= _NO_LOAD * self._weight, int(Flag.DEAD), kind)
+        kind = np.where(stuck, kind, 0) | int(Flag.MISSING) * missing
+        return self._lose(state, (stuck | missing) & (state.lost < 0.5) & self.stand_in.cells, kind)
+
+    def contradicted(self, state: ChannelState, seen: Contradiction) -> tuple[ChannelState, bool, bool]:
         """Hold hypotheses against the robot's motion.
 
         Args:
@@ -214,66 +209,64 @@ class ChannelFaults:
             seen: What the block shows.
 
         Returns:
-            The state; and, both of shape (...), whether a fault was found (bool), and whether it is a load.
+            The state; whether a fault was found; and whether it is a load.
         """
         mean, hypotheses = seen.residuals.mean, self.hypotheses
         state = state._replace(trust=state.trust + (mean < _WELL))
-        # Most of the time nothing is wrong with anybody, and no hypothesis needs to be tried.
-        if not ((mean > SUSPICION) | (state.doubt > 0.5)).any():
-            nobody = mean < 0.0
-            return state, nobody, nobody
+        # Most of the time nothing is wrong, and no hypothesis needs to be tried.
+        if not (mean > SUSPICION or state.doubt > 0.5):
+            return state, False, False
         others, _ = self.stand_in.others(state.moments, state.lost)
         error, change = hypotheses.changes(seen, others)
         evidence = hypotheses.evidence(seen, error, change, state.doubt, state.scores, state.size, state.load)
-        decision = hypotheses.decide(evidence, state.trust, state.lost)
+        fault, load = hypotheses.decide(evidence, state.trust, state.lost)
+        decided = load or fault is not None
         state = state._replace(
-            doubt=np.where(decision.fault | decision.load, 0.0, evidence.doubt),
+            doubt=0.0 if decided else evidence.doubt,
             scores=evidence.scores,
             size=evidence.size,
             load=evidence.load,
-            trust=np.where(decision.load, TRUST, state.trust),
+            trust=TRUST if load else state.trust,
         )
-        if decision.fault.any():
-            out = decision.accepted[..., hypotheses.out] > 0.5
-            state = self._lose(state, out, int(Flag.DEAD) * out)
-            wiring, kind = hypotheses.repair(decision.accepted, state.wiring, state.kind)
-            state = state._replace(wiring=wiring, kind=kind, altered=1)
-        return state, decision.fault, decision.load
+        if fault is None:
+            return state, False, load
+        if fault < hypotheses.out.stop:
+            out = np.arange(len(state.lost)) == fault
+            return self._lose(state, out, int(Flag.DEAD) * out), True, False
+        wiring, kind = hypotheses.repair(fault, state.wiring, state.kind)
+        return state._replace(wiring=wiring, kind=kind, altered=1), True, False
 
-    def suspects(self, state: ChannelState, residuals: Residuals) -> Array:
-        """Return whether to wait with learning, as something seems wrong since short (bool), shape (...)."""
-        suspected = (residuals.mean > SUSPICION) | (state.doubt > 0.5)
-        return suspected & (state.doubt < _WAIT) & (state.trust >= TRUST)
+    def suspects(self, state: ChannelState, residuals: Residuals) -> bool:
+        """Return whether to wait with learning, as something seems wrong since short."""
+        suspected = residuals.mean > SUSPICION or state.doubt > 0.5
+        return suspected and state.doubt < _WAIT and state.trust >= TRUST
 
-    def unexplained(self, state: ChannelState) -> Array:
-        """Return where something has long seemed wrong and no channel explains it (bool), shape (...)."""
-        return (state.doubt >= _WAIT) & (state.scores[..., 0] > SUSPICION)
+    def unexplained(self, state: ChannelState) -> bool:
+        """Return whether something has long seemed wrong and no channel explains it."""
+        return state.doubt >= _WAIT and bool(state.scores[0] > SUSPICION)
 
-    def explicable(self, state: ChannelState) -> Array:
-        """Return where something seems wrong that a fault or a load could explain (bool), shape (...)."""
-        return (state.doubt > 0.5) & self.hypotheses.promising(state.scores)
+    def explicable(self, state: ChannelState) -> bool:
+        """Return whether something seems wrong that a fault or a load could explain."""
+        return state.doubt > 0.5 and self.hypotheses.promising(state.scores)
 
-    def learn(self, state: ChannelState, force: Array, good: Array) -> ChannelState:
+    def learn(self, state: ChannelState, force: Array, good: bool) -> ChannelState:
         """Learn how cells share loads while nothing is wrong, and let channels come back.
 
         Args:
             state: What is known.
-            force: Calibrated forces of a block by the channels' own readings in N, shape (..., n, K).
-            good: Whether the block could be learnt from (bool), shape (...).
+            force: Calibrated forces of a block by the channels' own readings in N, shape (n, K).
+            good: Whether the block could be learnt from.
         """
-        well = good & (state.doubt < 0.5) & (state.lost < 0.5).all(axis=-1)
-        state = state._replace(moments=self.stand_in.learn(state.moments, force, well))
+        if good and state.doubt < 0.5 and (state.lost < 0.5).all():
+            state = state._replace(moments=self.stand_in.learn(state.moments, force))
         if not state.altered:
             return state
-        expected = force @ state.spare.mT
-        error = np.abs(expected - force).max(axis=-2)
-        load = np.abs(expected).max(axis=-2)
-        moved = expected.max(axis=-2) - expected.min(axis=-2) > _AGREE * self._weight
+        expected = force @ state.spare.T
+        error, load = np.abs(expected - force).max(axis=0), np.abs(expected).max(axis=0)
+        moved = np.ptp(expected, axis=0) > _AGREE * self._weight
         near = error < _AGREE * self._weight + _AGREE_SHARE * load
         agreed = np.where(near, state.agreed + moved, 0.0) * state.lost
         back = (agreed >= _RETURN_BLOCKS) & (state.lost > 0.5)
-        if not back.any():
-            return state._replace(agreed=agreed)
         return self._return(state._replace(agreed=np.where(back, 0.0, agreed)), back)
 
     def _return(self, state: ChannelState, back: Array) -> ChannelState:
@@ -295,5 +288,5 @@ class ChannelFaults:
     def _rebuild(self, state: ChannelState) -> ChannelState:
         """Work out how to do without what is lost."""
         coefficients, spread = self.stand_in.others(state.moments, state.lost)
-        spare = self._identity * (1.0 - state.lost)[..., None] + coefficients * state.lost[..., None]
+        spare = np.diag(1.0 - state.lost) + coefficients * state.lost[:, None]
         return state._replace(spare=spare, spare_std=spread * state.lost, altered=1)

@@ -69,21 +69,21 @@ _LIGHTER = 0.02
 _NOTHING, _CHANNELS, _LOAD = 0, slice(1, -1), -1
 """Places of the scores with nothing wrong, with each hypothesis about channels, and with a load."""
 
-_NORMAL, _RIGHT = slice(0, 3), slice(3, 4)
+_NORMAL, _RIGHT = slice(0, 3), 3
 """Columns of a load's normal equations: their matrix, for (centre of mass (2), mass), and right-hand side."""
 
 
 class Contradiction(NamedTuple):
-    """What one block shows; any leading batch dimensions ``...``; m rows of Newton and Euler.
+    """What one block shows; m rows of Newton and Euler.
 
     Attributes:
         residuals: What the rows leave unexplained.
-        places: What a newton on each channel does to them, shape (..., m, K).
-        reading: Forces by the starting map of each row in N, shape (..., m, K).
-        scale: Scales a, shape (..., K).
-        force: Calibrated forces of each row in N, shape (..., m, K).
-        load: Columns of what a load changes, (centre of mass (2), mass), shape (..., m, 3).
-        mass: Believed mass over the estimated one, less 1, shape (...).
+        places: What a newton on each channel does to them, shape (m, K).
+        reading: Forces by the starting map of each row in N, shape (m, K).
+        scale: Scales a, shape (K,).
+        force: Calibrated forces of each row in N, shape (m, K).
+        load: Columns of what a load changes, (centre of mass (2), mass), shape (m, 3).
+        mass: Believed mass over the estimated one, less 1.
     """
 
     residuals: Residuals
@@ -92,42 +92,40 @@ class Contradiction(NamedTuple):
     scale: Array
     force: Array
     load: Array
-    mass: Array
+    mass: float
 
 
 class Evidence(NamedTuple):
     """What supports each explanation since something seemed wrong; H hypotheses about channels.
 
     Attributes:
-        doubt: Blocks since then, 0 while nothing seems wrong, shape (...).
+        doubt: Blocks since then, 0 while nothing seems wrong.
         scores: Mean squared residuals of the whole blocks among them without a fault, by each hypothesis, and
-            with a load, shape (..., 1 + H + 1).
-        size: Largest error of a force in N over these blocks, by each hypothesis, shape (..., H).
-        latest: The same in the last block alone, shape (..., H).
-        load: Normal equations of a load over these blocks, the right-hand side last, shape (..., 3, 4).
-        load_possible: Whether that load is one that the robot can have been given (bool), shape (...).
+            with a load, shape (1 + H + 1,).
+        size: Largest error of a force in N over these blocks, by each hypothesis, shape (H,).
+        latest: The same in the last block alone, shape (H,).
+        load: Normal equations of a load over these blocks, the right-hand side last, shape (3, 4).
+        load_possible: Whether that load is one that the robot can have been given.
     """
 
-    doubt: Array
+    doubt: float
     scores: Array
     size: Array
     latest: Array
     load: Array
-    load_possible: Array
+    load_possible: bool
 
 
 class Decision(NamedTuple):
     """What is believed.
 
     Attributes:
-        fault: Whether a channel is broken (bool), shape (...).
-        load: Whether the robot was given a load (bool), shape (...).
-        accepted: 1 for the hypothesis that is, shape (..., H).
+        fault: The hypothesis about a broken channel that is accepted, or ``None``.
+        load: Whether the robot was given a load.
     """
 
-    fault: Array
-    load: Array
-    accepted: Array
+    fault: int | None
+    load: bool
 
 
 class Hypotheses:
@@ -158,13 +156,9 @@ class Hypotheses:
         possible = np.concatenate([np.tile(cells, 2), np.ones(2 * len(pairs), dtype=bool)])
         self._least_error = _LEAST_ERROR * setup.weight
         largest = _LOOSE * change
-        self._possible = possible
-        self._about = about.astype(float)
-        self._pair = pair.astype(float)
-        self._related = (about.astype(float) @ about.T > 0.5).astype(float)
+        self._possible, self._about = possible, about
+        self._related = (about[:, None] & about).any(axis=2)
         self._handicap = np.where(np.arange(self.count) < self.out.stop, _LOSS, 1.0)
-        self._order = np.arange(self.count)
-        self._identity = np.eye(K)
         self._loose = np.diag(1.0 / np.maximum(largest, _LEAST_CHANGE) ** 2)
         self._largest = largest
 
@@ -173,35 +167,34 @@ class Hypotheses:
 
         Args:
             seen: The block.
-            others: How each force follows from the others of its foot, shape (..., K, K).
+            others: How each force follows from the others of its foot, shape (K, K).
 
         Returns:
-            Errors of forces in N, and what they do to the residuals, shape (..., m, H) each.
+            Errors of forces in N, and what they do to the residuals, shape (m, H) each.
         """
         first, second = self._first, self._second
-        scaled = seen.places * seen.scale[..., None, :]
-        reading = seen.reading
+        scaled, reading = seen.places * seen.scale, seen.reading
         errors = [
-            seen.force - seen.force @ others.mT,
+            seen.force - seen.force @ others.T,
             2.0 * reading,
-            reading[..., first] - reading[..., second],
-            reading[..., first] + reading[..., second],
+            reading[:, first] - reading[:, second],
+            reading[:, first] + reading[:, second],
         ]
         per_newton = [
             seen.places,
             scaled,
-            scaled[..., first] - scaled[..., second],
-            scaled[..., first] + scaled[..., second],
+            scaled[:, first] - scaled[:, second],
+            scaled[:, first] + scaled[:, second],
         ]
-        error = np.concatenate(errors, axis=-1)
-        return error, np.concatenate(per_newton, axis=-1) * error
+        error = np.hstack(errors)
+        return error, np.hstack(per_newton) * error
 
     def evidence(
         self,
         seen: Contradiction,
         error: Array,
         change: Array,
-        doubt: Array,
+        doubt: float,
         scores: Array,
         size: Array,
         load: Array,
@@ -210,96 +203,96 @@ class Hypotheses:
 
         Args:
             seen: The block.
-            error: Errors of forces by each hypothesis in N, shape (..., m, H).
-            change: What they do to the residuals, shape (..., m, H).
+            error: Errors of forces by each hypothesis in N, shape (m, H).
+            change: What they do to the residuals, shape (m, H).
             doubt: As in :class:`Evidence`, of the blocks before, like the three that follow.
             scores: As there.
             size: As there.
             load: As there.
         """
         residuals = seen.residuals
-        latest = (np.abs(error) * residuals.there[..., None]).max(axis=-2)
+        latest = (np.abs(error) * residuals.there[:, None]).max(axis=0)
+        doubt = doubt + 1.0 if doubt > 0.5 else 0.0
+        load, change_by_load, load_possible = self._with_load(load if doubt > 2.5 else np.zeros((3, 4)), seen)
+        by_each = residuals.mean_with(np.column_stack([change, change_by_load]))
+        mean = np.concatenate([[residuals.mean], by_each])
         # The block in which a fault begins is half right: what counts are those behind it.
-        doubt = doubt + (doubt > 0.5)
-        goes_on, sums_go_on = doubt > 1.5, doubt > 2.5
-        load = load * sums_go_on[..., None, None]
-        load, change_by_load, load_possible = self._with_load(load, seen)
-        size = np.maximum(size * goes_on[..., None], latest)
-        changes = np.concatenate([change, change_by_load[..., None]], axis=-1)
-        mean = np.concatenate([residuals.mean[..., None], residuals.mean_with(changes)], axis=-1)
+        if doubt > 1.5:
+            scores = scores + (mean - scores) / (doubt - 1.0)
+            size = np.maximum(size, latest)
+        else:
+            scores, size = np.zeros_like(scores), latest
+        if doubt < 0.5 and mean[_NOTHING] > SUSPICION:
+            doubt = 1.0
+        if doubt > _PATIENCE or (doubt > 1.5 and scores[_NOTHING] < _CALM):
+            doubt = 0.0
+        return Evidence(doubt, scores, size, latest, load, load_possible)
 
-        whole = np.where(goes_on, doubt - 1.0, 1.0)[..., None]
-        scores = np.where(goes_on[..., None], scores + (mean - scores) / whole, 0.0)
-        begins = (doubt < 0.5) & (mean[..., _NOTHING] > SUSPICION)
-        doubt = np.where(begins, 1.0, doubt)
-        ends = (doubt > _PATIENCE) | ((doubt > 1.5) & (scores[..., _NOTHING] < _CALM))
-        return Evidence(np.where(ends, 0.0, doubt), scores, size, latest, load, load_possible)
-
-    def decide(self, evidence: Evidence, trust: Array, lost: Array) -> Decision:
+    def decide(self, evidence: Evidence, trust: float, lost: Array) -> Decision:
         """Return what of it is believed.
 
         Args:
             evidence: What supports each explanation.
-            trust: Blocks without doubt before, shape (...).
-            lost: Channels that are out already (0 or 1), shape (..., K).
+            trust: Blocks without doubt before.
+            lost: Channels that are out already (0 or 1), shape (K,).
         """
-        doubt, nothing = evidence.doubt, evidence.scores[..., _NOTHING]
-        open_to = self._possible & ~(lost @ self._about.mT > 0.5)
-        left = np.where(open_to, evidence.scores[..., _CHANNELS] * self._handicap, np.inf)
+        doubt, nothing = evidence.doubt, evidence.scores[_NOTHING]
+        if not (doubt > 1.5 and trust >= TRUST and nothing > SUSPICION):
+            return Decision(None, False)
+        open_to = self._possible & ~self._about[:, lost > 0.5].any(axis=1)
+        left = np.where(open_to, evidence.scores[_CHANNELS] * self._handicap, np.inf)
         # Between its turns a broken cell carries little, and still explains what was wrong in them.
-        any_channel = np.where(evidence.size > self._least_error, left, np.inf).min(axis=-1)
+        any_channel = np.where(evidence.size > self._least_error, left, np.inf).min()
         # What small errors of the reference could be as well is not put down to a channel.
         left = np.where(evidence.latest > self._least_error, left, np.inf)
-        by_load = np.where(evidence.load_possible, evidence.scores[..., _LOAD], np.inf)
-        chosen = (np.argmin(left, axis=-1)[..., None] == self._order).astype(np.float64)
-        least = left.min(axis=-1)
-        rival = np.where(chosen @ self._related > 0.5, np.inf, left).min(axis=-1)
+        by_load = evidence.scores[_LOAD] if evidence.load_possible else np.inf
 
-        ready = (doubt > 1.5) & (trust >= TRUST) & (nothing > SUSPICION)
-        fault = ready & (least < _RELIEF * nothing) & (least < _CONTRAST * rival)
-        fault = fault & (least + _NOISE < _CONTRAST * (by_load + _NOISE))
-        load = ready & ~fault & (doubt >= _LOAD_BLOCKS) & (by_load < _RELIEF * nothing)
-        load = load & (by_load + _NOISE < _LOAD_CONTRAST * (any_channel + _NOISE))
-        return Decision(fault, load, chosen * fault[..., None])
+        best = int(left.argmin())
+        rival = np.where(self._related[best], np.inf, left).min()
+        explains = left[best] < _RELIEF * nothing and left[best] < _CONTRAST * rival
+        if explains and left[best] + _NOISE < _CONTRAST * (by_load + _NOISE):
+            return Decision(best, False)
+        explains = doubt >= _LOAD_BLOCKS and by_load < _RELIEF * nothing
+        return Decision(None, bool(explains and by_load + _NOISE < _LOAD_CONTRAST * (any_channel + _NOISE)))
 
-    def promising(self, scores: Array) -> Array:
-        """Return whether any explanation leaves much less than none does (bool), shape (...)."""
-        return scores[..., 1:].min(axis=-1) < _CONTRAST * scores[..., _NOTHING]
+    def promising(self, scores: Array) -> bool:
+        """Return whether any explanation leaves much less than none does."""
+        return bool(scores[1:].min() < _CONTRAST * scores[_NOTHING])
 
-    def repair(self, accepted: Array, wiring: Array, kind: Array) -> tuple[Array, Array]:
-        """Put flipped and exchanged channels right.
+    def repair(self, fault: int, wiring: Array, kind: Array) -> tuple[Array, Array]:
+        """Put a flipped channel, or two exchanged ones, right; nothing for a channel that is out.
 
         Args:
-            accepted: 1 for the hypothesis that is accepted, shape (..., H).
-            wiring: Signed permutation that puts channels right so far, shape (..., K, K).
-            kind: Flags of what is wrong with each channel, shape (..., K).
+            fault: The hypothesis that is accepted.
+            wiring: Signed permutation that puts channels right so far, shape (K, K).
+            kind: Flags of what is wrong with each channel, shape (K,).
 
         Returns:
             The new wiring and flags.
         """
-        flipped, straight = accepted[..., self.flipped], accepted[..., self.straight]
-        crossed = accepted[..., self.crossed]
-        turn = self._identity * (1.0 - 2.0 * flipped)[..., None]
-        exchange = self._identity
-        for swapped, sign in ((straight, 1.0), (crossed, -1.0)):
-            one = swapped @ self._pair
-            cross = one[..., None] * one[..., None, :] * (1.0 - self._identity)
-            exchange = (self._identity * (1.0 - one)[..., None] + sign * cross) @ exchange
-        exchanged = (straight + crossed) @ self._pair > 0.5
-        kind = kind ^ (int(Flag.FLIPPED) * (flipped > 0.5))
-        return turn @ exchange @ wiring, kind ^ (int(Flag.SWAPPED) * exchanged)
+        repaired, kind = np.eye(len(kind)), kind.copy()
+        if fault >= self.straight.start:
+            crossed = fault >= self.crossed.start
+            pair = fault - (self.crossed if crossed else self.straight).start
+            both = [self._first[pair], self._second[pair]]
+            repaired[both] = (-1.0 if crossed else 1.0) * repaired[both[::-1]]
+            kind[both] ^= int(Flag.SWAPPED)
+        elif fault >= self.flipped.start:
+            channel = fault - self.flipped.start
+            repaired[channel, channel] = -1.0
+            kind[channel] ^= int(Flag.FLIPPED)
+        return repaired @ wiring, kind
 
-    def _with_load(self, sums: Array, seen: Contradiction) -> tuple[Array, Array, Array]:
+    def _with_load(self, sums: Array, seen: Contradiction) -> tuple[Array, Array, bool]:
         """Fit a load to all blocks since something seemed wrong.
 
         Returns:
-            The normal equations with this block, what the load does to its residuals, shape (..., m), and
-            whether there can be such a load (bool), shape (...).
+            The normal equations with this block, what the load does to its residuals, shape (m,), and whether
+            there can be such a load.
         """
         loads, residuals = seen.load, seen.residuals
-        both = np.concatenate([loads, residuals.residual[..., None]], axis=-1)
-        sums = sums + (loads * (residuals.there / residuals.variance)[..., None]).mT @ both
-        fit = np.linalg.solve(sums[..., _NORMAL] + self._loose, sums[..., _RIGHT])
-        found, mass_change = fit[..., 0], fit[..., -1, 0]
-        possible = (np.abs(found) <= self._largest).all(axis=-1) & (seen.mass + mass_change < _LIGHTER)
-        return sums, -(loads @ fit)[..., 0], possible
+        weighted = loads * (residuals.there / residuals.variance)[:, None]
+        sums = sums + weighted.T @ np.column_stack([loads, residuals.residual])
+        found = np.linalg.solve(sums[:, _NORMAL] + self._loose, sums[:, _RIGHT])
+        possible = (np.abs(found) <= self._largest).all() and seen.mass + found[-1] < _LIGHTER
+        return sums, -loads @ found, bool(possible)

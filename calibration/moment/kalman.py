@@ -18,65 +18,48 @@ from surefoot.calibration.arrays import Array
 
 
 class KalmanStep(NamedTuple):
-    """What came of one step; any leading batch dimensions ``...``; N unknowns.
+    """What came of one step; N unknowns.
 
     Attributes:
-        mean: x, shape (..., N).
-        covariance: S, shape (..., N, N).
-        nis: Normalised innovation squared, e' (H S H' + R)^-1 e with the variances as they were used, shape
-            (...).
-        rows: How many rows held anything, shape (...).
+        mean: x, shape (N,).
+        covariance: S, shape (N, N).
+        nis: Normalised innovation squared, e' (H S H' + R)^-1 e with the variances as they were used.
+        rows: How many rows held anything.
     """
 
     mean: Array
     covariance: Array
-    nis: Array
-    rows: Array
+    nis: float
+    rows: float
 
 
 def kalman_step(
-    mean: Array,
-    covariance: Array,
-    H: Array,
-    y: Array,
-    variance: Array,
-    learnt: Array,
-    identity: Array,
-    gate: float,
+    mean: Array, covariance: Array, H: Array, y: Array, variance: Array, learnt: Array, gate: float
 ) -> KalmanStep:
     """Take in m rows at once.
 
     Args:
-        mean: x, shape (..., N).
-        covariance: S, shape (..., N, N).
-        H: Rows, shape (..., m, N); a row of zeros with y = 0 holds nothing.
-        y: Right-hand sides, shape (..., m).
-        variance: R, positive, shape (..., m).
-        learnt: 1 for unknowns to estimate and 0 for those to consider, shape (..., N).
-        identity: Identity matrix, shape (N, N).
+        mean: x, shape (N,).
+        covariance: S, shape (N, N).
+        H: Rows, shape (m, N); a row of zeros with y = 0 holds nothing.
+        y: Right-hand sides, shape (m,).
+        variance: R, positive, shape (m,).
+        learnt: 1 for unknowns to estimate and 0 for those to consider, shape (N,).
         gate: Standard deviations of an innovation beyond which a row is thought to be wrong.
     """
-    e = y - (H @ mean[..., None])[..., 0]
+    e = y - H @ mean
     HS = H @ covariance
-    V = HS @ H.mT
-    predicted = np.linalg.diagonal(V)
-    needed = e * e / gate**2 - predicted
-    variance = np.where(needed > variance, needed, variance)
-    V = V + variance[..., None] * _identity(identity, V)
-    solved = np.linalg.solve(V, np.concatenate([HS, e[..., None]], axis=-1))
-    nis = (e * solved[..., -1]).sum(axis=-1)
-    gain = solved[..., :-1].mT * learnt[..., :, None]
-    mean = mean + (gain @ e[..., None])[..., 0]
-    keep = identity - gain @ H
-    kept = keep @ covariance @ keep.mT
-    covariance = kept + (gain * variance[..., None, :]) @ gain.mT
-    covariance = 0.5 * (covariance + covariance.mT)
-    rows = (predicted > 0.0).sum(axis=-1, dtype=np.float64)
-    return KalmanStep(mean, covariance, nis, rows)
-
-
-def _identity(identity: Array, like: Array) -> Array:
-    rows = like.shape[-1]
-    if rows <= identity.shape[0]:
-        return identity[:rows, :rows]
-    return np.eye(rows)
+    V = HS @ H.T
+    predicted = np.diagonal(V)
+    R = np.maximum(variance, e * e / gate**2 - predicted)
+    V = V + np.diag(R)
+    solved = np.linalg.solve(V, np.column_stack([HS, e]))
+    K = learnt[:, None] * solved[:, :-1].T
+    keep = np.eye(len(mean), dtype=mean.dtype) - K @ H
+    joseph = keep @ covariance @ keep.T + (K * R) @ K.T
+    return KalmanStep(
+        mean=mean + K @ e,
+        covariance=0.5 * (joseph + joseph.T),
+        nis=float(e @ solved[:, -1]),
+        rows=float((predicted > 0.0).sum()),
+    )

@@ -1,5 +1,7 @@
 """The rows of Newton and Euler: what the whole robot's motion asks of the ground (CoP paper, Eqs. 6, 7)."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,7 +59,6 @@ class NewtonEuler:
         self._force_map = wrench_map[:, :3]
         self._torque_map = wrench_map[:, 3:]
         self._variance = noise**2 / config.average
-        self._identity = np.eye(self.kinds)
 
     def rows(
         self,
@@ -70,175 +71,193 @@ class NewtonEuler:
         """Write what the motion asks of the ground, about the estimated centre of pressure.
 
         Args:
-            mean: The unknowns as they are estimated, shape (..., N).
+            mean: The unknowns as they are estimated, shape (N,).
             block: The samples.
-            noise: By how many times rows' variances are larger than assumed, shape (..., kinds).
-            spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
-            spare_std: Standard deviation of such forces in N, 0 for the others, shape (..., K).
+            noise: By how many times rows' variances are larger than assumed, shape (kinds,).
+            spare: How forces of lost channels are made of the others', shape (K, K), or ``None``.
+            spare_std: Standard deviation of such forces in N, 0 for the others, shape (K,).
 
         Returns:
             (every / average) times ``kinds`` rows, and what a newton on each channel does to them, by the
-            channel's own place, shape (..., m, K).
+            channel's own place, shape (m, K).
         """
-        config, unknowns, K = self.config, self.unknowns, self._channels
-        batch, n, settle, middle = mean.shape[:-1], config.every, config.settle, config.middle
-        blur = np.clip(mean[..., unknowns.blur], 0.0, 0.5 * self._passes)
-        force, blurred = self._blurred(block.force, blur)
-        use = block.stand[..., middle]
-        for first in range(2 * settle + 1):
-            use = use * block.use[..., first : first + n]
-        motion = block.motion[..., middle, :]
-        com, acceleration = motion[..., self._motion.com], motion[..., self._motion.com_acceleration]
-        rate = motion[..., self._motion.angular_momentum_rate]
+        config, unknowns = self.config, self.unknowns
+        motion = block.motion[config.middle]
+        com, acceleration = motion[:, self._motion.com], motion[:, self._motion.com_acceleration]
+        rate = motion[:, self._motion.angular_momentum_rate]
         position, R = self._motion.soles(motion)
-        ground = position[..., 2].min(axis=-1)
-        origin = np.concatenate([com[..., :2], ground[..., None]], axis=-1)
+        ground = position[:, :, 2].min(axis=1)
+        origin, height = np.column_stack([com[:, :2], ground]), (com[:, 2] - ground) / self._length
 
-        # Level wrenches about the point below the centre of mass, by channel, summed over the feet.
+        # Of every sample: level wrenches about the point below the centre of mass, by channel, both feet's.
         f = R @ self._force_map
-        skew = ((position - origin[..., None, :]) @ _CROSS).reshape(*batch, n, self._feet, 3, 3)
-        wrench = np.concatenate([f, R @ self._torque_map + skew @ f], axis=-2)
-        wrench = wrench[..., 0, :, :] if self._feet == 1 else wrench[..., 0, :, :] + wrench[..., 1, :, :]
-        rows = places = wrench[..., self._seen, :] * self._scale[:, None]
-        if spare is not None:
-            rows = places @ spare[..., None, :, :]
-
-        height = (com[..., 2] - ground) / self._length
-        asked = self._asked(acceleration, rate, height)
-        speed = rows * self._change(mean, block.force)[..., None, :]
-        late = speed.sum(axis=-1, keepdims=True)
-        tared = unknowns.tared(mean[..., None, :], force)
-        of_blur = rows @ unknowns.scaled(mean[..., None, :], blurred)[..., None]
-        features = [unknowns.by_scale(rows, tared), rows, late, of_blur, asked[..., None], speed]
-        if spare is not None:
-            features.append(places)
-        means, some = self._average(np.concatenate(features, axis=-1), use)
-        of_scale, of_rows, of_delay, blur_at, of_motion, of_speed, of_places = in_a_row(
-            unknowns.scales, K, 1, 1, 1, K, K
-        )
-        by_scale, of_blur, asked = means[..., of_scale], means[..., blur_at], means[..., of_motion][..., 0]
-        by_offset = unknowns.by_offset(means[..., of_rows], mean[..., None, :])
+        arm = (position - origin[:, None])[..., None]
+        wrench = np.concatenate([f, R @ self._torque_map + np.cross(arm, f, axis=2)], axis=2).sum(axis=1)
+        places = wrench[:, self._seen] * self._scale[:, None]
+        rows = places if spare is None else places @ spare
+        blur = float(np.clip(mean[unknowns.blur], 0.0, 0.5 * self._passes))
+        force, bend = self._blurred(block.force, blur)
+        tared = unknowns.tared(mean, force)
+        speed = rows * self._change(mean, block.force)[:, None]
+        features = [
+            rows[:, :, unknowns.out] * tared[:, None, unknowns.inp],
+            rows,
+            speed.sum(axis=2, keepdims=True),
+            rows @ unknowns.scaled(mean, bend)[:, :, None],
+            self._asked(acceleration, rate, height)[:, :, None],
+            speed,
+            places,
+        ]
+        lacking = np.zeros(self.kinds)
         if self._distal.matter:
-            lacking = self._distal.total(motion, origin)
-            asked = asked - (lacking[..., self._seen] * self._scale)[..., None, :]
+            lacking = self._distal.total(motion, origin)[self._seen] * self._scale
+        written, by_place = [], []
+        groups = self._average(np.concatenate(features, axis=2), height, self._used(block))
+        for means, high, any_used in zip(*groups, strict=True):
+            group, own = self._group(mean, means, high, blur, lacking)
+            variance = self._variance * noise + group.variance
+            if spare_std is not None:
+                variance = variance + ((own * spare_std) ** 2).sum(axis=1)
+            group = group._replace(variance=variance)
+            written.append(group if any_used else group.none())
+            by_place.append(own)
+        return Rows(*(np.concatenate(part) for part in zip(*written, strict=True))), np.concatenate(by_place)
 
-        height = height.reshape(*batch, self._groups, -1).mean(axis=-1)
-        given = (by_scale @ mean[..., None, unknowns.scale, None])[..., 0]
-        apart = (by_scale @ (mean[..., unknowns.scale] * self._side)[..., None, :, None])[..., 0]
-        errors, vertical = self._error_columns(given, apart, height, means[..., of_delay])
+    def _group(
+        self, mean: Array, means: Array, height: float, blur: float, lacking: Array
+    ) -> tuple[Rows, Array]:
+        """Write the rows of one group of samples.
+
+        Args:
+            mean: The unknowns, shape (N,).
+            means: What its samples have on the average, shape (kinds, features); see :class:`_Columns`.
+            height: Mean height of the centre of mass in foot lengths.
+            blur: Variance of the window that forces were averaged with.
+            lacking: What the feet's wrenches lack of the ground's, shape (kinds,).
+
+        Returns:
+            The rows, with the variance that times of reading alone make, and what a newton on each channel
+            does to them, shape (kinds, K).
+        """
+        unknowns, K, config = self.unknowns, self._channels, self.config
+        of = _Columns(*in_a_row(unknowns.scales, K, 1, 1, 1, K, K))
+        by_scale, by_offset = means[:, of.scale], unknowns.by_offset(means[:, of.channel], mean)
+        given = by_scale @ mean[unknowns.scale]
+        apart = by_scale @ (mean[unknowns.scale] * self._side)
+        # In the order of the unknowns: scales, offsets, com, mass, acceleration, delay, sole, blur.
+        columns = np.hstack(
+            [
+                by_scale,
+                by_offset,
+                self._moved(given),
+                given[:, None],
+                self._bias_force + height * self._bias_moment,
+                means[:, of.delay],
+                self._moved(apart),
+                means[:, of.blur],
+            ]
+        )
         # The forces are products of scales and tared readings: H x counts what the offsets do twice.
-        asked = asked + (by_offset @ mean[..., None, unknowns.offset, None])[..., 0]
-        asked = asked + of_blur[..., 0] * blur[..., None, None]
+        asked = means[:, of.asked.start] - lacking + by_offset @ mean[unknowns.offset]
+        asked = asked + means[:, of.blur.start] * blur
         to_cop = self._to_cop(given)
-        H = to_cop @ np.concatenate([by_scale, by_offset, errors, of_blur], axis=-1)
-        H = np.concatenate([H[..., : unknowns.delay - 1], vertical, H[..., unknowns.delay - 1 :]], axis=-1)
-        y = (to_cop @ asked[..., None])[..., 0]
-        variance = self._variance * noise[..., None, :] + 0.0 * y
-        jitter = to_cop @ means[..., of_speed]
-        variance = variance + config.timing_noise**2 / config.average * (jitter * jitter).sum(axis=-1)
-        places = to_cop @ means[..., of_rows if spare is None else of_places]
-        if spare is not None and spare_std is not None:
-            unsure = places * spare_std[..., None, None, :]
-            variance = variance + (unsure * unsure).sum(axis=-1)
-        there = some[..., None] + 0.0 * y
-        count = (*batch, self._groups * self.kinds)
-        written = Rows(H.reshape(*count, unknowns.size), y.reshape(count), variance.reshape(count))
-        return written.keep(there.reshape(count)), places.reshape(*count, K)
+        H = to_cop @ columns
+        # The way to the centre of pressure has the noise of the believed centre of mass in it, and would
+        # change this column by less than a tenth of a millimetre.
+        vertical_bias = unknowns.acceleration.stop - 1
+        H[:, vertical_bias] = columns[:, vertical_bias]
+        jitter = to_cop @ means[:, of.speed]
+        late = config.timing_noise**2 / config.average * (jitter * jitter).sum(axis=1)
+        return Rows(H, to_cop @ asked, late), to_cop @ means[:, of.place]
 
     def readings(self, block: Block) -> Array:
-        """Return the mean forces by the starting map that belong to each row of :meth:`rows`, (..., m, K)."""
-        force, batch = block.force[..., self.config.middle, :], block.force.shape[:-2]
-        force = force.reshape(*batch, self._groups, self.config.average, self._channels)
-        force = force.mean(axis=-2)[..., None, :]
-        force = np.concatenate([force] * self.kinds, axis=-2)
-        return force.reshape(*batch, self._groups * self.kinds, self._channels)
+        """Return the mean forces by the starting map that belong to each row of :meth:`rows`, (m, K)."""
+        force = block.force[self.config.middle].reshape(self._groups, self.config.average, self._channels)
+        return force.mean(axis=1).repeat(self.kinds, axis=0)
+
+    def _used(self, block: Block) -> Array:
+        """Return samples of the block's middle that can be learnt from (bool), shape (every,).
+
+        All within ``settle`` of them must be good, and a foot must stand.
+        """
+        every, settle = self.config.every, self.config.settle
+        near = [block.use[first : first + every] > 0.5 for first in range(2 * settle + 1)]
+        return np.all(near, axis=0) & (block.stand[self.config.middle] > 0.5)
 
     def _asked(self, acceleration: Array, rate: Array, height: Array) -> Array:
         """Return the right-hand sides: the wrench that the motion asks for, below the centre of mass."""
-        specific, spin = acceleration / GRAVITY, rate / (self._weight * self._length)
-        x, y = specific[..., 0], specific[..., 1]
-        parts = [specific[..., 2] + 1.0, spin[..., 0] - height * y, spin[..., 1] + height * x]
-        if self._six_axes:
-            parts = [x, y, *parts, spin[..., 2]]
-        return np.stack(parts, axis=-1)
+        (x, y, z), spin = acceleration.T / GRAVITY, rate.T / (self._weight * self._length)
+        wrench = [x, y, z + 1.0, spin[0] - height * y, spin[1] + height * x, spin[2]]
+        return np.column_stack([wrench[row] for row in self._seen])
 
     def _change(self, mean: Array, force: Array) -> Array:
         """Return how fast the calibrated forces change in N/s, without what no reference could follow."""
         settle = self.config.settle
-        calibrated = self.unknowns.force(mean[..., None, :], force)
-        ahead, behind = calibrated[..., 2 * settle :, :], calibrated[..., : -2 * settle, :]
-        return (ahead - behind) / (2 * settle * self._dt)
+        calibrated = self.unknowns.force(mean, force)
+        return (calibrated[2 * settle :] - calibrated[: -2 * settle]) / (2 * settle * self._dt)
 
-    def _blurred(self, force: Array, blur: Array) -> tuple[Array, Array]:
+    def _blurred(self, force: Array, blur: float) -> tuple[Array, Array]:
         """Average forces as the reference averages its rates.
 
         Args:
-            force: Forces of a block, shape (..., span, K).
-            blur: Variance of the window in squared samples, up to half the number of passes, shape (...).
+            force: Forces of a block, shape (span, K).
+            blur: Variance of the window in squared samples, up to half the number of passes.
 
         Returns:
-            Forces of the block's middle, and what they change with that variance, shape (..., every, K) each.
+            Forces of the block's middle, and what they change with that variance, shape (every, K) each.
         """
-        weight = blur[..., None, None] / (2 * self._passes)
         margin = self.config.settle - self._passes
-        force = force[..., margin : force.shape[-2] - margin, :]
+        force = force[margin : len(force) - margin]
         for _ in range(self._passes):
-            before, force = force, force[..., 1:-1, :]
-            bend = before[..., 2:, :] - 2.0 * force + before[..., :-2, :]
-            force = force + weight * bend
+            bend = force[2:] - 2.0 * force[1:-1] + force[:-2]
+            force = force[1:-1] + blur / (2 * self._passes) * bend
         return force, 0.5 * bend
 
-    def _average(self, features: Array, use: Array) -> tuple[Array, Array]:
-        """Return means over the samples of each group that may be used, and which groups have any."""
-        groups = self._groups
-        batch, tail = use.shape[:-1], features.shape[-2:]
-        weight = use.reshape(*batch, groups, -1)
-        count = weight.sum(axis=-1)
-        some = count > 0.5
-        weight = weight / np.where(some, count, 1.0)[..., None]
-        flat = features.reshape(*batch, groups, self.config.average, tail[0] * tail[1])
-        return (weight[..., None, :] @ flat).reshape(*batch, groups, *tail), some
+    def _average(self, features: Array, height: Array, used: Array) -> tuple[Array, Array, Array]:
+        """Return means of features over the samples of each group that may be used, and of all heights.
+
+        And whether there are any such samples, shape (groups,).
+        """
+        weight = used.reshape(self._groups, -1).astype(np.float64)
+        count = weight.sum(axis=1)
+        weight = weight / np.maximum(count, 1.0)[:, None]
+        by_group = features.reshape(self._groups, self.config.average, *features.shape[1:])
+        means = np.einsum("gs,gskw->gkw", weight, by_group)
+        return means, height.reshape(self._groups, -1).mean(axis=1), count > 0.5
 
     def _to_cop(self, wrench: Array) -> Array:
-        """Return matrices that take moments to the centre of pressure of an estimated wrench."""
-        load = wrench[..., self.vertical, None, None]
-        load = np.where(load > _LEAST_LOAD, load, _LEAST_LOAD)
-        x = -wrench[..., self._moment_y, None, None] / load
-        y = wrench[..., self._moment_x, None, None] / load
-        return self._identity + x * self._shift_x + y * self._shift_y
-
-    def _error_columns(self, given: Array, apart: Array, height: Array, late: Array) -> tuple[Array, Array]:
-        """Return the columns of the reference's own errors, without and with that of the vertical bias alone.
-
-        A column with the noise of the right-hand side in it would find what explains the noise. So those of
-        the mass and of the centre of mass hold the wrench that the feet give and not the one asked for; and
-        that of the vertical bias is not to be moved to the centre of pressure: the way there has the noise of
-        the believed centre of mass in it, and changes the column by less than a tenth of a millimetre.
-
-        Returns:
-            Centre of mass, mass, forward and sideward bias, delay and soles, shape (..., groups, kinds, 8);
-            and the vertical bias, shape (..., groups, kinds, 1).
-        """
-        acceleration = self._bias_force + height[..., None, None] * self._bias_moment
-        level, vertical = acceleration[..., :2], acceleration[..., 2:]
-        errors = [self._moved(given), given[..., None], level, late, self._moved(apart)]
-        return np.concatenate(errors, axis=-1), vertical
+        """Return the matrix that takes moments to the centre of pressure of an estimated wrench."""
+        load = max(wrench[self.vertical], _LEAST_LOAD)
+        x, y = -wrench[self._moment_y] / load, wrench[self._moment_x] / load
+        return np.eye(self.kinds) + x * self._shift_x + y * self._shift_y
 
     def _moved(self, wrench: Array) -> Array:
-        """Return the moments d x f that a point off by d sees besides, by d, shape (..., kinds, 2)."""
-        fz = wrench[..., self.vertical]
-        zero = np.zeros_like(fz)
-        rows = [[zero, zero], [zero, fz], [-fz, zero]]
+        """Return the moments d x f that a point off by d sees besides, by d, shape (kinds, 2).
+
+        A column with the noise of the right-hand side in it would find what explains the noise, so that this
+        is of the wrench that the feet give and not of the one asked for.
+        """
+        moved = np.zeros((self.kinds, 2))
+        moved[self._moment_x, 1], moved[self._moment_y, 0] = wrench[self.vertical], -wrench[self.vertical]
         if self._six_axes:
-            rows = [[zero, zero], [zero, zero], *rows, [wrench[..., _FY], -wrench[..., _FX]]]
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+            moved[_MZ] = wrench[_FY], -wrench[_FX]
+        return moved
 
 
-_CROSS: NDArray[np.float64] = np.zeros((3, 9))
-"""Takes a vector v to the flat matrix of v x."""
-_CROSS[0, 5], _CROSS[0, 7] = -1.0, 1.0
-_CROSS[1, 2], _CROSS[1, 6] = 1.0, -1.0
-_CROSS[2, 1], _CROSS[2, 3] = -1.0, 1.0
+class _Columns(NamedTuple):
+    """The places of what is averaged over a group of samples, each for all kinds of rows.
+
+    What scales do, a newton on each channel (lost ones being made of the others), the delay, the blur, what
+    is asked, how fast each channel's part changes, and a newton on each channel by its own place.
+    """
+
+    scale: slice
+    channel: slice
+    delay: slice
+    blur: slice
+    asked: slice
+    speed: slice
+    place: slice
 
 
 def _acceleration_columns(seen: list[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -32,19 +32,19 @@ def followed_noise(noise: Array, residuals: Residuals) -> Array:
     """Follow how large residuals are against what is expected; never take noise for less than assumed.
 
     Args:
-        noise: By how many times variances of each kind of row are taken as larger, shape (..., kinds).
+        noise: By how many times variances of each kind of row are taken as larger, shape (kinds,).
         residuals: Of rows before they are learnt from, kind by kind in turn, those that are left out as well.
     """
     surplus = (residuals.squares(_LARGEST_SQUARE) - 1.0) * residuals.there
-    surplus = surplus.reshape(*noise.shape[:-1], -1, noise.shape[-1]).mean(axis=-2)
-    return np.clip(noise * (1.0 + _NOISE_MEMORY * surplus), 1.0, _LOUDEST)
+    of_kinds = surplus.reshape(-1, len(noise)).mean(axis=0)
+    return np.clip(noise * (1.0 + _NOISE_MEMORY * of_kinds), 1.0, _LOUDEST)
 
 
-def followed_misfit(misfit: Array, residuals: Residuals) -> Array:
+def followed_misfit(misfit: float, residuals: Residuals) -> float:
     """Follow the mean square of residuals over what is expected of it, of all kinds together.
 
     Args:
-        misfit: What it was, shape (...).
+        misfit: What it was.
         residuals: As of :func:`followed_noise`.
     """
     return misfit + _MISFIT_MEMORY * (residuals.mean_square(_LARGEST_MISFIT) - misfit)

@@ -38,27 +38,25 @@ class Parity:
         """Write that the instruments of one foot measure the same wrench.
 
         Args:
-            mean: The unknowns as they are estimated, shape (..., N).
+            mean: The unknowns as they are estimated, shape (N,).
             block: The samples.
 
         Returns:
             For each axis that two instruments of a foot see, one row for each half of the block.
         """
         settle, half, unknowns = self.config.settle, self.config.every // 2, self.unknowns
-        y = 0.0 * (block.force[..., 0, :] @ self._parity.mT)
+        by_offset = unknowns.by_offset(self._parity, mean)
+        y = by_offset @ mean[unknowns.offset]
         if self._distal.matter:
-            y = self._distal.felt(block.motion) @ self._parity.mT
-        by_offset = unknowns.by_offset(self._parity + 0.0 * y[..., None], mean)
-        y = y + (by_offset @ mean[..., unknowns.offset, None])[..., 0]
+            y = y + self._parity @ self._distal.felt(block.motion)
+        variance = np.full(len(y), self.config.parity_noise**2)
         halves = []
         for start in (settle, settle + half):
             part = slice(start, start + half)
-            reading = block.force[..., part, :].mean(axis=-2)
-            scales = unknowns.by_scale(self._parity, unknowns.tared(mean, reading))
-            H = np.concatenate([scales, by_offset, self._errors + 0.0 * scales[..., :1]], axis=-1)
-            known = (block.use[..., part] > 0.5).all(axis=-1)[..., None]
-            variance = self.config.parity_noise**2 + 0.0 * y
-            halves.append(Rows(H, y, variance).keep(known))
+            reading = block.force[part].mean(axis=0)
+            by_scale = unknowns.by_scale(self._parity, unknowns.tared(mean, reading))
+            rows = Rows(np.hstack([by_scale, by_offset, self._errors]), y, variance)
+            halves.append(rows if (block.use[part] > 0.5).all() else rows.none())
         return halves[0].beside(halves[1])
 
 

@@ -58,7 +58,7 @@ class ErrorProduct:
 
     def forgotten(
         self, state: MomentState, block: Block, count: Array, reading: Array, lost: Array
-    ) -> tuple[MomentState, Array]:
+    ) -> tuple[MomentState, bool]:
         """Forget what a foot was learnt with offsets that its first swing proves wrong.
 
         The states to go back to forget it as well.
@@ -66,70 +66,70 @@ class ErrorProduct:
         Args:
             state: The state.
             block: The samples.
-            count: Samples in which each foot surely hangs, shape (..., F).
-            reading: Mean reading of each channel over them in N, shape (..., K).
-            lost: Channels that are out (0 or 1), shape (..., K).
+            count: Samples in which each foot surely hangs, shape (F,).
+            reading: Mean reading of each channel over them in N, shape (K,).
+            lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            The state, and which robots have forgotten anything (bool), shape (...).
+            The state, and whether anything was forgotten.
         """
         unknowns = self.unknowns
         first = (count > 0.5) & (state.swing_ago < 0.0) & (state.swing_samples < 0.5)
         if not first.any():
-            return state, first.any(axis=-1)
+            return state, False
         tare = self.tare.rows(state.mean, block, count, reading)
-        off = np.abs(tare.y - state.mean[..., unknowns.offset])
+        off = np.abs(tare.y - state.mean[unknowns.offset])
         seen = (off > _WRONG + _SURE_STD * np.sqrt(tare.variance)) & (lost < 0.5)
-        feet = first & (seen @ self.tare.by_channel.T > 0.5)
+        feet = first & (self.tare.by_channel @ seen > 0.5)
         wrong = feet @ self.tare.by_channel > 0.5
-        gone = np.zeros(state.mean.shape, dtype=bool)
-        gone[..., unknowns.scale], gone[..., unknowns.offset] = wrong[..., unknowns.inp], wrong
-        pair = gone[..., None] | gone[..., None, :]
+        gone = np.zeros(unknowns.size, dtype=bool)
+        gone[unknowns.scale], gone[unknowns.offset] = wrong[unknowns.inp], wrong
+        pair = gone[:, None] | gone
         state = state._replace(
             mean=np.where(gone, unknowns.start, state.mean),
             covariance=np.where(pair, self._start, state.covariance),
-            kept_mean=np.where(gone[..., None, :], unknowns.start, state.kept_mean),
-            kept_covariance=np.where(pair[..., None, :, :], self._start, state.kept_covariance),
+            kept_mean=np.where(gone, unknowns.start, state.kept_mean),
+            kept_covariance=np.where(pair, self._start, state.kept_covariance),
         )
-        return state, wrong.any(axis=-1)
+        return state, bool(wrong.any())
 
     def unsure(self, rows: Rows, places: Array, known: Array, factor: Array) -> Rows:
         """Return rows of the robot's motion that are less sure by a share of the product.
 
         Args:
             rows: The m rows.
-            places: What a newton on each channel does to them, shape (..., m, K).
-            known: Variances of the unknowns, shape (..., N).
-            factor: By how many times rows' variances are larger than assumed, shape (..., m).
+            places: What a newton on each channel does to them, shape (m, K).
+            known: Variances of the unknowns, shape (N,).
+            factor: By how many times rows' variances are larger than assumed, shape (m,).
         """
-        return self._wider(rows, places, known, known[..., self.unknowns.offset], _SHARED * factor)
+        return self._wider(rows, places, known, known[self.unknowns.offset], _SHARED * factor)
 
     def since_swing(self, rows: Rows, places: Array, known: Array, drifted: Array) -> Rows:
         """Return rows that are less sure by what offsets have drifted by since their feet swung.
 
         Args:
             rows: The m rows.
-            places: What a newton on each channel does to them, shape (..., m, K).
-            known: Variances of the unknowns, shape (..., N).
-            drifted: As :meth:`drifted` returns it, shape (..., K).
+            places: What a newton on each channel does to them, shape (m, K).
+            known: Variances of the unknowns, shape (N,).
+            drifted: As :meth:`drifted` returns it, shape (K,).
         """
-        return self._wider(rows, places, known, drifted, float(rows.y.shape[-1]))
+        return self._wider(rows, places, known, drifted, float(len(rows.y)))
 
     def drifted(self, state: MomentState, count: Array) -> Array:
         """Return the variances that offsets drifted by since their feet swung, times blocks since then.
 
         Args:
             state: The state.
-            count: Samples of the last block in which each foot surely hung, shape (..., F).
+            count: Samples of the last block in which each foot surely hung, shape (F,).
 
         Returns:
-            Shape (..., K); 0 for a foot that hangs, or never swung. The last block counts.
+            Shape (K,); 0 for a foot that hangs, or never swung. The last block counts.
         """
         blocks = np.clip(state.swing_ago + 1.0, 0.0, self._longest) * (count < 0.5)
-        return (state.rate[..., None] * blocks * blocks) @ self.tare.by_channel * self._walk
+        return (state.rate * blocks * blocks) @ self.tare.by_channel * self._walk
 
     def _wider(self, rows: Rows, places: Array, known: Array, offset: Array, share: Array | float) -> Rows:
         """Return rows with the product of scales' errors and of offsets' of such variances, so many times."""
         lever = places * self.unknowns.unit
-        more = ((lever * lever) @ (self.unknowns.own_scales(known) * offset)[..., None])[..., 0]
+        more = (lever * lever) @ (self.unknowns.own_scales(known) * offset)
         return rows._replace(variance=rows.variance + share * more)

@@ -52,14 +52,13 @@ class LearntSeverity:
         self._variance = np.stack(severities) ** 2
         self._likely = 2.0 * np.log([np.prod(pair) for pair in product(LIKELY, repeat=2)])
         self._stated = unknowns.std[unknowns.map] ** 2
-        self._identity = np.eye(unknowns.map.stop)
         self._start = unknowns.start[unknowns.map]
 
     def stated(self, drift: Array) -> Array:
         """Return the variances that are stated of scales and offsets that have drifted since the start.
 
         Args:
-            drift: Variances that they have drifted by, shape (..., M).
+            drift: Variances that they have drifted by, shape (M,).
         """
         return self._stated + drift
 
@@ -67,40 +66,41 @@ class LearntSeverity:
         """Return the variances that the filter begins with, for sensors that have drifted since; as above."""
         return FIRST_WIDTH**2 * self._stated + drift
 
-    def reweighted(self, mean: Array, covariance: Array, drift: Array, misfit: Array) -> tuple[Array, Array]:
+    def reweighted(self, mean: Array, covariance: Array, drift: Array, misfit: float) -> tuple[Array, Array]:
         """Return scales and offsets under all severities together.
 
         Args:
-            mean: The filter's unknowns, shape (..., N).
-            covariance: Theirs, shape (..., N, N).
-            drift: Variances that scales and offsets have drifted by since the start, shape (..., M).
-            misfit: Mean square of residuals over what is expected of them, shape (...): above 1, the data are
-                worth that many times less.
+            mean: The filter's unknowns, shape (N,).
+            covariance: Theirs, shape (N, N).
+            drift: Variances that scales and offsets have drifted by since the start, shape (M,).
+            misfit: Mean square of residuals over what is expected of them: above 1, the data are worth that
+                many times less.
 
         Returns:
-            Scales and offsets, shape (..., M), and their covariance, shape (..., M, M).
+            Scales and offsets, shape (M,), and their covariance, shape (M, M).
         """
         of_map = self.unknowns.map
         stated, prior = self.stated(drift), self.first(drift)
+        # In standard deviations of the prior: P0 is 1, P has the shares along the axes.
         std = np.sqrt(prior)
-        units = std[..., :, None] * std[..., None, :]
-        share, axes = np.linalg.eigh(covariance[..., of_map, of_map] / units)
+        units = np.outer(std, std)
+        share, axes = np.linalg.eigh(covariance[of_map, of_map] / units)
         share = np.clip(share, _LEAST * np.finfo(np.float64).eps, 1.0)
-        worth = 1.0 / np.maximum(misfit, 1.0)[..., None]
-        seen = (axes * (worth * (1.0 / share - 1.0))[..., None, :]) @ axes.mT
-        off = (mean[..., of_map] - self._start) / std
-        pull = (axes @ ((axes.mT @ off[..., None]) * (worth / share)[..., None]))[..., None, :, :]
+        worth = 1.0 / max(misfit, 1.0)
+        seen = (axes * (worth * (1.0 / share - 1.0))) @ axes.T
+        off = (mean[of_map] - self._start) / std
+        pull = axes @ ((axes.T @ off) * (worth / share))
 
-        severity = self._variance * (stated / prior)[..., None, :]
-        precision = seen[..., None, :, :] + self._identity / severity[..., None, :]
+        # One prior D after the other, first in all that follows.
+        D = self._variance * (stated / prior)
+        precision = seen + np.eye(len(std)) / D[:, None, :]
         V = np.linalg.inv(precision)
         found = V @ pull
         _, size = np.linalg.slogdet(precision)
-        evidence = (found * pull)[..., 0].sum(axis=-1) - size - np.log(severity).sum(axis=-1)
-        evidence = evidence + self._likely
-        weight = np.exp(0.5 * (evidence - evidence.max(axis=-1, keepdims=True)))
-        weight = (weight / weight.sum(axis=-1, keepdims=True))[..., None, None]
-        mixed = (weight * found).sum(axis=-3)
-        apart = found - mixed[..., None, :, :]
-        V = (weight * (V + apart @ apart.mT)).sum(axis=-3)
-        return self._start + std * mixed[..., 0], 0.5 * (V + V.mT) * units
+        evidence = found @ pull - size - np.log(D).sum(axis=1) + self._likely
+        weight = np.exp(0.5 * (evidence - evidence.max()))
+        weight = weight / weight.sum()
+        mixed = weight @ found
+        apart = found - mixed
+        V = np.tensordot(weight, V, 1) + (weight * apart.T) @ apart
+        return self._start + std * mixed, 0.5 * (V + V.T) * units

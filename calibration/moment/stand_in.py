@@ -56,48 +56,43 @@ class StandIn:
                 prior[np.ix_(index, index)] = share @ spread @ share.T + ridge
                 together[np.ix_(index, index)] = 1.0
                 self.cells[index] = True
-        self._prior, self._together, self._identity = prior, together, np.eye(K)
+        self._prior, self._together = prior, together
         self._weight = weight
 
-    def init(self, like: Array) -> Array:
-        """Begin with equal springs: second moments in body weights squared, shape (..., K, K)."""
-        return self._prior + 0.0 * like[..., None]
+    def init(self) -> Array:
+        """Begin with equal springs: second moments in body weights squared, shape (K, K)."""
+        return self._prior.copy()
 
-    def learn(self, moments: Array, force: Array, good: Array) -> Array:
+    def learn(self, moments: Array, force: Array) -> Array:
         """Take in forces that are trusted.
 
         Args:
-            moments: What is known, shape (..., K, K).
-            force: Calibrated forces of one block in N, shape (..., n, K).
-            good: Whether they are trusted (bool), shape (...).
+            moments: What is known, shape (K, K).
+            force: Calibrated forces of one block in N, shape (n, K).
         """
         scaled = force / self._weight
-        seen = scaled.mT @ scaled / scaled.shape[-2] * self._together
-        return moments + np.where(good[..., None, None], self._renewal * (seen - moments), 0.0)
+        seen = scaled.T @ scaled / len(scaled) * self._together
+        return moments + self._renewal * (seen - moments)
 
     def others(self, moments: Array, lost: Array) -> tuple[Array, Array]:
         """Return how each channel follows from those that are not lost.
 
         Args:
-            moments: What is known, shape (..., K, K).
-            lost: Channels that are out (0 or 1), shape (..., K).
+            moments: What is known, shape (K, K).
+            lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            Coefficients without a channel's own, shape (..., K, K), and standard deviations in N, shape
-            (..., K).
+            Coefficients without a channel's own, shape (K, K), and standard deviations in N, shape (K,).
         """
-        identity = self._identity
+        identity, there = np.eye(len(lost)), 1.0 - lost
         moments = moments + _FLOOR * identity
-        there = 1.0 - lost
         # Lost channels are cut off from the others, so that the inverse is that of those that are there.
-        alone = identity * lost[..., None]
-        precision = np.linalg.inv(moments * there[..., None] * there[..., None, :] + alone)
-        own = np.linalg.diagonal(precision)
-        by_others = (identity - precision / own[..., None]) * there[..., None]
+        precision = np.linalg.inv(moments * np.outer(there, there) + np.diag(lost))
+        own = np.diagonal(precision)
+        by_others = (identity - precision / own[:, None]) * there
         # For a lost channel: C_io C_oo^-1, with all of those that are there.
-        of_lost = (moments * there[..., None, :]) @ precision * there[..., None, :]
-        of_lost = of_lost * lost[..., None]
-        variance = np.linalg.diagonal(moments) - (of_lost * moments).sum(axis=-1)
+        of_lost = (moments * there) @ precision * there * lost[:, None]
+        variance = np.diagonal(moments) - (of_lost * moments).sum(axis=1)
         variance = np.where(lost > 0.5, variance, 1.0 / own)
         spread = np.sqrt(np.maximum(variance, 0.0)) * self._weight
-        return by_others * there[..., None] + of_lost, spread
+        return by_others * there[:, None] + of_lost, spread

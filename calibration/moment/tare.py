@@ -41,55 +41,49 @@ class Tare:
         """Average readings while feet surely hang, with ``settle`` samples to spare on either side.
 
         Args:
-            mean: The unknowns as they are estimated, shape (..., N).
+            mean: The unknowns as they are estimated, shape (N,).
             block: The samples.
-            spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
+            spare: How forces of lost channels are made of the others', shape (K, K), or ``None``.
 
         Returns:
-            Samples of each foot that count, shape (..., F), and the mean reading of each channel over its
-            foot's, shape (..., K).
+            Samples of each foot that count, shape (F,), and the mean reading of each channel over its foot's,
+            shape (K,).
         """
-        settle, every = self.config.settle, self.config.every
-        by_channel, middle = self.by_channel, self.config.middle
-        swing = block.swing * ~self._landed(mean, block, spare)
-        sure = swing[..., :every, :]
-        for shift in range(1, 2 * settle + 1):
-            sure = sure * swing[..., shift : shift + every, :]
-        sure = sure * block.use[..., middle][..., None]
-        count = sure.sum(axis=-2)
-        total = ((sure @ by_channel) * block.force[..., middle, :]).sum(axis=-2)
-        number = count @ by_channel
-        return count, total / np.where(number > 0.5, number, 1.0)
+        settle, every, middle = self.config.settle, self.config.every, self.config.middle
+        swing = (block.swing > 0.5) & ~self._landed(mean, block, spare)
+        sure = np.all([swing[shift : shift + every] for shift in range(2 * settle + 1)], axis=0)
+        sure = sure * block.use[middle, None]
+        count, by_channel = sure.sum(axis=0), sure @ self.by_channel
+        total = (by_channel * block.force[middle]).sum(axis=0)
+        return count, total / np.maximum(by_channel.sum(axis=0), 1.0)
 
     def _landed(self, mean: Array, block: Block, spare: Array | None) -> Array:
-        """Find feet that already carry weight where they should swing still, shape (..., n, F).
+        """Find feet that already carry weight where they should swing still, shape (n, F).
 
         They carry more than in another sample of the swing, whatever their offsets are.
         """
-        force = self.unknowns.force(mean[..., None, :], block.force)
+        force = self.unknowns.force(mean, block.force)
         if spare is not None:
-            force = (spare[..., None, :, :] @ force[..., None])[..., 0]
+            force = force @ spare.T
         load = force @ self._vertical.T / self._weight
-        least = np.where(block.swing > 0.5, load, np.inf).min(axis=-2, keepdims=True)
+        least = np.where(block.swing > 0.5, load, np.inf).min(axis=0)
         return load > least + self.config.swing_load
 
     def load(self, mean: Array, reading: Array, spare: Array | None = None) -> tuple[Array, Array]:
         """Write the vertical force of each foot for a mean reading, about a level sole.
 
         Args:
-            mean: The unknowns as they are estimated, shape (..., N).
-            reading: Forces by the starting map in N, shape (..., K).
-            spare: How forces of lost channels are made of the others', shape (..., K, K), or ``None``.
+            mean: The unknowns as they are estimated, shape (N,).
+            reading: Forces by the starting map in N, shape (K,).
+            spare: How forces of lost channels are made of the others', shape (K, K), or ``None``.
 
         Returns:
-            In body weights, shape (..., F), and what scales and offsets do to it, shape (..., F, P + K).
+            In body weights, shape (F,), and what scales and offsets do to it, shape (F, P + K).
         """
-        up = self._vertical if spare is None else self._vertical @ spare
-        unknowns, up = self.unknowns, up / self._weight
+        unknowns = self.unknowns
+        up = (self._vertical if spare is None else self._vertical @ spare) / self._weight
         scales = unknowns.by_scale(up, unknowns.tared(mean, reading))
-        offsets = unknowns.by_offset(up + 0.0 * scales[..., :1], mean)
-        load = (scales @ mean[..., unknowns.scale, None])[..., 0]
-        return load, np.concatenate([scales, offsets], axis=-1)
+        return scales @ mean[unknowns.scale], np.hstack([scales, unknowns.by_offset(up, mean)])
 
     def rows(self, mean: Array, block: Block, count: Array, reading: Array) -> Rows:
         """Write that feet in the air read nothing but what is beyond their sensors.
@@ -97,21 +91,20 @@ class Tare:
         Divided by the scales, this is a row of the offsets alone.
 
         Args:
-            mean: The unknowns as they are estimated, shape (..., N).
+            mean: The unknowns as they are estimated, shape (N,).
             block: The samples.
-            count: Samples of each foot that count, shape (..., F).
-            reading: Mean reading of each channel over them, shape (..., K).
+            count: Samples of each foot that count, shape (F,).
+            reading: Mean reading of each channel over them, shape (K,).
 
         Returns:
             One row a channel.
         """
         number = count @ self.by_channel
-        H = self._offsets + 0.0 * reading[..., None]
         y = -reading / self.unknowns.unit
         if self._distal.matter:
             y = y + self._distal.felt(block.motion) / (self.unknowns.unit * self.unknowns.own_scales(mean))
-        return Rows(H, y, self.variance(number)).keep(number > 0.5)
+        return Rows(self._offsets, y, self.variance(number)).keep(number > 0.5)
 
     def variance(self, number: Array) -> Array:
         """Return the variance of a mean reading over so many samples, in squared units of an offset."""
-        return self.config.swing_noise**2 * _SWING_SAMPLES / np.where(number > 1.0, number, 1.0)
+        return self.config.swing_noise**2 * _SWING_SAMPLES / np.maximum(number, 1.0)

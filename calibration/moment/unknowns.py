@@ -119,54 +119,48 @@ class Unknowns:
         self.sure[self.com] = (config.com_known / setup.length) ** 2
         self.sure_still = self.sure.copy()
         self.sure_still[self.com] *= _STILL**2
-        identity = np.eye(channels)
-        self._gather, self._inputs = identity[self.out], identity[self.inp]
 
     def own_scales(self, mean: Array) -> Array:
-        """Return the scales of the channels on their own readings, shape (..., K)."""
-        return mean[..., : self.channels]
+        """Return the scales of the channels on their own readings, shape (K,)."""
+        return mean[: self.channels]
 
     def tared(self, mean: Array, force: Array) -> Array:
-        """Return F0 + o in N, shape (..., K), of forces by the starting map."""
-        return force + mean[..., self.offset] * self.unit
+        """Return F0 + o in N, shape (K,) or (n, K), of forces by the starting map."""
+        return force + mean[self.offset] * self.unit
 
     def force(self, mean: Array, force: Array) -> Array:
-        """Return corrected forces A (F0 + o) in N, shape (..., K), of those by the starting map."""
+        """Return corrected forces A (F0 + o) in N, shape (K,) or (n, K), of those by the starting map."""
         return self.scaled(mean, self.tared(mean, force))
 
     def scaled(self, mean: Array, tared: Array) -> Array:
-        """Return A f in N, shape (..., K), of forces without their offsets."""
-        if self.diagonal:
-            return mean[..., self.scale] * tared
-        return (mean[..., self.scale] * tared[..., self.inp]) @ self._gather
+        """Return A f in N, shape (K,) or (n, K), of forces without their offsets."""
+        return mean[self.scale] * tared if self.diagonal else tared @ self.matrix(mean).T
 
     def offsets(self, mean: Array) -> Array:
-        """Return b = A o in N, shape (..., K), so that F = A F0 + b."""
-        return self.scaled(mean, mean[..., self.offset] * self.unit)
+        """Return b = A o in N, shape (K,), so that F = A F0 + b."""
+        return self.scaled(mean, mean[self.offset] * self.unit)
 
     def by_scale(self, rows: Array, tared: Array) -> Array:
         """Return what scales do to rows that are linear in the channels' forces.
 
         Args:
-            rows: What a newton on each channel does to m rows, shape (..., m, K).
-            tared: Forces by the starting map without their offsets in N, shape (..., K).
+            rows: What a newton on each channel does to m rows, shape (m, K).
+            tared: Forces by the starting map without their offsets in N, shape (K,).
 
         Returns:
-            Shape (..., m, P).
+            Shape (m, P).
         """
-        if self.diagonal:
-            return rows * tared[..., None, :]
-        return rows[..., self.out] * tared[..., self.inp][..., None, :]
+        return rows[:, self.out] * tared[self.inp]
 
     def by_offset(self, rows: Array, mean: Array) -> Array:
-        """Return what offsets do to such rows, shape (..., m, K)."""
-        if self.diagonal:
-            return rows * (mean[..., self.scale] * self.unit)[..., None, :]
+        """Return what offsets do to such rows, shape (m, K)."""
         return rows @ self.matrix(mean) * self.unit
 
     def matrix(self, mean: Array) -> Array:
-        """Return the scales as a matrix A, shape (..., K, K)."""
-        return (self._gather * mean[..., self.scale, None]).mT @ self._inputs
+        """Return the scales as a matrix A, shape (K, K)."""
+        A = np.zeros((self.channels, self.channels))
+        A[self.out, self.inp] = mean[self.scale]
+        return A
 
 
 def _talks(layout: FeetLayout) -> Iterator[tuple[int, int]]:

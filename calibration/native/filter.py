@@ -62,8 +62,8 @@ class NativeFilter:
         K, F = constants.front.setup.layout.channels, len(constants.front.setup.layout.feet)
         self._real = library.real
         self._template, self.certain, self._matrix = constants.like, constants.number == 0, constants.matrix
-        tails = constants.front.motions.tails
-        self._shapes = tuple(tails[field] for field in Reference._fields)
+        beliefs = constants.front.motions.shapes
+        self._shapes = tuple(beliefs[field] for field in Reference._fields)
         contacts = np.dtype(np.bool_)
         self._dtypes = tuple(
             contacts if field in ("stance", "swing") else self._real for field in Reference._fields
@@ -76,7 +76,7 @@ class NativeFilter:
         }  # fmt: skip
         leaves = {_name(path): np.shape(leaf) for path, leaf in leaves_of(self._template)}
         state = library.record(constants.state, leaves)
-        reference = library.record("belief", tails)
+        reference = library.record("belief", beliefs)
         estimate = library.record("estimate", shapes)
         if state is None or reference is None or estimate is None:
             raise ValueError("The robot's state is larger than those that the library was compiled for.")
@@ -116,15 +116,10 @@ class NativeFilter:
         if type(state) is not type(self._template) or len(given) != len(wanted):
             return None
         for (path, leaf), (_, like) in zip(given, wanted, strict=True):
-            if isinstance(like, int):
-                if not isinstance(leaf, int):
-                    return None
-            elif not isinstance(leaf, np.ndarray | np.generic) or (leaf.shape, leaf.dtype) != (
-                like.shape,
-                like.dtype,
-            ):
+            part, fitting = np.asarray(leaf), np.asarray(like)
+            if (part.shape, part.dtype) != (fitting.shape, fitting.dtype):
                 return None
-            record[_name(path)] = leaf
+            record[_name(path)] = part
         return NativeState(record)
 
     def unpack(self, state: NativeState) -> Any:
@@ -132,7 +127,7 @@ class NativeFilter:
 
         def own(path: tuple[str, ...], like: Any) -> Any:
             part = state.record[_name(path)]
-            return int(part) if isinstance(like, int) else part.astype(like.dtype)
+            return part.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(part)
 
         return rebuilt(self._template, own)
 

@@ -13,7 +13,7 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.calibration.standing import QuietStanding, StandingState
+from surefoot.calibration.standing import QuietStanding
 
 __all__ = ["StandingFit", "standing_start"]
 
@@ -73,35 +73,21 @@ def standing_start(
     lengths = {name: len(field) for name, field in reference._asdict().items() if len(field) != len(code)}
     if lengths:
         raise ValueError(f"'raw' holds {len(code)} samples, but fields of the reference hold {lengths}.")
-    rows, target, finite, quiet = standing.rows(code, Reference(*(np.asarray(field) for field in reference)))
-    warm = np.arange(len(code)) * dt >= standing.warm_up - 1e-9
-    used = warm & finite & quiet
-    intended = int(np.ceil((standing.warm_up + standing.duration) / dt - 1e-9))
-    reached = int(np.searchsorted(np.cumsum(used), standing.minimum_samples)) + 1
-    end = min(max(intended, reached), len(code))
-    used, warm, finite, quiet = used[:end], warm[:end], finite[:end], quiet[:end]
-    rows, target = rows[:end][used].reshape(-1, rows.shape[-1]), target[:end][used].ravel()
-    samples, dropped = int(np.sum(used)), int(np.sum(warm & ~finite))
-    gated = int(np.sum(warm & finite & ~quiet))
-    if samples < standing.minimum_samples:
+    log = Reference(*(np.asarray(field) for field in reference))
+    state, end = standing.init(np.zeros(standing.layout.channels)), 0
+    while end < len(code) and not standing.ready(state):
+        state = standing.update(state, code[end], Reference(*(field[end] for field in log)), dt)
+        end += 1
+    if state.samples < standing.minimum_samples:
+        warm = state.samples + state.dropped + state.gated
         raise CalibrationRefused(
-            f"Only {samples} of the {standing.minimum_samples} samples that are needed were usable: of "
-            f"{int(np.sum(warm))} after {standing.warm_up:g} s of warming up, {dropped} held values that are "
-            f"not finite{_silent_channels(code, standing.layout)} and {gated} lacked contact or moved.",
+            f"Only {state.samples} of the {standing.minimum_samples} samples that are needed were usable: of "
+            f"{warm} after {standing.warm_up:g} s of warming up, {state.dropped} held values that are "
+            f"not finite{_silent_channels(code, standing.layout)} and {state.gated} lacked contact or moved.",
             "Stand still for longer, or check the IMU, its thresholds and the cells.",
         )
-    estimate = standing.solve(
-        StandingState(
-            time=np.asarray(end * dt),
-            samples=np.asarray(samples),
-            dropped=np.asarray(dropped),
-            gated=np.asarray(gated),
-            information=rows.T @ rows,
-            gradient=rows.T @ target,
-            energy=np.asarray(target @ target),
-        )
-    )
-    rank, unknowns = int(estimate.rank), 2 * standing.layout.channels
+    estimate = standing.solve(state)
+    rank, unknowns = estimate.rank, 2 * standing.layout.channels
     if strict and rank < unknowns:
         raise CalibrationRefused(
             f"The recording determines {rank} of {unknowns} directions of the scales and offsets: a robot at "
@@ -115,13 +101,13 @@ def standing_start(
         covariance=estimate.covariance,
         result=FitResult.DETERMINED if rank == unknowns else FitResult.PARTLY_DETERMINED,
         stats=FitStats(
-            samples=samples,
-            dropped=dropped,
-            gated=gated,
-            residual_rms=float(estimate.residual_rms),
+            samples=state.samples,
+            dropped=state.dropped,
+            gated=state.gated,
+            residual_rms=estimate.residual_rms,
             rank=rank,
             unknowns=unknowns,
-            condition=float(estimate.condition),
+            condition=estimate.condition,
         ),
         duration=end * dt,
     )

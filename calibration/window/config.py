@@ -189,13 +189,13 @@ def confidence_from_standing(
         ValueError: If fewer than ten samples are finite and in contact.
     """
     force = Parameters(*setup.initial).force(np.asarray(raw, dtype=np.float64))
-    rows = np.sum(moment_rows(setup.layout, reference.position_sole, reference.R_level_sole), axis=-3)
-    moments = (rows @ force[..., None])[..., 0]
+    rows = moment_rows(setup.layout, reference.position_sole, reference.R_level_sole).sum(axis=1)
+    moments = np.einsum("nik,nk->ni", rows, force)
     ground = ground_reference(reference, setup.mass, threshold=setup.force_threshold)
-    cop = cop_of_moments(moments[..., 0], moments[..., 1:], setup.force_threshold)
-    force_error = (moments[..., 0] - ground.vgrf) / setup.weight
+    cop = cop_of_moments(moments[:, 0], moments[:, 1:], setup.force_threshold)
+    force_error = (moments[:, 0] - ground.vgrf) / setup.weight
     cop_error = (cop - ground.cop) / setup.length
-    usable = np.isfinite(force_error) & np.isfinite(cop_error).all(axis=-1)
+    usable = np.isfinite(force_error) & np.isfinite(cop_error).all(axis=1)
     if usable.sum() < 10:
         raise ValueError(
             f"Only {usable.sum()} of {len(raw)} samples are finite and in contact; at least 10 are needed to "

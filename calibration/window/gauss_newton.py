@@ -23,9 +23,6 @@ from surefoot.calibration.arrays import Array
 _MEDIAN_OF_SQUARE = 0.79
 """Median of the mean of three squared normal deviates: what makes a median comparable with a variance."""
 
-_LARGE = 1e30
-"""Stands for infinity where it is multiplied by nothing."""
-
 
 class Weights(NamedTuple):
     """What residuals are measured in.
@@ -42,11 +39,11 @@ class Weights(NamedTuple):
 
 
 class Linearised(NamedTuple):
-    """The problem around one theta.
+    """The problem of N samples around one theta.
 
     Attributes:
-        residual: (r_F, r_Px, r_Py), zero where a sample does not count, shape (..., N, 3).
-        jacobian: Its derivative by theta over the spread that was given, shape (..., N, 3, 2K).
+        residual: (r_F, r_Px, r_Py), zero where a sample does not count, shape (N, 3).
+        jacobian: Its derivative by theta over the spread that was given, shape (N, 3, 2K).
     """
 
     residual: Array
@@ -59,46 +56,36 @@ def linearise(
     """Evaluate the data's residuals of Eq. 14 and differentiate them.
 
     Args:
-        theta: Parameters, shape (..., 2K).
-        phi: Rows of (Fz, n_x, n_y), shape (..., N, 3, 2K).
-        vgrf: Fz_ref in N, shape (..., N).
-        use: Weight of each sample, 0 or 1, shape (..., N).
+        theta: Parameters, shape (2K,).
+        phi: Rows of (Fz, n_x, n_y), shape (N, 3, 2K).
+        vgrf: Fz_ref in N, shape (N,).
+        use: Weight of each sample, 0 or 1, shape (N,).
         weights: What residuals are measured in.
         spread: Unit of each parameter in the derivative, shape (2K,).
     """
-    return _linearise(theta, phi, phi * spread, vgrf, use, weights)
-
-
-def _linearise(
-    theta: Array, phi: Array, scaled: Array, vgrf: Array, use: Array, weights: Weights
-) -> Linearised:
-    flat = phi.reshape(*phi.shape[:-3], -1, phi.shape[-1])
-    moment = (flat @ theta[..., None]).reshape(phi.shape[:-1])
-    fz = moment[..., :1]
-    counts = (fz > weights.threshold) & (use[..., None] > 0.5)
-    mask = counts.astype(np.float64)
-    per_force = mask / np.where(counts, fz, 1.0)
-    cop_error = moment[..., 1:] * per_force
-    by_force = weights.force * mask
-    residual = np.concatenate([by_force * (fz - vgrf[..., None]), weights.cop * cop_error], axis=-1)
-    vertical = scaled[..., :1, :]
-    lever = scaled[..., 1:, :] - cop_error[..., None] * vertical
-    jacobian = np.concatenate(
-        [by_force[..., None] * vertical, (weights.cop * per_force)[..., None] * lever], axis=-2
-    )
-    return Linearised(residual, jacobian)
+    moment, scaled = phi @ theta, phi * spread
+    fz = moment[:, :1]
+    counts = (fz > weights.threshold) & (use[:, None] > 0.5)
+    by_force = weights.force * counts
+    per_force = counts / np.where(counts, fz, 1.0)
+    cop_error = moment[:, 1:] * per_force
+    residual = np.hstack([by_force * (fz - vgrf[:, None]), weights.cop * cop_error])
+    vertical = scaled[:, :1]
+    lever = scaled[:, 1:] - cop_error[:, :, None] * vertical
+    by_cop = (weights.cop * per_force)[:, :, None] * lever
+    return Linearised(residual, np.concatenate([by_force[:, :, None] * vertical, by_cop], axis=1))
 
 
 class WindowSolution(NamedTuple):
     """What came of the iterations.
 
     Attributes:
-        theta: Parameters, shape (..., 2K).
-        solvable: Whether the normal equations could be solved safely (bool), shape (...).
+        theta: Parameters, shape (2K,).
+        solvable: Whether the normal equations could be solved safely.
     """
 
     theta: Array
-    solvable: Array
+    solvable: bool
 
 
 def gauss_newton(
@@ -110,7 +97,6 @@ def gauss_newton(
     *,
     spread: Array,
     bound: Array,
-    identity: Array,
     iterations: int,
 ) -> WindowSolution:
     """Minimise Eq. 14 by Gauss-Newton steps of bounded length.
@@ -120,52 +106,43 @@ def gauss_newton(
     number.
 
     Args:
-        last: Parameters of the last update, shape (..., 2K).
-        phi: Rows, shape (..., N, 3, 2K).
-        vgrf: Fz_ref in N, shape (..., N).
-        use: Weight of each sample, 0 or 1, shape (..., N).
+        last: Parameters of the last update, shape (2K,).
+        phi: Rows, shape (N, 3, 2K).
+        vgrf: Fz_ref in N, shape (N,).
+        use: Weight of each sample, 0 or 1, shape (N,).
         weights: What residuals are measured in.
         spread: s, shape (2K,).
         bound: Largest change of each parameter in one iteration, shape (2K,).
-        identity: The identity matrix, shape (2K, 2K).
         iterations: How many steps to take.
     """
-    batch, unknowns = last.shape[:-1], last.shape[-1]
-    largest = 0.01 / np.finfo(np.float64).eps
-    scaled = phi * spread
-    theta, solvable = last, None
-    for _ in range(iterations):
-        r, J = _linearise(theta, phi, scaled, vgrf, use, weights)
-        J = J.reshape(*batch, -1, unknowns)
-        Jt = J.mT
-        H = Jt @ J
-        g = Jt @ r.reshape(*batch, -1, 1) + ((theta - last) / spread)[..., None]
-        if solvable is None:
-            solvable = 1.0 + (H * identity).sum(axis=(-2, -1)) < largest
-        safe = solvable[..., None, None]
-        change = np.linalg.solve(np.where(safe, H, 0.0) + identity, np.where(safe, g, 0.0))[..., 0]
+    unknowns, largest = len(last), 0.01 / np.finfo(np.float64).eps
+    theta = last
+    for iteration in range(iterations):
+        r, J = linearise(theta, phi, vgrf, use, weights, spread)
+        J = J.reshape(-1, unknowns)
+        H = J.T @ J
+        g = J.T @ r.reshape(-1) + (theta - last) / spread
+        if iteration == 0 and not 1.0 + np.trace(H) < largest:
+            return WindowSolution(last, False)
+        change = np.linalg.solve(H + np.eye(unknowns), g)
         theta = theta - shorten(spread * change, bound)
-    return WindowSolution(theta, solvable)
+    return WindowSolution(theta, True)
 
 
 def shorten(change: Array, bound: Array) -> Array:
     """Scale a change down, its direction kept, until every parameter's part is within its bound."""
-    excess = (np.abs(change) / bound).max(axis=-1)
-    return change / np.where(excess > 1.0, excess, 1.0)[..., None]
+    return change / max(1.0, (np.abs(change) / bound).max())
 
 
-def typical_square(square: Array, use: Array) -> Array:
+def typical_square(square: Array, use: Array) -> float:
     """Estimate the variance of residuals from the median of their squares, which outliers hardly move.
 
     Args:
-        square: Mean squares of each sample's three residuals, shape (..., N).
-        use: Weight of each sample, 0 or 1, shape (..., N).
+        square: Mean squares of each sample's three residuals, shape (N,).
+        use: Weight of each sample, 0 or 1, shape (N,).
 
     Returns:
-        Variance, zero where nothing is used, shape (...).
+        Variance, zero where nothing is used.
     """
-    count = use.sum(axis=-1)[..., None]
-    ordered = np.sort(np.where(use > 0.5, square, _LARGE), axis=-1)
-    rank = np.arange(ordered.shape[-1])
-    middle = (rank <= 0.5 * (count - 1.0)) & (rank > 0.5 * (count - 1.0) - 1.0)
-    return np.where(middle, ordered, 0.0).sum(axis=-1) / _MEDIAN_OF_SQUARE
+    used = np.sort(square[use > 0.5])
+    return float(used[(len(used) - 1) // 2]) / _MEDIAN_OF_SQUARE if len(used) else 0.0

@@ -4,7 +4,7 @@ The least-squares problem itself is in :mod:`surefoot.calibration.window.gauss_n
 in :mod:`surefoot.calibration.window.config`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,27 +49,27 @@ class SampleColumns(NamedTuple):
 
 
 class WindowState(NamedTuple):
-    """What the sliding window remembers; any leading batch dimensions ``...``; F feet.
+    """What the sliding window remembers; F feet.
 
     Attributes:
         front: What the way of a sample remembers.
         step: Samples seen.
         pending: Samples since the last update, oldest first: F0, the flat reference, which feet surely
             stand, which surely stand or swing, whether the sample may be learnt from, whether it has
-            settled, shape (..., every, P); see :class:`PendingColumns`.
+            settled, shape (every, P); see :class:`PendingColumns`.
         filter: State of the low-pass filter over the C = 6K + 1 numbers of a sample, its rows and the
-            vertical force that its motion asks for, shape (..., 2, C).
-        latest: The last good numbers of a sample, before the filter, shape (..., C).
-        started: Whether there was one (bool), shape (...).
-        contact: Feet that carried weight, and feet that were sure to stand (bool), shape (..., 2F).
-        since_change: Samples since a foot gained or lost the ground, shape (...).
+            vertical force that its motion asks for, shape (2, C).
+        latest: The last good numbers of a sample, before the filter, shape (C,).
+        started: Whether there was one.
+        contact: Feet that carried weight, and feet that were sure to stand (bool), shape (2F,).
+        since_change: Samples since a foot gained or lost the ground.
         samples: The window, oldest first: filtered numbers, use and nearness to a change of contact, shape
-            (..., N, C + 2); see :class:`SampleColumns`.
-        theta: (a, b / (M g)), shape (..., 2K).
-        status: Flags of the last update, shape (...).
+            (N, C + 2); see :class:`SampleColumns`.
+        theta: (a, b / (M g)), shape (2K,).
+        status: Flags of the last update.
         standing: What the standing start has seen.
-        walking: Whether the standing start is over (bool), shape (...).
-        all_walking: Whether it is over for the whole batch, 0 or 1.
+        walking: Whether the standing start is over.
+        all_walking: The same, 0 or 1, as saved states have it.
     """
 
     front: FrontState
@@ -77,14 +77,14 @@ class WindowState(NamedTuple):
     pending: Array
     filter: Array
     latest: Array
-    started: Array
+    started: bool
     contact: Array
-    since_change: Array
+    since_change: int
     samples: Array
     theta: Array
-    status: Array
+    status: int
     standing: StandingState
-    walking: Array
+    walking: bool
     all_walking: int
 
 
@@ -122,7 +122,6 @@ class SlidingWindow:
         self._rate_bound = per_channel(config.scale_rate, config.offset_rate) * period
         self._lowest = per_channel(config.scale_range[0], -config.offset_range)
         self._highest = per_channel(config.scale_range[1], config.offset_range)
-        self._identity = np.eye(2 * K)
         # Quiet standing is one sample over and over: all of them together count as one. Taken for
         # independent, the drift and the noise within them would be taken for load, and pull the scales down.
         repeats = float(np.sqrt(max(config.standing_duration / setup.dt, config.standing_samples)))
@@ -143,28 +142,23 @@ class SlidingWindow:
 
     def init(self, raw: Array) -> WindowState:
         """Return the state before any sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
-        front = self._front_end.init(raw)
-        batch, K, feet = raw.shape[:-1], self.setup.layout.channels, len(self.setup.layout.feet)
-        numbers = self._sample.vgrf.stop
-
-        def zeros(*tail: int, dtype: Any = np.float64) -> Array:
-            return np.zeros((*batch, *tail), dtype=dtype)
-
+        K, feet = self.setup.layout.channels, len(self.setup.layout.feet)
+        numbers, walking = self._sample.vgrf.stop, not self.config.standing_start
         return WindowState(
-            front=front,
+            front=self._front_end.init(raw),
             step=0,
-            pending=zeros(self.config.every, self._pending.settled.stop),
-            filter=zeros(2, numbers),
-            latest=zeros(numbers),
-            started=zeros(dtype=np.bool),
-            contact=zeros(2 * feet, dtype=np.bool),
-            since_change=zeros(dtype=np.int64),
-            samples=zeros(self._length, self._sample.changing.stop),
-            theta=zeros(2 * K) + np.repeat([1.0, 0.0], K),
-            status=zeros(dtype=np.int64),
+            pending=np.zeros((self.config.every, self._pending.settled.stop)),
+            filter=np.zeros((2, numbers)),
+            latest=np.zeros(numbers),
+            started=False,
+            contact=np.zeros(2 * feet, dtype=np.bool),
+            since_change=0,
+            samples=np.zeros((self._length, self._sample.changing.stop)),
+            theta=np.repeat([1.0, 0.0], K),
+            status=0,
             standing=self._standing.init(raw),
-            walking=zeros(dtype=np.bool) | (not self.config.standing_start),
-            all_walking=int(not self.config.standing_start),
+            walking=walking,
+            all_walking=int(walking),
         )
 
     def update(
@@ -173,130 +167,102 @@ class SlidingWindow:
         """Take in one sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""
         K = self.setup.layout.channels
         front, sample = self._front_end.observe(state.front, raw, reference, dt)
-        if not state.all_walking:
+        if not state.walking:
             state = self._stand(state, sample, dt)
         if sample.gap:
             state = _without_samples(state)
-        notes = np.concatenate(
-            [
-                sample.stance,
-                sample.stance | sample.swing,
-                sample.good[..., None],
-                (sample.clean > self._settle)[..., None] & state.walking[..., None],
-            ],
-            axis=-1,
-        )
-        newest = np.concatenate([sample.past, sample.motion, notes], axis=-1)
+        settled = sample.clean > self._settle and state.walking
+        sure = sample.stance | sample.swing
+        newest = [sample.past, sample.motion, sample.stance, sure, [sample.good, settled]]
         state = state._replace(
             front=front,
             step=state.step + 1,
-            pending=np.concatenate([state.pending[..., 1:, :], newest[..., None, :]], axis=-2),
+            pending=np.vstack([state.pending[1:], np.concatenate(newest)]),
         )
         if state.step % self.config.every == 0:
-            state = self._solve(self._collect(state))
-        status = state.status
-        if not state.all_walking:
-            status = status | int(Flag.STANDING) * (~state.walking)
-        a, b = state.theta[..., :K], state.theta[..., K:] * self._weight
-        return state, self._front_end.estimate(sample, a, b, status)
+            for waiting in state.pending:
+                state = self._collect(state, waiting)
+            state = self._solve(state)
+        status = state.status if state.walking else state.status | int(Flag.STANDING)
+        return state, self._front_end.estimate(
+            sample, state.theta[:K], state.theta[K:] * self._weight, status
+        )
 
     def _stand(self, state: WindowState, sample: Sample, dt: float) -> WindowState:
         """Collect the standing start and end it: by its solution, or because the robot walks already."""
         _, cop, physical = self._front_end.motions.ground(sample.motion)
-        usable = np.where((sample.good & physical)[..., None], sample.past, np.nan)
+        usable = sample.past if sample.good and physical else np.full_like(sample.past, np.nan)
         reference = self._front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
         # A robot that already leans towards its first step is not quite at rest: where the ground's force
         # must act by its motion takes the place of the point below its centre of mass. At rest they agree.
-        reference = reference._replace(com=np.concatenate([cop, reference.com[..., 2:]], axis=-1))
+        reference = reference._replace(com=np.append(cop, reference.com[2]))
         step = self.setup.dt if sample.gap else dt
         standing = self._standing.update(state.standing, usable, reference, step)
-        leaving = sample.swing.any(axis=-1) | (standing.time > self.config.standing_patience)
-        leaving = leaving & ~state.walking
-        ready = self._standing.ready(standing) | leaving
-        ready = ready & ~state.walking & (standing.samples >= self._standing.minimum_samples)
-        theta, walking = state.theta, state.walking
-        if ready.any():
+        leaving = bool(sample.swing.any()) or standing.time > self.config.standing_patience
+        enough = standing.samples >= self._standing.minimum_samples
+        ready = enough and (leaving or self._standing.ready(standing))
+        theta, walking = state.theta, leaving or ready
+        if ready:
             correction = self._standing.solve(standing).correction
-            solved = np.concatenate([correction.scale, correction.offset / self.setup.weight], axis=-1)
-            solved = np.clip(solved, self._lowest, self._highest)
-            theta = np.where(ready[..., None], solved, theta)
-        walking = walking | ready | leaving
-        return state._replace(standing=standing, theta=theta, walking=walking, all_walking=int(walking.all()))
+            solved = np.concatenate([correction.scale, correction.offset / self.setup.weight])
+            theta = np.clip(solved, self._lowest, self._highest)
+        return state._replace(standing=standing, theta=theta, walking=walking, all_walking=int(walking))
 
-    def _collect(self, state: WindowState) -> WindowState:
-        """Pass the pending samples through the filter into the window.
+    def _collect(self, state: WindowState, waiting: Array) -> WindowState:
+        """Pass one of the pending samples, shape (P,), through the filter into the window."""
+        K, weight, config, at = self.setup.layout.channels, self._weight, self.config, self._pending
+        past, motion, stance = waiting[at.force], waiting[at.motion], waiting[at.stance] > 0.5
+        good, settled = waiting[at.good.start] > 0.5, waiting[at.settled.start] > 0.5
 
-        What does not depend on the order of samples is computed for all of them at once.
-        """
-        K, weight, config = self.setup.layout.channels, self._weight, self.config
-        pending, at, every = state.pending, self._pending, self.config.every
-        past, motion = pending[..., at.force], pending[..., at.motion]
-        stance, sure = pending[..., at.stance] > 0.5, (pending[..., at.sure] > 0.5).all(axis=-1)
-        good, settled = (pending[..., part][..., 0] > 0.5 for part in (at.good, at.settled))
-
+        # What the map so far makes of the sample, against what its motion asks for.
         vgrf, cop, physical = self._front_end.motions.ground(motion)
-        rows = self._front_end.motions.rows(motion)
-        theta = state.theta[..., None, :]
-        calibrated = theta[..., :K] * past + theta[..., K:] * weight
-        by_foot = (rows @ calibrated[..., None, :, None])[..., 0]
-        contact = np.concatenate([by_foot[..., 0] > self.setup.force_threshold, stance], axis=-1)
-        moment, rows = by_foot.sum(axis=-2), rows.sum(axis=-3)
+        by_foot = self._front_end.motions.rows(motion)
+        calibrated = state.theta[:K] * past + state.theta[K:] * weight
+        contact = np.concatenate([by_foot[:, 0] @ calibrated > self.setup.force_threshold, stance])
+        rows = by_foot.sum(axis=0)
+        moment = rows @ calibrated
+        fz, cop_error = moment[0], np.abs(moment[1:] - cop * moment[0])
+        near = bool((cop_error <= self._gross_length * fz).all())
+        good = good and physical and near and abs(fz - vgrf) <= config.gross_error * weight
 
-        fz = moment[..., 0]
-        cop_error = np.abs(moment[..., 1:] - cop * fz[..., None])
-        near = (cop_error <= self._gross_length * fz[..., None]).all(axis=-1)
-        good = good & physical & near & (np.abs(fz - vgrf) <= config.gross_error * weight)
+        # Its rows about that centre of pressure.
+        rows[1:] -= cop[:, None] * rows[0]
+        numbers = np.append(np.hstack([rows * past, rows * weight]), vgrf)
+        latest = numbers if good else state.latest
+        output, filter_state = latest, state.filter
+        if self._filter is not None:
+            before = state.filter if state.started else self._filter.init(latest)
+            output, filter_state = self._filter.apply(latest, before)
 
-        vertical = rows[..., :1, :]
-        rows = np.concatenate([vertical, rows[..., 1:, :] - cop[..., None] * vertical], axis=-2)
-        numbers = np.concatenate([rows * past[..., None, :], rows * weight], axis=-1)
-        numbers = np.concatenate([numbers.reshape(*fz.shape, 6 * K), vgrf[..., None]], axis=-1)
-
-        filtered, since = [], []
-        filter_state, latest, started = state.filter, state.latest, state.started
-        before, since_change = state.contact, state.since_change
-        for k in range(every):
-            latest = np.where(good[..., k, None], numbers[..., k, :], latest)
-            output = latest
-            if self._filter is not None:
-                steady = self._filter.init(latest)
-                filter_state = np.where(started[..., None, None], filter_state, steady)
-                output, filter_state = self._filter.apply(latest, filter_state)
-            started = started | good[..., k]
-            unchanged = (contact[..., k, :] == before).all(axis=-1) & sure[..., k]
-            before, since_change = contact[..., k, :], (since_change + 1) * unchanged
-            filtered.append(output[..., None, :])
-            since.append(since_change[..., None])
-        changing = np.concatenate(since, axis=-1) < self._transition
-        notes = np.concatenate([(good & settled)[..., None], changing[..., None]], axis=-1)
-        newest = np.concatenate([np.concatenate(filtered, axis=-2), notes], axis=-1)
+        unchanged = (contact == state.contact).all() and (waiting[at.sure] > 0.5).all()
+        since_change = state.since_change + 1 if unchanged else 0
+        newest = np.append(output, [good and settled, since_change < self._transition])
         return state._replace(
             filter=filter_state,
             latest=latest,
-            started=started,
-            contact=before,
+            started=bool(state.started or good),
+            contact=contact,
             since_change=since_change,
-            samples=np.concatenate([state.samples[..., every:, :], newest], axis=-2),
+            samples=np.vstack([state.samples[1:], newest]),
         )
 
     def _solve(self, state: WindowState) -> WindowState:
         """Solve Eq. 14 on the window, with every bound that keeps a bad window from doing harm."""
-        config, weights = self.config, self._weights
-        K, last = self.setup.layout.channels, state.theta
-        batch, at = last.shape[:-1], self._sample
-        phi = state.samples[..., at.rows].reshape(*batch, self._length, 3, 2 * K)
-        vgrf, use, changing = (state.samples[..., part][..., 0] for part in (at.vgrf, at.use, at.changing))
+        config, weights, last, at = self.config, self._weights, state.theta, self._sample
+        phi = state.samples[:, at.rows].reshape(self._length, 3, -1)
+        vgrf, use, changing = (state.samples[:, part.start] for part in (at.vgrf, at.use, at.changing))
 
-        fz = (phi[..., 0, :] @ last[..., None])[..., 0]
-        use = np.where(fz > weights.threshold, use, 0.0)
+        # Outliers about changes of contact.
+        use = np.where(phi[:, 0] @ last > weights.threshold, use, 0.0)
         r = linearise(last, phi, vgrf, use, weights).residual
-        square = (r * r).sum(axis=-1) / 3.0
-        typical = typical_square(square, use)
-        limit = config.outlier_threshold**2 * np.where(typical > 1.0, typical, 1.0)
-        outlier = (changing > 0.5) & (square > limit[..., None])
-        use = np.where(outlier, 0.0, use)
-        enough = use.sum(axis=-1) >= config.minimum_share * self._length
+        square = (r * r).sum(axis=1) / 3.0
+        limit = config.outlier_threshold**2 * max(typical_square(square, use), 1.0)
+        use = np.where((changing > 0.5) & (square > limit), 0.0, use)
 
+        if not state.walking:
+            return state._replace(status=0)
+        if use.sum() < config.minimum_share * self._length:
+            return state._replace(status=int(Flag.NO_CONTACT))
         theta, solvable = gauss_newton(
             last,
             phi,
@@ -305,24 +271,19 @@ class SlidingWindow:
             weights,
             spread=self._spread,
             bound=self._step_bound,
-            identity=self._identity,
             iterations=config.iterations,
         )
+        if not solvable:
+            return state._replace(status=int(Flag.SINGULAR))
         theta = last + shorten(theta - last, self._rate_bound)
         theta = np.clip(theta, self._lowest, self._highest)
-        accept = enough & solvable & state.walking & np.isfinite(theta).all(axis=-1)
-        status = np.where(enough, 0, int(Flag.NO_CONTACT))
-        status = status | np.where(solvable | ~enough, 0, int(Flag.SINGULAR))
-        return state._replace(
-            theta=np.where(accept[..., None], theta, last), status=np.where(state.walking, status, 0)
-        )
+        return state._replace(theta=theta if np.isfinite(theta).all() else last, status=0)
 
 
 def _without_samples(state: WindowState) -> WindowState:
     """Return the state without samples, as what comes next does not belong to them."""
-    return state._replace(
-        pending=state.pending * 0.0, samples=state.samples * 0.0, started=state.started & False
-    )
+    pending, samples = np.zeros_like(state.pending), np.zeros_like(state.samples)
+    return state._replace(pending=pending, samples=samples, started=False)
 
 
 def window(setup: OnlineSetup, config: WindowConfig | None = None) -> OnlineMethod:

@@ -52,6 +52,12 @@ def block_of(force, motion, swing):
     return Block(force=force, motion=motion, swing=swing, stand=ones, use=ones)
 
 
+def flat(stream, believed):
+    """The flat references of beliefs of n samples, shape (n, R)."""
+    samples = zip(*believed, strict=True)
+    return np.stack([stream._front_end.motions.flatten(Reference(*sample)) for sample in samples])
+
+
 class Body:
     """A rigid-body state with known forces on the feet, what its sensors read, and its beliefs.
 
@@ -133,8 +139,7 @@ class Body:
             gyroscope=np.zeros((self.n, 3)),
         )
         F0 = np.linalg.solve(self.A, (self.channels() - self.offset).T).T
-        motion = self.stream._front_end.motions.flatten(believed)
-        return block_of(F0, motion, np.zeros((self.n, self.feet)))
+        return block_of(F0, flat(self.stream, believed), np.zeros((self.n, self.feet)))
 
     @property
     def offset(self):
@@ -143,11 +148,10 @@ class Body:
 
     def rows(self, mean, block):
         """The Newton-Euler rows of one block."""
-        stated = np.ones((*mean.shape[:-1], self.stream.newton_euler.kinds))
-        rows, places = self.stream.newton_euler.rows(mean, block, stated)
-        unknowns, matrix = self.unknowns, np.zeros((*mean.shape[:-1], *self.A.shape))
-        matrix[..., unknowns.out, unknowns.inp] = mean[..., unknowns.scale]
-        np.testing.assert_allclose(rows.H[..., unknowns.offset], places @ matrix * unknowns.unit, atol=1e-14)
+        rows, places = self.stream.newton_euler.rows(mean, block, np.ones(self.stream.newton_euler.kinds))
+        unknowns, matrix = self.unknowns, np.zeros(self.A.shape)
+        matrix[unknowns.out, unknowns.inp] = mean[unknowns.scale]
+        np.testing.assert_allclose(rows.H[:, unknowns.offset], places @ matrix * unknowns.unit, atol=1e-14)
         return rows
 
     def residual(self, told=1.0, **errors):

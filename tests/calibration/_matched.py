@@ -27,8 +27,18 @@ class Truth(NamedTuple):
     cop: Floats
 
 
+class Run(NamedTuple):
+    """The stream of one run, and the unknowns that were drawn for it, time first."""
+
+    raw: Floats
+    reference: Reference
+    gain: Floats
+    offset: Floats
+    path: Floats
+
+
 class Matched(NamedTuple):
-    """Streams of many runs, time first, and the unknowns that were drawn for them."""
+    """Streams of many runs, and the unknowns that were drawn for them: time first, then runs."""
 
     setup: OnlineSetup
     config: MomentFilterConfig
@@ -38,6 +48,15 @@ class Matched(NamedTuple):
     gain: Floats
     offset: Floats
     path: Floats
+
+    def run(self, i: int) -> Run:
+        """Return one of them."""
+        reference = Reference(*(part[:, i] for part in self.reference))
+        return Run(self.raw[:, i], reference, self.gain[:, i], self.offset[:, i], self.path[:, i])
+
+    def runs(self) -> list[Run]:
+        """Return all of them."""
+        return [self.run(i) for i in range(self.raw.shape[1])]
 
 
 def on_cells(seed: int, speed: float, duration: float) -> Truth:

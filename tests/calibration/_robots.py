@@ -1,4 +1,4 @@
-"""Robots that walk side by side, and the moment filter over their streams."""
+"""Walks of several robots, and the moment filter over their streams."""
 
 import numpy as np
 from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
@@ -24,27 +24,12 @@ def stream(method, raw, reference, state=None, dt=DT):
 
 
 def fleet(seeds, speeds=(0.02, 0.04, 0.1), faults=BAD, **options):
-    """Walks of several robots side by side."""
-    logs = [walk(seed, speed, faults=faults, **options) for speed in speeds for seed in seeds]
-    reference = Reference(
-        *(np.stack(parts, axis=1) for parts in zip(*(log.reference for log in logs), strict=True))
-    )
-    return logs, np.stack([log.raw for log in logs], axis=1), reference
+    """Walks of several robots."""
+    return [walk(seed, speed, faults=faults, **options) for speed in speeds for seed in seeds]
 
 
 def calibrated(raw, reference, faults=BAD, name="moment", **options):
     return replay(LAYOUT, name, raw, reference, DT, mass=believed_mass(faults), initial=NOMINAL, **options)
-
-
-def robot(estimate, i):
-    """One robot's share of a batch; ``i`` is an index, or one of each axis of the batch."""
-    which = (slice(None), *np.atleast_1d(i))
-    return type(estimate)(*(None if part is None else part[which] for part in estimate))
-
-
-def repeated(reference, times, axis):
-    """The same reference several times side by side along a new axis."""
-    return Reference(*(np.stack([part] * times, axis=axis) for part in reference))
 
 
 def rows_between(reference, start, end):

@@ -6,19 +6,19 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from _matched import matched, on_cells
+from _native import library_with
 from _synthetic import DT, LAYOUT
 
 from surefoot.calibration import Parameters, Reference
 from surefoot.calibration.front_end.motion import Motions
-from surefoot.calibration.moment import noise
-from surefoot.calibration.moment import stream as stream_module
 from surefoot.calibration.moment.bound import posterior_bound
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.newton_euler import NewtonEuler
 from surefoot.calibration.moment.rows import Block
-from surefoot.calibration.moment.stream import moment_filter
 from surefoot.calibration.moment.tare import Tare
 from surefoot.calibration.moment.unknowns import Unknowns
+from surefoot.calibration.native import NATIVE, native_filter
+from surefoot.native import compiler
 
 KNOWN = {"com_known": 0.0, "timing_noise": 0.0, "swing_noise": 5e-5, "still": 0.0, "gate": 1e6}
 """Options with which :mod:`_matched` draws from just what the filter believes."""
@@ -37,8 +37,8 @@ class Log(NamedTuple):
 
 
 def run_of(drawn, i):
-    reference = Reference(*(part[:, i] for part in drawn.reference))
-    return Log(drawn.setup, drawn.raw[:, i], reference, Parameters(drawn.gain[:, i], drawn.offset[:, i]))
+    run = drawn.run(i)
+    return Log(drawn.setup, run.raw, run.reference, Parameters(run.gain, run.offset))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,8 @@ def log():
 def blocks_of(log, config, unknowns):
     """Rows of all whole blocks at the truth, and the sample that each ends before."""
     newton_euler, tare = (kind(log.setup, config, unknowns) for kind in (NewtonEuler, Tare))
-    motion = Motions(log.setup).flatten(log.reference)
+    motions = Motions(log.setup)
+    motion = np.array([motions.flatten(Reference(*row)) for row in zip(*log.reference, strict=True)])
     span, ones = config.every + 2 * config.settle, np.ones(len(log.raw))
     for end in range(config.every, len(log.raw) + 1, config.every):
         if end < span:
@@ -186,21 +187,28 @@ def test_arguments_that_do_not_fit_are_refused(log):
             log._replace(truth=short).bound()
 
 
-def against_the_bound(monkeypatch, **options):
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """The filter in C, told the noise as the bound is."""
+    if compiler() is None:
+        pytest.skip("there is no C compiler")
+    told = {"SF_NOISE_MEMORY": 0.0, "SF_FIRST_NOISE": 1.0, "SF_FIRST_MISFIT": 1.0}
+    return library_with(NATIVE, tmp_path_factory.mktemp("told"), **told)
+
+
+def against_the_bound(library, **options):
     """Median errors of runs in forces and in the centre of pressure after 4 s, over those of the bound."""
-    # The bound is that of a filter that is told the noise.
-    monkeypatch.setattr(noise, "_NOISE_MEMORY", 0.0)
-    monkeypatch.setattr(stream_module, "FIRST_NOISE", 1.0)
-    monkeypatch.setattr(stream_module, "FIRST_MISFIT", 1.0)
     config, runs = MomentFilterConfig(**KNOWN, **options), 64
     drawn = matched(on_cells(1, 0.1, 12.0), LAYOUT, config, runs, 6)
-    method = moment_filter(drawn.setup, config)
-    state, force, cop = method.init(drawn.raw[0]), [], []
-    for k in range(len(drawn.raw)):
-        row = Reference(*(part[k] for part in drawn.reference))
-        state, estimate = method.update(state, drawn.raw[k], row, DT)
-        force.append(estimate.force)
-        cop.append(estimate.cop)
+    filter_ = native_filter(library, "moment", drawn.setup, vars(config))
+    assert filter_ is not None
+    force, cop = np.empty((len(drawn.raw), runs, 8)), np.empty((len(drawn.raw), runs, 2))
+    for i, run in enumerate(drawn.runs()):
+        state = filter_.init()
+        for k in range(len(run.raw)):
+            row = Reference(*(part[k] for part in run.reference))
+            estimate = filter_.update(state, run.raw[k], row, DT)
+            force[k, i], cop[k, i] = estimate.force, estimate.cop
     true = drawn.gain * drawn.raw + drawn.offset
     place = [
         drawn.reference.position_sole[:, :, i, None, :2] + foot.position_cell_sole[:, :2]
@@ -211,7 +219,7 @@ def against_the_bound(monkeypatch, **options):
     bounds = [run_of(drawn, i).bound(**options) for i in range(0, runs, 16)]
     after = slice(round(4.0 / DT), None)
     ratios = []
-    for wrong, field in ((np.array(force) - true, "force"), (np.array(cop) - true_cop, "cop")):
+    for wrong, field in ((force - true, "force"), (cop - true_cop, "cop")):
         bound = np.square([getattr(bound, field)[after] for bound in bounds]).mean()
         runs_off = np.square(wrong[after]).mean(axis=(0, *range(2, wrong.ndim)))
         ratios.append(np.sqrt(np.median(runs_off) / bound))
@@ -219,8 +227,8 @@ def against_the_bound(monkeypatch, **options):
 
 
 @pytest.mark.slow
-def test_without_drift_the_estimator_reaches_the_bound(monkeypatch):
-    force, cop = against_the_bound(monkeypatch, scale_drift=0.0, offset_drift=0.0)
+def test_without_drift_the_estimator_reaches_the_bound(library):
+    force, cop = against_the_bound(library, scale_drift=0.0, offset_drift=0.0)
     # Until a foot has swung, the estimator cannot know, as the bound does, at which offset to write rows, and
     # forgets the scales that it learnt by then.
     assert 0.85 < force < 1.4
@@ -228,13 +236,13 @@ def test_without_drift_the_estimator_reaches_the_bound(monkeypatch):
 
 
 @pytest.mark.slow
-def test_with_drift_forces_are_close_to_the_bound(monkeypatch):
-    force, _ = against_the_bound(monkeypatch)
+def test_with_drift_forces_are_close_to_the_bound(library):
+    force, _ = against_the_bound(library)
     assert 0.85 < force < 1.15
 
 
 @pytest.mark.slow
-def test_with_drift_the_centre_of_pressure_is_close_to_the_bound(monkeypatch):
+def test_with_drift_the_centre_of_pressure_is_close_to_the_bound(library):
     right = {"com_std": 0.0, "sole_std": 0.0, "mass_std": 0.0, "acceleration_std": 0.0, "delay_std": 0.0}
-    _, cop = against_the_bound(monkeypatch, **right)
+    _, cop = against_the_bound(library, **right)
     assert 0.85 < cop < 1.15

@@ -32,12 +32,12 @@ def yaw(angle):
     return rotation(np.array([0.0, 0.0, 1.0]), angle)
 
 
-def feet(rng, batch=(), tilt=0.0):
+def feet(rng, series=(), tilt=0.0):
     """Forces of both feet and poses of their soles."""
-    force = rng.uniform(1.0, 20.0, (*batch, 8))
-    position = rng.uniform(-1.0, 1.0, (*batch, 2, 3))
-    R = np.empty((*batch, 2, 3, 3))
-    for index in np.ndindex(*batch, 2):
+    force = rng.uniform(1.0, 20.0, (*series, 8))
+    position = rng.uniform(-1.0, 1.0, (*series, 2, 3))
+    R = np.empty((*series, 2, 3, 3))
+    for index in np.ndindex(*series, 2):
         lean = rotation(rng.standard_normal(3) * (1.0, 1.0, 0.0), tilt)
         R[index] = yaw(rng.uniform(-3.0, 3.0)) @ lean
     return force, position, R
@@ -161,20 +161,20 @@ def test_turns_with_the_level_frame(seed, angle):
     )
 
 
-def test_batch_is_the_loop_and_arguments_stay_untouched():
-    force, position, R = feet(np.random.default_rng(6), (3, 2))
-    force[0, 0, 0] = np.nan
+def test_a_series_is_its_samples_and_arguments_stay_untouched():
+    force, position, R = feet(np.random.default_rng(6), (6,))
+    force[0, 0] = np.nan
     kept = force.copy(), position.copy(), R.copy()
     wrench = sole_wrenches(force, LAYOUT)
     cop = cop_of_feet(wrench, position, R)
-    for index in np.ndindex(3, 2):
+    for index in range(6):
         alone = cop_of_feet(sole_wrenches(force[index], LAYOUT), position[index], R[index])
         np.testing.assert_allclose(cop[index], alone, atol=1e-14)
     for before, after in zip(kept, (force, position, R), strict=True):
         np.testing.assert_array_equal(before, after)
-    # One position for a whole batch of forces.
-    shared = cop_of_cells(force[..., :4], CELLS)
-    assert shared.shape == (3, 2, 2)
+    # One position for a whole series of forces.
+    shared = cop_of_cells(force[:, :4], CELLS)
+    assert shared.shape == (6, 2)
 
 
 def test_a_force_plate_is_a_foot_alone():

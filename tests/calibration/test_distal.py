@@ -53,12 +53,12 @@ def motion(seed, tilt=0.3):
 
 def flat(moved):
     """A motion as flat references, with zeros for what inertia does not depend on."""
-    batch, columns = moved["com"].shape[:-1], MotionColumns.of(2)
-    reference = np.zeros((*batch, columns.size))
-    reference[..., columns.com] = moved["com"]
-    reference[..., columns.com_acceleration] = moved["acceleration"]
-    reference[..., columns.position_sole] = moved["position"].reshape(*batch, -1)
-    reference[..., columns.R_level_sole] = moved["R"].reshape(*batch, -1)
+    columns = MotionColumns.of(2)
+    reference = np.zeros((N, columns.size))
+    reference[:, columns.com] = moved["com"]
+    reference[:, columns.com_acceleration] = moved["acceleration"]
+    reference[:, columns.position_sole] = moved["position"].reshape(N, -1)
+    reference[:, columns.R_level_sole] = moved["R"].reshape(N, -1)
     return reference
 
 
@@ -174,13 +174,3 @@ def test_the_feet_lack_what_newton_and_euler_ask_for(layout, tilt, seed):
 def test_a_weightless_plate_does_not_matter():
     bare = FeetLayout((FootLayout.load_cells("plate", CORNERS),))
     assert not DistalMasses(bare, DT, N).matter
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_batch_is_its_robots(seed):
-    one, two = motion(seed)[0], motion(seed + 10)[0]
-    both = {name: np.stack([one[name], two[name]]) for name in one}
-    masses = DistalMasses(BOTH, DT, N)
-    together = masses.felt(flat(both))
-    for robot, alone in enumerate((one, two)):
-        np.testing.assert_allclose(together[robot], masses.felt(flat(alone)), atol=1e-12)

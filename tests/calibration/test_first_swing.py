@@ -71,13 +71,13 @@ def test_a_walk_begins_anew_once_for_each_foot(moment, log):
 
 
 def in_the_air(moment, offsets, samples=BLOCK):
-    """A block in which the first foot of robots hangs for some samples, and shows offsets in body weights."""
-    config, ones = moment.config, np.ones((len(offsets), moment.config.span))
-    swing = np.zeros((*ones.shape, 2))
-    swing[:, : samples + 2 * config.settle, 0] = 1.0
+    """A block in which the first foot hangs for some samples, and shows offsets in body weights."""
+    config, ones = moment.config, np.ones(moment.config.span)
+    swing = np.zeros((config.span, 2))
+    swing[: samples + 2 * config.settle, 0] = 1.0
     block = Block(
-        force=-np.asarray(offsets)[:, None, :] * SETUP.weight + 0.0 * ones[..., None],
-        motion=moment._front_end.motions.resting + 0.0 * ones[..., None],
+        force=np.tile(-np.asarray(offsets) * SETUP.weight, (config.span, 1)),
+        motion=np.tile(moment._front_end.motions.resting, (config.span, 1)),
         swing=swing,
         use=ones,
         stand=ones,
@@ -85,11 +85,11 @@ def in_the_air(moment, offsets, samples=BLOCK):
     return block, *moment.tare.hanging(moment.unknowns.start, block)
 
 
-def learnt_so_far(moment, log, robots):
-    """Robots that have not swung a foot, with offsets of 0.01 and covariances that are no start's."""
-    state = moment.init(np.stack([log.raw[0]] * robots))
+def learnt_so_far(moment, log):
+    """A robot that has not swung a foot, with offsets of 0.01 and covariances that are no start's."""
+    state = moment.init(log.raw[0])
     covariance = 0.5 * state.covariance
-    covariance[:, 0, -1] = covariance[:, -1, 0] = 1e-4
+    covariance[0, -1] = covariance[-1, 0] = 1e-4
     return state._replace(
         mean=state.mean + 0.01,
         covariance=covariance,
@@ -99,64 +99,68 @@ def learnt_so_far(moment, log, robots):
 
 
 def test_only_who_had_wrong_offsets_forgets(moment, log):
-    """Of four robots the first has never swung, the second has, the third knew; the fourth lost the cell."""
-    state = learnt_so_far(moment, log, 4)
-    state = state._replace(swing_ago=np.array([[-1.0, -1.0], [3.0, 5.0], [-1.0, -1.0], [-1.0, -1.0]]))
-    shown, lost = np.full((4, 8), 0.0115), np.zeros((4, 8))
-    shown[[0, 1, 3], 2] = 0.03
-    lost[3, 2] = 1.0
-    after, anew = moment._product.forgotten(state, *in_the_air(moment, shown), lost)
-    assert_array_equal(anew, [True, False, False, False])
+    """One has swung before, one knew, one lost the cell, one is in its swing; and one forgets."""
+    state, knew = learnt_so_far(moment, log), np.full(8, 0.0115)
+    shown, third = knew.copy(), np.eye(8)[2]
+    shown[2] = 0.03
+    swung = state._replace(swing_ago=np.array([3.0, 5.0]))
+    swinging = state._replace(swing_samples=np.full(2, 5.0))
+    for keeps, offsets, lost in (
+        (swung, shown, np.zeros(8)),
+        (state, knew, np.zeros(8)),
+        (state, shown, third),
+        (swinging, shown, np.zeros(8)),
+    ):
+        after, anew = moment._product.forgotten(keeps, *in_the_air(moment, offsets), lost)
+        assert not anew
+        for old, new in zip(keeps, after, strict=True):
+            if isinstance(old, np.ndarray):
+                assert_array_equal(new, old)
+    after, anew = moment._product.forgotten(state, *in_the_air(moment, shown), np.zeros(8))
+    assert anew
     gone = np.zeros(UNKNOWNS.size, dtype=bool)
     # One wrong offset of the foot is enough; the other foot has shown nothing.
     gone[:4] = gone[UNKNOWNS.scales : UNKNOWNS.scales + 4] = True
     pair, first = gone[:, None] | gone, moment.init(log.raw[0]).covariance
     # A fault that is found later must not bring back what was forgotten, and a fall only what it shook.
     for name in ("mean", "kept_mean"):
-        old, new = getattr(state, name), getattr(after, name)
-        assert_array_equal(new[0], np.where(gone, UNKNOWNS.start, old[0]))
-        assert_array_equal(new[1:], old[1:])
+        assert_array_equal(getattr(after, name), np.where(gone, UNKNOWNS.start, getattr(state, name)))
     for name in ("covariance", "kept_covariance"):
-        old, new = getattr(state, name), getattr(after, name)
-        assert_array_equal(new[0], np.where(pair, first, old[0]))
-        assert_array_equal(new[1:], old[1:])
-    # Once in a swing.
-    swinging = state._replace(swing_samples=np.full((4, 2), 5.0))
-    assert not moment._product.forgotten(swinging, *in_the_air(moment, shown), lost)[1].any()
+        assert_array_equal(getattr(after, name), np.where(pair, first, getattr(state, name)))
 
 
 def test_few_samples_prove_less(moment, log):
-    state, nothing = learnt_so_far(moment, log, 1), np.zeros((1, 8))
+    state = learnt_so_far(moment, log)
     for samples, proven in ((1, False), (BLOCK, True)):
-        block, count, reading = in_the_air(moment, np.full((1, 8), 0.019), samples)
-        assert count[0, 0] == samples
-        assert moment._product.forgotten(state, block, count, reading, nothing)[1].all() == proven
+        block, count, reading = in_the_air(moment, np.full(8, 0.019), samples)
+        assert count[0] == samples
+        assert moment._product.forgotten(state, block, count, reading, np.zeros(8))[1] == proven
 
 
 def test_a_first_swing_is_over_however_short_it_was(moment, log):
-    state = learnt_so_far(moment, log, 1)._replace(swing_samples=np.array([[2.0, 0.0]]))
-    after = moment._drifting.followed(state, np.zeros((1, 2)), np.zeros((1, 8)), np.ones((1, 8)))
-    assert_array_equal(after.swing_ago, [[0.0, -1.0]])
+    state = learnt_so_far(moment, log)._replace(swing_samples=np.array([2.0, 0.0]))
+    after = moment._drifting.followed(state, np.zeros(2), np.zeros(8), np.ones(8))
+    assert_array_equal(after.swing_ago, [0.0, -1.0])
     assert after.rate == 1.0
 
 
 def test_a_foot_that_never_swung_is_judged_by_the_starting_map(moment, log):
     """What was learnt before says that it bears half the robot, and is sure of it."""
-    block, _, _ = in_the_air(moment, np.zeros((2, 8)))
-    state = learnt_so_far(moment, log, 2)
+    block, _, _ = in_the_air(moment, np.zeros(8))
+    state = learnt_so_far(moment, log)
     mean = state.mean.copy()
-    mean[:, UNKNOWNS.offset] = 0.125
-    state = state._replace(
-        mean=mean, covariance=1e-6 * state.covariance, swing_ago=np.array([[-1.0, -1.0], [3.0, 3.0]])
-    )
-    count, _, doubted = moment._hanging(state, block, state.faults)
-    assert_array_equal(count, [[BLOCK, 0.0], [0.0, 0.0]])
-    assert_array_equal(doubted, [False, True])
+    mean[UNKNOWNS.offset] = 0.125
+    state = state._replace(mean=mean, covariance=1e-6 * state.covariance)
+    for ago, hangs in ((-1.0, BLOCK), (3.0, 0)):
+        swung = state._replace(swing_ago=np.full(2, ago))
+        count, _, doubted = moment._hanging(swung, block, swung.faults)
+        assert_array_equal(count, [hangs, 0.0])
+        assert doubted == (hangs == 0)
 
 
 def test_rows_share_what_offsets_drifted_by_since_a_swing(moment, log):
     product = moment._product
-    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, -1.0]), rate=np.array(9.0))
+    state = moment.init(log.raw[0])._replace(swing_ago=np.array([4.0, -1.0]), rate=9.0)
     of_foot = np.array(LAYOUT.foot_of_channel)
     walked = 9.0 * UNKNOWNS.walk[UNKNOWNS.offset] * BLOCK * DT
     on_ground = product.drifted(state, np.zeros(2))
@@ -182,16 +186,16 @@ def test_rows_are_less_sure_by_the_product(moment):
 
 def test_what_is_handed_out_has_aged_by_the_drift_that_is_learnt(moment, log):
     drift = LearntDrift(SETUP, CONFIG, UNKNOWNS, Tare(SETUP, CONFIG, UNKNOWNS))
-    state = moment.init(log.raw[0])._replace(rate=np.array(9.0))
+    state = moment.init(log.raw[0])._replace(rate=9.0)
     assert_allclose(drift.aged(state), 9.0 * (UNKNOWNS.age * UNKNOWNS.walk)[UNKNOWNS.map])
     state = blocks(moment, log.raw, log.reference)[-1]
     offsets = slice(UNKNOWNS.scales, None)
 
     def known(rate):
-        given = moment._given(state._replace(rate=np.array(rate)), state.due > 0.5)
-        return np.diag(given.given_covariance)[offsets]
+        return np.diag(moment._given(state._replace(rate=rate)).given_covariance)[offsets]
 
-    as_it_is = known(float(state.rate))
+    assert state.due
+    as_it_is = known(state.rate)
     assert (as_it_is > drift.aged(state)[offsets]).all()
     more = known(100.0) - as_it_is
     assert_allclose(more, (100.0 / state.rate - 1.0) * drift.aged(state)[offsets], rtol=1e-6)

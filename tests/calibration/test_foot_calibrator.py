@@ -82,22 +82,24 @@ def test_the_old_name_of_the_moment_filter_still_works(log, tmp_path):
         online_method("surefoot", old.setup)
 
 
-def test_a_batch_loads_where_told(log, tmp_path):
-    force = NOMINAL.force(log.raw)[:, None].repeat(3, axis=1)
-    batch = Reference(*(part[:, None].repeat(3, axis=1) for part in log.reference))
-    identity = Parameters(np.ones(8), np.zeros(8))
-    first, second, third = (make(initial=identity) for _ in range(3))
-    for k in range(60):
-        first.update(force[k], Reference(*(part[k] for part in batch)))
-    first.save(tmp_path / "batch.npz")
-    second.load(tmp_path / "batch.npz", like=force[0])
-    row = Reference(*(part[60] for part in batch))
-    one, two = first.update(force[60], row), second.update(force[60], row)
-    np.testing.assert_array_equal(one.scale, two.scale)
-    with pytest.raises(ValueError, match="layout, batch, lag and window must be as they were saved"):
-        third.load(tmp_path / "batch.npz")
-    first.load(tmp_path / "batch.npz")
-    np.testing.assert_array_equal(first.update(force[60], row).scale, one.scale)
+@pytest.mark.parametrize("library", ["installed", "none"])
+@pytest.mark.parametrize("begun", [False, True])
+def test_several_robots_at_once_are_refused_with_the_way_out(log, library, begun, monkeypatch):
+    if library == "none":
+        monkeypatch.setattr("surefoot.calibration.foot_calibrator.installed", lambda: None)
+    calibrator, row = make("moment"), rows(log)[0]
+    if begun:
+        calibrator.update(log.raw[0], row)
+    way_out = r" That is of several robots, .* make a FootCalibrator for each, or .* VectorSelfCalibration\."
+    with pytest.raises(ValueError, match=r"'raw' must have shape \(8,\), got \(3, 8\)\." + way_out):
+        calibrator.update(log.raw[:3], Reference(*(part[:3] for part in log.reference)))
+    with pytest.raises(
+        ValueError, match=r"'reference\.com' must have shape \(3,\), got \(3, 3\)\." + way_out
+    ):
+        calibrator.update(log.raw[0], Reference(*(part[:3] for part in log.reference)))
+    with pytest.raises(ValueError, match=r"'raw' must hold one reading for each of the 8 channels"):
+        calibrator.update(log.raw[0, :5], row)
+    assert np.isfinite(calibrator.update(log.raw[0], row).force).all()
 
 
 def test_a_state_of_something_else_is_refused(log, tmp_path):
@@ -168,8 +170,13 @@ def test_a_log_of_another_length_is_refused(log):
         ValueError, match=r"'reference\.com' must have one row for each of the 240 rows of 'raw'"
     ):
         replay(LAYOUT, "window", log.raw, short, DT, mass=MASS)
-    with pytest.raises(ValueError, match=r"'raw' must have shape \(samples, ..., channels\), got \(8,\)"):
+    with pytest.raises(ValueError, match=r"'raw' must have shape \(samples, channels\), got \(8,\)\.$"):
         replay(LAYOUT, "window", log.raw[0], log.reference, DT, mass=MASS)
+    several = (
+        r"must have shape \(samples, channels\), got \(240, 1, 8\)\. That is of several robots, .* for each"
+    )
+    with pytest.raises(ValueError, match=several):
+        replay(LAYOUT, "window", log.raw[:, None], log.reference, DT, mass=MASS)
     with pytest.raises(ValueError, match="'raw' must hold one reading for each of the 8 channels"):
         replay(LAYOUT, "window", log.raw[:, :5], log.reference, DT, mass=MASS)
 
@@ -194,16 +201,6 @@ def test_zero_phase_holds_what_is_missing(log):
     assert (estimate.flags[100:103, 2] & 1).all()
     held = (estimate.force[102, 2] - estimate.offset[102, 2]) / estimate.scale[102, 2]
     assert held == pytest.approx(raw[99, 2], rel=1e-9)
-
-
-def test_a_batch_of_logs_is_replayed_at_once(log):
-    raw = log.raw[:, None].repeat(2, axis=1)
-    reference = Reference(*(part[:, None].repeat(2, axis=1) for part in log.reference))
-    options = {"mass": believed_mass(FAULTS), "initial": NOMINAL}
-    for zero_phase in (False, True):
-        both = replay(LAYOUT, "window", raw, reference, DT, zero_phase=zero_phase, **options)
-        one = replay(LAYOUT, "window", log.raw, log.reference, DT, zero_phase=zero_phase, **options)
-        np.testing.assert_allclose(both.force[:, 1], one.force, atol=1e-8)
 
 
 def test_a_state_of_another_setup_and_files_of_another_kind_are_refused(log, tmp_path):

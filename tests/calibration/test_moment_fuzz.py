@@ -5,8 +5,7 @@ import pytest
 from _robots import BAD, calibrated, fleet
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, believed_mass, walk
 
-from surefoot.calibration import Flag, OnlineSetup, Parameters, Reference, online_method
-from surefoot.calibration.moment.stream import moment_filter
+from surefoot.calibration import Flag, FootCalibrator, OnlineSetup, Reference, online_method
 
 
 def garbage(rng, values, share):
@@ -16,27 +15,22 @@ def garbage(rng, values, share):
     values[hit] = rng.choice(poison, hit.sum())
 
 
-def chosen(state, which):
-    if isinstance(state, tuple):
-        return type(state)(*(chosen(part, which) for part in state))
-    return state if isinstance(state, int) else state[which]
+FINITE = ("force", "wrench", "vgrf", "scale", "offset", "covariance", "force_std")
 
 
 def fuzz(robots, samples, sweep, every=1):
     """Feed garbage to many robots, then a clean walk to every so many; nothing may be lost, all converge."""
     rng = np.random.default_rng(41)
-    logs, raw, reference = fleet(range(4), speeds=(0.1,), duration=samples * DT + 12.0, stand=0.5)
-    identity = Parameters(np.ones(8), np.zeros(8))
-    setup = OnlineSetup(layout=LAYOUT, mass=believed_mass(BAD), initial=identity)
-    method = moment_filter(setup)
-    raw = NOMINAL.force(raw)
+    logs = fleet(range(4), speeds=(0.1,), duration=samples * DT + 12.0, stand=0.5)
+    raw = [NOMINAL.force(log.raw) for log in logs]
+    calibrators = [FootCalibrator(LAYOUT, mass=believed_mass(BAD)) for _ in range(robots)]
 
-    def tiled(part, k):
-        return np.tile(part[k], (robots // 4, *[1] * (part.ndim - 2)))
+    def tiled(parts, k):
+        return np.stack([part[k] for part in parts] * (robots // 4))
 
-    state = method.init(tiled(raw, 0))
     for k in range(samples):
-        reading, row = tiled(raw, k), Reference(*(tiled(part, k) for part in reference))
+        reading = tiled(raw, k)
+        row = Reference(*(tiled(parts, k) for parts in zip(*(log.reference for log in logs), strict=True)))
         garbage(rng, reading, 0.02)
         for field, part in zip(Reference._fields, row, strict=True):
             if part.dtype.kind == "f":
@@ -47,31 +41,30 @@ def fuzz(robots, samples, sweep, every=1):
             if rng.random() < 0.02:
                 getattr(row, field)[: robots // 8] = rng.choice([0, 1]) if part.dtype == bool else np.nan
         dt = float(rng.choice([DT] * 60 + [0.0, -1.0, np.nan, np.inf, 1e9, 1e-12]))
-        state, estimate = method.update(state, reading, row, dt)
-        for field in ("force", "wrench", "vgrf", "scale", "offset", "covariance", "force_std"):
-            assert np.isfinite(getattr(estimate, field)).all(), field
-        valid = estimate.cop_valid
-        np.testing.assert_array_equal(np.isfinite(estimate.cop).all(axis=-1), valid)
-        assert np.isfinite(estimate.cop_covariance[valid]).all()
-        if k % sweep == 0:
-            S = state.covariance
-            np.testing.assert_array_equal(S, np.swapaxes(S, -1, -2))
-            std = np.sqrt(np.einsum("...ii->...i", S))
-            std[std == 0.0] = 1.0
-            scaled = S / (std[..., :, None] * std[..., None, :])
-            assert np.linalg.eigvalsh(scaled).min() > -1e-5
+        for i, calibrator in enumerate(calibrators):
+            estimate = calibrator.update(reading[i], Reference(*(part[i] for part in row)), dt)
+            numbers = [getattr(estimate, field).ravel() for field in FINITE]
+            assert np.isfinite(np.concatenate(numbers)).all(), (k, i)
+            assert np.isfinite(estimate.cop).all() == estimate.cop_valid
+            assert np.isfinite(estimate.cop_covariance).all() == estimate.cop_valid
+            if k % sweep == 0:
+                S = calibrator.state.covariance
+                np.testing.assert_array_equal(S, S.T)
+                std = np.sqrt(np.diag(S))
+                std[std == 0.0] = 1.0
+                assert np.linalg.eigvalsh(S / np.outer(std, std)).min() > -1e-5
+    wrong, lost = [], []
     # Of each of the four walks alike.
-    state, robots = chosen(state, np.arange(robots).reshape(-1, 4)[::every].ravel()), robots // every
-    wrong = []
-    for k in range(samples, samples + round(12.0 / DT)):
-        row = Reference(*(tiled(part, k) for part in reference))
-        state, estimate = method.update(state, tiled(raw, k), row, DT)
-        if k >= samples + round(10.0 / DT):
-            true = np.tile([log.cop[k] for log in logs], (robots // 4, 1))
-            wrong.append(np.linalg.norm(estimate.cop - true, axis=-1))
-    altered = Flag.LOST | Flag.FLIPPED | Flag.SWAPPED
-    lost = ((estimate.flags & altered) != 0).any(axis=-1)
-    return 1e3 * np.sqrt((np.array(wrong) ** 2).mean(axis=0)), lost
+    for i in np.arange(robots).reshape(-1, 4)[::every].ravel():
+        log, off = logs[i % 4], []
+        for k in range(samples, samples + round(12.0 / DT)):
+            row = Reference(*(part[k] for part in log.reference))
+            estimate = calibrators[i].update(raw[i % 4][k], row, DT)
+            if k >= samples + round(10.0 / DT):
+                off.append(np.linalg.norm(estimate.cop - log.cop[k]))
+        wrong.append(1e3 * np.sqrt(np.mean(np.square(off))))
+        lost.append(bool((estimate.flags & int(Flag.LOST | Flag.FLIPPED | Flag.SWAPPED)).any()))
+    return np.array(wrong), np.array(lost)
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from _body import DT, LAYOUTS, LENGTH, MASS, SIZES, Body, ankle, block_of, cells
+from _body import DT, LAYOUTS, LENGTH, MASS, SIZES, Body, ankle, block_of, cells, flat
 
 from surefoot.calibration import GRAVITY, FeetLayout, OnlineSetup, Parameters, Reference
 from surefoot.calibration.moment.config import MomentFilterConfig
 from surefoot.calibration.moment.newton_euler import PASSES
-from surefoot.calibration.moment.rows import Block
 from surefoot.calibration.moment.stream import MomentStream
 
 NOMINAL = Parameters(np.ones(8), np.zeros(8))
@@ -42,7 +41,7 @@ def test_forces_are_averaged_as_the_reference_averages_its_rates(blur, settle):
     stream = MomentStream(setup, MomentFilterConfig(settle=settle))
     newton, span = stream.newton_euler, stream.config.span
     blur = min(blur, 0.5 * min(settle, PASSES))
-    force, _ = newton._blurred(np.eye(span), np.array(blur))
+    force, _ = newton._blurred(np.eye(span), blur)
     # Each row is a window around its sample: its weights, their middle and their variance.
     place = np.arange(span) - (settle + np.arange(len(force)))[:, None]
     np.testing.assert_allclose(force.sum(axis=1), 1.0, atol=1e-12)
@@ -51,8 +50,8 @@ def test_forces_are_averaged_as_the_reference_averages_its_rates(blur, settle):
     assert (force >= -1e-12).all()
     # What it changes with the variance, against finite differences.
     forces = rng.normal(size=(span, 8))
-    above, below = (newton._blurred(forces, np.array(blur + d))[0] for d in (1e-5, -1e-5))
-    np.testing.assert_allclose(newton._blurred(forces, np.array(blur))[1], (above - below) / 2e-5, atol=1e-7)
+    above, below = (newton._blurred(forces, blur + d)[0] for d in (1e-5, -1e-5))
+    np.testing.assert_allclose(newton._blurred(forces, blur)[1], (above - below) / 2e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize(("layout", "cross_talk"), list(bodies()))
@@ -260,7 +259,7 @@ def test_masses_beyond_the_sensors_make_the_rows_whole(make):
         accelerometer=np.zeros((n, 3)),
         gyroscope=np.zeros((n, 3)),
     )
-    motion = body.stream._front_end.motions.flatten(believed)
+    motion = flat(body.stream, believed)
     hanging = np.zeros((n, 2))
     hanging[:, 1] = 1.0
     block, x = block_of(F, motion, hanging), body.unknowns.start.copy()
@@ -270,18 +269,6 @@ def test_masses_beyond_the_sensors_make_the_rows_whole(make):
     np.testing.assert_allclose(tare.H @ x, tare.y, atol=1e-9)
     rows = body.rows(x, block)
     np.testing.assert_allclose(rows.H @ x, rows.y, atol=1e-9)
-
-
-def test_a_batch_of_blocks_is_its_blocks():
-    one, two = Body(LAYOUTS["ankles"], 1), Body(LAYOUTS["ankles"], 2)
-    blocks = [one.block(), two.block()]
-    stacked = Block(*(np.stack(parts) for parts in zip(*blocks, strict=True)))
-    means = np.stack([one.x, two.x])
-    together = one.rows(means, stacked)
-    for k in (0, 1):
-        alone = one.rows(means[k], blocks[k])
-        for a, b in zip(together, alone, strict=True):
-            np.testing.assert_allclose(a[k], b, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("cross_talk", [0.0, 0.01])

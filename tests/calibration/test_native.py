@@ -287,10 +287,10 @@ def play(stream, native, log, exchange=None, **tolerance):
         expected, one = stream.update(expected, log.force[k], row, dt)
         two = native.update(found, log.force[k], row, dt)
         if k in log.retracted:
-            expected = stream.retract(expected, np.asarray(True))
+            expected = stream.retract(expected)
             native.retract(found)
         if k in log.begun:
-            expected = begin_episode(np.asarray(True), stream.init(log.force[0]), expected)
+            expected = begin_episode(stream.init(log.force[0]), expected)
             native._functions.surefoot_begin(native.addresses["filter"], found.address)
         same_estimate(one, two, **tolerance)
         if k % 48 == 47 or k == exchange or k in log.retracted | log.begun:
@@ -580,7 +580,6 @@ def test_a_calibrator_keeps_copies_and_files_of_its_state(calibrators, tmp_path)
         ]
         if k == 450:
             for other in others:
-                other.retract(False)
                 other.retract()
     for estimate in estimates:
         same_estimate(estimates[3], estimate)
@@ -598,9 +597,6 @@ def test_a_calibrator_goes_on_in_python_where_it_must(calibrators):
     by_library.update(log.force[2], log.row(2))
     assert isinstance(by_library._state, NativeState)
     assert by_library.state.step == 3
-    batch = Reference(*(part[None] for part in log.row(0)))
-    by_library.reset()
-    assert by_library.update(log.force[:1], batch).force.shape == (1, 8)
     by_library.reset()
     single = Reference(*(part.astype(np.float32) if part.dtype.kind == "f" else part for part in log.row(0)))
     assert by_library.update(log.force[0], single).force.dtype == np.float64

@@ -11,10 +11,10 @@ KINDS, ROWS = 3, 24
 
 def after(blocks, residual, there=1.0):
     """Noise and misfit after blocks of residuals, whose expected variance is the noise, as in the filter."""
-    noise, misfit = np.full(KINDS, FIRST_NOISE), np.array(FIRST_MISFIT)
+    noise, misfit = np.full(KINDS, FIRST_NOISE), FIRST_MISFIT
     for _ in range(blocks):
         e, here = np.broadcast_to(residual, ROWS), np.broadcast_to(there, ROWS)
-        seen = Residuals(e, np.tile(noise, ROWS // KINDS), here, np.array(1.0))
+        seen = Residuals(e, np.tile(noise, ROWS // KINDS), here, 1.0)
         noise, misfit = followed_noise(noise, seen), followed_misfit(misfit, seen)
     return noise, misfit
 

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from _robots import calibrated, fleet, robot
+from _robots import calibrated, fleet
 from _synthetic import LAYOUT, MASS, NOMINAL, Faults, errors
 from numpy.testing import assert_allclose
 
@@ -32,7 +32,7 @@ def reweighted(mean, covariance, drift=0.0, misfit=1.0):
     rest = UNKNOWNS.size - SIZE
     whole = np.pad(covariance, (0, rest))
     return LearntSeverity(UNKNOWNS).reweighted(
-        np.append(mean, np.zeros(rest)), whole, np.zeros(SIZE) + drift, np.array(misfit)
+        np.append(mean, np.zeros(rest)), whole, np.zeros(SIZE) + drift, misfit
     )
 
 
@@ -86,8 +86,9 @@ def test_data_that_do_not_fit_are_worth_less():
 
 def test_a_calibrated_robot_keeps_its_map_though_its_body_is_not_as_believed():
     kept = replace(Faults.mild(), gain=0.002, offset=0.05, gain_drift=0.002, offset_drift=0.1)
-    logs, raw, reference = fleet(range(4), speeds=(0.04,), faults=kept)
-    estimate, start = (calibrated(raw, reference, kept, name=name) for name in ("moment", "none"))
-    for i, log in enumerate(logs):
-        found, before = (errors(robot(each, i), log, 10.0)[0] for each in (estimate, start))
-        assert found < before, i
+    for log in fleet(range(4), speeds=(0.04,), faults=kept):
+        found, before = (
+            errors(calibrated(log.raw, log.reference, kept, name=name), log, 10.0)[0]
+            for name in ("moment", "none")
+        )
+        assert found < before

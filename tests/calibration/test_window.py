@@ -72,22 +72,9 @@ def run(log, method="window", faults=None, **options):
     )
 
 
-def played(logs, method, faults, **options):
-    """Replay several robots at once."""
-    raw = np.stack([log.raw for log in logs], axis=1)
-    parts = zip(*(log.reference for log in logs), strict=True)
-    reference = Reference(*(np.stack(part, axis=1) for part in parts))
-    known = {"mass": believed_mass(faults), "initial": NOMINAL, "lag": faults.lag}
-    return replay(LAYOUT, method, raw, reference, DT, **known, **options)
-
-
 def together(logs, method, faults):
     """Return root mean square errors of each four of several robots, shape (n, 2)."""
-    estimate = played(logs, method, faults)
-    found = [
-        errors(estimate._replace(cop=estimate.cop[:, i], vgrf=estimate.vgrf[:, i]), log, 7.0)
-        for i, log in enumerate(logs)
-    ]
+    found = [errors(run(log, method, faults), log, 7.0) for log in logs]
     return np.sqrt(np.mean(np.square(found).reshape(-1, 4, 2), axis=1))
 
 
@@ -130,7 +117,7 @@ def test_the_iterations_reach_the_minimum_that_scipy_finds():
     expected = least_squares(cost, theta, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     found = gauss_newton(
         theta, phi, vgrf, use, WEIGHTS,
-        spread=spread, bound=np.full(16, np.inf), identity=np.eye(16), iterations=20,
+        spread=spread, bound=np.full(16, np.inf), iterations=20,
     )  # fmt: skip
     assert found.solvable
     np.testing.assert_allclose(found.theta, expected, atol=1e-7)
@@ -138,7 +125,7 @@ def test_the_iterations_reach_the_minimum_that_scipy_finds():
 
 def test_a_bound_shortens_a_step_and_keeps_its_direction():
     phi, theta, vgrf, use = problem(2)
-    solve = {"spread": np.ones(16), "identity": np.eye(16), "iterations": 1}
+    solve = {"spread": np.ones(16), "iterations": 1}
     full = gauss_newton(theta, phi, vgrf, use, WEIGHTS, bound=np.full(16, np.inf), **solve).theta - theta
     short = gauss_newton(theta, phi, vgrf, use, WEIGHTS, bound=np.full(16, 1e-3), **solve).theta - theta
     assert np.abs(short).max() == pytest.approx(1e-3)
@@ -323,14 +310,14 @@ def test_a_gap_in_time_empties_the_window():
 def test_standing_comes_first_and_brings_the_force_right():
     faults = Faults(gain=0.1, offset=1.0)
     only = {"scale_step": 1e-9, "offset_step": 1e-9, "standing_scale_std": 0.1, "standing_offset_std": 0.03}
-    logs = [walk(seed, duration=0.0, stand=3.2, faults=faults) for seed in range(4)]
-    estimate = played(logs, "window", faults, **only)
-    standing = (estimate.flags[..., 0] & Flag.STANDING) > 0
-    assert standing[:199].all()
-    assert not standing[201:].any()
-    for i, log in enumerate(logs):
-        force = np.abs(estimate.vgrf[:, i].sum(axis=1) - log.vgrf)
-        place = np.linalg.norm(estimate.cop[:, i] - log.cop, axis=1)
+    for seed in range(4):
+        log = walk(seed, duration=0.0, stand=3.2, faults=faults)
+        estimate = run(log, faults=faults, **only)
+        standing = (estimate.flags[:, 0] & Flag.STANDING) > 0
+        assert standing[:199].all()
+        assert not standing[201:].any()
+        force = np.abs(estimate.vgrf.sum(axis=1) - log.vgrf)
+        place = np.linalg.norm(estimate.cop - log.cop, axis=1)
         assert force[250] < max(0.2 * force[150], 0.3)
         # A believed centre of mass that may be 3 mm off is not trusted to the last.
         assert place[250] < max(0.4 * place[150], 1e-3)
@@ -338,9 +325,9 @@ def test_standing_comes_first_and_brings_the_force_right():
 
 def test_drift_during_standing_is_not_taken_for_load():
     faults = Faults(offset_drift=1.0, noise=0.1)
-    logs = [walk(seed, duration=0.0, stand=4.0, faults=faults) for seed in range(5)]
     wide = {"scale_step": 1e-9, "offset_step": 1e-9, "standing_scale_std": 0.1}
-    scales = played(logs, "window", faults, **wide).scale[-1] / NOMINAL.scale
+    logs = [walk(seed, duration=0.0, stand=4.0, faults=faults) for seed in range(5)]
+    scales = [run(log, faults=faults, **wide).scale[-1] / NOMINAL.scale for log in logs]
     assert np.mean(scales) == pytest.approx(1.0, abs=0.02)
 
 
@@ -414,18 +401,20 @@ def test_the_front_end_agrees_with_the_equations_of_their_own_modules(layout):
     force = rng.uniform(5.0, 20.0, size=(7, layout.channels))
     for quasi_static in (False, True):
         front_end = FrontEnd(setup, quasi_static=quasi_static)
-        _, sample = front_end.observe(front_end.init(force), force, reference, DT)
-        expected = moment_rows(layout, reference.position_sole, reference.R_level_sole)
-        np.testing.assert_allclose(sample.rows, expected, atol=1e-12)
-        height = reference.position_sole[..., 2].min(axis=-1)
-        ground = ground_reference(reference, MASS, height=height, quasi_static=quasi_static)
-        vgrf, cop, possible = front_end.motions.ground(sample.motion)
-        assert possible.all()
-        np.testing.assert_allclose(vgrf, ground.vgrf, atol=1e-12)
-        np.testing.assert_allclose(cop, ground.cop, atol=1e-12)
-        again = front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
-        for given, kept in zip(reference, again, strict=True):
-            np.testing.assert_array_equal(given, kept)
+        for k in range(7):
+            row = Reference(*(part[k] for part in reference))
+            _, sample = front_end.observe(front_end.init(force[k]), force[k], row, DT)
+            expected = moment_rows(layout, row.position_sole, row.R_level_sole)
+            np.testing.assert_allclose(sample.rows, expected, atol=1e-12)
+            height = row.position_sole[:, 2].min()
+            ground = ground_reference(row, MASS, height=height, quasi_static=quasi_static)
+            vgrf, cop, possible = front_end.motions.ground(sample.motion)
+            assert possible
+            np.testing.assert_allclose(vgrf, ground.vgrf, atol=1e-12)
+            np.testing.assert_allclose(cop, ground.cop, atol=1e-12)
+            again = front_end.motions.unflatten(sample.motion, sample.stance, sample.swing)
+            for given, kept in zip(row, again, strict=True):
+                np.testing.assert_array_equal(given, kept)
 
 
 @pytest.mark.parametrize(

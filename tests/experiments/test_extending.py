@@ -144,7 +144,7 @@ def test_a_users_calibrator_goes_by_its_name_where_methods_do(own, log: Log, tmp
     np.testing.assert_allclose(found["force_right_front_left_N"], log.truth.force[:, 4], atol=1e-6)
     # At an episode start, what its class names is kept.
     state = calibrator.state
-    kept = begin_episode(np.array(True), calibrator._pure.init(state.front.raw), state)
+    kept = begin_episode(calibrator._pure.init(state.front.raw), state)
     np.testing.assert_array_equal(kept.offset, state.offset)
     assert state.offset[0] < 0.0
     assert not kept.front.known
