@@ -29,7 +29,7 @@ import surefoot  # noqa: F401
 from surefoot.calibration.native import NATIVE as CALIBRATION
 from surefoot.calibration.native import c_source as of_filter
 from surefoot.calibration.native import installed
-from surefoot.native import c_header, compiler
+from surefoot.native import c_header, compiler, required
 from surefoot.native.build import FLAGS, SHARED
 from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -156,8 +156,12 @@ int main(int argc, char **argv) {
     timed = atoi(argv[5]);
     /* Others may have the core for a while; single steps are too short for this clock. */
     of_process = timed || robots > 1;
-    mark = clock_now();
-    for (int i = 0; i < 10000; i++) price = (clock_now() - mark) / 10000;
+    price = 1;
+    for (int i = 0; i < 10000; i++) {
+        mark = clock_now();
+        double taken = clock_now() - mark;
+        if (taken < price) price = taken;
+    }
     for (int t = 0; t < steps; t++) {
         memset(spent, 0, sizeof spent);
         if (swept) sweep();
@@ -173,6 +177,7 @@ int main(int argc, char **argv) {
 
 def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
     """Record a walk: the robot's constants in C, what the native step reads, and the forces it makes."""
+    required(installed())
     options = {"speed": 0.04, "duration": steps / 80.0 + 5.0, "disable_env_checker": True}
     env: Any = gym.make("surefoot/NaoWalk-v0", **options)
     env = SelfCalibration(FootSensors(env, "hx711-load-cells"), "moment")
@@ -193,8 +198,7 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
 def constants(env: Any, sensors: Any) -> str:
     """Return the robot in C: its constants, and its cells and random numbers as an episode begins."""
     equipment, telemetry = sensors.equipment, sensors.telemetry
-    streams, cells, library = equipment.streams(0), equipment.native["cells"], installed()
-    assert library is not None
+    streams, cells, library = equipment.streams(0), equipment.native["cells"], required(installed())
     assert cells is not None
     drawn = cells.pack(equipment.instruments.init(streams).cells)
     first, *more = equipment.instruments.first_steps(telemetry.dt)
