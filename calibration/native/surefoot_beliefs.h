@@ -144,12 +144,31 @@ SF_API sf_real sf_square(const sf_real *a) { return a[0] * a[0] + a[1] * a[1] + 
 
 /* ------------------------------------------------------------------------------------------------ nominal */
 
-/* A rotation by an angle about a unit vector (Rodrigues). */
-SF_API void sf_hinge_rotation(sf_real *R, const sf_real *axis, sf_real angle) {
-    sf_real s = sf_sin(angle), c = sf_cos(angle), x = axis[0], y = axis[1], z = axis[2], d = 1 - c;
-    R[0] = c + d * x * x, R[1] = d * x * y - s * z, R[2] = d * x * z + s * y;
-    R[3] = d * x * y + s * z, R[4] = c + d * y * y, R[5] = d * y * z - s * x;
-    R[6] = d * x * z - s * y, R[7] = d * y * z + s * x, R[8] = c + d * z * z;
+/* Turn R on by an angle about a unit vector in its own axes (Rodrigues), which is `a` in those around it. */
+SF_API void sf_turn_on(sf_real *R, const sf_real *axis, const sf_real *a, sf_real angle) {
+    sf_real sine = sf_sin(angle), cosine = sf_cos(angle);
+    int k = axis[0] == 1 ? 0 : axis[1] == 1 ? 1 : 2, i = (k + 1) % 3, j = (k + 2) % 3;
+    int plain = axis[k] == 1 && axis[i] == 0 && axis[j] == 0; /* most hinges lie along one of the axes */
+    for (int r = 0; r < 3; r++) {
+        sf_real *row = R + 3 * r, x = row[0], y = row[1], z = row[2], u = row[i], v = row[j];
+        if (plain) {
+            row[i] = cosine * u + sine * v;
+            row[j] = cosine * v - sine * u;
+        } else {
+            sf_real along = (1 - cosine) * a[r];
+            row[0] = cosine * x + sine * (y * axis[2] - z * axis[1]) + along * axis[0];
+            row[1] = cosine * y + sine * (z * axis[0] - x * axis[2]) + along * axis[1];
+            row[2] = cosine * z + sine * (x * axis[1] - y * axis[0]) + along * axis[2];
+        }
+    }
+}
+
+/* Move a point and its velocity on by an arm in the axes R of a body that turns with w. */
+SF_API void sf_reach(sf_real *p, sf_real *v, const sf_real *R, const sf_real *w, sf_real sign, const sf_real *arm) {
+    sf_real way[3], speed[3];
+    sf_turn(way, R, arm);
+    sf_cross(speed, w, way);
+    for (int k = 0; k < 3; k++) p[k] += sign * way[k], v[k] += sign * speed[k];
 }
 
 /* NominalModel.evaluate: fill a row, in the torso's frame, up to its angular momentum.
@@ -159,7 +178,7 @@ SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *r
                        sf_real *row) {
     sf_real R[SF_BODIES * 9], p[SF_BODIES * 3], v[SF_BODIES * 3], w[SF_BODIES * 3];
     sf_real mass = 0, moment[3] = {0, 0, 0}, linear[3] = {0, 0, 0}, angular[3] = {0, 0, 0};
-    sf_real a[3], b[3], arm[3], turn[9], turned[9];
+    sf_real a[3], b[3], turned[9];
     int hinge = 0;
     for (int i = 0; i < m->bodies; i++) {
         sf_real *Ri = R + 9 * i, *pi = p + 3 * i, *vi = v + 3 * i, *wi = w + 3 * i;
@@ -169,36 +188,25 @@ SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *r
             for (int k = 0; k < 3; k++) pi[k] = vi[k] = 0, wi[k] = spin[k];
         } else {
             int from = m->parent[i];
-            sf_turn(a, R + 9 * from, m->place + 3 * i);
-            sf_cross(b, w + 3 * from, a);
-            for (int k = 0; k < 3; k++) {
-                pi[k] = p[3 * from + k] + a[k];
-                vi[k] = v[3 * from + k] + b[k];
-                wi[k] = w[3 * from + k];
-            }
-            sf_then(Ri, R + 9 * from, m->R_parent_body + 9 * i);
+            const sf_real *R_from = R + 9 * from, *own = m->R_parent_body + 9 * i;
+            sf_copy(pi, p + 3 * from, 3), sf_copy(vi, v + 3 * from, 3), sf_copy(wi, w + 3 * from, 3);
+            sf_reach(pi, vi, R_from, wi, 1, m->place + 3 * i);
+            /* Most lie along their parent's. */
+            if (own[0] == 1 && own[4] == 1 && own[1] == 0 && own[2] == 0 && own[5] == 0) sf_copy(Ri, R_from, 9);
+            else sf_then(Ri, R_from, own);
         }
         for (; hinge < m->hinges && m->hinge_body[hinge] == i; hinge++) {
             /* The anchor stays where it is; what turns about it is the frame. */
-            sf_turn(arm, Ri, m->anchor + 3 * hinge);
-            sf_cross(b, wi, arm);
-            sf_turn(a, Ri, m->axis + 3 * hinge);
-            for (int k = 0; k < 3; k++) {
-                pi[k] += arm[k];
-                vi[k] += b[k];
-                wi[k] += a[k] * rate[hinge];
-            }
-            sf_hinge_rotation(turn, m->axis + 3 * hinge, angle[hinge] - m->zero[hinge]);
-            sf_then(turned, Ri, turn);
-            sf_copy(Ri, turned, 9);
-            sf_turn(arm, Ri, m->anchor + 3 * hinge);
-            sf_cross(b, wi, arm);
-            for (int k = 0; k < 3; k++) pi[k] -= arm[k], vi[k] -= b[k];
+            const sf_real *anchor = m->anchor + 3 * hinge, *axis = m->axis + 3 * hinge;
+            int apart = sf_square(anchor) > 0;
+            if (apart) sf_reach(pi, vi, Ri, wi, 1, anchor);
+            sf_turn(a, Ri, axis);
+            for (int k = 0; k < 3; k++) wi[k] += a[k] * rate[hinge];
+            sf_turn_on(Ri, axis, a, angle[hinge] - m->zero[hinge]);
+            if (apart) sf_reach(pi, vi, Ri, wi, -1, anchor);
         }
-        sf_real own = m->mass[i], place[3], speed[3];
-        sf_turn(arm, Ri, m->com + 3 * i);
-        sf_cross(b, wi, arm);
-        for (int k = 0; k < 3; k++) place[k] = pi[k] + arm[k], speed[k] = vi[k] + b[k];
+        sf_real own = m->mass[i], place[3] = {pi[0], pi[1], pi[2]}, speed[3] = {vi[0], vi[1], vi[2]};
+        sf_reach(place, speed, Ri, wi, 1, m->com + 3 * i);
         sf_turn_back(a, Ri, wi);
         sf_turn(b, m->inertia + 9 * i, a);
         sf_turn(a, Ri, b);

@@ -402,14 +402,30 @@ SF_API void sf_add(sf_real *__restrict to, sf_real factor, const sf_real *__rest
     for (int i = 0; i < n; i++) to[i] += factor * from[i];
 }
 
-/* out = A B, shapes (rows, inner) and (inner, columns); most rows are mostly zeros, which cost nothing. */
-SF_API void sf_multiply(sf_real *out, const sf_real *A, const sf_real *B, int rows, int inner, int columns) {
-    for (int i = 0; i < rows; i++) {
-        sf_real *row = out + i * columns;
-        memset(row, 0, (size_t)columns * sizeof(sf_real));
-        for (int k = 0; k < inner; k++)
-            if (A[i * inner + k] != 0) sf_add(row, A[i * inner + k], B + k * columns, columns);
+/* to += sign * sum of factor[k * apart] * B[k * wide ...] over `inner` rows, of n numbers each. Four at a time, so that
+   `to` is read and written once for four; most factors are zeros, which cost nothing. */
+SF_API void sf_add_rows(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart,
+                        const sf_real *B, int wide, int inner, int n) {
+    const sf_real *row[4];
+    sf_real by[4];
+    int found = 0;
+    for (int k = 0; k < inner; k++) {
+        if (factor[k * apart] == 0) continue;
+        by[found] = sign * factor[k * apart], row[found++] = B + k * wide;
+        if (found < 4) continue;
+        const sf_real *a = row[0], *b = row[1], *c = row[2], *d = row[3];
+        sf_real p = by[0], q = by[1], r = by[2], s = by[3];
+        for (int i = 0; i < n; i++) to[i] = to[i] + p * a[i] + q * b[i] + r * c[i] + s * d[i];
+        found = 0;
     }
+    for (int k = 0; k < found; k++) sf_add(to, by[k], row[k], n);
+}
+
+/* out = A B, shapes (rows, inner) and (inner, columns). */
+SF_API void sf_multiply(sf_real *out, const sf_real *A, const sf_real *B, int rows, int inner, int columns) {
+    memset(out, 0, (size_t)(rows * columns) * sizeof(sf_real));
+    for (int i = 0; i < rows; i++)
+        sf_add_rows(out + i * columns, 1, A + i * inner, 1, B, columns, inner, columns);
 }
 
 /* Return r S r' for a symmetric S, shape (n, n). */
@@ -422,12 +438,14 @@ SF_API sf_real sf_variance(const sf_real *r, const sf_real *S, int n) {
 
 /* Overwrite the lower half of a positive definite A with L, A = L L'; returns 0 if it is none. */
 SF_API int sf_cholesky(sf_real *A, int n) {
+    /* Row by row of L', in the upper half: its numbers do not wait for each other. */
     for (int i = 0; i < n; i++) {
-        for (int j = 0; j < i; j++)
-            A[i * n + j] = (A[i * n + j] - sf_dot(A + i * n, A + j * n, j)) / A[j * n + j];
-        sf_real pivot = A[i * n + i] - sf_dot(A + i * n, A + i * n, i);
-        if (!(pivot > 0) || !sf_finite(pivot)) return 0;
-        A[i * n + i] = sf_sqrt(pivot);
+        sf_real *row = A + i * n + i;
+        for (int j = i + 1; j < n; j++) row[j - i] = A[j * n + i];
+        sf_add_rows(row, -1, A + i, n, A + i, n, i, n - i);
+        if (!(row[0] > 0) || !sf_finite(row[0])) return 0;
+        sf_real by = 1 / sf_sqrt(row[0]);
+        for (int j = i; j < n; j++) A[j * n + i] = row[j - i] *= by;
     }
     return 1;
 }
@@ -435,20 +453,19 @@ SF_API int sf_cholesky(sf_real *A, int n) {
 /* Overwrite B, shape (n, columns), with L^-1 B. */
 SF_API void sf_solve_lower(const sf_real *L, int n, sf_real *B, int columns) {
     for (int i = 0; i < n; i++) {
-        sf_real *row = B + i * columns;
-        for (int k = 0; k < i; k++)
-            if (L[i * n + k] != 0) sf_add(row, -L[i * n + k], B + k * columns, columns);
-        for (int j = 0; j < columns; j++) row[j] /= L[i * n + i];
+        sf_real *row = B + i * columns, by = 1 / L[i * n + i];
+        if (columns == 1) row[0] -= sf_dot(L + i * n, B, i);
+        else sf_add_rows(row, -1, L + i * n, 1, B, columns, i, columns);
+        for (int j = 0; j < columns; j++) row[j] *= by;
     }
 }
 
 /* Overwrite B, shape (n, columns), with L'^-1 B. */
 SF_API void sf_solve_upper(const sf_real *L, int n, sf_real *B, int columns) {
     for (int i = n - 1; i >= 0; i--) {
-        sf_real *row = B + i * columns;
-        for (int k = i + 1; k < n; k++)
-            if (L[k * n + i] != 0) sf_add(row, -L[k * n + i], B + k * columns, columns);
-        for (int j = 0; j < columns; j++) row[j] /= L[i * n + i];
+        sf_real *row = B + i * columns, by = 1 / L[i * n + i];
+        sf_add_rows(row, -1, L + (i + 1) * n + i, n, row + columns, columns, n - i - 1, columns);
+        for (int j = 0; j < columns; j++) row[j] *= by;
     }
 }
 
@@ -1285,17 +1302,20 @@ SF_API void sf_parity_rows(const sf_config *c, const sf_state *s, const sf_block
 SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_real *learnt, int N,
                           sf_real gate, sf_kalman_work *w, sf_real *nis, sf_real *nis_rows) {
     int m = rows->count, wide = N + 1;
-    sf_real e[SF_ROWS], *HS = w->HS, *V = w->V, *gain = w->gain, *keep = w->keep, *kept = w->kept;
+    sf_real e[SF_ROWS], weighted[SF_ROWS], *HS = w->HS, *V = w->V, *gain = w->gain, *keep = w->keep, *kept = w->kept;
     *nis = *nis_rows = 0;
     if (m == 0) return 1;
+    /* Of gain, keep and kept the transposed: all products are sums of rows then. Until there is a gain, H' is there. */
+    for (int i = 0; i < m; i++)
+        for (int k = 0; k < N; k++) gain[k * m + i] = rows->H[i * N + k];
+    memset(HS, 0, (size_t)(m * wide) * sizeof(sf_real));
+    memset(V, 0, (size_t)(m * m) * sizeof(sf_real));
     for (int i = 0; i < m; i++) {
         const sf_real *H = rows->H + i * N;
         sf_real *row = HS + i * wide;
-        memset(row, 0, (size_t)wide * sizeof(sf_real));
-        for (int k = 0; k < N; k++)
-            if (H[k] != 0) sf_add(row, H[k], S + k * N, N);
+        sf_add_rows(row, 1, H, 1, S, N, N, N);
         row[N] = e[i] = rows->y[i] - sf_dot(H, mean, N);
-        for (int j = 0; j <= i; j++) V[i * m + j] = sf_dot(row, rows->H + j * N, N);
+        sf_add_rows(V + i * m, 1, row, 1, gain, m, N, i + 1);
         sf_real predicted = V[i * m + i], needed = e[i] * e[i] / (gate * gate) - predicted;
         *nis_rows += predicted > 0;
         if (needed > rows->variance[i]) rows->variance[i] = needed;
@@ -1303,23 +1323,23 @@ SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_rea
     }
     if (!sf_cholesky(V, m)) return 0;
     sf_solve(V, m, HS, wide);
-    for (int i = 0; i < m; i++) *nis += e[i] * HS[i * wide + N];
-    memset(keep, 0, (size_t)(N * N) * sizeof(sf_real));
-    for (int i = 0; i < N; i++) {
-        keep[i * N + i] = 1;
-        for (int j = 0; j < m; j++) {
-            sf_real by = gain[i * m + j] = HS[j * wide + i] * learnt[i];
-            if (by != 0) sf_add(keep + i * N, -by, rows->H + j * N, N);
-        }
-        mean[i] += sf_dot(gain + i * m, e, m);
+    for (int i = 0; i < m; i++) {
+        *nis += e[i] * HS[i * wide + N];
+        for (int k = 0; k < N; k++) gain[i * N + k] = HS[i * wide + k] * learnt[k];
     }
-    sf_multiply(kept, keep, S, N, N, N);
+    sf_add_rows(mean, 1, e, 1, gain, N, m, N);
+    memset(keep, 0, (size_t)(N * N) * sizeof(sf_real));
+    for (int k = 0; k < N; k++) {
+        keep[k * N + k] = 1;
+        sf_add_rows(keep + k * N, -1, rows->H + k, N, gain, N, m, N);
+    }
+    sf_multiply(kept, S, keep, N, N, N);
+    memset(S, 0, (size_t)(N * N) * sizeof(sf_real));
     for (int i = 0; i < N; i++) {
-        sf_real weighted[SF_ROWS];
-        for (int j = 0; j < m; j++) weighted[j] = gain[i * m + j] * rows->variance[j];
-        for (int j = 0; j <= i; j++)
-            S[i * N + j] = S[j * N + i] =
-                sf_dot(kept + i * N, keep + j * N, N) + sf_dot(weighted, gain + j * m, m);
+        for (int j = 0; j < m; j++) weighted[j] = gain[j * N + i] * rows->variance[j];
+        sf_add_rows(S + i * N, 1, kept + i, N, keep, N, N, i + 1);
+        sf_add_rows(S + i * N, 1, weighted, 1, gain, N, m, i + 1);
+        for (int j = 0; j < i; j++) S[j * N + i] = S[i * N + j];
     }
     return sf_all_finite(mean, N) && sf_all_finite(S, N * N);
 }
@@ -2206,16 +2226,16 @@ SF_API void sf_row_of(const sf_config *c, const sf_real *mean, const sf_real *F0
     }
 }
 
-/* The covariance of two such rows. */
-SF_API sf_real sf_known(const sf_config *c, const sf_real *known, const sf_real *row, const sf_real *other,
-                        sf_real *by) {
+/* The covariances of two such rows: of one, of both, of the other. */
+SF_API void sf_known(const sf_config *c, const sf_real *known, const sf_real *one, const sf_real *other,
+                     sf_real out[3]) {
     int M = c->talks ? sf_map(c) : 2 * c->channels;
-    memset(by, 0, (size_t)M * sizeof(sf_real));
+    out[0] = out[1] = out[2] = 0;
     for (int i = 0; i < M; i++) {
-        if (row[i] == 0) continue; /* most of a single channel's */
-        sf_add(by, row[i], known + i * M, M);
+        if (one[i] == 0 && other[i] == 0) continue; /* most of a single channel's */
+        sf_real own = sf_dot(known + i * M, one, M), its = sf_dot(known + i * M, other, M);
+        out[0] += one[i] * own, out[1] += one[i] * its, out[2] += other[i] * its;
     }
-    return sf_dot(other, by, M);
 }
 
 /* MomentStream._estimate with FrontEnd.report and Uncertainty.of_estimate: apply the map to the newest
@@ -2227,7 +2247,7 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sampl
     const sf_real *known = c->talks ? s->given_covariance : s->learnt;
     sf_real moved[SF_CHANNELS], change[SF_CHANNELS];
     sf_real rows[3 * SF_CHANNELS], own[3 * SF_CHANNELS], force[SF_CHANNELS], tared[SF_CHANNELS], b[SF_CHANNELS];
-    sf_real turned[2 * SF_MAP], by[SF_MAP], one[SF_CHANNELS];
+    sf_real turned[2 * SF_MAP], found[3], one[SF_CHANNELS];
     sf_level_rows(c, s->front.motion, rows);
     for (int i = 0; i < K; i++) {
         tared[i] = sf_tared(c, s->given, F0[i], i);
@@ -2255,7 +2275,8 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sampl
         if (s->altered || c->talks) {
             for (int j = 0; j < K; j++) one[j] = s->altered ? s->spare[i * K + j] : (sf_real)(i == j);
             sf_row_of(c, s->given, F0, tared, one, turned);
-            variance = sf_known(c, known, turned, turned, by) + s->spare_std[i] * s->spare_std[i];
+            sf_known(c, known, turned, turned, found);
+            variance = found[0] + s->spare_std[i] * s->spare_std[i];
         }
         out->force_std[i] = sf_sqrt(variance > 0 ? variance : 0);
     }
@@ -2269,9 +2290,8 @@ SF_API void sf_estimate_of(const sf_config *c, const sf_state *s, const sf_sampl
         for (int i = 0; i < K; i++) one[i] = (seen[(1 + axis) * K + i] - out->cop[axis] * seen[i]) / load;
         sf_row_of(c, s->given, F0, tared, one, turned + axis * M);
     }
-    for (int axis = 0; axis < 2; axis++)
-        for (int other = 0; other < 2; other++)
-            out->cop_covariance[2 * other + axis] = sf_known(c, known, turned + axis * M, turned + other * M, by);
+    sf_known(c, known, turned, turned + M, found);
+    for (int i = 0; i < 4; i++) out->cop_covariance[i] = found[(i + 1) / 2];
 }
 
 /* ----------------------------------------------------------------------------------------- the calibrator */
