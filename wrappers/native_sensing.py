@@ -104,13 +104,14 @@ class NativeSensing:
         self._felt: Any = None
         self._wrench: Any = None
         if "cells" in devices:
-            mapped = hasattr(truth, "cell_map")
-            self._felt_in = attrgetter("plate" if mapped else "force_cell")
+            felt = next((name for name in ("plate", "soles") if hasattr(truth, name)), "force_cell")
+            self._felt_in = attrgetter(felt)
             self._felt = arrays["felt"] = np.zeros_like(self._felt_in(truth))
             numbers["readings"] = self._felt.shape[-1]
-            if mapped:
+            if felt != "force_cell":
                 arrays["map"], arrays["preload"] = self._map = tuple(part.copy() for part in truth.cell_map())
                 arrays["load"] = np.zeros_like(truth.force_cell)
+                numbers["soles"] = len(self._map[0]) // 6 if felt == "soles" else 0
         if "ankles" in devices:
             self._wrench = arrays["wrench"] = np.zeros_like(truth.wrench_ankle[-1])
         if self._telemetry is not None:

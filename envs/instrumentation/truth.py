@@ -91,6 +91,16 @@ class FeetTruth:
         self._refuse_flaws()
         return cop_in_sole(self.wrench_sole)
 
+    @property
+    def soles(self) -> Array:
+        """What was read of the feet, shape (..., 27 F)."""
+        return self.rows[..., : self._end]
+
+    def cell_map(self) -> tuple[Array, Array]:
+        """Return what makes cells' forces of :attr:`wrench_sole`: factors (6 F, 4 F) and N to add (4 F,)."""
+        factors = self.layout.force_of_wrench
+        return factors, np.zeros(factors.shape[1])
+
     @cached_property
     def force_cell(self) -> Array:
         """Forces of the load cells in N, foot by foot FL, FR, RL, RR, shape (..., 4 F).

@@ -50,7 +50,8 @@ typedef struct {
 } telemetry_arrays;
 
 /* The same of what is under one robot's feet, of its telemetry, if anybody listens, and of what is seen. The load is
-   felt @ map + preload, with `readings` numbers felt a row, or without a map what is felt. Of `numbers` of the observation
+   felt @ map + preload, with `readings` numbers felt a row, or without a map what is felt; with `soles`, what is felt is
+   read of so many feet and made wrenches first. Of `numbers` of the observation
    `shares` are measured, and the number from[i] of the newest packet stands at to[i]. */
 typedef struct {
     sf_feet feet;
@@ -63,7 +64,7 @@ typedef struct {
     const float *observed, *low, *high;
     float *shown, *held, *counts;
     const int32_t *from, *to;
-    int rows, readings, channels, values, numbers, shares;
+    int rows, readings, soles, channels, values, numbers, shares;
 } sf_sense_records;
 
 /* clang-format off */
@@ -125,7 +126,7 @@ static const place places[] = {
     FEET(dt, "double"), FEET(first, "double"), FEET(more, "int"),
     R_AT(felt), R_AT(map), R_AT(preload), R_AT(wrench), R_AT(load), R_AT(telemetry), R_AT(telemetry_state),
     R_AT(telemetry_stream), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low), R_AT(high), R_AT(shown),
-    R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(readings), R_INT(channels),
+    R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(readings), R_INT(soles), R_INT(channels),
     R_INT(values), R_INT(numbers), R_INT(shares),
 };
 /* clang-format on */
@@ -208,14 +209,38 @@ static void show_raw(const sf_sense_records *at) {
     }
 }
 
+/* The wrench of the ground at and in the frame of a sole, of what the simulator reads of a foot behind its ankle:
+   force and torque on the ground, the place at which they act, the sole's origin and its axes, in the world. */
+static void find_wrench(const sf_real *foot, sf_real *wrench) {
+    const sf_real *place = foot + 6, *origin = foot + 9, *axes = foot + 12;
+    sf_real force[3], moment[3], arm[3];
+    for (int i = 0; i < 3; i++) {
+        force[i] = -foot[i];
+        arm[i] = place[i] - origin[i];
+    }
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        moment[i] = arm[j] * force[k] - arm[k] * force[j] - foot[3 + i];
+    }
+    for (int i = 0; i < 3; i++) {
+        const sf_real *axis = axes + 3 * i;
+        wrench[i] = axis[0] * force[0] + axis[1] * force[1] + axis[2] * force[2];
+        wrench[3 + i] = axis[0] * moment[0] + axis[1] * moment[1] + axis[2] * moment[2];
+    }
+}
+
 static const sf_real *find_load(const sf_sense_records *at) {
     if (!at->map) return at->felt;
-    int K = at->feet.cells_config->channels;
+    int K = at->feet.cells_config->channels, per_foot = at->soles ? at->readings / at->soles : 0;
+    int count = at->soles ? 6 * at->soles : at->readings;
+    sf_real wrench[6 * SF_LOAD_CELLS];
     for (int row = 0; row < at->rows; row++) {
         const sf_real *felt = at->felt + row * at->readings;
         sf_real *load = at->load + row * K;
+        for (int foot = 0; foot < at->soles; foot++) find_wrench(felt + foot * per_foot + 6, wrench + 6 * foot);
+        if (at->soles) felt = wrench;
         memset(load, 0, (size_t)K * sizeof(sf_real));
-        for (int i = 0; i < at->readings; i++)
+        for (int i = 0; i < count; i++)
             for (int k = 0; k < K; k++) load[k] += felt[i] * at->map[i * K + k];
         for (int k = 0; k < K; k++) load[k] += at->preload[k];
     }

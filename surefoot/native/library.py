@@ -139,7 +139,8 @@ class Native:
         Raises:
             OSError: If there is no such file, or it is none of this package.
         """
-        functions = ctypes.CDLL(str(path))
+        # Calls take microseconds: giving up the interpreter's lock for them costs more than it is worth.
+        functions = ctypes.PyDLL(str(path))
         try:
             functions.surefoot_source.restype = ctypes.c_char_p
             functions.surefoot_places.restype = ctypes.c_size_t

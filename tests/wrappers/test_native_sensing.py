@@ -32,6 +32,7 @@ CASES: dict[str, dict[str, Any]] = {
     "ankles": {"config": "icub-ftsens", "faults": [Fault("stuck", 7, 0.2), Fault("flipped", 2)]},
     "both": {"ankles": "icub-ftsens", "faults": BROKEN, "severity": 0.5},
     "nobody listens": {"faults": BROKEN, "measure_state": False},
+    "a robot of others": {"soles": True, "ankles": "icub-ftsens"},
 }
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -57,7 +58,8 @@ def test_episodes_are_the_same(case: str) -> None:
     without, rng = patch.object(NATIVE, "_found", (None,)), np.random.default_rng(0)
 
     def made() -> FootSensors:
-        return FootSensors(gym.make("surefoot/NaoBalance-v0", disable_env_checker=True), **CASES[case])
+        robot = "Humanoid-v5" if "soles" in CASES[case] else "surefoot/NaoBalance-v0"
+        return FootSensors(gym.make(robot, disable_env_checker=True), **CASES[case])
 
     library = made()
     with without:
