@@ -1992,8 +1992,9 @@ SF_API void sf_back(const sf_config *c, sf_state *s) {
     memset(s->pending, 0, (size_t)(sf_span(c) * sf_width(c)) * sizeof(sf_real));
 }
 
-/* MomentStream._given: what is handed out of what is due: SF_SPREAD or SF_ALL. It moves only where the unknowns did, as without new rows only the
-   uncertainty changes, and not while they are unproven: a fall shows some moments after it has begun. */
+/* MomentStream._given: what is handed out of what is due, SF_SPREAD or SF_ALL. It moves only where the unknowns did,
+   as without new rows only the uncertainty changes, and not while they are unproven: a fall shows some moments
+   after it has begun. */
 SF_API void sf_given(const sf_config *c, sf_state *s, sf_work *w) {
     int M = sf_map(c), N = sf_unknowns(c);
     if (s->unproven < (sf_real)0.5) {
@@ -2340,7 +2341,7 @@ SF_API void sf_calibrator_retract_with(const sf_config *c, sf_state *s, sf_work 
    the last sample in s. Values never stop it: what is not finite or not possible is held and flagged.
    Returns whether something new is handed out. */
 SF_API int sf_calibrator_step_with(const sf_config *c, sf_state *s, sf_work *w, const sf_real *raw,
-                                    const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
+                                   const sf_reference *reference, sf_real dt, sf_estimate *estimate) {
     int K = c->channels, R = sf_motion(c), width = sf_width(c), gap, standing = 0, fresh = 0;
     sf_real *newest;
     const sf_real *past = sf_past(c, &s->front);
