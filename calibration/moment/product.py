@@ -89,7 +89,9 @@ class ErrorProduct:
             mean=np.where(gone, unknowns.start, state.mean),
             covariance=np.where(pair, self._start, state.covariance),
             kept_mean=np.where(gone, unknowns.start, state.kept_mean),
-            kept_covariance=np.where(pair, self._start, state.kept_covariance),
+            kept_covariance=np.where(
+                pair[unknowns.lower], self._start[unknowns.lower], state.kept_covariance
+            ),
         )
         return state, bool(wrong.any())
 

@@ -36,7 +36,7 @@ class MomentState(NamedTuple):
         learnt: Covariance of (a, b) of each channel, shape (2K, 2K).
         spread: Of that what single forces need, shape (3, K).
         kept_mean: The unknowns of two moments of the last seconds, to go back to, shape (2, N).
-        kept_covariance: Their covariances, shape (2, N, N).
+        kept_covariance: Their covariances, of which the lower halves are kept, shape (2, N (N + 1) / 2).
         noise: By how many times rows' variances are taken as larger than assumed, shape (kinds,).
         misfit: Mean square of residuals before learning over what is expected of them.
         rate: By how many times variances of sensors grow faster than stated.

@@ -111,7 +111,7 @@ class MomentStream:
             learnt=np.zeros((2 * channels, 2 * channels)),
             spread=np.zeros((3, channels)),
             kept_mean=np.stack([mean, mean]),
-            kept_covariance=np.stack([covariance, covariance]),
+            kept_covariance=np.stack([covariance[unknowns.lower]] * 2),
             noise=np.full(self.newton_euler.kinds, FIRST_NOISE),
             misfit=FIRST_MISFIT,
             rate=1.0,
@@ -271,9 +271,11 @@ class MomentStream:
 
     def _back(self, state: MomentState) -> MomentState:
         """Return the state with what was known some seconds ago."""
+        covariance = np.zeros_like(state.covariance)
+        covariance[self.unknowns.lower] = state.kept_covariance[0]
         return state._replace(
             mean=state.kept_mean[0],
-            covariance=state.kept_covariance[0],
+            covariance=covariance + np.tril(covariance, -1).T,
             pending=np.zeros_like(state.pending),
         )
 
@@ -348,7 +350,7 @@ class MomentStream:
         if (state.step // self.config.every) % self._keep_every == 0:
             state = state._replace(
                 kept_mean=np.stack([state.kept_mean[1], state.mean]),
-                kept_covariance=np.stack([state.kept_covariance[1], state.covariance]),
+                kept_covariance=np.stack([state.kept_covariance[1], state.covariance[unknowns.lower]]),
             )
         return state
 

@@ -65,6 +65,7 @@ class Unknowns:
         walk: Variance of their random walks per second, shape (N,).
         age: Time in s, on the average, since the middle of the block that they were learnt from.
         change: Standard deviations of sudden changes of the reference, shape (N,).
+        lower: Where the lower half of a matrix (N, N) lies, row by row.
         learnt: 1 where an unknown is estimated, 0 where it is only considered (Schmidt), shape (N,).
         sure: Variances from which down they are only considered as well, shape (N,).
         sure_still: The same for a robot that does not walk.
@@ -90,6 +91,7 @@ class Unknowns:
         self.load = [*range(self.com.start, self.com.stop), self.mass]
         self.unit: NDArray[np.float64] = setup.weight * lever
 
+        self.lower = np.tril_indices(self.size)
         self.start: NDArray[np.float64] = np.zeros(self.size)
         self.start[:channels] = 1.0
         self.std: NDArray[np.float64] = np.zeros(self.size)

@@ -255,7 +255,7 @@ typedef struct {
     sf_real mean[SF_UNKNOWNS], covariance[SF_UNKNOWNS * SF_UNKNOWNS];
     sf_real drift[SF_MAP], given[SF_UNKNOWNS], given_covariance[SF_MAP * SF_MAP];
     sf_real learnt[4 * SF_CHANNELS * SF_CHANNELS], spread[3 * SF_CHANNELS];
-    sf_real kept_mean[2 * SF_UNKNOWNS], kept_covariance[2 * SF_UNKNOWNS * SF_UNKNOWNS];
+    sf_real kept_mean[2 * SF_UNKNOWNS], kept_covariance[SF_UNKNOWNS * (SF_UNKNOWNS + 1)];
     sf_real noise[SF_KINDS], misfit;
     sf_real rate, swing_zero[SF_CHANNELS], swing_ago[SF_FEET], swing_sum[SF_CHANNELS], swing_samples[SF_FEET];
     sf_real unproven, due, quiet, anchor[SF_CHANNELS];
@@ -331,6 +331,7 @@ typedef struct {
 SF_API int sf_scales(const sf_config *c) { return c->channels + c->talks; }
 SF_API int sf_map(const sf_config *c) { return sf_scales(c) + c->channels; }
 SF_API int sf_unknowns(const sf_config *c) { return sf_map(c) + 10; }
+SF_API int sf_half(int rows) { return rows * (rows + 1) / 2; } /* of a symmetric matrix */
 SF_API int sf_motion(const sf_config *c) { return 15 + 12 * c->feet; }
 SF_API int sf_span(const sf_config *c) { return c->every + 2 * c->settle; }
 SF_API int sf_width(const sf_config *c) { return 2 * c->channels + sf_motion(c) + c->feet + 2; }
@@ -1154,12 +1155,15 @@ SF_API void sf_begin_anew(const sf_config *c, sf_state *s, const sf_real *count,
     if (!any) return;
     for (int state = 0; state < 3; state++) {
         sf_real *mean = state == 0 ? s->mean : s->kept_mean + (state - 1) * N;
-        sf_real *covariance = state == 0 ? s->covariance : s->kept_covariance + (state - 1) * N * N;
+        sf_real *kept = state == 0 ? s->covariance : s->kept_covariance + (state - 1) * sf_half(N);
         for (int i = 0; i < P + K; i++) {
             if (!wrong[c->foot_of_channel[i < K ? i : i < P ? c->talk_from[i - K] : i - P]]) continue;
             mean[i] = c->start[i];
-            for (int k = 0; k < N; k++) covariance[i * N + k] = covariance[k * N + i] = 0;
-            covariance[i * N + i] = c->first_variance[i];
+            for (int k = 0; k < N; k++) {
+                sf_real known = k == i ? c->first_variance[i] : 0;
+                if (state == 0) kept[i * N + k] = kept[k * N + i] = known;
+                else kept[k < i ? sf_half(i) + k : sf_half(k) + i] = known;
+            }
         }
     }
     for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
@@ -1984,11 +1988,18 @@ SF_API void sf_walked(const sf_config *c, sf_state *s, sf_real blocks) {
         if (!(s->swing_ago[foot] < 0)) s->swing_ago[foot] += blocks;
 }
 
+/* The lower half of a symmetric S of N rows, row by row. */
+SF_API void sf_keep(sf_real *half, const sf_real *S, int N) {
+    for (int i = 0; i < N; i++) sf_copy(half + sf_half(i), S + i * N, i + 1);
+}
+
 /* MomentStream._back: what the robot knew some seconds ago. */
 SF_API void sf_back(const sf_config *c, sf_state *s) {
     int N = sf_unknowns(c);
     sf_copy(s->mean, s->kept_mean, N);
-    sf_copy(s->covariance, s->kept_covariance, N * N);
+    for (int i = 0; i < N; i++)
+        for (int k = 0; k <= i; k++)
+            s->covariance[i * N + k] = s->covariance[k * N + i] = s->kept_covariance[sf_half(i) + k];
     memset(s->pending, 0, (size_t)(sf_span(c) * sf_width(c)) * sizeof(sf_real));
 }
 
@@ -2045,8 +2056,8 @@ SF_API void sf_watch(const sf_config *c, sf_state *s, sf_work *w, const sf_block
     if (s->step / c->every % c->keep_every == 0) {
         sf_copy(s->kept_mean, s->kept_mean + N, N);
         sf_copy(s->kept_mean + N, s->mean, N);
-        sf_copy(s->kept_covariance, s->kept_covariance + N * N, N * N);
-        sf_copy(s->kept_covariance + N * N, s->covariance, N * N);
+        sf_copy(s->kept_covariance, s->kept_covariance + sf_half(N), sf_half(N));
+        sf_keep(s->kept_covariance + sf_half(N), s->covariance, N);
     }
 }
 
@@ -2316,7 +2327,7 @@ SF_API void sf_calibrator_init_with(const sf_config *c, sf_state *s, sf_work *w)
     sf_copy(s->given, c->start, N);
     for (int kept = 0; kept < 2; kept++) {
         sf_copy(s->kept_mean + kept * N, s->mean, N);
-        sf_copy(s->kept_covariance + kept * N * N, s->covariance, N * N);
+        sf_keep(s->kept_covariance + kept * sf_half(N), s->covariance, N);
     }
     for (int kind = 0; kind < c->kinds; kind++) s->noise[kind] = SF_FIRST_NOISE;
     s->misfit = SF_FIRST_MISFIT;
@@ -2331,7 +2342,7 @@ SF_API void sf_calibrator_retract_with(const sf_config *c, sf_state *s, sf_work 
     int N = sf_unknowns(c);
     sf_back(c, s);
     sf_copy(s->kept_mean + N, s->kept_mean, N);
-    sf_copy(s->kept_covariance + N * N, s->kept_covariance, N * N);
+    sf_copy(s->kept_covariance + sf_half(N), s->kept_covariance, sf_half(N));
     sf_doubted(c, s, w);
 }
 

@@ -240,6 +240,15 @@ def robot(library, layout="cells", lag=2, method="moment", age=0.0, **options):
     return online_method(method, setup, **options), filter_
 
 
+def whole(halves):
+    """Return symmetric matrices, of which the lower halves are kept."""
+    size = int(np.sqrt(2 * halves.shape[-1]))
+    found = np.zeros((*halves.shape[:-1], size, size))
+    rows, columns = np.tril_indices(size)
+    found[..., rows, columns] = found[..., columns, rows] = halves
+    return found
+
+
 def same(name, expected, found, close=CLOSE, spread=1.0):
     """Assert that two arrays are the same: discrete ones exactly, covariances by their own deviations.
 
@@ -250,6 +259,8 @@ def same(name, expected, found, close=CLOSE, spread=1.0):
     if expected.dtype.kind != "f":
         np.testing.assert_array_equal(found, expected, err_msg=name)
         return
+    if name == "kept_covariance":
+        expected, found = whole(expected), whole(found)
     size = np.abs(expected).max(initial=0.0, where=np.isfinite(expected)) + np.zeros(expected.shape)
     if name in ("nis", "vgrf"):
         size = np.maximum(size, 1.0)  # a sum of squares, each of order one; a difference of forces of newtons
