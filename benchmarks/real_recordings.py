@@ -282,18 +282,13 @@ def _score(recording: Recording, cases: tuple[Floats, Floats], name: str) -> Flo
     elif name.startswith("window") and not recording.loaded.any():
         return None
     method, options = METHODS[name]
-    together = Reference(*(np.repeat(part[:, None], raw.shape[1], axis=1) for part in reference))
-    estimate = replay(
-        recording.layout,
-        method,
-        raw,
-        together,
-        1.0 / RATE,
-        mass=recording.weight / GRAVITY,
-        lag=0,
-        **options,
-    )
-    force = estimate.force if start is None else start.scale * raw + start.offset
+    if start is None:
+        known: dict[str, Any] = {"mass": recording.weight / GRAVITY, "lag": 0, **options}
+        drawn = raw.swapaxes(0, 1)
+        found = [replay(recording.layout, method, one, reference, 1.0 / RATE, **known) for one in drawn]
+        force = np.stack([estimate.force for estimate in found], axis=1)
+    else:
+        force = start.scale * raw + start.offset
     truth = recording.force if recording.loaded.any() else np.zeros_like(recording.force)
     judged = recording.judged
     cop = _cop(recording.layout, force)[judged] - recording.cop[judged][:, None]
