@@ -18,6 +18,7 @@ def script(benchmark_script):
     return found
 
 
+@pytest.mark.slow
 def test_it_tells_a_row_of_each_precision(script, capsys):
     script.main(["--steps", str(STEPS), "--robots", "2", "--rounds", "1"])
     rows = [row.split(" | ") for row in capsys.readouterr().out.splitlines()[2:]]
