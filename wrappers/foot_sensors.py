@@ -151,7 +151,7 @@ class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorAr
         truth, robot = self.source.truth, self.robot
         before, self._clock = self._clock, truth.time.item(-1)
         if before is not None:
-            check_clock("FootSensors", self.env, self._clock - before, robot.dt)
+            check_clock("FootSensors", self.env, self._clock - before, robot.telemetry.dt)
         seen = robot.step(truth, observation)
         if seen is None:
             seen = self._show(observation)

@@ -157,7 +157,6 @@ class RobotSensors:
         equipment: The same.
         listening: Whether telemetry is sent from the next reset on.
         time: The host's time since the reset in s.
-        dt: Duration of a control step in s, from the first reset on.
         sensors_fresh: Whether the last reset drew fresh sensors.
         held: The last reading of each channel that has arrived in counts, shape (K,).
         newest: Values of the newest packet that has arrived.
@@ -165,7 +164,7 @@ class RobotSensors:
 
     def __init__(self, equipment: Equipment, listening: bool, view: RawView | None = None) -> None:
         self.equipment, self.listening, self._view = equipment, listening, view
-        self.sensors_fresh, self.time, self.dt = True, 0.0, 0.0
+        self.sensors_fresh, self.time = True, 0.0
         self.held = equipment.instruments.zero_code.astype(np.float32)
         self.newest: NDArray[np.float64] = np.zeros(0)
         self._streams: dict[str, Any] = equipment.streams(None)
@@ -206,8 +205,7 @@ class RobotSensors:
             self._telemetry = self.equipment.telemetry(dt, len(truth.time))
             self.newest = np.zeros(self._telemetry.layout.size)
         self.sensors_fresh = wants_fresh(choice, seed, self.equipment.fresh, self._hardware is not None)
-        self.time, self.dt = 0.0, dt
-        draws = self.sensors_fresh or self._telemetry_state is None
+        self.time, draws = 0.0, self.sensors_fresh or self._telemetry_state is None
         if self.sensors_fresh:
             self._draw()
         # At the reset a robot hangs just above its footprints; packets before are of one that stood.
@@ -230,7 +228,7 @@ class RobotSensors:
         Returns:
             What is seen; ``None`` where the view is left to the caller.
         """
-        self.time += self.dt
+        self.time += self.telemetry.dt
         sensing = self._sensing or self._by_library(truth)
         read = None if sensing is None else sensing.step(truth, self.time, observation)
         if read is not None:

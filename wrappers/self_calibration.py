@@ -159,7 +159,7 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         sensors = self._sensors.robot
         before = sensors.time
         observation, reward, terminated, truncated, info = self.env.step(action)
-        check_clock("SelfCalibration", self.env, sensors.time - before, sensors.dt)
+        check_clock("SelfCalibration", self.env, sensors.time - before, sensors.telemetry.dt)
         observation = self._calibrate(observation, info)
         if terminated:
             # Mostly a fall, which began some moments ago.
