@@ -22,10 +22,10 @@ from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
 from surefoot.experiments.motion.plan import Limits, Rehearsal, plan_motion, rehearse
 from surefoot.experiments.walks.score import cop_world
 from surefoot.experiments.walks.walkers import STAND_TIME
+from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.sensors import LoadCells, sized
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import CalibrateFirst, FootSensors, SelfCalibration
-from surefoot.wrappers.belief_errors import NO_ERRORS
 
 Floats = NDArray[np.float64]
 

@@ -31,10 +31,10 @@ from surefoot.calibration.native import c_source as of_filter
 from surefoot.calibration.native import installed
 from surefoot.native import c_header, compiler, required
 from surefoot.native.build import FLAGS, SHARED
+from surefoot.robot.beliefs.native import c_source as of_beliefs
+from surefoot.robot.native import view_record
 from surefoot.sensors.native import NATIVE as SENSORS
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.native_beliefs import c_source as of_beliefs
-from surefoot.wrappers.native_sample import view_record
 
 PARTS = "sensors", "telemetry", "beliefs", "filter", "view"
 CLOSE = 1e-9

@@ -38,12 +38,12 @@ from surefoot.experiments.arena.replay import play
 from surefoot.experiments.arena.score import score_run
 from surefoot.experiments.arena.streams import Stream
 from surefoot.experiments.logs.format import Log, LogTruth, read_log, write_log
+from surefoot.robot.beliefs.errors import USUAL
+from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.sensors import Encoders, Imu, Link, LoadCells, encoders, imu, scaled
 from surefoot.sensors.devices.load_cells import load_cells, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
-from surefoot.wrappers.belief_errors import USUAL
-from surefoot.wrappers.nominal import NominalModel
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 The top level has configurations, presets, builders of devices, faults, and the simplest stages. All other
 stages are in :mod:`surefoot.sensors.stages` and :mod:`surefoot.sensors.transport`, states beside what makes
-them.
+them. What the robot's own computer makes of encoders and IMU is in :mod:`surefoot.sensors.telemetry`.
 """
 
 from surefoot.sensors.corruption import Corruption, chain

@@ -10,11 +10,11 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from surefoot import calibration, controllers, envs, experiments, sensors, wrappers
+    from surefoot import calibration, controllers, envs, experiments, robot, sensors, wrappers
 
     __version__: str
 
-__all__ = ["calibration", "controllers", "envs", "experiments", "sensors", "wrappers"]
+__all__ = ["calibration", "controllers", "envs", "experiments", "robot", "sensors", "wrappers"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,9 @@
 """What an extra of the package brings is asked for by its name."""
 
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
 
 def not_installed(name: str, missing: ImportError, extra: str) -> ImportError:
     """Return the error that says what to install for a module or function; one that says so already stays."""
@@ -9,3 +13,23 @@ def not_installed(name: str, missing: ImportError, extra: str) -> ImportError:
         f'{name} needs a package that is not installed ({missing}): pip install "surefoot[{extra}]".',
         name=missing.name,
     )
+
+
+def names_of(package: str, modules: Mapping[str, str], extra: str) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package that loads a module when a name of it is asked for.
+
+    Args:
+        package: Name of the package.
+        modules: The module of each name.
+        extra: The extra that brings what they need.
+    """
+
+    def get(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        try:
+            return getattr(import_module(modules[name]), name)
+        except ModuleNotFoundError as missing:
+            raise not_installed(f"{package}.{name}", missing, extra) from None
+
+    return get

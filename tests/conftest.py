@@ -1,8 +1,12 @@
-"""What holds for all tests."""
+"""What holds for all tests, and environments that several of them wrap; planning a walk is done once."""
 
 import gc
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -11,3 +15,18 @@ def pytest_collection_finish() -> None:
     """Keep what was imported (torch, pandas, matplotlib) out of garbage collections, which come seldom."""
     gc.freeze()
     gc.set_threshold(50_000, 20, 50)
+
+
+@pytest.fixture
+def make_bare() -> Callable[..., Any]:
+    """Make a bare environment; by default a walk of 12 s."""
+    import gymnasium as gym
+
+    import surefoot  # noqa: F401
+
+    def make(name: str = "surefoot/NaoWalk-v0", **options: Any) -> gym.Env[Any, Any]:
+        if "Walk" in name:
+            options = {"speed": 0.04, "duration": 12.0, **options}
+        return gym.make(name, **options)
+
+    return make

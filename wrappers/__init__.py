@@ -1,21 +1,20 @@
-"""Sensors and calibrators around an environment.
+"""Sensors and calibrators around an environment: faces of :mod:`surefoot.robot`.
 
 Modules are loaded when something of theirs is asked for: what serves GPU simulators
 (:mod:`surefoot.wrappers.gpu`) needs no MuJoCo.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from surefoot.extras import not_installed
+from surefoot.extras import names_of
 
 if TYPE_CHECKING:
-    from surefoot.wrappers.belief_errors import BeliefErrors
-    from surefoot.wrappers.beliefs import Beliefs
+    from surefoot.robot.beliefs.errors import BeliefErrors
+    from surefoot.robot.beliefs.nominal import NominalModel
+    from surefoot.robot.beliefs.references import Beliefs
     from surefoot.wrappers.calibrate_first import CalibrateFirst
     from surefoot.wrappers.foot_sensors import FootSensors
     from surefoot.wrappers.history import SampleHistory
-    from surefoot.wrappers.nominal import NominalModel
     from surefoot.wrappers.self_calibration import SelfCalibration
     from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
     from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration
@@ -35,26 +34,19 @@ __all__ = [
 ]
 
 _MODULES = {
-    "BeliefErrors": "belief_errors",
-    "Beliefs": "beliefs",
-    "CalibrateFirst": "calibrate_first",
-    "FootSensors": "foot_sensors",
-    "NominalModel": "nominal",
-    "SampleHistory": "history",
-    "SelfCalibration": "self_calibration",
-    "TruthRow": "vector.truth_row",
-    "VectorFootSensors": "vector.foot_sensors",
-    "VectorSelfCalibration": "vector.self_calibration",
+    "BeliefErrors": "surefoot.robot.beliefs.errors",
+    "Beliefs": "surefoot.robot.beliefs.references",
+    "CalibrateFirst": "surefoot.wrappers.calibrate_first",
+    "FootSensors": "surefoot.wrappers.foot_sensors",
+    "NominalModel": "surefoot.robot.beliefs.nominal",
+    "SampleHistory": "surefoot.wrappers.history",
+    "SelfCalibration": "surefoot.wrappers.self_calibration",
+    "TruthRow": "surefoot.wrappers.vector.truth_row",
+    "VectorFootSensors": "surefoot.wrappers.vector.foot_sensors",
+    "VectorSelfCalibration": "surefoot.wrappers.vector.self_calibration",
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    try:
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    except ModuleNotFoundError as missing:
-        raise not_installed(f"{__name__}.{name}", missing, "sim") from None
+__getattr__ = names_of(__name__, _MODULES, "sim")
 
 
 def __dir__() -> list[str]:

@@ -8,13 +8,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.raw_view import RawView
+from surefoot.robot.sensing.sensors import Equipment, RobotSensors, load_hardware, save_hardware
+from surefoot.robot.streams import SENSOR_STREAM
 from surefoot.sensors import Encoders, Fault, Imu, Link
+from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout
 from surefoot.sensors.transport.link import Packets
-from surefoot.wrappers.foot_device import SENSOR_STREAM, FootDevice
-from surefoot.wrappers.raw_view import RawView, check_order
-from surefoot.wrappers.robot_sensors import Equipment, RobotSensors, load_hardware, save_hardware
-from surefoot.wrappers.source import Source, check_clock, find_source, split_options, with_source
-from surefoot.wrappers.telemetry import Telemetry, TelemetryLayout
+from surefoot.wrappers.source import Source, check_clock, check_order, find_source, split_options, with_source
 
 
 class FootSensors(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):

@@ -9,18 +9,18 @@ from gymnasium import spaces
 
 from surefoot.calibration import FootCalibrator, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
-from surefoot.wrappers.belief_errors import USUAL, BeliefErrors
-from surefoot.wrappers.beliefs import Beliefs
-from surefoot.wrappers.foot_sensors import FootSensors
-from surefoot.wrappers.foot_view import DEFAULT, RAW, seen_below
-from surefoot.wrappers.native_beliefs import NativeBeliefs
-from surefoot.wrappers.robot_calibration import (
-    BELIEF_STREAM,
+from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
+from surefoot.robot.beliefs.native import NativeBeliefs
+from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.calibration import (
     CalibrationSetup,
     RobotCalibration,
     load_learnt,
     save_learnt,
 )
+from surefoot.robot.foot_view import DEFAULT, RAW, seen_below
+from surefoot.robot.streams import BELIEF_STREAM
+from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.source import check_clock, find_sensors, split_options
 
 
@@ -47,9 +47,9 @@ class SelfCalibration(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     The first four are shown by default. A robot of more than 20 kg has wider bounds, five times its weight. A
     centre of pressure is defined above 5 N; below, the last one is held and flagged, as all are for feet
     without area. The reference that the calibrator holds the counts against is made of the robot's beliefs
-    (telemetry and a nominal model with wrong masses, see :mod:`surefoot.wrappers.beliefs`), never of truth.
+    (telemetry and a nominal model with wrong masses, see :mod:`surefoot.robot.beliefs`), never of truth.
     Which feet stand and swing is what the environment's ``command`` plans, or else found by kinematics
-    (:mod:`surefoot.wrappers.contacts`).
+    (:mod:`surefoot.robot.beliefs.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or
     ``None``), ``"flags"`` (K), ``"vgrf"`` (2) N, ``"reference"`` (a mapping of the fields of

@@ -1,12 +1,12 @@
 """Where among wrappers the truth comes from, and how a reset is asked to keep or to change devices."""
 
 from collections.abc import Mapping
-from hashlib import sha256
 from typing import Any, Protocol, TypeVar, cast
 
 import gymnasium as gym
 import mujoco
-import numpy as np
+from gymnasium import ObservationWrapper, spaces
+from gymnasium.wrappers import FilterObservation
 
 from surefoot.envs import InstrumentedEnv, RobotDrawing
 
@@ -53,13 +53,6 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
         if not isinstance(below, gym.Wrapper):
             return None
         below = below.env
-
-
-def robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
-    """Return which robot it is, to be kept with what is saved of it."""
-    places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
-    mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
-    return f"{drawing.torso} with {', '.join(joint_names)}, drawing {mark}"
 
 
 def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -> Sensors:
@@ -112,6 +105,34 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
     return env
 
 
+def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:
+    """Raise TypeError if truth was mixed with what may be seen before it is taken out.
+
+    Only an environment with a ``state_layout`` shows truth that can be taken out; of others the whole
+    observation is handed on, whatever was made of it.
+
+    Args:
+        owner: The wrapper that takes it out, for messages.
+        env: What it goes around.
+        source: The environment.
+    """
+    below: Any = env
+    while below is not source and getattr(source, "state_layout", None) is not None:
+        filters = isinstance(below, FilterObservation)
+        if _state(below) != _state(below.env) or (isinstance(below, ObservationWrapper) and not filters):
+            raise TypeError(
+                f"{owner} takes the truth out of an observation and must see it as the environment shows it, "
+                f"but {type(below).__name__} below it makes something else of it; wrap in this order, and "
+                f"whatever changes observations around all sensors: {owner}(env). Got {env}."
+            )
+        below = below.env
+
+
+def _state(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
+    space = env.observation_space
+    return space.spaces.get("state") if isinstance(space, spaces.Dict) else None
+
+
 def check_clock(owner: str, env: Any, passed: float, dt: float) -> None:
     """Raise RuntimeError if a step did not last the environment's dt: all rates would be wrong.
 
@@ -156,26 +177,3 @@ def split_options(
                 f"options['{OPTIONS}']['{kind}'] must be one of {FRESH_OR_KEPT}, got {choice!r}."
             )
     return rest or None, dict(asked)
-
-
-def wants_fresh(choice: str | None, seed: int | None, always: bool, drawn: bool) -> bool:
-    """Return whether a reset draws fresh hardware.
-
-    A seed names one course of events, so that it draws; without one hardware is kept.
-
-    Args:
-        choice: What the reset's options ask for.
-        seed: Of the reset.
-        always: Whether every reset draws fresh hardware.
-        drawn: Whether there is anything to keep.
-    """
-    if not drawn:
-        return True
-    return choice == "fresh" if choice else always or seed is not None
-
-
-def check_stream(owner: str, stream: Any) -> None:
-    """Raise ValueError, in the name of a wrapper, if its stream is no whole number from 0 on."""
-    whole = isinstance(stream, (int, np.integer)) and not isinstance(stream, bool)
-    if not whole or stream < 0:
-        raise ValueError(f"{owner}: 'stream' must be a whole number from 0 on, got {stream!r}.")

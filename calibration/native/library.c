@@ -214,7 +214,7 @@ EXPORTED int surefoot_beliefs_fit(const sf_model *model, const sf_timing *timing
     return sf_beliefs_fit(model, timing);
 }
 EXPORTED void surefoot_beliefs_init(sf_beliefs *beliefs) { sf_beliefs_init(beliefs); }
-/* rows: of each packet its number, its arrival and its values as wrappers.telemetry.TelemetryLayout has them.
+/* rows: of each packet its number, its arrival and its values as surefoot.robot.TelemetryLayout has them.
  */
 EXPORTED void surefoot_beliefs_packets(const sf_model *model, const sf_timing *timing, sf_beliefs *beliefs,
                                        const double *rows, int count) {

@@ -1,11 +1,11 @@
 /* What one robot knows of its own motion without its feet's sensors, in C99: packets of joint angles and an
    IMU in, the sf_reference that sf_calibrator_step takes out.
 
-   The specification is the Python in wrappers/nominal.py, odometry.py, beliefs.py and contacts.py, whose
+   The specification is the Python in robot/beliefs/: nominal.py, odometry.py, references.py and contacts.py, whose
    module docstrings derive it; docs/native.md tells how to use this file. Nothing is allocated, nothing is
    global, and nothing is read or written but what is passed in.
 
-       sf_model model;           the robot's bodies and hinges, written by surefoot.wrappers.native_beliefs
+       sf_model model;           the robot's bodies and hinges, written by surefoot.robot.beliefs.native
        sf_timing timing;         its packets and samples
        sf_beliefs beliefs;       all that is remembered, a plain record that may be copied
        sf_beliefs_init(&beliefs);
@@ -47,7 +47,7 @@
 #error "beliefs are about two feet"
 #endif
 
-/* Places of the vectors of a row, see beliefs.py; the last four follow from neighbours or are as measured. */
+/* Places of the vectors of a row, see references.py; the last four follow from neighbours or are as measured. */
 enum {
     SF_ROW_COM = 0,
     SF_ROW_IMU = 3,

@@ -1,5 +1,5 @@
 /* What a policy is shown of calibrated feet, in C99: bounded, in single precision, and where a centre of
-   pressure is not defined the last one that was. The specification is the Python in wrappers/foot_view.py.
+   pressure is not defined the last one that was. The specification is the Python in robot/foot_view.py.
 
        sf_view view;             bounds
        sf_held held;             zeros before an episode, but `cop_std`, which is the bound

@@ -1,7 +1,7 @@
 """A robot's drawing, made ready for joint angles and an IMU, and references made with it.
 
 Any MJCF or URDF file with a floating body that carries the IMU, hinges and two soles (sites or bodies) will
-do. Beliefs are those of :mod:`surefoot.wrappers.beliefs`, packet by packet, but none is late.
+do. Beliefs are those of :mod:`surefoot.robot.beliefs`, packet by packet, but none is late.
 """
 
 from typing import Any
@@ -15,11 +15,11 @@ from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
+from surefoot.robot.beliefs.errors import NO_ERRORS
+from surefoot.robot.beliefs.nominal import NominalModel
+from surefoot.robot.beliefs.references import Beliefs
+from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet
-from surefoot.wrappers.belief_errors import NO_ERRORS
-from surefoot.wrappers.beliefs import Beliefs
-from surefoot.wrappers.nominal import NominalModel
-from surefoot.wrappers.telemetry import TelemetryLayout
 
 _IMU = "surefoot_imu"
 

@@ -19,7 +19,7 @@ from surefoot.envs.exercise.motion import motions_offered
 from surefoot.envs.prelude import Player, Prelude
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table
-from surefoot.wrappers.belief_errors import NO_ERRORS
+from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.self_calibration import SelfCalibration
 

@@ -20,8 +20,8 @@ from surefoot.envs import InstrumentedEnv, RobotDrawing
 from surefoot.envs.exercise.held import HeldRobot
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.score import held, rms
+from surefoot.robot.sensing.instruments import layout_options
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.instruments import layout_options
 
 METHODS = ("none", "tare", "window", "moment")
 SENSORS: Mapping[str, Any] = MappingProxyType({"load cells": None, "ankle sensors": "icub-force-torque"})

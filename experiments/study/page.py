@@ -145,7 +145,9 @@ def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None
     for table in tables:
         with atomic_path(folder / f"{prefix}{table.name}.csv") as part:
             table.to_frame().to_csv(part, index=False)
-    code = source_hash(*(f"surefoot.{part}" for part in ("calibration", "sensors", "envs", "wrappers")))
+    code = source_hash(
+        *(f"surefoot.{part}" for part in ("calibration", "sensors", "envs", "robot", "wrappers"))
+    )
     made = {
         "command": shlex.join(["surefoot", *sys.argv[1:]]),
         "software": f"surefoot {surefoot.__version__} (code {code})",

@@ -22,12 +22,12 @@ from surefoot.experiments.view.recording import Recording
 from surefoot.experiments.view.shown import WAYS, Reading, Shown, placed
 from surefoot.experiments.view.world import LiveWorld
 from surefoot.experiments.walks.walkers import STAND_TIME, TruthTap
+from surefoot.robot.foot_view import DEFAULT, FootView
+from surefoot.robot.sensing.instruments import layout_options, usual_cells
+from surefoot.robot.sensing.live_errors import LiveErrors
+from surefoot.robot.sensing.raw_view import TRUE_KEYS
 from surefoot.sensors.presets import BAR_CELLS_ON_HX711
 from surefoot.wrappers.foot_sensors import FootSensors
-from surefoot.wrappers.foot_view import DEFAULT, FootView
-from surefoot.wrappers.instruments import layout_options, usual_cells
-from surefoot.wrappers.live_errors import LiveErrors
-from surefoot.wrappers.raw_view import TRUE_KEYS
 from surefoot.wrappers.self_calibration import SelfCalibration
 from surefoot.wrappers.source import find_source, with_source
 

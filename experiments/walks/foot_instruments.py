@@ -12,8 +12,8 @@ from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.experiments.arrays import Floats
 from surefoot.experiments.weights.weighing import run_weighing
+from surefoot.robot.sensing.instruments import Instruments, SensorsInAnkles
 from surefoot.sensors import ForceTorque, LoadCells
-from surefoot.wrappers.instruments import Instruments, SensorsInAnkles
 
 _STREAM = 0x10605  # keeps the instruments' randomness apart from every other stream with the same seed
 

@@ -1,6 +1,6 @@
 /* All that is under one robot's feet, in C99: load cells, six-axis sensors or both, and what is broken about them.
 
-   The specification is Instruments of wrappers/instruments.py and RobotSensors of wrappers/robot_sensors.py; tests
+   The specification is Instruments of robot/sensing/instruments.py and RobotSensors of sensors.py beside it; tests
    hold the two together. An episode begins with sf_feet_begin, and each control step after it is one sf_feet_step.
    Configs may be shared by robots; states and streams are each robot's own. Nothing is allocated, and nothing is
    global. */

@@ -1,11 +1,11 @@
 /* What a robot's own computer measures and sends, in C99: joint encoders, an IMU, the tilt that follows from
    them, and a link that brings packets late, with jitter and in order.
 
-   The specification is the Python: wrappers/telemetry.py and wrappers/attitude.py, sensors/devices/encoders.py
+   The specification is the Python: sensors/telemetry/computer.py and attitude.py, sensors/devices/encoders.py
    and imu.py, sensors/transport/link.py. A test holds the two together; docs/native.md tells how to use this
    file. Nothing is allocated, nothing is global, and nothing is read or written but what is passed in.
 
-       sf_telemetry_config config;     constants, written by surefoot.wrappers.native_telemetry
+       sf_telemetry_config config;     constants, written by surefoot.sensors.telemetry.native
        sf_telemetry state;             all that is remembered, a plain record that may be copied
        count = sf_telemetry_init(&config, &state, position, inertial, 1, &stream, packets);
        count = sf_telemetry_advance(&config, &state, position, inertial, time, &stream, packets);
@@ -125,7 +125,7 @@ SF_API void sf_imu(const sf_telemetry_config *c, sf_telemetry *s, const sf_real 
     }
 }
 
-/* Turn the belief of what is up on by one sample: `update` of wrappers/attitude.py. */
+/* Turn the belief of what is up on by one sample: `update` of sensors/telemetry/attitude.py. */
 SF_API void sf_attitude(sf_telemetry *s, const sf_real *gyroscope, const sf_real *accelerometer, sf_real dt) {
     sf_real x = s->up[0], y = s->up[1], z = s->up[2], *b = s->gyroscope_bias;
     sf_real wx = gyroscope[0] - b[0], wy = gyroscope[1] - b[1], wz = gyroscope[2] - b[2];

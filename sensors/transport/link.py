@@ -19,6 +19,9 @@ ROUNDING = 1e-9
 """Time in s by which a packet may be late and still count: one that arrives with the host's own step must not
 miss it by rounding."""
 
+JITTER_BOUND = 6.0
+"""Standard deviations of a wire's or a link's jitter that no word is late by."""
+
 
 @dataclass(frozen=True)
 class Link:

@@ -18,8 +18,8 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.experiments.episodes.episode import failed_row
 from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.belief_errors import NO_ERRORS
 
 NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 SAMPLES = 60

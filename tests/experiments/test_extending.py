@@ -33,9 +33,9 @@ from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan
 from surefoot.experiments.episodes.run import case_of, run_plan
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.view.session import method_chosen
+from surefoot.robot.foot_view import check_certainty
 from surefoot.sensors import PRESETS, Fault, ForceTorque, Imu, LoadCells, preset, presets, register_preset
 from surefoot.wrappers import FootSensors, SelfCalibration, VectorFootSensors, VectorSelfCalibration
-from surefoot.wrappers.foot_view import check_certainty
 
 TUTORIALS = Path(__file__).parents[2] / "docs" / "tutorials"
 PRESET = """

@@ -16,7 +16,7 @@ import yaml
 import surefoot
 
 ROOT = Path(__file__).parents[2]
-SUBPACKAGES = ("calibration", "controllers", "envs", "experiments", "sensors", "wrappers")
+SUBPACKAGES = ("calibration", "controllers", "envs", "experiments", "robot", "sensors", "wrappers")
 
 
 def run_python(code: str) -> str:
@@ -90,6 +90,7 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
     [
         ("import surefoot.envs", "gymnasium", "sim"),
         ("surefoot.wrappers.FootSensors", "mujoco", "sim"),
+        ("surefoot.robot.NominalModel", "mujoco", "sim"),
         ("import surefoot.wrappers.gpu", "torch", "gpu"),
         ("from surefoot.experiments import read_log", "pyarrow", "experiments"),
         ("import surefoot.wrappers.vector.sb3", "stable_baselines3", "rl"),
@@ -105,6 +106,14 @@ def test_what_an_extra_brings_is_asked_for_by_its_name(statement: str, missing: 
     )
     assert missing in printed
     assert f'pip install "surefoot[{extra}]"' in printed
+
+
+@pytest.mark.parametrize(
+    ("module", "absent"),
+    [("wrappers.gpu", ("gymnasium", "mujoco")), ("robot.beliefs.native", ("gymnasium",))],
+)
+def test_what_needs_no_simulator_is_imported_without(module: str, absent: tuple[str, ...]) -> None:
+    run_python(f"import sys, surefoot\nsys.modules.update(dict.fromkeys({absent}))\nimport surefoot.{module}")
 
 
 def test_import_is_light() -> None:

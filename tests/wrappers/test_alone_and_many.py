@@ -9,9 +9,9 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import surefoot  # noqa: F401
+from surefoot.robot.foot_view import PARTS
 from surefoot.sensors import LoadCells, Wire
 from surefoot.wrappers import FootSensors, SelfCalibration, TruthRow, VectorFootSensors, VectorSelfCalibration
-from surefoot.wrappers.foot_view import PARTS
 
 ROBOTS, EPISODE = 2, 14
 NOISY = LoadCells(

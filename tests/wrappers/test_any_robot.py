@@ -12,6 +12,7 @@ from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import SyncVectorEnv
 
 from surefoot.envs import InstrumentedEnv
+from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.sensors import preset, sized
 from surefoot.sensors.presets import PERFECT_FORCE_TORQUE
 from surefoot.wrappers import (
@@ -21,7 +22,6 @@ from surefoot.wrappers import (
     VectorFootSensors,
     VectorSelfCalibration,
 )
-from surefoot.wrappers.belief_errors import NO_ERRORS
 
 ANKLES = "icub-force-torque"
 NAO = {"speed": 0.04, "duration": 12.0}

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from surefoot.calibration import FootCalibrator, Parameters
+from surefoot.robot.beliefs.contacts import CONTACT_MARGIN, Plan
+from surefoot.robot.foot_view import DEFAULT
 from surefoot.sensors import ForceTorque, Wire
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.contacts import CONTACT_MARGIN, Plan
-from surefoot.wrappers.foot_view import DEFAULT
 
 STILL = np.zeros(11, dtype=np.float32)
 

@@ -8,10 +8,10 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 from surefoot.calibration import Parameters
+from surefoot.robot.beliefs.errors import NO_ERRORS, BeliefErrors
 from surefoot.sensors import Fault, ForceTorque, Imu, LoadCells, preset
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.belief_errors import NO_ERRORS, BeliefErrors
 
 STACKS = {
     "preset": lambda env: FootSensors(env),

@@ -15,6 +15,12 @@ import torch
 from torch import Tensor
 
 from surefoot.calibration.parameters import Parameters
+from surefoot.robot.sensing.device import (
+    FootDevice,
+    first_steps,
+    foot_device,
+)
+from surefoot.robot.streams import SENSOR_STREAM, device_streams
 from surefoot.sensors import Fault, LoadCells, parse_fault, scaled
 from surefoot.sensors.devices.load_cells import true_map
 from surefoot.sensors.devices.native_cells import CELLS
@@ -26,13 +32,6 @@ from surefoot.sensors.faults.words import FEET
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.foot_device import (
-    SENSOR_STREAM,
-    FootDevice,
-    device_streams,
-    first_steps,
-    foot_device,
-)
 from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds
 from surefoot.wrappers.gpu.kernels import Kernel, kernel
 

@@ -19,9 +19,9 @@ from surefoot.calibration import Estimate, FeetLayout, Parameters, Reference, on
 from surefoot.calibration.native import native_filter
 from surefoot.calibration.setup import method_name, setup_from_options
 from surefoot.names import plain_name
+from surefoot.robot.beliefs.lag import waiting_samples
 from surefoot.wrappers.gpu.batch import DTYPES, BatchModule, Counter, RobotIds, mask_of, views
 from surefoot.wrappers.gpu.kernels import kernel
-from surefoot.wrappers.lag import waiting_samples
 
 _ADVANCE, _FROZEN, _FRESH, _RETRACT = 1, 2, 4, 8
 """What a thread is told: that this is a new step; that nothing is learnt; in place of a step to start fresh,

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.wrappers.foot_view import seen_below
-from surefoot.wrappers.robot_calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
+from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
+from surefoot.robot.foot_view import seen_below
 from surefoot.wrappers.vector.sensors import BatchSensors
 
 Mask = NDArray[np.bool_]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs.batch import BatchVectorEnv
-from surefoot.wrappers.foot_device import FootDevice
-from surefoot.wrappers.raw_view import TRUTH_KEY
-from surefoot.wrappers.robot_sensors import load_hardware, save_hardware
+from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.raw_view import TRUTH_KEY
+from surefoot.robot.sensing.sensors import load_hardware, save_hardware
 from surefoot.wrappers.source import split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
 from surefoot.wrappers.vector.truth import batch_truth

@@ -13,8 +13,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.extras import not_installed
-from surefoot.wrappers.foot_device import FootDevice
-from surefoot.wrappers.raw_view import TRUTH_KEY
+from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.vector.calibration import BatchCalibration
 from surefoot.wrappers.vector.sensors import BatchSensors, SensorOptions, merge_rows
 from surefoot.wrappers.vector.truth import batch_truth

@@ -24,8 +24,8 @@ class VectorSelfCalibration(VectorWrapper[Any, Any, Any, Any, Any]):
     it.
 
     What was learnt is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
-    robots that are not upright (:class:`~surefoot.wrappers.contacts.Upright`). Calibration starts fresh at a
-    reset with a seed or with fresh sensors, with ``fresh=True`` at each reset, and
+    robots that are not upright (:class:`~surefoot.robot.beliefs.contacts.Upright`). Calibration starts fresh
+    at a reset with a seed or with fresh sensors, with ``fresh=True`` at each reset, and
     ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one.
 
     Args:

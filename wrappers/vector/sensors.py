@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
 from surefoot.envs import RobotDrawing
+from surefoot.robot.sensing.device import FootDevice
+from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
+from surefoot.robot.sensing.sensors import Equipment, RobotSensors
 from surefoot.sensors import Encoders, Fault, Imu, Link
-from surefoot.wrappers.foot_device import FootDevice
-from surefoot.wrappers.raw_view import TRUTH_KEY, RawView
-from surefoot.wrappers.robot_sensors import Equipment, RobotSensors
-from surefoot.wrappers.telemetry import TelemetryLayout
+from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.wrappers.vector.truth_row import NO_PLAN, RowMeaning, read_rows
 
 Floats = NDArray[np.float64]

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from surefoot.envs import FeetTruth, InstrumentedEnv, Truth
 from surefoot.envs.instrumentation.robot import FootColumns, TorsoColumns
-from surefoot.wrappers.raw_view import TRUE_KEYS, TRUTH_KEY, check_order, own_copy
-from surefoot.wrappers.source import check_clock, find_source, with_source
-from surefoot.wrappers.telemetry import MEASURED
+from surefoot.robot.sensing.raw_view import TRUE_KEYS, TRUTH_KEY, own_copy
+from surefoot.sensors.telemetry.computer import MEASURED
+from surefoot.wrappers.source import check_clock, check_order, find_source, with_source
 
 NO_PLAN = -1.0
 """What the row holds for feet planned to stand and to swing, 0 or 1, where nobody plans."""

@@ -113,7 +113,7 @@ class FootView:
 
         Args:
             estimate: The calibrator's.
-            soles: Where the soles are now (:meth:`~surefoot.wrappers.beliefs.Beliefs.soles`), shape (2, 4).
+            soles: Where the soles are now (:meth:`~surefoot.robot.Beliefs.soles`), shape (2, 4).
 
         Returns:
             Fresh arrays by part. Where a centre of pressure is not defined, the last one that was is held.

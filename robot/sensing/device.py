@@ -9,26 +9,10 @@ from surefoot.names import plain_name
 from surefoot.sensors import PRESETS, ForceTorque, LoadCells, preset
 from surefoot.sensors.configuration import current_names, from_mapping
 from surefoot.sensors.presets import resolve
-from surefoot.sensors.randomness import Stream
+from surefoot.sensors.transport.link import JITTER_BOUND
 
 FootDevice = LoadCells | ForceTorque
 """What can be under a foot."""
-
-JITTER_BOUND = 6.0
-"""Standard deviations of a wire's or a link's jitter that no word is late by."""
-
-
-SENSOR_STREAM = 0x5F00
-"""Number of the random stream that sensors draw from unless another is given."""
-
-DEVICES = ("cells", "ankles", "faults", "telemetry")
-"""Devices of a robot that draw; each has a stream of its own within that one, by its place here."""
-
-
-def device_streams(stream: int, seed: int | None) -> dict[str, Stream]:
-    """Return the random streams of one robot's devices; nobody knows them without a seed."""
-    keys = ((stream, seed, number) if seed is not None else () for number in range(len(DEVICES)))
-    return {device: Stream.of(*key) for device, key in zip(DEVICES, keys, strict=True)}
 
 
 def foot_device(config: str | Mapping[str, Any] | FootDevice) -> FootDevice:

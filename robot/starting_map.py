@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
-from surefoot.wrappers.belief_errors import BeliefErrors
+from surefoot.robot.beliefs.errors import BeliefErrors
 
 
 class StartingMap:

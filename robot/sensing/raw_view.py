@@ -4,13 +4,11 @@ from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
-from gymnasium import ObservationWrapper, spaces
-from gymnasium.wrappers import FilterObservation
+from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.wrappers.telemetry import MEASURED, TelemetryLayout
+from surefoot.sensors.telemetry.computer import MEASURED, TelemetryLayout
 
 TRUE_KEYS = ("foot_force", "cop", "cop_foot", "cop_valid")
 """Parts of an observation that only truth has; readings take their place."""
@@ -99,34 +97,6 @@ class RawView:
             for k in (0, 1)
         )
         return np.zeros_like(self.bounds[0]), to, taken
-
-
-def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:
-    """Raise TypeError if truth was mixed with what may be seen before it is taken out.
-
-    Only an environment with a ``state_layout`` shows truth that can be taken out; of others the whole
-    observation is handed on, whatever was made of it.
-
-    Args:
-        owner: The wrapper that takes it out, for messages.
-        env: What it goes around.
-        source: The environment.
-    """
-    below: Any = env
-    while below is not source and getattr(source, "state_layout", None) is not None:
-        filters = isinstance(below, FilterObservation)
-        if _state(below) != _state(below.env) or (isinstance(below, ObservationWrapper) and not filters):
-            raise TypeError(
-                f"{owner} takes the truth out of an observation and must see it as the environment shows it, "
-                f"but {type(below).__name__} below it makes something else of it; wrap in this order, and "
-                f"whatever changes observations around all sensors: {owner}(env). Got {env}."
-            )
-        below = below.env
-
-
-def _state(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
-    space = env.observation_space
-    return space.spaces.get("state") if isinstance(space, spaces.Dict) else None
 
 
 def own_copy(part: Any) -> Any:

@@ -10,9 +10,9 @@ from surefoot.calibration import FootCalibrator, Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import Library, NativeFilter, NativeState
 from surefoot.envs.observation import COP_BOUND
-from surefoot.wrappers.beliefs import reference_info
-from surefoot.wrappers.foot_view import FootView
-from surefoot.wrappers.native_beliefs import NativeBeliefs
+from surefoot.robot.beliefs.native import NativeBeliefs
+from surefoot.robot.beliefs.references import reference_info
+from surefoot.robot.foot_view import FootView
 
 _OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
 """What ``info`` holds of an estimate."""

@@ -11,9 +11,10 @@ import pytest
 
 import surefoot  # noqa: F401
 from surefoot.native import compiler
+from surefoot.robot.sensing import sensors
 from surefoot.sensors import Fault, LoadCells, Wire
 from surefoot.sensors.native import NATIVE
-from surefoot.wrappers import FootSensors, robot_sensors
+from surefoot.wrappers import FootSensors
 
 CLOSE, STEPS = 1e-9, 25
 WIRE = Wire(spike_rate=9.0, packet_loss=0.2, delay=0.02, jitter=0.004, under_way=12)
@@ -80,7 +81,7 @@ def test_episodes_are_the_same(case: str) -> None:
             action = rng.uniform(-0.2, 0.2, library.action_space.shape).astype(np.float32)
             if k == 10:
                 library.robot._leave_library()
-                with patch.object(robot_sensors, "native_sensing", lambda *_: None):
+                with patch.object(sensors, "native_sensing", lambda *_: None):
                     found, *_ = library.step(action)
                 assert library.robot._sensing is None
                 library.robot._by_library(library.source.truth)

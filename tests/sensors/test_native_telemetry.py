@@ -14,9 +14,9 @@ from surefoot.native import compiler
 from surefoot.sensors import Encoders, Imu, Link, preset
 from surefoot.sensors.native import NATIVE
 from surefoot.sensors.randomness import Stream
+from surefoot.sensors.telemetry.computer import Hardware, Telemetry
+from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState, telemetry_of
 from surefoot.wrappers import FootSensors
-from surefoot.wrappers.native_telemetry import NativeTelemetry, NativeTelemetryState, telemetry_of
-from surefoot.wrappers.telemetry import Hardware, Telemetry
 
 STEPS, EXCHANGE, BLOWN_UP, CLOSE = 2000, 1234, 1000, 1e-9
 
@@ -168,13 +168,13 @@ def test_a_crowded_link_goes_on_in_python_and_comes_back(library) -> None:
 
 
 def test_what_does_not_fit_is_python(library, monkeypatch) -> None:
-    monkeypatch.setattr("surefoot.wrappers.native_telemetry.installed", lambda: library)
+    monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda: library)
     assert type(telemetry_of(*TABLE["usual"])) is NativeTelemetry
     for joints, link in ((65, Link()), (6, Link(jitter=0.5)), (6, Link(jitter=1e12))):
         assert type(telemetry_of(joints, Imu(), Encoders(), link, 1 / 80, 10)) is Telemetry
     with pytest.raises(ValueError, match=r"Link\.rate must be at most 800 per second"):
         telemetry_of(6, Imu(), Encoders(), Link(rate=900.0), 1 / 80, 10)
-    monkeypatch.setattr("surefoot.wrappers.native_telemetry.installed", lambda: None)
+    monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda: None)
     assert type(telemetry_of(*TABLE["usual"])) is Telemetry
 
 
@@ -195,7 +195,7 @@ def test_a_wrapped_robot_is_the_same_by_either(library, monkeypatch) -> None:
     """Copied and pickled on the way, as vector environments and checkpoints do."""
     seen = []
     for found in (None, library):
-        monkeypatch.setattr("surefoot.wrappers.native_telemetry.installed", lambda found=found: found)
+        monkeypatch.setattr("surefoot.sensors.telemetry.native.installed", lambda found=found: found)
         env = FootSensors(gym.make("surefoot/NaoStand-v0"))
         observation, _ = env.reset(seed=4)
         states = [observation["state"]]

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.native import Record
+from surefoot.robot.sensing.instruments import Instruments, InstrumentsState
+from surefoot.robot.sensing.raw_view import RawView
 from surefoot.sensors.devices.native_device import NativeDevice
 from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
+from surefoot.sensors.telemetry.native import NativeTelemetry, NativeTelemetryState
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.instruments import Instruments, InstrumentsState
-from surefoot.wrappers.native_telemetry import NativeTelemetry, NativeTelemetryState
-from surefoot.wrappers.raw_view import RawView
 
 _SEEN = itemgetter("raw", "counts", "state")
 

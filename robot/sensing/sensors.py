@@ -5,6 +5,7 @@ Wrappers of one robot and of many are made of it, so that a seed gives a robot t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -15,20 +16,20 @@ from numpy.typing import NDArray
 from surefoot.calibration import GRAVITY, Parameters
 from surefoot.calibration.state import load_state, save_state
 from surefoot.envs import RobotDrawing
+from surefoot.robot.sensing.device import FootDevice, foot_device
+from surefoot.robot.sensing.instruments import Instruments, InstrumentsState, usual_cells
+from surefoot.robot.sensing.native import NativeSensing, Seen, native_sensing
+from surefoot.robot.sensing.raw_view import RawView
+from surefoot.robot.streams import SENSOR_STREAM, check_stream, device_streams, wants_fresh
 from surefoot.sensors import Encoders, Fault, Imu, Link, channel_faults, parse_fault, scaled
 from surefoot.sensors.devices.native_device import native_here
 from surefoot.sensors.devices.native_faults import FAULTS, Broken
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import Stream
+from surefoot.sensors.telemetry.computer import Telemetry, timely_link
+from surefoot.sensors.telemetry.native import telemetry_of
 from surefoot.sensors.transport.link import Packets
 from surefoot.sensors.transport.wire import check_wire
-from surefoot.wrappers.foot_device import SENSOR_STREAM, FootDevice, device_streams, foot_device
-from surefoot.wrappers.instruments import Instruments, InstrumentsState, usual_cells
-from surefoot.wrappers.native_sensing import NativeSensing, Seen, native_sensing
-from surefoot.wrappers.native_telemetry import telemetry_of
-from surefoot.wrappers.raw_view import RawView
-from surefoot.wrappers.source import check_stream, robot_note, wants_fresh
-from surefoot.wrappers.telemetry import Telemetry, timely_link
 
 
 class HardwareState(NamedTuple):
@@ -37,8 +38,8 @@ class HardwareState(NamedTuple):
     Attributes:
         instruments: What is under the feet.
         faults: What is broken about it, or ``()``.
-        telemetry: IMU and encoders (:class:`~surefoot.wrappers.telemetry.Hardware`), or ``None`` where nobody
-            listens.
+        telemetry: IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None``
+            where nobody listens.
     """
 
     instruments: InstrumentsState
@@ -133,7 +134,7 @@ class Equipment:
     def notes(self) -> dict[str, str]:
         """Return what hardware that is saved belongs to."""
         return {
-            "robot": robot_note(self.drawing, self._joint_names),
+            "robot": _robot_note(self.drawing, self._joint_names),
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
             "channels": " ".join(self.instruments.layout.channel_names),
             "faults": "; ".join(map(repr, self._faults)) or "none",
@@ -143,6 +144,13 @@ class Equipment:
         if not isinstance(given, str):
             return resolve(given, Fault)
         return parse_fault(given, self.drawing.feet, self.instruments.layout.feet[0].channel_names)
+
+
+def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
+    """Return which robot it is, to be kept with what is saved of it."""
+    places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
+    mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
+    return f"{drawing.torso} with {', '.join(joint_names)}, drawing {mark}"
 
 
 class RobotSensors:

@@ -11,12 +11,12 @@ from surefoot.calibration import ground_reference
 from surefoot.calibration.front_end.filters import low_pass
 from surefoot.calibration.reference import Reference
 from surefoot.envs import load_nao_spec
+from surefoot.robot import Beliefs, NominalModel, TelemetryLayout
+from surefoot.robot.beliefs.errors import NO_ERRORS, BeliefErrors
+from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.sensors import Imu, Link, preset
 from surefoot.sensors.transport.link import Packet
-from surefoot.wrappers import Beliefs, FootSensors, NominalModel, SelfCalibration
-from surefoot.wrappers.belief_errors import NO_ERRORS, BeliefErrors
-from surefoot.wrappers.odometry import Odometry
-from surefoot.wrappers.telemetry import TelemetryLayout
+from surefoot.wrappers import FootSensors, SelfCalibration
 
 DT = 1 / 80
 

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from surefoot.calibration import Reference
 from surefoot.calibration.native import Library, ReferenceRecord, installed
 from surefoot.native import c_header, required
+from surefoot.robot.beliefs.contacts import planned_window
+from surefoot.robot.beliefs.lag import HISTORY
+from surefoot.robot.beliefs.references import ROWS, Beliefs, nothing
+from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
-from surefoot.wrappers.beliefs import HISTORY, ROWS, Beliefs, nothing
-from surefoot.wrappers.contacts import planned_window
-from surefoot.wrappers.telemetry import TelemetryLayout
 
 AT_ONCE = 8
 """Packets that are handed over together."""

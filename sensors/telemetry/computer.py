@@ -16,9 +16,8 @@ from surefoot.sensors.configuration import require
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.imu import ImuState
 from surefoot.sensors.presets import resolve
-from surefoot.sensors.transport.link import Packets, receive, send
-from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
-from surefoot.wrappers.foot_device import JITTER_BOUND
+from surefoot.sensors.telemetry.attitude import UPRIGHT, Attitude, update
+from surefoot.sensors.transport.link import JITTER_BOUND, Packets, receive, send
 
 VELOCITY_TIME_CONSTANT = 0.02
 """Time constant in s of the low-pass filter on differences of encoder readings."""

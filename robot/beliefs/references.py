@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
+from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
+from surefoot.robot.beliefs.lag import HISTORY
+from surefoot.robot.beliefs.nominal import NominalModel
+from surefoot.robot.beliefs.odometry import Odometry
+from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
-from surefoot.wrappers.contacts import Kinematics, Plan, Upright
-from surefoot.wrappers.nominal import NominalModel
-from surefoot.wrappers.odometry import Odometry
-from surefoot.wrappers.telemetry import TelemetryLayout
 
 COM, IMU, SOLES, AXES, MOMENTUM, FORCE = 0, 1, slice(2, 4), slice(4, 10), 10, 11
 """In odometry axes, from the torso's origin: centre of mass, IMU and soles in m, both soles' axes x, y and z,
@@ -53,9 +54,6 @@ FURTHEST = 8.0
 
 CLOCK_MEMORY = 256
 """Packets over which arrival times are averaged to find the robot's clock on the host's."""
-
-HISTORY = 64
-"""How many packets are kept: more than any lag needs."""
 
 LARGEST_VALUE = 1e6
 """Largest number that a packet can hold; one with a larger one, or with NaN, counts as lost."""

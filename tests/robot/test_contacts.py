@@ -9,8 +9,8 @@ import pytest
 
 from surefoot.calibration import Reference
 from surefoot.envs import InstrumentedEnv
+from surefoot.robot.beliefs.contacts import CONTACT_MARGIN, Kinematics, Upright
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.contacts import CONTACT_MARGIN, Kinematics, Upright
 
 
 def believed(left: float, right: float, *, roll: float = 0.0, force: float = 9.81) -> Reference:

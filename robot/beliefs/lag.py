@@ -2,10 +2,12 @@
 
 from math import ceil
 
-from surefoot.wrappers.beliefs import HISTORY
-from surefoot.wrappers.contacts import CONTACT_MARGIN
-from surefoot.wrappers.foot_device import JITTER_BOUND
-from surefoot.wrappers.telemetry import Telemetry
+from surefoot.robot.beliefs.contacts import CONTACT_MARGIN
+from surefoot.sensors.telemetry.computer import Telemetry
+from surefoot.sensors.transport.link import JITTER_BOUND
+
+HISTORY = 64
+"""How many packets are kept: more than any lag needs."""
 
 
 def usual_lag(telemetry: Telemetry, age: float) -> int:

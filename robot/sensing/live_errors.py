@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
+from surefoot.robot.sensing.instruments import Instruments
 from surefoot.sensors import Corruption, channel_faults, parse_fault
-from surefoot.wrappers.instruments import Instruments
 
 
 @dataclass

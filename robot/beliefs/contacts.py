@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, Reference
-from surefoot.wrappers.odometry import FREE_FALL
+from surefoot.robot.beliefs.odometry import FREE_FALL
 
 CONTACT_MARGIN = 4
 """Samples by which a planned stance or swing must hold before and after one to be sure of it: joints follow

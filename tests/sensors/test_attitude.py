@@ -5,7 +5,7 @@ from math import cos, sin
 import numpy as np
 import pytest
 
-from surefoot.wrappers.attitude import UPRIGHT, Attitude, update
+from surefoot.sensors.telemetry.attitude import UPRIGHT, Attitude, update
 
 DT = 0.01
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.sensors import Encoders, Imu, Link, preset
-from surefoot.wrappers.telemetry import PACKETS_BEFORE_START, Telemetry
+from surefoot.sensors.telemetry.computer import PACKETS_BEFORE_START, Telemetry
 
 DT, SUBSTEPS = 1 / 80, 10
 EXACT = preset("perfect", Encoders)

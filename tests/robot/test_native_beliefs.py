@@ -18,15 +18,15 @@ from surefoot.calibration.native import NATIVE, Library
 from surefoot.envs import InstrumentedEnv
 from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.native import Record, compiler
+from surefoot.robot.beliefs.errors import BeliefErrors
+from surefoot.robot.beliefs.native import NativeBeliefs, c_source, native_beliefs
+from surefoot.robot.beliefs.nominal import NominalModel
+from surefoot.robot.beliefs.references import Beliefs, nothing
+from surefoot.robot.foot_view import PARTS, FootView
+from surefoot.robot.native import shown_dtype, view_record
+from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers import FootSensors, SelfCalibration
-from surefoot.wrappers.belief_errors import BeliefErrors
-from surefoot.wrappers.beliefs import Beliefs, nothing
-from surefoot.wrappers.foot_view import PARTS, FootView
-from surefoot.wrappers.native_beliefs import NativeBeliefs, c_source, native_beliefs
-from surefoot.wrappers.native_sample import shown_dtype, view_record
-from surefoot.wrappers.nominal import NominalModel
-from surefoot.wrappers.telemetry import TelemetryLayout
 
 PACKETS, PERIOD, DT, LATE = 2000, 0.01, 0.0125, 0.03
 ERRORS = BeliefErrors(mass=0.01, com=0.005)
@@ -253,14 +253,14 @@ def test_other_masses_are_believed_from_then_on(library, model):
 
 
 def test_copies_go_on_alike(library, model, monkeypatch):
-    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
     packets = motion(len(model.joint_names))[:80]
     native = native_beliefs(python(model))
     assert isinstance(native, NativeBeliefs)
     native.update(packets[:60])
     native.sample(0.4, None)
     others = [copy.deepcopy(native), pickle.loads(pickle.dumps(native))]
-    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: None)
+    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: None)
     others.append(pickle.loads(pickle.dumps(native)))
     assert [type(other) for other in others] == [NativeBeliefs, NativeBeliefs, Beliefs]
     for other in others:
@@ -274,7 +274,7 @@ def test_copies_go_on_alike(library, model, monkeypatch):
 
 
 def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library, monkeypatch):
-    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
     model = ROBOTS["nao"]()
     late = python(model, lag=80)
     assert native_beliefs(late) is late
@@ -310,7 +310,7 @@ def test_what_does_not_fit_is_found(library):
 
 def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path):
     """A program in C, with nothing of Python, and sanitizers that look for misuse of memory."""
-    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(python(model)))
     (tmp_path / "main.c").write_text(PROGRAM)
     compile_program(NATIVE, tmp_path / "main.c", tmp_path / "main", *SANITIZED)
@@ -332,7 +332,7 @@ def test_a_robot_alone_believes_the_same(model, library, monkeypatch, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("flags", [(), ("-DSF_SINGLE",)])
 def test_a_million_samples_of_garbage_are_survived(model, library, monkeypatch, tmp_path, flags):
-    monkeypatch.setattr("surefoot.wrappers.native_beliefs.installed", lambda: library)
+    monkeypatch.setattr("surefoot.robot.beliefs.native.installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(python(model)))
     source = Path(__file__).parent / "fuzz_beliefs.c"
     compile_program(NATIVE, source, tmp_path / "fuzz", f"-I{tmp_path}", *SANITIZED, *flags)
@@ -365,7 +365,7 @@ def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch):
     """With the library and without, whole episodes are the same; a held reference is NaN."""
     said, estimates = [], []
     for found in (library, None):
-        for module in ("calibration.foot_calibrator", "wrappers.native_beliefs"):
+        for module in ("calibration.foot_calibrator", "robot.beliefs.native"):
             monkeypatch.setattr(f"surefoot.{module}.installed", lambda found=found: found)
         env = SelfCalibration(FootSensors(make_bare()), show=PARTS)
         env.reset(seed=4)

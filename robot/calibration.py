@@ -16,21 +16,18 @@ from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.setup import method_name
 from surefoot.calibration.state import load_state, save_state
 from surefoot.names import plain_name
-from surefoot.wrappers.belief_errors import USUAL, BeliefErrors, belief_errors
-from surefoot.wrappers.beliefs import Beliefs
-from surefoot.wrappers.chances import Chances
-from surefoot.wrappers.foot_view import DEFAULT, FootView, check_certainty
-from surefoot.wrappers.instruments import layout_options
-from surefoot.wrappers.lag import check_lag, usual_lag, waiting_samples
-from surefoot.wrappers.native_beliefs import NativeBeliefs, native_beliefs
-from surefoot.wrappers.native_sample import NOTHING, NativeSample
-from surefoot.wrappers.nominal import Masses, NominalModel
-from surefoot.wrappers.robot_sensors import Equipment, RobotSensors
-from surefoot.wrappers.source import check_stream, wants_fresh
-from surefoot.wrappers.starting_map import StartingMap
-
-BELIEF_STREAM = 0x5F01
-"""Number of the random stream that the errors of the robot's beliefs are drawn from."""
+from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
+from surefoot.robot.beliefs.lag import check_lag, usual_lag, waiting_samples
+from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
+from surefoot.robot.beliefs.nominal import Masses, NominalModel
+from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.chances import Chances
+from surefoot.robot.foot_view import DEFAULT, FootView, check_certainty
+from surefoot.robot.native import NOTHING, NativeSample
+from surefoot.robot.sensing.instruments import layout_options
+from surefoot.robot.sensing.sensors import Equipment, RobotSensors
+from surefoot.robot.starting_map import StartingMap
+from surefoot.robot.streams import BELIEF_STREAM, check_stream, wants_fresh
 
 
 class Learnt(NamedTuple):

@@ -12,9 +12,9 @@ from surefoot.sensors.devices.imu import ImuState
 from surefoot.sensors.native import installed
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.stages.affine import WalkState
+from surefoot.sensors.telemetry.attitude import Attitude
+from surefoot.sensors.telemetry.computer import Computer, Hardware, Telemetry, TelemetryState
 from surefoot.sensors.transport.link import Packet, Packets
-from surefoot.wrappers.attitude import Attitude
-from surefoot.wrappers.telemetry import Computer, Hardware, Telemetry, TelemetryState
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class NativeTelemetry(Telemetry):
 
     Args:
         library: The library.
-        joints: As of :class:`~surefoot.wrappers.telemetry.Telemetry`, like all that follow.
+        joints: As of :class:`~surefoot.sensors.telemetry.computer.Telemetry`, like all that follow.
         imu_config: The IMU.
         encoder_config: The encoders.
         link: The link to the host.
@@ -102,7 +102,7 @@ class NativeTelemetry(Telemetry):
     def init(
         self, position: Floats, inertial: Floats, rng: Rng, hardware: Hardware | None = None
     ) -> tuple[Packets, Any]:
-        """Switch the robot on; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
+        """Switch the robot on; as that of :class:`~surefoot.sensors.telemetry.computer.Telemetry`."""
         if type(rng) is not Stream:
             return super().init(position, inertial, rng, hardware)
         state = self.empty()
@@ -116,7 +116,7 @@ class NativeTelemetry(Telemetry):
     def advance(
         self, position: Floats, inertial: Floats, time: float, state: Any, rng: Rng
     ) -> tuple[Packets, Any]:
-        """Measure a control step; as that of :class:`~surefoot.wrappers.telemetry.Telemetry`."""
+        """Measure a control step; as that of :class:`~surefoot.sensors.telemetry.computer.Telemetry`."""
         native = state if type(state) is NativeTelemetryState else self.pack(state)
         other = position.shape != self._shape
         if native is None or native.coming < 0 or other or type(rng) is not Stream:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
+from surefoot.robot.sensing.device import FootDevice, first_steps
 from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
@@ -22,7 +23,6 @@ from surefoot.sensors.devices.load_cells import LoadCellState, true_map
 from surefoot.sensors.devices.native_cells import CELLS
 from surefoot.sensors.devices.native_force_torque import FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-from surefoot.wrappers.foot_device import FootDevice, first_steps
 
 Floats = NDArray[np.float64]
 
@@ -270,7 +270,7 @@ class Instruments:
         self.ages = self.joined([np.full(part.channels, part.age) for part in self.parts])
 
     def first_steps(self, dt: float) -> list[float]:
-        """Return :func:`~surefoot.wrappers.foot_device.first_steps` of these, dt apart."""
+        """Return :func:`~surefoot.robot.sensing.device.first_steps` of these, dt apart."""
         return first_steps(tuple(part.config for part in self.parts), dt)
 
     def init(self, streams: Mapping[str, Rng]) -> InstrumentsState:

@@ -1,13 +1,15 @@
 """The model that a robot has of itself: the designer's drawing with masses that are a little off."""
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs import RobotDrawing
-from surefoot.wrappers.belief_errors import USUAL, BeliefErrors
+from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
+
+if TYPE_CHECKING:
+    from surefoot.envs.instrumentation.drawing import RobotDrawing
 
 
 class Masses(NamedTuple):
@@ -89,7 +91,7 @@ class NominalModel:
         self._view()
 
     @classmethod
-    def of_drawing(cls, drawing: RobotDrawing, errors: BeliefErrors) -> "NominalModel":
+    def of_drawing(cls, drawing: "RobotDrawing", errors: BeliefErrors) -> "NominalModel":
         """Make it of what the maker of a robot on two feet hands out."""
         return cls(
             drawing.spec(),

@@ -1,0 +1,51 @@
+"""One robot as it senses, believes and calibrates itself over its episodes, whatever moves it.
+
+A step goes through it in this order: truth is read by :class:`RobotSensors` (:mod:`surefoot.robot.sensing`)
+into counts and packets of telemetry, :class:`Beliefs` (:mod:`surefoot.robot.beliefs`) make references of the
+packets, and :class:`RobotCalibration` holds the counts against them. Wrappers of one robot and of many are
+made of it.
+
+Modules are loaded when something of theirs is asked for: what serves GPU simulators needs no MuJoCo.
+"""
+
+from typing import TYPE_CHECKING
+
+from surefoot.extras import names_of
+
+if TYPE_CHECKING:
+    from surefoot.robot.beliefs.errors import BeliefErrors
+    from surefoot.robot.beliefs.nominal import NominalModel
+    from surefoot.robot.beliefs.references import Beliefs
+    from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
+    from surefoot.robot.sensing.sensors import Equipment, RobotSensors
+    from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout
+
+__all__ = [
+    "BeliefErrors",
+    "Beliefs",
+    "CalibrationSetup",
+    "Equipment",
+    "NominalModel",
+    "RobotCalibration",
+    "RobotSensors",
+    "Telemetry",
+    "TelemetryLayout",
+]
+
+_MODULES = {
+    "BeliefErrors": "surefoot.robot.beliefs.errors",
+    "Beliefs": "surefoot.robot.beliefs.references",
+    "CalibrationSetup": "surefoot.robot.calibration",
+    "Equipment": "surefoot.robot.sensing.sensors",
+    "NominalModel": "surefoot.robot.beliefs.nominal",
+    "RobotCalibration": "surefoot.robot.calibration",
+    "RobotSensors": "surefoot.robot.sensing.sensors",
+    "Telemetry": "surefoot.sensors.telemetry.computer",
+    "TelemetryLayout": "surefoot.sensors.telemetry.computer",
+}
+
+__getattr__ = names_of(__name__, _MODULES, "sim")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

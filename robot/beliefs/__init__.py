@@ -1,0 +1,1 @@
+"""What one robot believes of its own motion and of its contacts, and how wrong it is about itself."""
