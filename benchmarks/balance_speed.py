@@ -24,7 +24,7 @@ import numpy as np
 from stepping import interleaved, profiled, step
 from vector_speed import step as vector_step
 
-import surefoot  # noqa: F401
+import surefoot
 from surefoot.envs.nao.env import SUBSTEPS
 from surefoot.experiments.policy.tasks import EXPECTED_LOADS
 from surefoot.experiments.policy.view import make_task
@@ -43,11 +43,13 @@ LAYERS = {
     "envs": "environment",
     "sensors": "sensors",
     "calibration": "calibrator",
-    **{f"calibration/{name}.py": "calibrator's front end" for name in ("_front_end", "_motion")},
+    "calibration/front_end": "calibrator's front end",
+    "robot": "beliefs and views",
+    "robot/sensing": "sensors",
     "wrappers": "beliefs and views",
-    **{f"wrappers/{name}.py": "sensors" for name in ("foot_sensors", "instruments", "raw_view")},
-    **{f"wrappers/{name}.py": "telemetry" for name in ("telemetry", "attitude")},
-    **{f"sensors/{name}.py": "telemetry" for name in ("imu", "encoders", "link")},
+    "wrappers/foot_sensors.py": "sensors",
+    "sensors/telemetry": "telemetry",
+    **{f"sensors/{name}.py": "telemetry" for name in ("devices/imu", "devices/encoders", "transport/link")},
 }
 """Which layer of a step a file or a folder belongs to."""
 
@@ -124,9 +126,11 @@ def layer_of(file: str, name: str) -> str | None:
     """Tell which layer a function belongs to; ``None`` for one that works for whoever calls it."""
     if "mj_step" in name:
         return "mj_step"
-    path = Path(file)
-    folder = path.parent.name
-    return LAYERS.get(f"{folder}/{path.name}", LAYERS.get(folder))
+    place, root = Path(file), Path(surefoot.__file__).parent
+    if not place.is_relative_to(root):
+        return None
+    place = place.relative_to(root)
+    return next((LAYERS[str(part)] for part in (place, *place.parents) if str(part) in LAYERS), None)
 
 
 def shares_by_layer(run: Callable[[], Any]) -> dict[str, float]:
