@@ -187,7 +187,7 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
     rows, forces = [], []
     for _ in range(steps):
         arrays = sensing._arrays
-        parts = arrays.get("load", arrays["felt"]), *sensing._telemetry.inputs, beliefs._planned
+        parts = arrays["load"], *sensing._telemetry.inputs, beliefs._planned
         rows.append(np.concatenate([*map(np.ravel, parts), [env.reference_time, sensors.time]]))
         forces.append(env.estimate.force)
         if env.step(np.zeros(env.action_space.shape))[2]:

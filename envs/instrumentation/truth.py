@@ -25,6 +25,27 @@ CONTACT_FORCE = 5.0
 """Vertical force in N above which a centre of pressure is defined."""
 
 
+class SensedColumns(NamedTuple):
+    """Where in a row stands what sensors feel: the first column of each part.
+
+    Attributes:
+        joints: Of the encoders' angles.
+        inertial: Of accelerometer and gyroscope.
+        ankles: Of the first foot's wrench at the ankle, as the simulator reads it: of the robot on the foot.
+        cells: Of what the cells' forces are made of by ``cell_map()``.
+        stride: Columns from one foot's to the next one's.
+        soles: How many feet have force, torque, place and the sole's frame there (:func:`wrench_at_sole`), of
+            which wrenches are made first; 0 where these stand there.
+    """
+
+    joints: int
+    inertial: int
+    ankles: int
+    cells: int
+    stride: int
+    soles: int = 0
+
+
 class FeetTruth:
     """What F feet and the torso felt at one instant, or at many; its arrays are not to be changed.
 
@@ -91,10 +112,16 @@ class FeetTruth:
         self._refuse_flaws()
         return cop_in_sole(self.wrench_sole)
 
-    @property
-    def soles(self) -> Array:
-        """What was read of the feet, shape (..., 27 F)."""
-        return self.rows[..., : self._end]
+    def columns(self) -> SensedColumns:
+        """Return where in a row stands what sensors feel."""
+        return SensedColumns(
+            joints=self._end + TorsoColumns.width,
+            inertial=self._end + TorsoColumns.inertial.start,
+            ankles=FootColumns.ankle.start,
+            cells=_START,
+            stride=FootColumns.width,
+            soles=len(self.layout.feet),
+        )
 
     def cell_map(self) -> tuple[Array, Array]:
         """Return what makes cells' forces of :attr:`wrench_sole`: factors (6 F, 4 F) and N to add (4 F,)."""

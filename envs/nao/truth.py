@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.instrumentation.plate import SolePlate
-from surefoot.envs.instrumentation.truth import centre_of_pressure, cross
+from surefoot.envs.instrumentation.truth import SensedColumns, centre_of_pressure, cross
 from surefoot.envs.observation import Places
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
@@ -110,6 +110,13 @@ class Truth:
     def plate(self) -> NDArray[np.float64]:
         """What the sensors of both plates read in N and N m, shape (S, 12)."""
         return self.rows[:, self.channels.plate]
+
+    def columns(self) -> SensedColumns:
+        """Return where in a row stands what sensors feel."""
+        parts = self.channels
+        return SensedColumns(
+            parts.joint_position.start, parts.inertial.start, parts.ankle.start, parts.plate.start, stride=6
+        )
 
     def cell_map(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return what makes :attr:`force_cell` of :attr:`plate`: factors (12, 8) and N to add (8,)."""

@@ -1,7 +1,7 @@
 """All sensors of one robot by the library: a step or an episode's start in one call, and what is seen."""
 
 from collections.abc import Mapping
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -84,8 +84,10 @@ class NativeSensing:
             )
         )
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
+        self._truth = np.zeros(truth.rows.shape)
         now, (low, high) = self._seen.now, (observed, observed) if view is None else view.bounds
         arrays = {
+            "truth": self._truth,
             "newest": kept[0],
             "raw": now["raw"],
             "observed": observed,
@@ -97,23 +99,24 @@ class NativeSensing:
             "from": taken,
             "to": to,
         }
-        self._shape = truth.joint_position.shape
-        # What cells feel may be told by other readings, faster here than there.
+        self._shape = self._truth.shape
+        where = truth.columns()
+        numbers |= {
+            "columns": self._shape[-1],
+            "at_joints": where.joints,
+            "at_inertial": where.inertial,
+            "at_ankles": where.ankles,
+            "at_cells": where.cells,
+            "stride": where.stride,
+            "soles": where.soles,
+        }
         self._map: tuple[NDArray[np.float64], ...] = ()
-        self._felt_in: Any = None
-        self._felt: Any = None
-        self._wrench: Any = None
         if "cells" in devices:
-            felt = next((name for name in ("plate", "soles") if hasattr(truth, name)), "force_cell")
-            self._felt_in = attrgetter(felt)
-            self._felt = arrays["felt"] = np.zeros_like(self._felt_in(truth))
-            numbers["readings"] = self._felt.shape[-1]
-            if felt != "force_cell":
-                arrays["map"], arrays["preload"] = self._map = tuple(part.copy() for part in truth.cell_map())
-                arrays["load"] = np.zeros_like(truth.force_cell)
-                numbers["soles"] = len(self._map[0]) // 6 if felt == "soles" else 0
+            arrays["map"], arrays["preload"] = self._map = tuple(part.copy() for part in truth.cell_map())
+            arrays["load"] = np.zeros_like(truth.force_cell)
+            numbers["readings"] = len(self._map[0])
         if "ankles" in devices:
-            self._wrench = arrays["wrench"] = np.zeros_like(truth.wrench_ankle[-1])
+            arrays["wrench"] = np.zeros_like(truth.wrench_ankle[-1])
         if self._telemetry is not None:
             numbers |= {
                 "telemetry": self._telemetry.address,
@@ -156,7 +159,7 @@ class NativeSensing:
             fresh: Whether IMU and encoders are drawn.
             observation: What the environment shows.
         """
-        if truth.joint_position.shape != self._shape:
+        if truth.rows.shape != self._shape:
             return None
         for part, now in zip(self._map, truth.cell_map() if self._map else (), strict=True):
             part[...] = now
@@ -173,21 +176,12 @@ class NativeSensing:
             time: The host's at its end in s.
             observation: What the environment shows.
         """
-        now = truth.joint_position
-        if now.shape != self._shape:
+        if truth.rows.shape != self._shape or (self._telemetry and self.telemetry_state.coming < 0):
             return None
-        if self._telemetry is not None:
-            if self.telemetry_state.coming < 0:
-                return None
-            position, inertial = self._telemetry.inputs
-            position[...], inertial[...] = now, truth.inertial
         return self._read(truth, time, 0, observation)
 
     def _read(self, truth: Any, time: float, begins: int, observation: Any) -> Seen:
-        if self._felt is not None:
-            self._felt[...] = self._felt_in(truth)
-        if self._wrench is not None:
-            self._wrench[...] = truth.wrench_ankle[-1]
+        self._truth[...] = truth.rows
         if self._observed is not None:
             self._observed[...] = observation["state"]
         told = self._sense(self._at, time, begins)
@@ -229,7 +223,7 @@ def native_sensing(
         kept: What is kept.
         view: What is seen.
     """
-    if any(device is None for device in devices.values()) or truth.joint_position.dtype != np.float64:
+    if any(device is None for device in devices.values()) or truth.rows.dtype != np.float64:
         return None
     if view is not None and view.bounds[0].dtype != np.float32:
         return None

@@ -45,18 +45,17 @@
 /* Arrays that stay where they are, so that a call has few arguments: each costs as much as a sensor. */
 typedef struct {
     const sf_telemetry_config *config;
-    const sf_real *position, *inertial;
-    sf_real *arrived;
+    sf_real *position, *inertial, *arrived;
 } telemetry_arrays;
 
-/* The same of what is under one robot's feet, of its telemetry, if anybody listens, and of what is seen. The load is
-   felt @ map + preload, with `readings` numbers felt a row, or without a map what is felt; with `soles`, what is felt is
-   read of so many feet and made wrenches first. Of `numbers` of the observation
-   `shares` are measured, and the number from[i] of the newest packet stands at to[i]. */
+/* The same of what is under one robot's feet, of its telemetry, if anybody listens, and of what is seen. Each of `rows`
+   of truth has `columns`, in which joints, IMU, ankles and cells begin at at_... and feet are `stride` apart. The load
+   is felt @ map + preload, with `readings` felt; with `soles`, these are wrenches that are made of so many feet first.
+   Of `numbers` of the observation `shares` are measured, and the number from[i] of the newest packet is at to[i]. */
 typedef struct {
     sf_feet feet;
-    const sf_real *felt, *map, *preload, *wrench;
-    sf_real *load;
+    const sf_real *truth, *map, *preload;
+    sf_real *load, *wrench;
     const telemetry_arrays *telemetry;
     sf_telemetry *telemetry_state;
     sf_random *telemetry_stream;
@@ -64,7 +63,8 @@ typedef struct {
     const float *observed, *low, *high;
     float *shown, *held, *counts;
     const int32_t *from, *to;
-    int rows, readings, soles, channels, values, numbers, shares;
+    int rows, columns, at_joints, at_inertial, at_ankles, at_cells, stride, readings, soles, channels, values, numbers,
+        shares;
 } sf_sense_records;
 
 /* clang-format off */
@@ -124,10 +124,11 @@ static const place places[] = {
     FEET(force_torque_config, "word"), FEET(force_torque, "word"), FEET(force_torque_stream, "word"),
     FEET(faults_config, "word"), FEET(faults, "word"), FEET(faults_stream, "word"), FEET(order, "word"),
     FEET(dt, "double"), FEET(first, "double"), FEET(more, "int"),
-    R_AT(felt), R_AT(map), R_AT(preload), R_AT(wrench), R_AT(load), R_AT(telemetry), R_AT(telemetry_state),
+    R_AT(truth), R_AT(map), R_AT(preload), R_AT(wrench), R_AT(load), R_AT(telemetry), R_AT(telemetry_state),
     R_AT(telemetry_stream), R_AT(newest), R_AT(raw), R_AT(observed), R_AT(low), R_AT(high), R_AT(shown),
-    R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(readings), R_INT(soles), R_INT(channels),
-    R_INT(values), R_INT(numbers), R_INT(shares),
+    R_AT(held), R_AT(counts), R_AT(from), R_AT(to), R_INT(rows), R_INT(columns),
+    R_INT(at_joints), R_INT(at_inertial), R_INT(at_ankles), R_INT(at_cells), R_INT(stride), R_INT(readings),
+    R_INT(soles), R_INT(channels), R_INT(values), R_INT(numbers), R_INT(shares),
 };
 /* clang-format on */
 
@@ -229,37 +230,55 @@ static void find_wrench(const sf_real *foot, sf_real *wrench) {
     }
 }
 
-static const sf_real *find_load(const sf_sense_records *at) {
-    if (!at->map) return at->felt;
-    int K = at->feet.cells_config->channels, per_foot = at->soles ? at->readings / at->soles : 0;
-    int count = at->soles ? 6 * at->soles : at->readings;
-    sf_real wrench[6 * SF_LOAD_CELLS];
+static void find_load(const sf_sense_records *at) {
+    int K = at->feet.cells_config->channels;
+    sf_real wrench[SF_AXES * SF_LOAD_CELLS];
     for (int row = 0; row < at->rows; row++) {
-        const sf_real *felt = at->felt + row * at->readings;
+        const sf_real *felt = at->truth + row * at->columns + at->at_cells;
         sf_real *load = at->load + row * K;
-        for (int foot = 0; foot < at->soles; foot++) find_wrench(felt + foot * per_foot + 6, wrench + 6 * foot);
+        for (int foot = 0; foot < at->soles; foot++)
+            find_wrench(felt + foot * at->stride, wrench + SF_AXES * foot);
         if (at->soles) felt = wrench;
         memset(load, 0, (size_t)K * sizeof(sf_real));
-        for (int i = 0; i < count; i++)
+        for (int i = 0; i < at->readings; i++)
             for (int k = 0; k < K; k++) load[k] += felt[i] * at->map[i * K + k];
         for (int k = 0; k < K; k++) load[k] += at->preload[k];
     }
-    return at->load;
+}
+
+/* What the sensors in the ankles feel at the end: the opposite of what the simulator reads there. */
+static void find_wrenches(const sf_sense_records *at) {
+    const sf_real *last = at->truth + (at->rows - 1) * at->columns + at->at_ankles;
+    for (int foot = 0; foot < at->feet.force_torque_config->sensors; foot++)
+        for (int i = 0; i < SF_AXES; i++) at->wrench[SF_AXES * foot + i] = -last[foot * at->stride + i];
+}
+
+static void find_motion(const sf_sense_records *at) {
+    int joints = at->telemetry->config->joints;
+    for (int row = 0; row < at->rows; row++) {
+        const sf_real *truth = at->truth + row * at->columns;
+        memcpy(at->telemetry->position + row * joints, truth + at->at_joints, (size_t)joints * sizeof *truth);
+        memcpy(at->telemetry->inertial + row * SF_AXES, truth + at->at_inertial, SF_AXES * sizeof *truth);
+    }
 }
 
 /* A control step of one robot, for whose packets there is room, or the start of an episode, for which 1 keeps the
-   telemetry's sensors and 2 draws them; and what is seen of it. Returns what surefoot_telemetry_advance does. */
+   telemetry's sensors and 2 draws them, at rest as the first row of position and inertial says; and what is seen of it.
+   Returns what surefoot_telemetry_advance does. */
 EXPORTED int surefoot_sense(const sf_sense_records *at, double time, int begins) {
-    const sf_real *load = find_load(at);
     int told = 0;
+    if (at->feet.cells_config) find_load(at);
+    if (at->feet.force_torque_config) find_wrenches(at);
     if (begins)
-        sf_feet_begin(&at->feet, load, at->rows, at->wrench, at->raw);
+        sf_feet_begin(&at->feet, at->load, at->rows, at->wrench, at->raw);
     else
-        sf_feet_step(&at->feet, load, at->rows, at->wrench, at->raw);
+        sf_feet_step(&at->feet, at->load, at->rows, at->wrench, at->raw);
     if (at->telemetry && begins)
         told = surefoot_telemetry_init(at->telemetry, at->telemetry_state, at->telemetry_stream, begins - 1);
-    else if (at->telemetry)
+    else if (at->telemetry) {
+        find_motion(at);
         told = surefoot_telemetry_advance(at->telemetry, at->telemetry_state, at->telemetry_stream, time);
+    }
     int arrived = told & 0xFFFF;
     if (told >= 0 && arrived > 0) {
         const sf_real *last = at->telemetry->arrived + (arrived - 1) * (2 + at->values);
