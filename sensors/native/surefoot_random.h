@@ -23,6 +23,8 @@ typedef double sf_real;
 #define SF_API static inline
 #endif
 
+#define SF_DRAWN 32 /* numbers at a time */
+
 typedef struct {
     uint64_t key, count;
 } sf_random;
@@ -55,29 +57,29 @@ SF_API void sf_random_pair(sf_random *stream, double pair[2]) {
     pair[1] = sf_from_words(word[2], word[3]);
 }
 
-/* The next block: two standard normal numbers, by Box and Muller. */
-SF_API void sf_random_normal_pair(sf_random *stream, double pair[2]) {
-    sf_random_pair(stream, pair);
-#ifdef SF_SINGLE
-    float radius = sqrtf(-2 * logf((float)(1.0 - pair[0]))), angle = 6.2831853f * (float)pair[1];
-    pair[0] = radius * cosf(angle);
-    pair[1] = radius * sinf(angle);
-#else
-    double radius = sqrt(-2.0 * log(1.0 - pair[0])), angle = 6.283185307179586 * pair[1];
-    pair[0] = radius * cos(angle);
-    pair[1] = radius * sin(angle);
-#endif
-}
-
-/* The next n numbers, normal ones or uniform ones; what is left of the last block is dropped. */
+/* The next n numbers, uniform ones or normal ones by Box and Muller; what is left of the last block is dropped. */
 SF_API void sf_random_fill(sf_random *stream, int normal, int n, sf_real *out) {
-    double pair[2];
-    for (int i = 0; i < n; i++) {
-        if (i % 2 == 0 && normal)
-            sf_random_normal_pair(stream, pair);
-        else if (i % 2 == 0)
-            sf_random_pair(stream, pair);
-        out[i] = (sf_real)pair[i % 2];
+    /* One kind of function after the other, of several blocks: none waits for the result of another. */
+    double drawn[SF_DRAWN];
+    for (; n > 0; n -= SF_DRAWN, out += SF_DRAWN) {
+        int count = n < SF_DRAWN ? n : SF_DRAWN;
+        for (int i = 0; i < count; i += 2) sf_random_pair(stream, drawn + i);
+#ifdef SF_SINGLE
+        for (int i = 0; normal && i < count; i += 2) drawn[i] = sqrtf(-2 * logf((float)(1.0 - drawn[i])));
+        for (int i = 0; normal && i < count; i += 2) {
+            float radius = (float)drawn[i], angle = 6.2831853f * (float)drawn[i + 1];
+            drawn[i] = radius * cosf(angle);
+            drawn[i + 1] = radius * sinf(angle);
+        }
+#else
+        for (int i = 0; normal && i < count; i += 2) drawn[i] = sqrt(-2.0 * log(1.0 - drawn[i]));
+        for (int i = 0; normal && i < count; i += 2) {
+            double radius = drawn[i], angle = 6.283185307179586 * drawn[i + 1];
+            drawn[i] = radius * cos(angle);
+            drawn[i + 1] = radius * sin(angle);
+        }
+#endif
+        for (int i = 0; i < count; i++) out[i] = (sf_real)drawn[i];
     }
 }
 
