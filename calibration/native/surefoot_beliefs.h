@@ -144,21 +144,22 @@ SF_API sf_real sf_square(const sf_real *a) { return a[0] * a[0] + a[1] * a[1] + 
 
 /* ------------------------------------------------------------------------------------------------ nominal */
 
-/* Turn R on by an angle about a unit vector in its own axes (Rodrigues), which is `a` in those around it. */
-SF_API void sf_turn_on(sf_real *R, const sf_real *axis, const sf_real *a, sf_real angle) {
-    sf_real sine = sf_sin(angle), cosine = sf_cos(angle);
+/* out = R turned on by an angle about a unit vector in its own axes (Rodrigues), which is `a` in those around it. */
+SF_API void sf_turn_on(sf_real *out, const sf_real *R, const sf_real *axis, sf_real *a, sf_real sine, sf_real cosine) {
     int k = axis[0] == 1 ? 0 : axis[1] == 1 ? 1 : 2, i = (k + 1) % 3, j = (k + 2) % 3;
     int plain = axis[k] == 1 && axis[i] == 0 && axis[j] == 0; /* most hinges lie along one of the axes */
-    for (int r = 0; r < 3; r++) {
-        sf_real *row = R + 3 * r, x = row[0], y = row[1], z = row[2], u = row[i], v = row[j];
+    for (int r = 0; r < 3; r++, out += 3, R += 3) {
+        sf_real x = R[0], y = R[1], z = R[2], u = R[i], v = R[j];
         if (plain) {
-            row[i] = cosine * u + sine * v;
-            row[j] = cosine * v - sine * u;
+            out[k] = a[r] = R[k];
+            out[i] = cosine * u + sine * v;
+            out[j] = cosine * v - sine * u;
         } else {
+            a[r] = x * axis[0] + y * axis[1] + z * axis[2];
             sf_real along = (1 - cosine) * a[r];
-            row[0] = cosine * x + sine * (y * axis[2] - z * axis[1]) + along * axis[0];
-            row[1] = cosine * y + sine * (z * axis[0] - x * axis[2]) + along * axis[1];
-            row[2] = cosine * z + sine * (x * axis[1] - y * axis[0]) + along * axis[2];
+            out[0] = cosine * x + sine * (y * axis[2] - z * axis[1]) + along * axis[0];
+            out[1] = cosine * y + sine * (z * axis[0] - x * axis[2]) + along * axis[1];
+            out[2] = cosine * z + sine * (x * axis[1] - y * axis[0]) + along * axis[2];
         }
     }
 }
@@ -176,44 +177,56 @@ SF_API void sf_reach(sf_real *p, sf_real *v, const sf_real *R, const sf_real *w,
    angle, rate: of the hinges in rad and rad/s. spin: angular velocity of the torso in its own axes. */
 SF_API void sf_posture(const sf_model *m, const sf_real *angle, const sf_real *rate, const sf_real *spin,
                        sf_real *row) {
+    static const sf_real level[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     sf_real R[SF_BODIES * 9], p[SF_BODIES * 3], v[SF_BODIES * 3], w[SF_BODIES * 3];
     sf_real mass = 0, moment[3] = {0, 0, 0}, linear[3] = {0, 0, 0}, angular[3] = {0, 0, 0};
-    sf_real a[3], b[3], turned[9];
+    sf_real a[3], b[3], turned[9], sine[SF_HINGES], cosine[SF_HINGES];
     int hinge = 0;
+    for (int i = 0; i < m->hinges; i++) {
+        sf_real by = angle[i] - m->zero[i];
+        sine[i] = sf_sin(by), cosine[i] = sf_cos(by);
+    }
     for (int i = 0; i < m->bodies; i++) {
-        sf_real *Ri = R + 9 * i, *pi = p + 3 * i, *vi = v + 3 * i, *wi = w + 3 * i;
-        if (i == 0) {
-            memset(Ri, 0, 9 * sizeof(sf_real));
-            Ri[0] = Ri[4] = Ri[8] = 1;
-            for (int k = 0; k < 3; k++) pi[k] = vi[k] = 0, wi[k] = spin[k];
-        } else {
+        sf_real *Ri = R + 9 * i, at[3] = {0, 0, 0}, speed[3] = {0, 0, 0}, turn[3] = {spin[0], spin[1], spin[2]};
+        const sf_real *axes = level; /* so far */
+        if (i > 0) {
             int from = m->parent[i];
-            const sf_real *R_from = R + 9 * from, *own = m->R_parent_body + 9 * i;
-            sf_copy(pi, p + 3 * from, 3), sf_copy(vi, v + 3 * from, 3), sf_copy(wi, w + 3 * from, 3);
-            sf_reach(pi, vi, R_from, wi, 1, m->place + 3 * i);
+            const sf_real *own = m->R_parent_body + 9 * i;
+            axes = R + 9 * from;
+            for (int k = 0; k < 3; k++) at[k] = p[3 * from + k], speed[k] = v[3 * from + k], turn[k] = w[3 * from + k];
+            sf_reach(at, speed, axes, turn, 1, m->place + 3 * i);
             /* Most lie along their parent's. */
-            if (own[0] == 1 && own[4] == 1 && own[1] == 0 && own[2] == 0 && own[5] == 0) sf_copy(Ri, R_from, 9);
-            else sf_then(Ri, R_from, own);
+            if (!(own[0] == 1 && own[4] == 1 && own[1] == 0 && own[2] == 0 && own[5] == 0)) {
+                sf_then(turned, axes, own);
+                axes = turned;
+            }
         }
         for (; hinge < m->hinges && m->hinge_body[hinge] == i; hinge++) {
             /* The anchor stays where it is; what turns about it is the frame. */
-            const sf_real *anchor = m->anchor + 3 * hinge, *axis = m->axis + 3 * hinge;
+            const sf_real *anchor = m->anchor + 3 * hinge;
             int apart = sf_square(anchor) > 0;
-            if (apart) sf_reach(pi, vi, Ri, wi, 1, anchor);
-            sf_turn(a, Ri, axis);
-            for (int k = 0; k < 3; k++) wi[k] += a[k] * rate[hinge];
-            sf_turn_on(Ri, axis, a, angle[hinge] - m->zero[hinge]);
-            if (apart) sf_reach(pi, vi, Ri, wi, -1, anchor);
+            if (apart) sf_reach(at, speed, axes, turn, 1, anchor);
+            sf_turn_on(Ri, axes, m->axis + 3 * hinge, a, sine[hinge], cosine[hinge]);
+            axes = Ri;
+            for (int k = 0; k < 3; k++) turn[k] += a[k] * rate[hinge];
+            if (apart) sf_reach(at, speed, axes, turn, -1, anchor);
         }
-        sf_real own = m->mass[i], place[3] = {pi[0], pi[1], pi[2]}, speed[3] = {vi[0], vi[1], vi[2]};
-        sf_reach(place, speed, Ri, wi, 1, m->com + 3 * i);
-        sf_turn_back(a, Ri, wi);
+        if (axes != Ri) sf_copy(Ri, axes, 9);
+        for (int k = 0; k < 3; k++) p[3 * i + k] = at[k], v[3 * i + k] = speed[k], w[3 * i + k] = turn[k];
+    }
+    /* Apart from the tree, so that no body waits for another. */
+    for (int i = 0; i < m->bodies; i++) {
+        const sf_real *Ri = R + 9 * i;
+        sf_real own = m->mass[i], at[3] = {p[3 * i], p[3 * i + 1], p[3 * i + 2]};
+        sf_real speed[3] = {v[3 * i], v[3 * i + 1], v[3 * i + 2]};
+        sf_reach(at, speed, Ri, w + 3 * i, 1, m->com + 3 * i);
+        sf_turn_back(a, Ri, w + 3 * i);
         sf_turn(b, m->inertia + 9 * i, a);
         sf_turn(a, Ri, b);
-        sf_cross(b, place, speed);
+        sf_cross(b, at, speed);
         mass += own;
         for (int k = 0; k < 3; k++) {
-            moment[k] += own * place[k];
+            moment[k] += own * at[k];
             linear[k] += own * speed[k];
             angular[k] += a[k] + own * b[k];
         }
@@ -390,8 +403,7 @@ SF_API void sf_at(const sf_timing *t, sf_beliefs *s, double time, sf_real *out) 
     for (int i = 0; i < SF_ROW; i++) out[i] = row[i] + part * (next[i] - row[i]);
 }
 
-/* Beliefs.reference: what the robot believed to do at a moment, in s of the host's clock. Contacts are left
-   open. */
+/* Beliefs.reference: what the robot believed to do at a moment, in s of the host's clock. Contacts are left open. */
 SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time, sf_belief *out) {
     sf_real rows[SF_ROW], level[SF_ROW_ACCELEROMETER], x, y, by, middle[2], low;
     const sf_real *left = rows + SF_ROW_SOLES, *right = left + 3;
