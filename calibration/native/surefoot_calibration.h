@@ -954,18 +954,21 @@ SF_API void sf_error_columns(const sf_config *c, const sf_real *given, const sf_
     }
 }
 
-/* NewtonEuler._blurred: a channel's force of one sample, averaged as the reference averages its rates, and what
-   it changes with the window's variance in squared samples. */
-SF_API sf_real sf_blurred(const sf_block *b, int t, int passes, sf_real blur, int k, sf_real *change) {
-    sf_real force[2 * SF_PASSES + 1], bend = 0, weight = blur / (sf_real)(2 * passes);
-    for (int i = 0; i <= 2 * passes; i++) force[i] = sf_block_force(b, t - passes + i)[k];
+/* NewtonEuler._blurred: the forces of one sample, averaged as the reference averages its rates, and what they change
+   with the window's variance in squared samples. */
+SF_API void sf_blurred(const sf_config *c, const sf_block *b, int t, int passes, sf_real blur, sf_real *blurred,
+                       sf_real *change) {
+    int K = c->channels;
+    sf_real force[(2 * SF_PASSES + 1) * SF_CHANNELS], bend[(2 * SF_PASSES - 1) * SF_CHANNELS];
+    sf_real weight = blur / (sf_real)(2 * passes);
+    for (int i = 0; i <= 2 * passes; i++) sf_copy(force + i * K, sf_block_force(b, t - passes + i), K);
     for (int left = 2 * passes - 1; left > 0; left -= 2)
-        for (int i = 0; i < left; i++) {
-            bend = force[i + 2] - 2 * force[i + 1] + force[i];
-            force[i] = force[i + 1] + weight * bend;
+        for (int i = 0; i < left * K; i++) {
+            bend[i] = force[i + 2 * K] - 2 * force[i + K] + force[i];
+            force[i] = force[i + K] + weight * bend[i];
         }
-    *change = bend / 2;
-    return force[0];
+    sf_copy(blurred, force, K);
+    for (int k = 0; k < K; k++) change[k] = bend[k] / 2;
 }
 
 /* NewtonEuler.rows: what the motion asks of the ground, about the estimated centre of pressure. */
@@ -1017,10 +1020,8 @@ SF_API void sf_newton_euler_rows(const sf_config *c, const sf_state *s, const sf
             sf_forces(c, mean, ahead, change);
             sf_forces(c, mean, behind, other);
             for (int k = 0; k < K; k++) change[k] = (change[k] - other[k]) / (2 * settle * c->dt);
-            for (int k = 0; k < K; k++) {
-                sf_real force = sf_blurred(b, t, passes, blur, k, other + k);
-                tared[k] = sf_tared(c, mean, force, k);
-            }
+            sf_blurred(c, b, t, passes, blur, tared, other);
+            for (int k = 0; k < K; k++) tared[k] = sf_tared(c, mean, tared[k], k);
             sf_scaled(c, mean, other, blurred);
             sf_asked(c, motion, (motion[SF_COM + 2] - sf_ground_height(c, motion)) / c->length, part);
             for (int kind = 0; kind < kinds; kind++) {
@@ -1489,32 +1490,26 @@ SF_API int sf_reweighted(const sf_config *c, const sf_state *s, sf_severity_work
     return sf_all_finite(mean, M) && sf_all_finite(covariance, M * M);
 }
 
-/* Uncertainty.to_force times a vector of M scales and offsets: what these do to forces, of which F0 are those by the
-   starting map in N, or 0. */
-SF_API void sf_to_force(const sf_config *c, const sf_real *mean, const sf_real *F0, const sf_real *x,
-                        sf_real *out) {
-    int K = c->channels, P = sf_scales(c);
-    sf_real tared[SF_CHANNELS], moved[SF_CHANNELS], by_scale[SF_CHANNELS];
-    for (int i = 0; i < K; i++) {
-        tared[i] = sf_tared(c, mean, F0 ? F0[i] : 0, i);
-        moved[i] = x[P + i] * c->unit[i];
-    }
+/* Uncertainty.to_force times a vector of M scales and offsets: what these do to (tared) forces. */
+SF_API void sf_to_force(const sf_config *c, const sf_real *mean, const sf_real *tared, const sf_real *x, sf_real *out) {
+    sf_real moved[SF_CHANNELS], by_scale[SF_CHANNELS];
+    for (int i = 0; i < c->channels; i++) moved[i] = x[sf_scales(c) + i] * c->unit[i];
     sf_scaled(c, mean, moved, out);
     sf_scaled(c, x, tared, by_scale);
-    for (int i = 0; i < K; i++) out[i] += by_scale[i];
+    for (int i = 0; i < c->channels; i++) out[i] += by_scale[i];
 }
 
 /* Uncertainty.of_parameters and of_channels: the covariance of (a, b) of each channel, b = A o in N. */
 SF_API void sf_of_parameters(const sf_config *c, sf_state *s) {
     int K = c->channels, M = sf_map(c), wide = 2 * K;
-    sf_real by[SF_CHANNELS * SF_MAP], row[SF_MAP], moved[SF_CHANNELS];
+    sf_real by[SF_CHANNELS * SF_MAP], tared[SF_CHANNELS], moved[SF_CHANNELS];
+    for (int i = 0; i < K; i++) tared[i] = sf_tared(c, s->given, 0, i);
     for (int m = 0; m < M; m++) {
-        sf_copy(row, s->given_covariance + m * M, M);
-        sf_to_force(c, s->given, 0, row, moved);
+        sf_to_force(c, s->given, tared, s->given_covariance + m * M, moved);
         for (int i = 0; i < K; i++) by[i * M + m] = moved[i];
     }
     for (int i = 0; i < K; i++) {
-        sf_to_force(c, s->given, 0, by + i * M, s->learnt + (K + i) * wide + K);
+        sf_to_force(c, s->given, tared, by + i * M, s->learnt + (K + i) * wide + K);
         for (int j = 0; j < K; j++) {
             s->learnt[i * wide + j] = s->given_covariance[i * M + j];
             s->learnt[(K + i) * wide + j] = s->learnt[j * wide + K + i] = by[i * M + j];
