@@ -431,10 +431,9 @@ SF_API void sf_multiply(sf_real *out, const sf_real *A, const sf_real *B, int ro
 
 /* Return r S r' for a symmetric S, shape (n, n). */
 SF_API sf_real sf_variance(const sf_real *r, const sf_real *S, int n) {
-    sf_real sum = 0;
-    for (int i = 0; i < n; i++)
-        if (r[i] != 0) sum += r[i] * sf_dot(S + i * n, r, n);
-    return sum;
+    sf_real row[SF_UNKNOWNS] = {0};
+    sf_add_rows(row, 1, r, 1, S, n, n, n);
+    return sf_dot(row, r, n);
 }
 
 /* Overwrite the lower half of a positive definite A with L, A = L L'; returns 0 if it is none. */
@@ -1310,7 +1309,7 @@ SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_rea
     sf_real e[SF_ROWS], weighted[SF_ROWS], *HS = w->HS, *V = w->V, *gain = w->gain, *keep = w->keep, *kept = w->kept;
     *nis = *nis_rows = 0;
     if (m == 0) return 1;
-    /* Of gain, keep and kept the transposed: all products are sums of rows then. Until there is a gain, H' is there. */
+    /* Of gain and keep the transposed: all products are sums of rows then. Until there is a gain, H' is there. */
     for (int i = 0; i < m; i++)
         for (int k = 0; k < N; k++) gain[k * m + i] = rows->H[i * N + k];
     memset(HS, 0, (size_t)(m * wide) * sizeof(sf_real));
@@ -1338,11 +1337,13 @@ SF_API int sf_kalman_step(sf_real *mean, sf_real *S, sf_rows *rows, const sf_rea
         keep[k * N + k] = 1;
         sf_add_rows(keep + k * N, -1, rows->H + k, N, gain, N, m, N);
     }
-    sf_multiply(kept, S, keep, N, N, N);
+    /* keep is mostly zeros where few unknowns are seen, as by feet that hang: its numbers are the factors. */
+    memset(kept, 0, (size_t)(N * N) * sizeof(sf_real));
+    for (int i = 0; i < N; i++) sf_add_rows(kept + i * N, 1, keep + i, N, S, N, N, N);
     memset(S, 0, (size_t)(N * N) * sizeof(sf_real));
     for (int i = 0; i < N; i++) {
         for (int j = 0; j < m; j++) weighted[j] = gain[j * N + i] * rows->variance[j];
-        sf_add_rows(S + i * N, 1, kept + i, N, keep, N, N, i + 1);
+        sf_add_rows(S + i * N, 1, kept + i * N, 1, keep, N, N, i + 1);
         sf_add_rows(S + i * N, 1, weighted, 1, gain, N, m, i + 1);
         for (int j = 0; j < i; j++) S[j * N + i] = S[i * N + j];
     }
